@@ -91,6 +91,7 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
         program_flash: Some(ProgramFlash::empty(flashes, key)?),
         update: None,
         demo: Some(demo.clone()),
+        stall_timers: vec![],
     };
     let plan = Plan {
         schedule: Schedule::default(),

@@ -1,7 +1,7 @@
 //! The process that is one core of one system.
 
 use crate::run_config::{Profile, RunConfig};
-use crate::{boot, control_core, three_frames};
+use crate::{boot, control_core, stall_watch, three_frames};
 use anyhow::{Context as _, bail};
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
@@ -32,7 +32,10 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
         boot::approve_later(&board, flash, of.system)?;
     }
     match args.identity.core {
-        CoreId::CONTROL => control_core::go(board, config, grant),
+        CoreId::CONTROL => {
+            stall_watch::postpone_at_ticks(&run.stall_timers, grant);
+            control_core::go(board, config, grant)
+        }
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),
         _ => go(&board, Core2::new(&board)),
     }

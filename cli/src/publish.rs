@@ -29,10 +29,14 @@ use tandem_record::roles::State;
 use tandem_record::{Entry, description, file};
 use tandem_vehicle::LoggedFrame;
 
-/// How often the thread looks for more.
-const LOOK_AGAIN: Duration = Duration::from_millis(50);
+/// How soon the thread looks again when it found nothing, or a part of an entry.
+const LOOK_AGAIN: Duration = Duration::from_millis(10);
+/// The same when it found something: the vehicle writes each 100 ms.
+const LOOK_FOR_MORE: Duration = Duration::from_millis(90);
 /// The most that is handed over at once, bytes. A longer entry is left out.
 const AT_ONCE: usize = 48 << 10;
+/// The most that is read at once, bytes.
+const LIMIT: usize = 4 << 20;
 /// How long the publisher may take to end.
 const ENDS_WITHIN: Duration = Duration::from_secs(1);
 /// How often the publisher looks whether `tandem run` still lives.
@@ -123,10 +127,9 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
     let (mut from, mut left) = (None, Vec::new());
     while !over.load(Ordering::Relaxed) {
         from = from.or_else(|| File::open(recording).ok());
-        let more = from.as_mut().and_then(|from: &mut File| {
-            let mut limited = from.take(4 << 20);
-            limited.read_to_end(&mut left).ok()
-        });
+        let more = from
+            .as_mut()
+            .and_then(|from: &mut File| from.take(LIMIT as u64).read_to_end(&mut left).ok());
         while let Some(end) = file::whole_entries(&left, AT_ONCE) {
             if end <= AT_ONCE {
                 // A publisher that is behind loses these; without one nothing is to be done.
@@ -134,8 +137,10 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
             }
             left.drain(..end);
         }
-        if more.unwrap_or(0) == 0 {
-            std::thread::sleep(LOOK_AGAIN);
+        let more = more.unwrap_or(0);
+        if more < LIMIT {
+            let found = more > 0 && left.is_empty();
+            std::thread::sleep(if found { LOOK_FOR_MORE } else { LOOK_AGAIN });
         }
     }
 }

@@ -55,6 +55,10 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
+    let config = RunConfig {
+        stall_timers: watch.timers(),
+        ..config
+    };
     let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
     let ended = ended.map_err(Failure::Run)?;
@@ -98,6 +102,10 @@ pub fn recorded<T: Send>(
     let config = with_flash(args, &files, RunConfig::of(args, profile))?;
     let run_hands = launcher.hands();
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
+    let config = RunConfig {
+        stall_timers: watch.timers(),
+        ..config
+    };
     let (ended, done) = std::thread::scope(|scope| {
         let hands = scope.spawn(|| hands(run_hands, &files));
         let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);

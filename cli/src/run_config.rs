@@ -76,6 +76,17 @@ pub struct RunConfig {
     pub update: Option<UpdateFiles>,
     /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
     pub demo: Option<[PathBuf; 2]>,
+    /// The timers of the threads that watch for stalls, which each core 0 postpones.
+    pub stall_timers: Vec<StallTimer>,
+}
+
+/// An inherited [`Alarm`](tandem_board_host::Alarm).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StallTimer {
+    /// The number of the CPU that is watched.
+    pub cpu: usize,
+    /// The number of the descriptor.
+    pub descriptor: i32,
 }
 
 /// The update of a run.
@@ -137,6 +148,7 @@ impl RunConfig {
             program_flash: None,
             update: None,
             demo: None,
+            stall_timers: vec![],
         }
     }
 
@@ -188,6 +200,10 @@ mod tests {
                 ended: "/tmp/updated".into(),
             }),
             demo: None,
+            stall_timers: vec![StallTimer {
+                cpu: 1,
+                descriptor: 9,
+            }],
         };
         assert_eq!(
             RunConfig::from_extra(&config.to_extra().unwrap()).unwrap(),

@@ -3,21 +3,30 @@
 //! sleep, so up to two milliseconds too short, never too long.
 //!
 //! Where real time is permitted, the threads go before all of the run (SCHED_FIFO above the
-//! supplies): what holds them up is not Tandem, but the machine below it. They do no work, share
-//! nothing with the run, and run in `tandem run`, without which the systems would drive as well.
+//! supplies): what holds them up is not Tandem, but the machine below it. They do no work, and run
+//! in `tandem run`, without which the systems would drive as well.
+//!
+//! Each core 0 postpones the end of the sleep on its CPU at each of its ticks, so a thread sleeps
+//! on while core 0 runs. If core 0 gets no CPU, is stopped or dead, the thread wakes when it is
+//! due, as without it: only the thread's own lateness is evidence.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock, mpsc};
 use std::thread::JoinHandle;
 
 use signal_hook::SigId;
 use signal_hook::consts::SIGCONT;
 use tandem_board::Duration;
-use tandem_board_host::clock;
-use tandem_board_host::realtime::{Claim, claim};
+use tandem_board_host::realtime::{Claim, Grant, claim};
+use tandem_board_host::{Alarm, Expired, clock};
 use tandem_record::run_log::{Stall, Stood};
+use tandem_rtos::host;
 
-/// Time between two looks at the clock during a run: each look is a wake-up of a CPU that drives.
+use crate::run_config::StallTimer;
+
+/// The sleep during a run: each end of it is a wake-up of a CPU that drives. Two ticks of core 0: so
+/// the timer that it postpones is never the next one of its CPU, which the kernel would have to
+/// program anew in each tick.
 const PERIOD: Duration = Duration::from_ms(2);
 /// The same before a run, when its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);
@@ -40,8 +49,17 @@ pub struct Seen {
 /// The threads, from the start to the end of a run.
 pub struct StallWatch {
     over: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<(Option<u8>, Vec<Stall>)>>,
+    threads: Vec<Watcher>,
     signals: Vec<SigId>,
+}
+
+/// The thread that watches a CPU.
+struct Watcher {
+    cpu: usize,
+    alarm: Arc<Alarm>,
+    /// Its priority, if it has one.
+    fifo: Option<u8>,
+    thread: JoinHandle<Vec<Stall>>,
 }
 
 impl StallWatch {
@@ -58,14 +76,9 @@ impl StallWatch {
             let continued = Arc::new(AtomicBool::new(false));
             // Without the signal a stop of this process would look like a stall.
             signals.extend(signal_hook::flag::register(SIGCONT, Arc::clone(&continued)));
-            let over = Arc::clone(&over);
-            let watch = move || {
-                let fifo = realtime.then(|| claim_cpu(place)).flatten();
-                (fifo, look(number, period, &over, &continued))
-            };
-            let named = std::thread::Builder::new().name(format!("stalls of CPU {number}"));
+            let priority = move || realtime.then(|| claim_cpu(place)).flatten();
             // A machine without room for a thread gives no evidence; the run goes on.
-            threads.extend(named.spawn(watch));
+            threads.extend(Watcher::start(number, period, priority, &over, continued));
         }
         Self {
             over,
@@ -74,15 +87,36 @@ impl StallWatch {
         }
     }
 
+    /// The timers that a core 0 may postpone, for processes that are started from now on. A thread
+    /// that core 0 could hold up has none: after a stall core 0 would be there first.
+    pub(crate) fn timers(&self) -> Vec<StallTimer> {
+        let urgent = self.threads.iter().filter(|watcher| watcher.fifo.is_some());
+        urgent
+            .map(|watcher| StallTimer {
+                cpu: watcher.cpu,
+                descriptor: watcher.alarm.number(),
+            })
+            .collect()
+    }
+
     /// Ends the threads; what they saw.
     pub fn end(self) -> Seen {
         self.over.store(true, Ordering::Relaxed);
         let (mut stalls, mut fifo) = (vec![], None);
-        for thread in self.threads {
-            if let Ok((granted, seen)) = thread.join() {
-                fifo = granted;
-                stalls.extend(seen);
+        for Watcher {
+            alarm,
+            fifo: granted,
+            thread,
+            ..
+        } in self.threads
+        {
+            // Again and again: a core 0 that is left may postpone it.
+            while !thread.is_finished() {
+                alarm.postpone(Duration::ZERO);
+                clock::sleep_until(clock::now() + FINE_PERIOD);
             }
+            fifo = granted;
+            stalls.extend(thread.join().unwrap_or_default());
         }
         for signal in self.signals {
             signal_hook::low_level::unregister(signal);
@@ -117,22 +151,73 @@ fn claim_cpu(place: usize) -> Option<u8> {
     })
 }
 
-fn look(cpu: usize, period: Duration, over: &AtomicBool, continued: &AtomicBool) -> Vec<Stall> {
+impl Watcher {
+    /// Starts the thread, and waits until it has claimed its `priority`.
+    fn start(
+        cpu: usize,
+        period: Duration,
+        priority: impl FnOnce() -> Option<u8> + Send + 'static,
+        over: &Arc<AtomicBool>,
+        continued: Arc<AtomicBool>,
+    ) -> Option<Self> {
+        let alarm = Arc::new(Alarm::new().ok()?);
+        let (over, its_alarm) = (Arc::clone(over), Arc::clone(&alarm));
+        let (granted, grant) = mpsc::channel();
+        let watch = move || {
+            let _ = granted.send(priority());
+            look(cpu, period, &its_alarm, &over, &continued)
+        };
+        let named = std::thread::Builder::new().name(format!("stalls of CPU {cpu}"));
+        Some(Self {
+            cpu,
+            alarm,
+            thread: named.spawn(watch).ok()?,
+            fifo: grant.recv().ok()?,
+        })
+    }
+}
+
+fn look(
+    cpu: usize,
+    period: Duration,
+    alarm: &Alarm,
+    over: &AtomicBool,
+    continued: &AtomicBool,
+) -> Vec<Stall> {
     let mut stalls = Vec::with_capacity(1_024);
     while !over.load(Ordering::Relaxed) {
-        let due = clock::now() + period;
-        clock::sleep_until(due);
-        let now = clock::now();
+        alarm.postpone(period);
+        let Ok(Expired { due, woken }) = alarm.wait() else {
+            continue;
+        };
         let was_stopped = continued.swap(false, Ordering::Relaxed);
-        if now.since(due) > LATE && !was_stopped && stalls.len() < MOST {
+        if woken.since(due) > LATE && !was_stopped && stalls.len() < MOST {
             stalls.push(Stall {
                 of: Stood::Cpu(cpu),
                 from_ns: due.as_ns(),
-                to_ns: now.as_ns(),
+                to_ns: woken.as_ns(),
             });
         }
     }
     stalls
+}
+
+/// Postpones the timer of this core 0's CPU at each tick from now on. Only a core 0 that is pinned
+/// to that CPU, and less urgent than the thread there, cannot hide a stall.
+pub(crate) fn postpone_at_ticks(timers: &[StallTimer], grant: Grant) {
+    static ALARM: OnceLock<Alarm> = OnceLock::new();
+    let own = timers.iter().find(|timer| Some(timer.cpu) == grant.cpu);
+    // Without it the thread wakes more often, and sees the same.
+    let Some(alarm) = own.and_then(|own| Alarm::inherited(own.descriptor).ok()) else {
+        return;
+    };
+    if ALARM.set(alarm).is_ok() {
+        host::observe_ticks(Some(|_| {
+            if let Some(alarm) = ALARM.get() {
+                alarm.postpone(PERIOD);
+            }
+        }));
+    }
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ use crate::memory;
 use crate::name::RunName;
 use crate::processes::{self, Process, RunError};
 use crate::segment::SegmentError;
-use crate::supply::poke;
+use crate::supply::{poke, poke_launcher};
 
 /// How long the launcher may take to start a supply.
 const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
@@ -128,6 +128,7 @@ impl Hands {
     /// Asks the launcher to switch a system on, and does not wait. No effect if it is on.
     pub fn request_power(&self, system: SystemId) {
         self.backplane.request_power(system);
+        poke_launcher(self.backplane);
     }
 
     /// The supply resets the system, as after an orderly request of its core 0.
@@ -165,6 +166,7 @@ impl Hands {
             return Err(HandsError::IsOn(system));
         }
         self.backplane.request_power(system);
+        poke_launcher(self.backplane);
         let begin = Instant::now();
         while self.supply(system).is_none() {
             if begin.elapsed() > SWITCHED_ON_WITHIN {

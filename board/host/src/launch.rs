@@ -11,19 +11,22 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, WaitOptions, set_child_subreaper, wait};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_board::SystemId;
 
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
+use crate::clock;
 use crate::flash::{Claimed, FlashFileError, HostFlash};
 use crate::hands::Hands;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
 use crate::name::RunName;
 use crate::processes::{self, Process};
-use crate::spawn;
+use crate::spawn::{self, Watched};
+use crate::supply::{self, Pokes};
 
 /// How long the vehicle may take to end after a request, for instance to write its report.
 const STOP_GRACE: Duration = Duration::from_secs(30);
@@ -32,8 +35,8 @@ const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
 /// How long killed processes may take to disappear.
 const KILL_GRACE: Duration = Duration::from_secs(5);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
-/// The same during the run.
-const LOOK_AGAIN_IN_RUN: Duration = Duration::from_millis(50);
+/// The same during the run, in which signals, pokes and the vehicle's end wake it at once.
+const LOOK_AGAIN_IN_RUN: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
 
 /// Why a run did not start.
 #[derive(Debug, thiserror::Error)]
@@ -108,6 +111,7 @@ pub struct Launcher {
     flash: Vec<Claimed>,
     /// A signal that requests the end has arrived and is not yet handled.
     signalled: Arc<AtomicBool>,
+    pokes: Pokes,
     is_over: bool,
 }
 
@@ -132,16 +136,20 @@ impl Launcher {
         // Cores whose supply was killed become children of this process, which then waits for them.
         let _ = set_child_subreaper(Pid::from_raw(1));
         let signalled = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
+        let signals = [SIGINT, SIGTERM, SIGHUP];
+        for signal in signals {
             signal_hook::flag::register(signal, Arc::clone(&signalled))
                 .map_err(LaunchError::Signals)?;
         }
+        // After the flags: a sleep that this ends finds them set.
+        let pokes = Pokes::receive(&signals).map_err(LaunchError::Signals)?;
         Ok(Self {
             isolation,
             backplane,
             children: vec![],
             flash: vec![],
             signalled,
+            pokes,
             is_over: false,
         })
     }
@@ -254,6 +262,8 @@ impl Launcher {
         if let Ok(child) = spawn::spawn_free(&mut command(&args)) {
             self.backplane.set_supply(system, child.id());
             *supply = child;
+            // It watches this one from now on.
+            supply::poke(self.backplane, system.peer());
         }
     }
 
@@ -286,8 +296,24 @@ impl Launcher {
                 self.backplane.request_stop();
                 asked = Some(Instant::now());
             }
-            std::thread::sleep(LOOK_AGAIN_IN_RUN);
+            self.sleep();
         }
+    }
+
+    /// Sleeps until the vehicle ends or a signal arrives.
+    fn sleep(&mut self) {
+        let vehicle = self
+            .children
+            .get(2)
+            .and_then(|child| Watched::new(child.id()));
+        let vehicle = vehicle
+            .iter()
+            .map(|watched| PollFd::new(watched.fd(), PollFlags::IN));
+        let mut fds: Vec<_> = vehicle.chain([self.pokes.fd()]).collect();
+        // Interrupted or not: everything is read anyway.
+        let _ = poll(&mut fds, Some(&clock::timespec(LOOK_AGAIN_IN_RUN.as_ns())));
+        drop(fds);
+        self.pokes.take();
     }
 
     /// Ends the run: powers the systems down, kills the remaining processes, waits for all, removes

@@ -14,6 +14,7 @@
 // iceoryx2 links against a logger; this one prints nothing.
 extern crate iceoryx2_bb_loggers as _;
 
+mod alarm;
 mod args;
 mod backplane;
 pub mod bell;
@@ -41,6 +42,7 @@ mod trace_ring;
 mod unsupervised;
 mod vehicle_port;
 
+pub use alarm::{Alarm, Expired};
 pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };

@@ -10,6 +10,7 @@
 //! high before the ignition. When the ignition goes off, or the vehicle ends, the supply kills its
 //! cores and ends.
 
+use std::ffi::c_int;
 use std::io::{self, Read as _};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -40,34 +41,53 @@ use crate::spawn::{self, Watched};
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
 /// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
-/// [`POKE`] wake it at once.
-const CALM_PERIOD: Duration = Duration::from_ms(20);
-/// Tells a supply to read its registers. Without a handler, as at its start, it has no effect.
+/// [`POKE`] wake it at once. Services of the watchdog wait until then: each has its own time.
+const CALM_PERIOD: Duration = Duration::from_ms(100);
+/// Tells a supply or the launcher to read its registers. Without a handler, as at its start, it has
+/// no effect.
 const POKE: Signal = Signal::URG;
 
 /// Has the supply of a system read its registers now. No effect if it has none.
 pub(crate) fn poke(backplane: Backplane, system: SystemId) {
-    let pid = i32::try_from(backplane.supply_pid(system));
-    if let Some(pid) = pid.ok().and_then(Pid::from_raw) {
+    poke_process(backplane.supply_pid(system));
+}
+
+/// The same for the launcher.
+pub(crate) fn poke_launcher(backplane: Backplane) {
+    poke_process(backplane.launcher_pid());
+}
+
+fn poke_process(pid: u32) {
+    if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
         // It may have just ended.
         let _ = kill_process(pid, POKE);
     }
 }
 
-/// The pokes of a supply, as a stream: one that arrives just before the supply sleeps ends that
-/// sleep as well.
-struct Pokes(UnixStream);
+/// Pokes and other signals as a stream: one that arrives just before a sleep ends that sleep as
+/// well.
+#[derive(Debug)]
+pub(crate) struct Pokes(UnixStream);
 
 impl Pokes {
-    fn receive() -> io::Result<Self> {
+    /// Receives pokes, and these signals.
+    pub(crate) fn receive(signals: &[c_int]) -> io::Result<Self> {
         let (read, write) = UnixStream::pair()?;
         read.set_nonblocking(true)?;
+        for signal in signals {
+            pipe::register(*signal, write.try_clone()?)?;
+        }
         pipe::register(SIGURG, write)?;
         Ok(Self(read))
     }
 
+    /// Readable from the next poke on.
+    pub(crate) fn fd(&self) -> PollFd<'_> {
+        PollFd::new(&self.0, PollFlags::IN)
+    }
+
     /// Forgets the pokes so far.
-    fn take(&mut self) {
+    pub(crate) fn take(&mut self) {
         let mut pokes = [0; 16];
         while (&self.0).read(&mut pokes).is_ok_and(|count| count > 0) {}
     }
@@ -112,7 +132,7 @@ impl From<FitError> for SupplyError {
 /// cannot be started is no error: it counts as dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
-    let pokes = Pokes::receive().map_err(SupplyError::Signal)?;
+    let pokes = Pokes::receive(&[]).map_err(SupplyError::Signal)?;
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
@@ -255,7 +275,7 @@ impl Supply<'_> {
             .filter_map(|core| core.watched.as_ref());
         let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
         let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
-        fds.push(PollFd::new(&self.pokes.0, PollFlags::IN));
+        fds.push(self.pokes.fd());
         let left = clock::timespec(next.since(clock::now()).as_ns());
         // Interrupted or not: the registers are polled anyway.
         let _ = poll(&mut fds, Some(&left));
@@ -465,7 +485,7 @@ mod tests {
             model: Model::new(Config::DESKTOP),
             peer: None,
             peer_pid: 0,
-            pokes: Pokes::receive().unwrap(),
+            pokes: Pokes::receive(&[]).unwrap(),
         };
         // Its cores are not started here.
         assert!(supply.model.power_on(clock::now()).is_some());
@@ -502,10 +522,10 @@ mod tests {
     /// T-CHIP-6: a request that is made between two sleeps does not wait for the end of the next.
     #[test]
     fn a_poke_that_arrives_before_the_sleep_ends_it() {
-        let mut pokes = Pokes::receive().unwrap();
+        let mut pokes = Pokes::receive(&[]).unwrap();
         kill_process(rustix::process::getpid(), POKE).unwrap();
         let is_poked = |pokes: &Pokes, left| {
-            let mut fds = [PollFd::new(&pokes.0, PollFlags::IN)];
+            let mut fds = [pokes.fd()];
             poll(&mut fds, Some(&left)).is_ok_and(|ready| ready > 0)
         };
         assert!(is_poked(&pokes, clock::timespec(60_000_000_000)));

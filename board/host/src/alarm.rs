@@ -1,0 +1,146 @@
+//! A timer that one process waits for and others postpone: a dead man's switch without a wake-up.
+
+use std::io;
+use std::os::fd::{AsRawFd as _, BorrowedFd, OwnedFd, RawFd};
+
+use rustix::io::{Errno, fcntl_dupfd_cloexec, read};
+use rustix::time::{
+    Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, timerfd_create, timerfd_gettime,
+    timerfd_settime,
+};
+use tandem_board::{Duration, Instant};
+
+use crate::clock::{self, timespec};
+
+/// The kernel forgets when a timer was due, unless it has a period: then the next expiry tells. No
+/// run is as long as this one.
+const AGAIN: Duration = Duration::from_ms(1_000_000_000);
+
+/// A timer of CLOCK_MONOTONIC that processes share by inheriting its descriptor.
+///
+/// It expires in the interrupts of the CPU on which it was last set. Nothing here allocates or
+/// blocks except [`Alarm::wait`], and [`Alarm::postpone`] may be called in a handler of signals.
+#[derive(Debug)]
+pub struct Alarm(OwnedFd);
+
+/// The end of a wait.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Expired {
+    /// When the timer was due; never earlier than it was, and later than `woken` if the timer was
+    /// set again since.
+    pub due: Instant,
+    /// When the wait ended.
+    pub woken: Instant,
+}
+
+impl Alarm {
+    /// A timer that is not set. Processes that this one starts from now on inherit it.
+    ///
+    /// # Errors
+    /// If the process may not have another descriptor.
+    pub fn new() -> io::Result<Self> {
+        let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::empty())?;
+        Ok(Self(timer))
+    }
+
+    /// The number of the descriptor, also in a process that inherits it.
+    #[must_use]
+    pub fn number(&self) -> RawFd {
+        self.0.as_raw_fd()
+    }
+
+    /// The timer that this process inherited under this number.
+    ///
+    /// # Errors
+    /// If there is no timer.
+    pub fn inherited(number: RawFd) -> io::Result<Self> {
+        if number < 0 {
+            return Err(Errno::BADF.into());
+        }
+        // SAFETY: used for this call only, which refuses a number that is not open.
+        let inherited = unsafe { BorrowedFd::borrow_raw(number) };
+        let timer = fcntl_dupfd_cloexec(inherited, 0)?;
+        timerfd_gettime(&timer)?;
+        Ok(Self(timer))
+    }
+
+    /// Sets it to this time from now, wherever it stood. The kernel reads the clock, so a caller
+    /// that is held up cannot set it to a time that has passed.
+    pub fn postpone(&self, by: Duration) {
+        let setting = Itimerspec {
+            it_interval: timespec(AGAIN.as_ns()),
+            it_value: timespec(by.as_ns().max(1)),
+        };
+        // Cannot fail: it is a timer, and the setting is valid.
+        let _ = timerfd_settime(&self.0, TimerfdTimerFlags::empty(), &setting);
+    }
+
+    /// Sleeps until it expires.
+    ///
+    /// # Errors
+    /// If the sleep was interrupted by a signal.
+    pub fn wait(&self) -> io::Result<Expired> {
+        read(&self.0, &mut [0; 8])?;
+        let woken = clock::now();
+        let left = timerfd_gettime(&self.0)?.it_value;
+        // Read again after that: `due` may be late by the time between, never early.
+        let next_ns =
+            clock::now().as_ns() + left.tv_sec as u64 * 1_000_000_000 + left.tv_nsec as u64;
+        let due = Instant::from_ns(next_ns.saturating_sub(AGAIN.as_ns()));
+        Ok(Expired { due, woken })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPAN: Duration = Duration::from_ms(5);
+
+    /// A wait ends when the timer is due, and says when that was, however late it looks.
+    #[test]
+    fn a_wait_knows_when_it_was_due() {
+        let alarm = Alarm::new().unwrap();
+        let due_and_woken = |late: Duration| {
+            let before = clock::now();
+            alarm.postpone(SPAN);
+            clock::sleep_until(clock::now() + late);
+            let Expired { due, woken } = alarm.wait().unwrap();
+            assert!(before + SPAN <= due, "{before:?} {due:?}");
+            assert!(before + SPAN.max(late) <= woken, "{before:?} {woken:?}");
+            (due, woken)
+        };
+        let late = SPAN.times(4);
+        for _ in 0..3 {
+            due_and_woken(Duration::ZERO);
+        }
+        // Unless the machine stands still in each of them.
+        assert!((0..10).any(|_| {
+            let (due, woken) = due_and_woken(late);
+            due + SPAN < woken
+        }));
+    }
+
+    /// Another owner of the same timer postpones it; a wait ends once it no longer does.
+    #[test]
+    fn a_timer_that_is_postponed_does_not_expire() {
+        let alarm = Alarm::new().unwrap();
+        let other = Alarm::inherited(alarm.number()).unwrap();
+        alarm.postpone(SPAN.times(1_000));
+        let begin = clock::now();
+        for _ in 0..5 {
+            clock::sleep_until(clock::now() + SPAN);
+            other.postpone(SPAN.times(1_000));
+        }
+        other.postpone(SPAN);
+        let expired = alarm.wait().unwrap();
+        assert!(expired.due >= begin + SPAN.times(6));
+    }
+
+    #[test]
+    fn what_is_no_timer_is_not_inherited() {
+        assert!(Alarm::inherited(-1).is_err());
+        assert!(Alarm::inherited(RawFd::MAX).is_err());
+        assert!(Alarm::inherited(0).is_err());
+    }
+}
