@@ -13,6 +13,7 @@ mod errors;
 mod fixture;
 mod hands;
 mod observers;
+mod stalls;
 mod startup;
 mod trace;
 

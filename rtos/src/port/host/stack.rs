@@ -79,8 +79,8 @@ pub(crate) fn idle(none_left: fn() -> bool) {
     } else if tick::is_virtual() {
         tick::skip_to_next();
     } else {
-        // SAFETY: no descriptors, no time limit, and the signal mask stays as it is.
-        unsafe { libc::ppoll(ptr::null_mut(), 0, ptr::null(), ptr::null()) };
+        // SAFETY: takes nothing, and the signal mask stays as it is.
+        unsafe { libc::pause() };
     }
 }
 

@@ -1,0 +1,61 @@
+//! A CPU that is gone during a run: the evidence of it, whatever core 0 does there.
+
+use std::time::{Duration, Instant};
+
+use tandem_board_host::realtime::{Claim, claim};
+
+use crate::fixture::{Fixture, kill};
+
+/// How much of a stall has no evidence, ms: the thread that watches sleeps for 2 ms.
+const UNSEEN_MS: f64 = 2.0;
+
+/// Takes a CPU from all of the run for this long, ms; returns after that how long it was. `None`
+/// where that is not permitted. `place`: as core 0 of A is pinned.
+fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
+    let spin = move || {
+        let claimed = claim(Claim {
+            priority: Some(95),
+            cpu: Some(place),
+            lock_memory: false,
+        });
+        claimed.fifo?;
+        first();
+        let begin = Instant::now();
+        while begin.elapsed() < Duration::from_millis(ms) {
+            std::hint::spin_loop();
+        }
+        Some(begin.elapsed().as_secs_f64() * 1e3)
+    };
+    std::thread::scope(|scope| scope.spawn(spin).join().unwrap())
+}
+
+/// T-RED-8: a stall of a CPU is seen but for 2 ms while the core 0 there runs, which postpones the
+/// end of the watching thread's sleep, and just after that core 0 was killed.
+#[test]
+fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
+    for (ms, dies) in [(40, false), (60, true)] {
+        let fixture = Fixture::new();
+        let mut run = fixture.run(&["--duration", "4"]);
+        run.until_dual();
+        let victim = run.until("core 0", |processes| {
+            let is_it = |p: &&crate::fixture::Process| {
+                p.core == Some(0) && p.system.as_deref() == Some("A")
+            };
+            processes.iter().find(is_it).map(|p| p.pid)
+        });
+        let first = || {
+            if dies {
+                kill(victim);
+            }
+        };
+        let Some(gone_ms) = take_cpu(0, ms, first) else {
+            eprintln!("skipped: no priority above the run's is permitted");
+            return;
+        };
+        // A standby whose CPU was gone may be too late: that is no matter here.
+        run.end();
+        let metrics = run.told();
+        let longest_ms = metrics["stalls"]["longest_ms"].as_f64().unwrap();
+        assert!(longest_ms >= gone_ms - UNSEEN_MS - 0.5, "{metrics:#}");
+    }
+}
