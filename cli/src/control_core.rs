@@ -1,12 +1,13 @@
 //! Core 0 of a run: its tasks under FreeRTOS, and the thread that waits at its doorbell.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::thread;
 
 use anyhow::Context as _;
-use tandem_board::{Board, Instant};
+use tandem_board::{Board, Duration, Instant};
 use tandem_board_host::realtime::{self, Claim, Grant};
-use tandem_board_host::{HostBoard, clock};
+use tandem_board_host::{Alarm, HostBoard, clock};
 use tandem_cores::Config;
 use tandem_cores::core0::DOORBELL_DISTANCE;
 use tandem_rtos::{Interrupt, Kernel, host};
@@ -16,6 +17,23 @@ use tandem_runtime::Options;
 const STACK_BYTES: usize = 64 << 10;
 /// How many times the doorbell's thread has merged rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
+
+/// The sleep of a thread that watches this CPU for stalls: each end of it is a wake-up. Two ticks of
+/// core 0: so the timer that core 0 postpones is never the next one of its CPU, which the kernel
+/// would have to program again at each tick.
+pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
+
+/// Postpones the end of that sleep at each tick from now on. Called once.
+pub(crate) fn postpone_at_ticks(alarm: Alarm) {
+    static ALARM: OnceLock<Alarm> = OnceLock::new();
+    if ALARM.set(alarm).is_ok() {
+        host::observe_ticks(Some(|_| {
+            if let Some(alarm) = ALARM.get() {
+                alarm.postpone(WATCH_PERIOD);
+            }
+        }));
+    }
+}
 
 /// Runs core 0 until its supply ends it.
 ///

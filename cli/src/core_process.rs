@@ -1,7 +1,7 @@
 //! The process that is one core of one system.
 
 use crate::run_config::{Profile, RunConfig};
-use crate::{boot, control_core, stall_watch, three_frames};
+use crate::{boot, control_core, three_frames};
 use anyhow::{Context as _, bail};
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
@@ -26,6 +26,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
         (Some(_), _) | (None, None) => {}
     }
     let config = config(&run);
+    let alarm = run.stall_alarm(grant.cpu);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
     let of = args.identity;
     if let Some(flash) = run.program_flash.filter(|_| of.core == CoreId::CONTROL) {
@@ -33,7 +34,9 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     }
     match args.identity.core {
         CoreId::CONTROL => {
-            stall_watch::postpone_at_ticks(&run.stall_timers, grant);
+            if let Some(alarm) = alarm {
+                control_core::postpone_at_ticks(alarm);
+            }
             control_core::go(board, config, grant)
         }
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),

@@ -9,6 +9,7 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::Duration;
 use tandem_board::SystemId;
+use tandem_board_host::Alarm;
 use tandem_redundancy::Budget;
 
 use crate::args::RunArgs;
@@ -80,7 +81,7 @@ pub struct RunConfig {
     pub stall_timers: Vec<StallTimer>,
 }
 
-/// An inherited [`Alarm`](tandem_board_host::Alarm).
+/// An inherited [`Alarm`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StallTimer {
     /// The number of the CPU that is watched.
@@ -150,6 +151,14 @@ impl RunConfig {
             demo: None,
             stall_timers: vec![],
         }
+    }
+
+    /// The timer that a core 0 on this CPU postpones. Only if it is pinned there, and less urgent than
+    /// the thread that waits, it cannot hide a stall. Without a timer that thread wakes more often.
+    pub(crate) fn stall_alarm(&self, cpu: Option<usize>) -> Option<Alarm> {
+        let mut timers = self.stall_timers.iter();
+        let own = timers.find(|timer| Some(timer.cpu) == cpu)?;
+        Alarm::inherited(own.descriptor).ok()
     }
 
     /// The argument.

@@ -11,23 +11,19 @@
 //! due, as without it: only the thread's own lateness is evidence.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock, mpsc};
+use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
 use signal_hook::SigId;
 use signal_hook::consts::SIGCONT;
 use tandem_board::Duration;
-use tandem_board_host::realtime::{Claim, Grant, claim};
+use tandem_board_host::realtime::{Claim, claim};
 use tandem_board_host::{Alarm, Expired, clock};
 use tandem_record::run_log::{Stall, Stood};
-use tandem_rtos::host;
 
+use crate::control_core::WATCH_PERIOD;
 use crate::run_config::StallTimer;
 
-/// The sleep during a run: each end of it is a wake-up of a CPU that drives. Two ticks of core 0: so
-/// the timer that it postpones is never the next one of its CPU, which the kernel would have to
-/// program anew in each tick.
-const PERIOD: Duration = Duration::from_ms(2);
 /// The same before a run, when its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);
 /// A thread that wakes later than this was held up. Seen without a stall: 0.2 ms at p99.9.
@@ -66,7 +62,7 @@ impl StallWatch {
     /// Starts a thread on each of these CPUs, given by number and by place among those that this
     /// process may use.
     pub fn start(cpus: &[(usize, usize)], realtime: bool) -> Self {
-        Self::with_period(cpus, realtime, PERIOD)
+        Self::with_period(cpus, realtime, WATCH_PERIOD)
     }
 
     fn with_period(cpus: &[(usize, usize)], realtime: bool, period: Duration) -> Self {
@@ -202,24 +198,6 @@ fn look(
     stalls
 }
 
-/// Postpones the timer of this core 0's CPU at each tick from now on. Only a core 0 that is pinned
-/// to that CPU, and less urgent than the thread there, cannot hide a stall.
-pub(crate) fn postpone_at_ticks(timers: &[StallTimer], grant: Grant) {
-    static ALARM: OnceLock<Alarm> = OnceLock::new();
-    let own = timers.iter().find(|timer| Some(timer.cpu) == grant.cpu);
-    // Without it the thread wakes more often, and sees the same.
-    let Some(alarm) = own.and_then(|own| Alarm::inherited(own.descriptor).ok()) else {
-        return;
-    };
-    if ALARM.set(alarm).is_ok() {
-        host::observe_ticks(Some(|_| {
-            if let Some(alarm) = ALARM.get() {
-                alarm.postpone(PERIOD);
-            }
-        }));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,7 +224,7 @@ mod tests {
         let alarm = Arc::clone(&watch.threads[0].alarm);
         let core_0 = |ticks| {
             for _ in 0..ticks {
-                alarm.postpone(PERIOD);
+                alarm.postpone(WATCH_PERIOD);
                 clock::sleep_until(clock::now() + FINE_PERIOD);
             }
         };

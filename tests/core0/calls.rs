@@ -11,7 +11,7 @@ use std::time::Duration as Span;
 use std::{fs, thread};
 use tandem_board::{Board, CoreId, Duration, RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::realtime::Grant;
-use tandem_board_host::{CoreArgs, HostBoard};
+use tandem_board_host::{Alarm, CoreArgs, HostBoard};
 use tandem_rtos::host;
 
 pub(crate) const CASES: [Case; 3] = [
@@ -43,12 +43,24 @@ const EACH_TICK: u32 = u32::MAX;
 /// Calls of interrupts after which core 0 did not sleep: twice as many as there are, and ten.
 const EACH_PILED: u32 = u32::MAX - 1;
 
-const STATED: [Stated; 5] = [
+/// The call of `libc::pause`.
+#[cfg(target_arch = "x86_64")]
+const SYS_PAUSE: i64 = libc::SYS_pause;
+#[cfg(not(target_arch = "x86_64"))]
+const SYS_PAUSE: i64 = libc::SYS_ppoll;
+
+const STATED: [Stated; 6] = [
     Stated(
-        libc::SYS_ppoll,
-        "ppoll",
+        SYS_PAUSE,
+        "pause",
         EACH_TICK,
         "sleeps while no task is ready",
+    ),
+    Stated(
+        libc::SYS_timerfd_settime,
+        "timerfd_settime",
+        EACH_TICK,
+        "postpones the timer that watches the CPU for stalls",
     ),
     Stated(
         libc::SYS_rt_sigreturn,
@@ -106,7 +118,10 @@ fn run_traced(_: &CoreArgs, board: HostBoard, grant: Grant, spoil: Option<fn(u64
         }
         thread::sleep(Span::from_secs(1));
     };
-    host::observe_ticks(spoil);
+    control_core::postpone_at_ticks(Alarm::new().expect("a timer"));
+    if spoil.is_some() {
+        host::observe_ticks(spoil);
+    }
     thread::spawn(move || {
         until(RoleLamp::Standby);
         tracer::mark_begin();
@@ -140,7 +155,7 @@ fn take_over(script: &mut Script, added: Option<i64>) {
         Some(number) => assert!(unstated.contains(&number), "{unstated:?}"),
     }
     // The counter counts: a core that sleeps and has a tick makes these.
-    for number in [libc::SYS_ppoll, libc::SYS_rt_sigreturn] {
+    for number in [SYS_PAUSE, libc::SYS_rt_sigreturn] {
         let times = counted.iter().find(|(counted, _)| *counted == number);
         assert!(times.is_some_and(|(_, times)| *times > 500), "{table}");
     }
@@ -156,7 +171,7 @@ fn count(line: &str) -> (i64, u32) {
 fn judge(counted: &[(i64, u32)]) -> (String, Vec<i64>) {
     let (mut table, mut unstated) = (String::new(), vec![]);
     let times = |of| counted.iter().find(|it| it.0 == of).map_or(0, |it| it.1);
-    let piled = times(libc::SYS_rt_sigreturn).saturating_sub(times(libc::SYS_ppoll));
+    let piled = times(libc::SYS_rt_sigreturn).saturating_sub(times(SYS_PAUSE));
     for (number, times) in counted {
         let stated = STATED.iter().find(|stated| stated.0 == *number);
         let (name, why) = match stated {
