@@ -41,8 +41,8 @@ use crate::spawn::{self, Watched};
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
 /// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
-/// [`POKE`] wake it at once. Services of the watchdog wait until then: each has its own time.
-const CALM_PERIOD: Duration = Duration::from_ms(100);
+/// [`POKE`] wake it at once. Not longer: only a supply that is late knows that it was [`HELD_UP`].
+const CALM_PERIOD: Duration = Duration::from_ms(20);
 /// Tells a supply or the launcher to read its registers. Without a handler, as at its start, it has
 /// no effect.
 const POKE: Signal = Signal::URG;
