@@ -18,9 +18,9 @@ const STACK_BYTES: usize = 64 << 10;
 /// How many times the doorbell's thread has merged rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// The sleep of a thread that watches this CPU for stalls: each end of it is a wake-up. Two ticks of
-/// core 0: so the timer that core 0 postpones is never the next one of its CPU, which the kernel
-/// would have to program again at each tick.
+/// The sleep of a thread that watches this CPU for stalls: each end of it is a wake-up. Two ticks
+/// of core 0: so the timer that core 0 postpones is never the next one of its CPU, which the
+/// kernel would have to program again at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
 /// Postpones the end of that sleep at each tick from now on. Called once.

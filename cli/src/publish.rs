@@ -31,8 +31,8 @@ use tandem_vehicle::LoggedFrame;
 
 /// How soon the thread looks again when it found nothing, or a part of an entry.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
-/// The same when it found something. The vehicle writes each 100 ms: a little less, so that the look
-/// stays just behind the writing, and is only seldom too early.
+/// The same when it found something. The vehicle writes each 100 ms: a little less, so that the
+/// look stays just behind the writing, and is only seldom too early.
 const LOOK_FOR_MORE: Duration = Duration::from_millis(99);
 /// The most that is handed over at once, bytes. A longer entry is left out.
 const AT_ONCE: usize = 48 << 10;

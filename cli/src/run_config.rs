@@ -153,8 +153,9 @@ impl RunConfig {
         }
     }
 
-    /// The timer that a core 0 on this CPU postpones. Only if it is pinned there, and less urgent than
-    /// the thread that waits, it cannot hide a stall. Without a timer that thread wakes more often.
+    /// The timer that a core 0 on this CPU postpones. Only if it is pinned there, and less urgent
+    /// than the thread that waits, it cannot hide a stall. Without a timer that thread wakes more
+    /// often.
     pub(crate) fn stall_alarm(&self, cpu: Option<usize>) -> Option<Alarm> {
         let mut timers = self.stall_timers.iter();
         let own = timers.find(|timer| Some(timer.cpu) == cpu)?;
