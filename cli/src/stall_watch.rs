@@ -232,7 +232,7 @@ mod tests {
         let mut spans = vec![];
         // A machine may stand still in one of them, but not in all.
         for _ in 0..10 {
-            core_0(10);
+            core_0(40);
             let from = clock::now();
             clock::sleep_until(from + held_up);
             spans.push((from.as_ns(), clock::now().as_ns()));
