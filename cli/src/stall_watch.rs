@@ -10,12 +10,15 @@
 //! on while core 0 runs. If core 0 gets no CPU, is stopped or dead, the thread wakes when it is
 //! due, as without it: only the thread's own lateness is evidence.
 
+use std::io::Read as _;
+use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
 use signal_hook::SigId;
 use signal_hook::consts::SIGCONT;
+use signal_hook::low_level::{pipe, unregister};
 use tandem_board::Duration;
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_board_host::{Alarm, Expired, clock};
@@ -30,6 +33,8 @@ const FINE_PERIOD: Duration = Duration::from_ms(1);
 pub const LATE: Duration = Duration::from_us(500);
 /// Above the supplies, which have 80; less where no more is permitted.
 const PRIORITIES: [u8; 2] = [90, 80];
+/// The handler of SIGCONT may run this much later than a thread that it continues.
+const CONTINUED_WITHIN: Duration = Duration::from_ms(50);
 /// More stalls than this are not kept: a machine in this state explains no run.
 const MOST: usize = 100_000;
 
@@ -69,11 +74,12 @@ impl StallWatch {
         let over = Arc::new(AtomicBool::new(false));
         let (mut threads, mut signals) = (vec![], vec![]);
         for &(number, place) in cpus {
-            let continued = Arc::new(AtomicBool::new(false));
-            // Without the signal a stop of this process would look like a stall.
-            signals.extend(signal_hook::flag::register(SIGCONT, Arc::clone(&continued)));
             let priority = move || realtime.then(|| claim_cpu(place)).flatten();
             // A machine without room for a thread gives no evidence; the run goes on.
+            let Some((continued, signal)) = continuations() else {
+                continue;
+            };
+            signals.push(signal);
             threads.extend(Watcher::start(number, period, priority, &over, continued));
         }
         Self {
@@ -115,7 +121,7 @@ impl StallWatch {
             stalls.extend(thread.join().unwrap_or_default());
         }
         for signal in self.signals {
-            signal_hook::low_level::unregister(signal);
+            unregister(signal);
         }
         let watched_by = match fifo {
             Some(priority) => format!("a thread under SCHED_FIFO {priority} on each CPU"),
@@ -154,7 +160,7 @@ impl Watcher {
         period: Duration,
         priority: impl FnOnce() -> Option<u8> + Send + 'static,
         over: &Arc<AtomicBool>,
-        continued: Arc<AtomicBool>,
+        continued: UnixStream,
     ) -> Option<Self> {
         let alarm = Arc::new(Alarm::new().ok()?);
         let (over, its_alarm) = (Arc::clone(over), Arc::clone(&alarm));
@@ -173,21 +179,40 @@ impl Watcher {
     }
 }
 
+/// A stream that is readable once this process was stopped and goes on.
+fn continuations() -> Option<(UnixStream, SigId)> {
+    let (read, write) = UnixStream::pair().ok()?;
+    read.set_nonblocking(true).ok()?;
+    Some((read, pipe::register(SIGCONT, write).ok()?))
+}
+
 fn look(
     cpu: usize,
     period: Duration,
     alarm: &Alarm,
     over: &AtomicBool,
-    continued: &AtomicBool,
+    mut continued: &UnixStream,
 ) -> Vec<Stall> {
-    let mut stalls = Vec::with_capacity(1_024);
-    while !over.load(Ordering::Relaxed) {
+    let mut stalls: Vec<Stall> = Vec::with_capacity(1_024);
+    loop {
         alarm.postpone(period);
-        let Ok(Expired { due, woken }) = alarm.wait() else {
+        let expired = alarm.wait(continued);
+        // The end sets the timer, too.
+        if over.load(Ordering::Relaxed) {
+            return stalls;
+        }
+        // A stop of this process is no stall, nor is what was noted just before its signal came.
+        if continued.read(&mut [0; 16]).is_ok() {
+            let since_ns = clock::now()
+                .as_ns()
+                .saturating_sub(CONTINUED_WITHIN.as_ns());
+            let _stop = stalls.pop_if(|stall| stall.to_ns > since_ns);
+            continue;
+        }
+        let Ok(Some(Expired { due, woken })) = expired else {
             continue;
         };
-        let was_stopped = continued.swap(false, Ordering::Relaxed);
-        if woken.since(due) > LATE && !was_stopped && stalls.len() < MOST {
+        if woken.since(due) > LATE && stalls.len() < MOST {
             stalls.push(Stall {
                 of: Stood::Cpu(cpu),
                 from_ns: due.as_ns(),
@@ -195,7 +220,6 @@ fn look(
             });
         }
     }
-    stalls
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! A timer that one process waits for and others postpone: a dead man's switch without a wake-up.
 
 use std::io;
-use std::os::fd::{AsRawFd as _, BorrowedFd, OwnedFd, RawFd};
+use std::os::fd::{AsFd, AsRawFd as _, BorrowedFd, OwnedFd, RawFd};
 
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::{Errno, fcntl_dupfd_cloexec, read};
 use rustix::time::{
     Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, timerfd_create, timerfd_gettime,
@@ -26,8 +27,7 @@ pub struct Alarm(OwnedFd);
 /// The end of a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expired {
-    /// When the timer was due; never earlier than it was, and later than `woken` if the timer was
-    /// set again since.
+    /// When the timer was due; never earlier than it was.
     pub due: Instant,
     /// When the wait ended.
     pub woken: Instant,
@@ -39,7 +39,7 @@ impl Alarm {
     /// # Errors
     /// If the process may not have another descriptor.
     pub fn new() -> io::Result<Self> {
-        let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::empty())?;
+        let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK)?;
         Ok(Self(timer))
     }
 
@@ -75,37 +75,53 @@ impl Alarm {
         let _ = timerfd_settime(&self.0, TimerfdTimerFlags::empty(), &setting);
     }
 
-    /// Sleeps until it expires.
+    /// Sleeps until it expires or `beside` is readable. `None` if `beside` is, or if somebody has
+    /// set the timer again meanwhile: then nobody knows when it was due.
     ///
     /// # Errors
     /// If the sleep was interrupted by a signal.
-    pub fn wait(&self) -> io::Result<Expired> {
-        read(&self.0, &mut [0; 8])?;
+    pub fn wait(&self, beside: impl AsFd) -> io::Result<Option<Expired>> {
+        let mut fds = [
+            PollFd::new(&self.0, PollFlags::IN),
+            PollFd::new(&beside, PollFlags::IN),
+        ];
+        poll(&mut fds, None)?;
         let woken = clock::now();
+        if !fds[1].revents().is_empty() || read(&self.0, &mut [0; 8]) == Err(Errno::AGAIN) {
+            return Ok(None);
+        }
         let left = timerfd_gettime(&self.0)?.it_value;
+        let left = Duration::from_ns(left.tv_sec as u64 * 1_000_000_000 + left.tv_nsec as u64);
         // Read again after that: `due` may be late by the time between, never early.
-        let next_ns =
-            clock::now().as_ns() + left.tv_sec as u64 * 1_000_000_000 + left.tv_nsec as u64;
-        let due = Instant::from_ns(next_ns.saturating_sub(AGAIN.as_ns()));
-        Ok(Expired { due, woken })
+        Ok(last_due(clock::now(), left).map(|due| Expired { due, woken }))
     }
+}
+
+/// When a timer was due whose next expiry is in `left`; `None` if that is the first one of a new
+/// setting.
+fn last_due(now: Instant, left: Duration) -> Option<Instant> {
+    let since = Duration::from_ns(AGAIN.as_ns().saturating_sub(left.as_ns()));
+    (left.as_ns() > AGAIN.as_ns() / 2)
+        .then(|| Instant::from_ns(now.as_ns().saturating_sub(since.as_ns())))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write as _;
+    use std::os::unix::net::UnixStream;
 
     const SPAN: Duration = Duration::from_ms(5);
 
     /// A wait ends when the timer is due, and says when that was, however late it looks.
     #[test]
     fn a_wait_knows_when_it_was_due() {
-        let alarm = Alarm::new().unwrap();
+        let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
         let due_and_woken = |late: Duration| {
             let before = clock::now();
             alarm.postpone(SPAN);
             clock::sleep_until(clock::now() + late);
-            let Expired { due, woken } = alarm.wait().unwrap();
+            let Expired { due, woken } = alarm.wait(&never).unwrap().unwrap();
             assert!(before + SPAN <= due, "{before:?} {due:?}");
             assert!(before + SPAN.max(late) <= woken, "{before:?} {woken:?}");
             (due, woken)
@@ -124,7 +140,7 @@ mod tests {
     /// Another owner of the same timer postpones it; a wait ends once it no longer does.
     #[test]
     fn a_timer_that_is_postponed_does_not_expire() {
-        let alarm = Alarm::new().unwrap();
+        let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
         let other = Alarm::inherited(alarm.number()).unwrap();
         alarm.postpone(SPAN.times(1_000));
         let begin = clock::now();
@@ -133,8 +149,33 @@ mod tests {
             other.postpone(SPAN.times(1_000));
         }
         other.postpone(SPAN);
-        let expired = alarm.wait().unwrap();
+        let expired = alarm.wait(&never).unwrap().unwrap();
         assert!(expired.due >= begin + SPAN.times(6));
+    }
+
+    /// A timer that was set again as its expiry was read would tell of a stall since the epoch.
+    #[test]
+    fn a_timer_that_was_set_again_was_due_at_no_known_time() {
+        let now = Instant::from_ns(50_000_000_000);
+        for (left, due) in [
+            (Duration::from_ms(2), None),
+            (Duration::ZERO, None),
+            (AGAIN, Some(now)),
+            (
+                Duration::from_ns(AGAIN.as_ns() - 7),
+                Some(Instant::from_ns(49_999_999_993)),
+            ),
+        ] {
+            assert_eq!(last_due(now, left), due, "{left:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_readable_beside_it_ends_the_wait() {
+        let (alarm, (beside, mut writes)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
+        alarm.postpone(SPAN.times(10_000));
+        writes.write_all(&[0]).unwrap();
+        assert_eq!(alarm.wait(&beside).unwrap(), None);
     }
 
     #[test]

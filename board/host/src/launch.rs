@@ -34,6 +34,8 @@ const STOP_GRACE: Duration = Duration::from_secs(30);
 const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
 /// How long killed processes may take to disappear.
 const KILL_GRACE: Duration = Duration::from_secs(5);
+/// How long a supply that was killed may take to end.
+const POWER_OFF_WITHIN: Duration = Duration::from_millis(50);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// The same during the run, in which signals, pokes and the vehicle's end wake it at once.
 const LOOK_AGAIN_IN_RUN: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
@@ -255,8 +257,13 @@ impl Launcher {
         let Some(supply) = self.children.get_mut(system.index()) else {
             return;
         };
-        if matches!(supply.try_wait(), Ok(None)) {
-            return;
+        // One that was just killed ends within milliseconds; one that lives is on already.
+        let patience = Instant::now() + POWER_OFF_WITHIN;
+        while matches!(supply.try_wait(), Ok(None)) {
+            if Instant::now() > patience {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(1));
         }
         let args = ProcessArgs::Supply(supply_args(self.isolation.run(), plan, system));
         if let Ok(child) = spawn::spawn_free(&mut command(&args)) {
