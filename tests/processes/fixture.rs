@@ -283,7 +283,10 @@ impl Run {
 impl Run {
     /// Ends the run with its verdict, and keeps what may excuse a failed test.
     fn note_what_it_saw(&mut self) {
-        send(self.launcher_pid(), Signal::INT);
+        // The number of one that has ended may be another process's.
+        if matches!(self.launcher.try_wait(), Ok(None)) {
+            send(self.launcher_pid(), Signal::INT);
+        }
         let patience = Instant::now() + WATCHDOG;
         while matches!(self.launcher.try_wait(), Ok(None)) && Instant::now() < patience {
             std::thread::sleep(LOOK_AGAIN);

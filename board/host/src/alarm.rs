@@ -75,8 +75,8 @@ impl Alarm {
         let _ = timerfd_settime(&self.0, TimerfdTimerFlags::empty(), &setting);
     }
 
-    /// Sleeps until it expires or `beside` is readable. `None` if `beside` is, or if somebody has
-    /// set the timer again meanwhile: then nobody knows when it was due.
+    /// Sleeps until it expires or `beside` is readable. `None` if `beside` is readable, or if the
+    /// timer was set again before its expiry was read: the time of that expiry is lost then.
     ///
     /// # Errors
     /// If the sleep was interrupted by a signal.
