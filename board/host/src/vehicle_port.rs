@@ -596,24 +596,39 @@ mod tests {
             panic!("the first period");
         };
         let never = clock::now() + Duration::from_ms(60_000);
+        let (ask, asked) = std::sync::mpsc::channel();
         let sender = std::thread::spawn(move || {
-            clock::sleep_until(clock::now() + Duration::from_ms(20));
-            let before = clock::now();
-            can.try_send(&CanFrame::new(CanId::Standard(1), true, &[]).unwrap())
-                .unwrap();
-            before
+            let frame = CanFrame::new(CanId::Standard(1), true, &[]).unwrap();
+            while asked.recv().is_ok() {
+                clock::sleep_until(clock::now() + Duration::from_ms(20));
+                can.try_send(&frame).unwrap();
+            }
         });
-        let (mut periods, mut last) = (0, first);
-        while let Ok(Pass::Quiet(due)) = port.wait_for(never) {
-            assert_eq!(due, last + PERIOD);
-            (periods, last) = (periods + 1, due);
+        // A thread that is held up before it sleeps finds a period due, or the frame: once more.
+        let mut last = first;
+        let mut slept = false;
+        while !slept {
+            ask.send(()).unwrap();
+            loop {
+                match port.wait_for(never).unwrap() {
+                    Pass::Frames => break,
+                    Pass::Quiet(due) => {
+                        assert_eq!(due, last + PERIOD);
+                        (slept, last) = (true, due);
+                    }
+                    Pass::Period(due) => {
+                        assert_eq!(due, last + PERIOD);
+                        last = due;
+                    }
+                }
+            }
+            assert!(clock::now() < never, "the frame woke the bus");
+            let mut seen = 0;
+            port.transmitted(&mut |_, _, _| seen += 1);
+            assert_eq!(seen, 1);
         }
-        // The loop ends with `Pass::Frames`.
-        let sent = sender.join().unwrap();
-        assert!(periods > 0 && sent < never && clock::now() < never);
-        let mut seen = 0;
-        port.transmitted(&mut |_, _, _| seen += 1);
-        assert_eq!(seen, 1);
+        drop(ask);
+        sender.join().unwrap();
         // Held up until the next period: the frame comes first, so that its wait is noted.
         clock::sleep_until(clock::now() + PERIOD);
         (port.rung, port.quiet_until) = (true, Instant::ORIGIN);
