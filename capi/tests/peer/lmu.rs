@@ -14,13 +14,14 @@ use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region, SharedLock, S
 use tandem_shm::{fifo, mailbox};
 use tempfile::NamedTempFile;
 
+/// Without its number, which is the last word in the LMU.
 pub(crate) const ORDER_WORDS: usize = 12;
 pub(crate) const ANSWER_WORDS: usize = 48;
 pub(crate) const NEWEST_WORDS: usize = 8;
 pub(crate) const RING_WORDS: usize = 5;
 const BLOCKS: usize = 8;
 
-type OrderWords = [u32; ORDER_WORDS];
+type OrderWords = [u32; ORDER_WORDS + 1];
 type AnswerWords = [u32; ANSWER_WORDS];
 
 // The same as in layout.h.
@@ -162,11 +163,12 @@ impl Bench {
 
     pub(crate) fn send(&mut self, order: &[u32]) {
         self.since = Instant::now();
-        let mut words = [0; ORDER_WORDS];
+        self.sent += 1;
+        let mut words = [0; ORDER_WORDS + 1];
         words[..order.len()].copy_from_slice(order);
+        words[ORDER_WORDS] = self.sent;
         self.orders.send(&words).unwrap();
         // C polls; on a chip its doorbell would be rung if need be.
-        self.sent += 1;
         let task = mailbox::TaskId::new(TASK_ORDERS).unwrap();
         let _ = self.to.signal_with(task, self.sent);
     }

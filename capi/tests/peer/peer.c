@@ -190,7 +190,7 @@ static void carry_out(const uint32_t *order, tandem_word_t *answer)
     answer[0] = order[0];
     switch ((enum order)order[0]) {
     case ECHO:
-        for (at = 1; at < ORDER_WORDS; at++) {
+        for (at = 1; at < ORDER_WORDS - 1; at++) {
             answer[at] = order[at] * 3 + 1;
         }
         break;
@@ -224,7 +224,8 @@ static void carry_out(const uint32_t *order, tandem_word_t *answer)
     }
 }
 
-/* The handler of TASK_ORDERS: every order in its slot, its answer into a slot, no copy. */
+/* The handler of TASK_ORDERS: every order in its slot, its answer into a slot, no copy. The answer
+   is signalled with the order's number: an order may be here before its own signal. */
 static void on_orders(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     tandem_words_t from, to;
@@ -249,7 +250,7 @@ static void on_orders(void *context, uint32_t task, uint32_t count, uint32_t val
         carry_out(order, to.first);
         OK(tandem_fifo_release(&orders));
         OK(tandem_fifo_send(&answers));
-        MUST(TANDEM_DONE(tandem_mailbox_signal_with(&sender, TASK_ANSWERS, value)));
+        MUST(TANDEM_DONE(tandem_mailbox_signal_with(&sender, TASK_ANSWERS, order[ORDER_WORDS - 1])));
     }
 }
 
