@@ -321,36 +321,3 @@ fn compare(args: &CompareArgs) -> Result<Outcome, Failure> {
     let shown = if to_stdout { json } else { comparison.table() };
     Ok((shown, (!slower.is_empty()).then_some((why, 1))))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::Parser as _;
-
-    #[derive(Debug, clap::Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: BenchArgs,
-    }
-
-    fn parse(line: &str) -> Result<BenchArgs, clap::Error> {
-        let words = std::iter::once("bench").chain(line.split_whitespace());
-        Line::try_parse_from(words).map(|line| line.args)
-    }
-
-    #[test]
-    fn groups_and_the_comparison_do_not_get_in_each_others_way() {
-        let args = parse("--quick sleep spin").unwrap();
-        assert_eq!(args.groups, [Group::Sleep, Group::Spin]);
-        let args = parse("compare --against old spin").unwrap();
-        let Some(BenchCommand::Compare(args)) = args.command else {
-            panic!("{args:?}");
-        };
-        assert_eq!(
-            (args.against, args.groups),
-            ("old".into(), vec![Group::Spin])
-        );
-        assert!(parse("--quick compare --against old").is_err());
-        assert!(parse("compare spin").is_err());
-    }
-}

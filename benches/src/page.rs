@@ -20,7 +20,10 @@ pub(crate) fn page(results: &Results) -> String {
         }
         @for (name, rows) in results.groups() { (group(name, rows)) }
         (noise(results))
-        (conditions(results))
+        (facts("Machine", results.machine.facts().into_iter()))
+        @if !results.skipped.is_empty() {
+            (facts("Not measured", results.skipped.iter().map(|of| (&of.name[..], of.why.clone()))))
+        }
         (explanations(results))
     };
     document("time from core to core", &content)
@@ -50,10 +53,8 @@ fn header(results: &Results) -> Markup {
 /// Tandem beside its floor and the best peer.
 fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
     let tandem = headline.tandem;
-    let bars: Vec<&Row> = [headline.floor, Some(tandem), headline.peer]
-        .into_iter()
-        .flatten()
-        .collect();
+    let bars = [headline.floor, Some(tandem), headline.peer];
+    let bars: Vec<&Row> = bars.into_iter().flatten().collect();
     let largest = bars.iter().map(|row| row.p50_ns).fold(0.0, f64::max);
     // Sizes are compared by eye, hence a linear scale from 0.
     let bar = |row: &Row| {
@@ -74,11 +75,8 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
             }
         }
     };
-    html! {
-        a href=(format!("#{group}")) {
-            (tile(about(group).title, "", &value, unit, &below))
-        }
-    }
+    let tile = tile(about(group).title, "", &value, unit, &below);
+    html! { a href=(format!("#{group}")) { (tile) } }
 }
 
 fn group(name: &str, rows: &[Row]) -> Markup {
@@ -168,50 +166,43 @@ fn percentile_label(nines: f64) -> String {
 
 /// A round time: `200 ns`, `10 µs`.
 fn time_label(power: f64) -> String {
-    let ns = 10_f64.powf(power);
-    let (value, unit) = match ns {
-        ns if ns < 999.0 => (ns, "ns"),
-        ns if ns < 999e3 => (ns / 1e3, "µs"),
-        ns if ns < 999e6 => (ns / 1e6, "ms"),
-        ns => (ns / 1e9, "s"),
-    };
+    // A power of ten may come out a little too small.
+    let (value, unit) = format::scaled(10_f64.powf(power) * (1.0 + 1e-9));
     format!("{} {unit}", tandem_page::chart::plain(value))
+}
+
+/// Whether this is Tandem's first case of its group.
+fn is_first(row: &Row, rows: &[Row]) -> bool {
+    Headline::of(rows).is_some_and(|headline| headline.tandem.name == row.name)
 }
 
 /// The distributions from the median on; `None` if no case has samples enough for a curve.
 fn curves(rows: &[Row]) -> Option<Chart> {
-    let first = Headline::of(rows).map(|headline| &headline.tandem.name[..]);
-    let mut series: Vec<(u8, Series)> = rows
-        .iter()
-        .filter_map(|row| {
-            let nines = |quantile: f64| -(1.0 - quantile).log10();
-            let beyond = row.curve.iter().filter(|(q, _)| nines(*q) > MEDIAN);
-            let beyond = beyond.map(|(q, ns)| (nines(*q), ns.max(0.1).log10()));
-            let median = (MEDIAN, row.p50_ns.max(0.1).log10());
-            let points: Vec<_> = std::iter::once(median).chain(beyond).collect();
-            let provider = Provider::of(row);
-            let is_first = first == Some(row.name.as_str());
-            let Look { color, style, .. } = provider.look();
-            let of_case = Series {
-                name: row.case().to_owned(),
-                title: format!("{}: {}", row.name, row.what),
-                color,
-                // Tandem's first case is the thickest.
-                style: if is_first { Style::Line(3.6) } else { style },
-                points,
-            };
-            // What matters most is drawn last, above the others.
-            let order = match provider {
-                _ if is_first => 3,
-                Provider::Tandem => 2,
-                Provider::Floor => 1,
-                _ => 0,
-            };
-            (of_case.points.len() > 1).then_some((order, of_case))
-        })
-        .collect();
-    series.sort_by_key(|(order, _)| *order);
-    let series: Vec<Series> = series.into_iter().map(|(_, series)| series).collect();
+    // What matters most is drawn last, above the others.
+    let order = |row: &&Row| match Provider::of(row) {
+        _ if is_first(row, rows) => 3,
+        Provider::Tandem => 2,
+        Provider::Floor => 1,
+        _ => 0,
+    };
+    let mut drawn: Vec<&Row> = rows.iter().collect();
+    drawn.sort_by_key(order);
+    let series = drawn.into_iter().map(|row| {
+        let nines = |quantile: f64| -(1.0 - quantile).log10();
+        let beyond = row.curve.iter().filter(|(q, _)| nines(*q) > MEDIAN);
+        let beyond = beyond.map(|(q, ns)| (nines(*q), ns.max(0.1).log10()));
+        let median = (MEDIAN, row.p50_ns.max(0.1).log10());
+        let Look { color, style, .. } = Provider::of(row).look();
+        let thickest = Style::Line(3.6);
+        Series {
+            name: row.case().to_owned(),
+            title: format!("{}: {}", row.name, row.what),
+            color,
+            style: if is_first(row, rows) { thickest } else { style },
+            points: std::iter::once(median).chain(beyond).collect(),
+        }
+    });
+    let series: Vec<Series> = series.filter(|series| series.points.len() > 1).collect();
     let points = || series.iter().flat_map(|series| &series.points);
     let rarest = points().map(|point| point.0).fold(1.0, f64::max);
     let mut x = Axis::linear("this share took no longer →", (MEDIAN, rarest), 6);
@@ -233,7 +224,6 @@ const SHOWN: (f64, f64) = (0.3, 30.0);
 /// The table of a group, with the ratios as dots where it has a floor.
 fn table(rows: &[Row]) -> Markup {
     let columns = columns::filled(rows, PAGE);
-    let first = Headline::of(rows).map(|headline| &headline.tandem.name[..]);
     let has_floor = rows.iter().any(|row| row.is_floor());
     html! {
         table.bench {
@@ -245,7 +235,7 @@ fn table(rows: &[Row]) -> Markup {
                 @for column in &columns { th.num title=(column.title) { (column.head) } }
             }
             @for row in rows {
-                tr.main[first == Some(row.name.as_str())] {
+                tr.main[is_first(row, rows)] {
                     td.case {
                         i style=(format!("background:{}", Provider::of(row).look().color.css())) {}
                         b { (row.case()) }
@@ -271,8 +261,8 @@ fn dots(row: &Row) -> Markup {
     let at = |ratio: f64| (axis.at(power(ratio), (6.0, 134.0)), 8.0);
     let color = Provider::of(row).look().color;
     let mut svg = Svg::new(140.0, 16.0);
-    let (one, _) = at(1.0);
-    svg.line((one, 0.0), (one, 16.0), Stroke::new(Color::FLOOR, 1.5));
+    let floor = at(1.0).0;
+    svg.line((floor, 0.0), (floor, 16.0), Stroke::new(Color::FLOOR, 1.5));
     let (median, tail) = (row.ratio_to_floor_p50, row.ratio_to_floor_p99_9);
     if let (Some(median), Some(tail)) = (median, tail) {
         svg.line(at(median), at(tail), Stroke::new(color, 1.0));
@@ -290,36 +280,16 @@ fn noise(results: &Results) -> Markup {
     if results.noise.is_empty() {
         return html! {};
     }
-    let note = results.noise_in_words();
-    section(
-        "The machine's own noise",
-        &html! {},
-        &note,
-        &table(&results.noise),
-    )
+    let (note, table) = (results.noise_in_words(), table(&results.noise));
+    section("The machine's own noise", &html! {}, &note, &table)
 }
 
-fn conditions(results: &Results) -> Markup {
-    let machine = html! {
-        table.facts {
-            @for (what, value) in results.machine.facts() {
-                tr { th { (what) } td { (value) } }
-            }
-        }
+/// A section of names with what there is to say of each.
+fn facts<'a>(title: &str, facts: impl Iterator<Item = (&'a str, String)>) -> Markup {
+    let content = html! {
+        table.facts { @for (name, value) in facts { tr { th { (name) } td { (value) } } } }
     };
-    let skipped = html! {
-        table.facts {
-            @for case in &results.skipped {
-                tr { th { code { (case.name) } } td { (case.why) } }
-            }
-        }
-    };
-    html! {
-        (section("Machine", &html! {}, "", &machine))
-        @if !results.skipped.is_empty() {
-            (section("Not measured", &html! {}, "", &skipped))
-        }
-    }
+    section(title, &html! {}, "", &content)
 }
 
 #[cfg(test)]

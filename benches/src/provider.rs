@@ -26,31 +26,32 @@ pub(crate) struct Look {
     pub(crate) style: Style,
 }
 
-/// First parts of the names of those that are neither floor nor Tandem.
-const PEERS: [(&str, Provider); 9] = [
-    ("iceoryx2", Provider::Iceoryx2),
-    ("rtrb", Provider::Threads),
-    ("triple-buffer", Provider::Threads),
-    ("seqlock", Provider::System),
-    ("io-uring", Provider::System),
-    ("pipe", Provider::System),
-    ("unix-socket", Provider::System),
-    ("eventfd", Provider::System),
-    ("pthread", Provider::System),
+const DASHED: Style = Style::Dashed(1.7, "7 3");
+const DOTTED: Style = Style::Dashed(1.7, "2.5 2.5");
+
+/// How the names begin of what the system provides, and of libraries between threads.
+const SYSTEM: [&str; 6] = [
+    "eventfd",
+    "io-uring",
+    "pipe",
+    "pthread",
+    "seqlock",
+    "unix-socket",
 ];
+const THREADS: [&str; 2] = ["rtrb", "triple-buffer"];
 
 impl Provider {
     /// That of a row.
     pub(crate) fn of(row: &Row) -> Self {
-        // In `rtos` a floor is one of the tick alone, and peers are named after what they do.
-        if row.is_floor() || row.case().ends_with("-floor") {
-            return Self::Floor;
+        let begins = |names: &[&str]| names.iter().any(|name| row.case().starts_with(name));
+        match row.case() {
+            // Some cases have a floor of their own, and those of `rtos` a peer: `tick-posix-port`.
+            case if case == "floor" || case.ends_with("-floor") => Self::Floor,
+            case if case.ends_with("-posix-port") || begins(&SYSTEM) => Self::System,
+            _ if begins(&THREADS) => Self::Threads,
+            _ if begins(&["iceoryx2"]) => Self::Iceoryx2,
+            _ => Self::Tandem,
         }
-        if row.case().ends_with("-posix-port") {
-            return Self::System;
-        }
-        let known = PEERS.iter().find(|(name, _)| row.case().starts_with(name));
-        known.map_or(Self::Tandem, |(_, provider)| *provider)
     }
 
     /// Its name in legends, the colour of its marks, and how its curves are drawn.
@@ -59,16 +60,8 @@ impl Provider {
             Self::Floor => ("floor", Color::FLOOR, Style::Line(2.0)),
             Self::Tandem => ("Tandem", Color::TANDEM, Style::Line(1.7)),
             Self::Iceoryx2 => ("iceoryx2", Color::ICEORYX2, Style::Line(1.7)),
-            Self::Threads => (
-                "libraries between threads",
-                Color::THREADS,
-                Style::Dashed(1.7, "7 3"),
-            ),
-            Self::System => (
-                "the system's own means",
-                Color::SYSTEM,
-                Style::Dashed(1.7, "2.5 2.5"),
-            ),
+            Self::Threads => ("libraries between threads", Color::THREADS, DASHED),
+            Self::System => ("the system's own means", Color::SYSTEM, DOTTED),
         };
         Look { name, color, style }
     }
@@ -93,9 +86,8 @@ pub(crate) struct Headline<'a> {
 impl<'a> Headline<'a> {
     /// Of these rows of one group; `None` if Tandem has none.
     pub(crate) fn of(rows: &'a [Row]) -> Option<Self> {
-        let tandem = rows
-            .iter()
-            .find(|row| Provider::of(row) == Provider::Tandem)?;
+        let is_ours = |row: &&Row| Provider::of(row) == Provider::Tandem;
+        let tandem = rows.iter().find(is_ours)?;
         let is_peer = |row: &&Row| Provider::of(row).is_peer();
         // In `rtos` a case has a peer of its own: `tick-posix-port`.
         let own = format!("{}-", tandem.case());
@@ -133,30 +125,37 @@ mod tests {
     }
 
     #[test]
-    fn a_group_is_summed_up_by_floor_tandem_and_the_best_peer() {
-        let rows = [
-            row("sleep/floor", 20.0),
-            row("sleep/tandem", 22.0),
-            row("sleep/eventfd", 21.0),
-            row("sleep/pipe", 30.0),
-            row("sleep/iceoryx2-event", 25.0),
-        ];
-        let headline = Headline::of(&rows).unwrap();
-        assert_eq!(headline.tandem.name, "sleep/tandem");
-        assert_eq!(headline.peer.unwrap().name, "sleep/eventfd");
-        assert!(Headline::of(&rows[..1]).is_none());
-    }
-
-    #[test]
-    fn what_has_a_floor_and_a_peer_of_its_own_is_summed_up_by_these() {
-        let rows = [
-            row("rtos/tick-floor", 20.0),
-            row("rtos/tick", 22.0),
-            row("rtos/tick-posix-port", 50.0),
-            row("rtos/switch-posix-port", 1.0),
-        ];
-        let headline = Headline::of(&rows).unwrap();
-        assert_eq!(headline.floor.unwrap().name, "rtos/tick-floor");
-        assert_eq!(headline.peer.unwrap().name, "rtos/tick-posix-port");
+    fn a_group_is_summed_up_by_floor_tandem_and_the_best_peer_or_its_own() {
+        for (group, cases, [floor, tandem, peer]) in [
+            (
+                "sleep",
+                [
+                    ("floor", 20.0),
+                    ("tandem", 22.0),
+                    ("eventfd", 21.0),
+                    ("pipe", 30.0),
+                ],
+                [0, 1, 2],
+            ),
+            (
+                "rtos",
+                [
+                    ("switch-posix-port", 1.0),
+                    ("tick-floor", 20.0),
+                    ("tick", 22.0),
+                    ("tick-posix-port", 50.0),
+                ],
+                [1, 2, 3],
+            ),
+        ] {
+            let rows = cases.map(|(case, p50_ns)| row(&format!("{group}/{case}"), p50_ns));
+            let headline = Headline::of(&rows).unwrap();
+            assert_eq!(headline.floor, Some(&rows[floor]));
+            assert_eq!(
+                (headline.tandem, headline.peer),
+                (&rows[tandem], Some(&rows[peer]))
+            );
+            assert!(Headline::of(&rows[..tandem]).is_none());
+        }
     }
 }

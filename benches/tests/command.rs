@@ -161,7 +161,11 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
             "no `tandem` that can be compared",
         ),
         (&["bench", "compare", "--against", "/bin/false"], "failed"),
-        (&["compare"], "--against"),
+        (&["compare", "spin"], "--against"),
+        (
+            &["--quick", "compare", "--against", "."],
+            "cannot be used with",
+        ),
     ] {
         let output = fixture.output(args);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

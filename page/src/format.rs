@@ -55,15 +55,21 @@ impl Unit {
     }
 }
 
-/// A time with the unit that fits it alone.
+/// A time as a number of the unit that fits it alone.
 #[must_use]
-pub fn time(ns: f64) -> String {
-    let (value, unit) = match ns {
+pub fn scaled(ns: f64) -> (f64, &'static str) {
+    match ns {
         ns if ns < 1e3 => (ns, "ns"),
         ns if ns < 1e6 => (ns / 1e3, "µs"),
         ns if ns < 1e10 => (ns / 1e6, "ms"),
         ns => (ns / 1e9, "s"),
-    };
+    }
+}
+
+/// A time with the unit that fits it alone.
+#[must_use]
+pub fn time(ns: f64) -> String {
+    let (value, unit) = scaled(ns);
     format!("{} {unit}", number(value))
 }
 

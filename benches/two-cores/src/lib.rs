@@ -1,6 +1,5 @@
-//! Pinned processes that share memory and a clock, and two experiments of the thesis with them.
-//!
-//! Apart from the benchmark, so that `tandem` needs none of its peers to run the experiments.
+//! Pinned processes that share memory and a clock: what the benchmark and `tandem thesis` measure
+//! with. Apart from the benchmark, whose peers the experiments of the thesis do not need.
 #![allow(
     clippy::expect_used,
     clippy::missing_panics_doc,
@@ -9,5 +8,4 @@
 
 pub mod clock;
 pub mod shared;
-pub mod thesis;
 pub mod worker;

@@ -4,10 +4,10 @@ use anyhow::Context as _;
 use tandem_board::{RoleLamp, SystemId, VehiclePort as _};
 use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_record::{Entry, RunLog};
-use tandem_two_cores::thesis::{Counted, Exchange};
 use tandem_vehicle::{Config, Scenario, World};
 
 use super::outputs::Done;
+use super::two_cores::{Counted, Exchange};
 use crate::emulated::image;
 
 /// Steps of a millisecond: A is switched on this much later than B, as in the thesis; between two

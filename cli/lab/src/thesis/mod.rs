@@ -4,6 +4,7 @@ mod emulated;
 mod host;
 mod outputs;
 mod simulated;
+mod two_cores;
 
 use std::fmt::Write as _;
 
@@ -11,11 +12,11 @@ use anyhow::Context as _;
 use serde::Serialize;
 use tandem_page::output::OutputFile;
 use tandem_record::{RunLog, start};
-use tandem_two_cores::thesis::{self as cores, Counted, Exchange};
 
 use crate::args::{ThesisArgs, ThesisBoard};
 use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};
+use two_cores::{Counted, Exchange};
 use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 
@@ -147,11 +148,11 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             // Forks come first: a process with threads is not forked.
             let cpus = host::cpus()?;
             shown.exchange(
-                &cores::exchanges(cpus, MESSAGES)?,
+                &two_cores::exchanges(cpus, MESSAGES)?,
                 "two processes on two CPUs, spinning",
             );
-            let free = attempts(|| Ok(cores::counter(cpus, INCREMENTS, false)?))?;
-            shown.count(&free, &cores::counter(cpus, INCREMENTS, true)?);
+            let free = attempts(|| Ok(two_cores::counter(cpus, INCREMENTS, false)?))?;
+            shown.count(&free, &two_cores::counter(cpus, INCREMENTS, true)?);
             let (log, done) = host::takeovers()?;
             shown.start(&log, "this machine's time")?;
             shown.takeovers(&log, done, "this machine")?;

@@ -11,17 +11,13 @@ use tandem_board_sim::{Config, Poller, SimBoard, SimPair, blocking};
 use tandem_record::{Entry, RunLog};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Call, TaskId, TaskTable};
-use tandem_shm::map::{Layout, Map};
-use tandem_shm::region::{Mailbox, Region, SharedLock};
+use tandem_shm::map::Map;
 use tandem_sim::drive::poller;
-use tandem_two_cores::thesis::{Counted, Exchange, payload};
 use tandem_vehicle::{Scenario, World};
 
 use super::outputs::Done;
+use super::two_cores::{Counted, Exchange, LAYOUT, LOCK, MAILBOX, payload};
 
-const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
-const LOCK: Region<SharedLock> = MAILBOX.then("lock");
-const LAYOUT: Layout = LOCK.end();
 /// The word of the LMU that both cores increment: behind the regions.
 const COUNTER_AT: usize = 8191;
 /// B is switched on first, as in the thesis, A this much later.

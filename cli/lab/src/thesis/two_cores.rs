@@ -1,19 +1,24 @@
-//! Two experiments of the thesis between two processes on two CPUs: 4 bytes to a woken task, and a
+//! Two experiments between two cores, here processes on two CPUs: 4 bytes to a woken task, and a
 //! counter with and without the lock. T-SYNC-4, T-LOCK-2
+#![allow(
+    clippy::expect_used,
+    reason = "an end that cannot start panics; its process dies and the experiment has failed"
+)]
 
-use crate::clock::{from_ns, ticks, to_ps};
-use crate::shared::{Log, Shared, announce};
-use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
+
 use tandem_shm::mailbox::{Call, Ring, TaskId, TaskTable};
 use tandem_shm::map::Layout;
 use tandem_shm::region::{Mailbox, Region, SharedLock};
 use tandem_shm::sync::spin;
+use tandem_two_cores::clock::{from_ns, ticks, to_ps};
+use tandem_two_cores::shared::{Log, Shared, announce};
+use tandem_two_cores::worker::{Part, Role, perform};
 
-const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
-const LOCK: Region<SharedLock> = MAILBOX.then("lock");
-const LAYOUT: Layout = LOCK.end();
+pub(super) const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
+pub(super) const LOCK: Region<SharedLock> = MAILBOX.then("lock");
+pub(super) const LAYOUT: Layout = LOCK.end();
 /// Between two messages, ns: long enough for the receiver to have waited for some time.
 const PAUSE_NS: u64 = 20_000;
 /// A receiver that has heard nothing for this many polls gives the CPU to others.
@@ -21,27 +26,23 @@ const POLLS: u32 = 1 << 16;
 
 /// One message of 4 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Exchange {
+pub(super) struct Exchange {
     /// What core 0 sent.
-    pub sent: u32,
+    pub(super) sent: u32,
     /// What the task on core 1 received.
-    pub received: u32,
+    pub(super) received: u32,
     /// From the sender's call to the first line of the woken task, ns.
-    pub took_ns: f64,
+    pub(super) took_ns: f64,
 }
 
 /// The data of a message: the number in the lowest byte, as in the thesis.
-#[must_use]
-pub fn payload(number: u32) -> u32 {
+pub(super) fn payload(number: u32) -> u32 {
     u32::from_le_bytes([number as u8, 1, 2, 3])
 }
 
 /// Core 0 sends `count` messages, each with other data, and core 1's task takes each. The cores
 /// are processes on these CPUs and wait by spinning.
-///
-/// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
-pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
+pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
     let (shared, map) = Shared::with_lmu(LAYOUT)?;
     let sender = Part::on(cpus[0], |role: &mut Role<'_>| {
         let mut to = MAILBOX.sender(&map, announce(&map, 0, 1)).expect("it fits");
@@ -110,29 +111,25 @@ fn pause(ns: u64) {
 
 /// What two cores saw that increment one counter.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Counted {
+pub(super) struct Counted {
     /// Increments of both cores together.
-    pub increments: u32,
+    pub(super) increments: u32,
     /// The counter at the end.
-    pub counter: u32,
+    pub(super) counter: u32,
     /// The counter as each core read it after its increments: the first of core 0 and of core 1.
-    pub seen: [Vec<u32>; 2],
+    pub(super) seen: [Vec<u32>; 2],
 }
 
 impl Counted {
     /// Increments that are not in the counter.
-    #[must_use]
-    pub const fn lost(&self) -> u32 {
+        pub(super) const fn lost(&self) -> u32 {
         self.increments - self.counter
     }
 }
 
 /// Two cores, processes on these CPUs, increment one counter `each` times, with or without the
 /// lock.
-///
-/// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
-pub fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
+pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
     let (shared, map) = Shared::with_lmu(LAYOUT)?;
     let part = |core: usize| {
         Part::on(cpus[core], move |role: &mut Role<'_>| {
