@@ -215,16 +215,16 @@ const CASES: &[Cases] = &[
     (Group::Rtos, 100, &[
         ("tick-floor", "clock_nanosleep to each ms", rtos::tick_floor),
         ("tick", "a task that delays until each tick", rtos::tick),
-        ("tick-posix-port", "the same, FreeRTOS's POSIX port", |p| rtos::posix_port(p, rtos::TICK)),
+        ("tick-posix-port", "the same, FreeRTOS's POSIX port", |p| rtos::posix_port(p, "tick")),
         ("switch-from-interrupt", "from the tick's interrupt to the task it wakes",
             rtos::switch_from_interrupt),
         ("switch-from-interrupt-posix-port", "the same, FreeRTOS's POSIX port",
-            |p| rtos::posix_port(p, rtos::INTERRUPT)),
+            |p| rtos::posix_port(p, "interrupt")),
     ]),
     (Group::Rtos, 20_000, &[("switch", "yield to another task", rtos::switch)]),
     (Group::Rtos, 2000, &[
         ("switch-posix-port", "the same, FreeRTOS's POSIX port",
-            |p| rtos::posix_port(p, rtos::SWITCH)),
+            |p| rtos::posix_port(p, "switch")),
     ]),
     (Group::Noise, 400, &[
         ("cpu0", "near CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[0])),

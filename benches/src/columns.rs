@@ -90,12 +90,15 @@ pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
 pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
     row.facts.iter().map(|(name, value)| {
         let fact = format::fact(name, *value);
-        let column = COLUMNS
-            .iter()
-            .find(|column| name.ends_with(&format!(" {}, ns", column.head)));
-        let few = column.is_some_and(|column| column.is_chance(row));
-        if few { format!("({fact})") } else { fact }
+        let is_of = |column: &&Column| name.ends_with(&format!(" {}, ns", column.head));
+        let column = COLUMNS.iter().find(is_of);
+        bracketed(fact, column.is_some_and(|column| column.is_chance(row)))
     })
+}
+
+/// A figure as text: in brackets if it rests on chance.
+pub(crate) fn bracketed(text: String, is_chance: bool) -> String {
+    if is_chance { format!("({text})") } else { text }
 }
 
 /// The columns of at most this rank that one of these rows fills.

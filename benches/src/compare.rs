@@ -108,12 +108,10 @@ pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Resu
     ensure!(success, "`{name} bench` failed: {}", said.trim());
     file.rewind()?;
     let results: Results = serde_json::from_reader(BufReader::new(file)).with_context(foreign)?;
-    let schema = &results.schema;
-    let is_known = schema == SCHEMA;
+    let (schema, foreign) = (&results.schema, foreign());
     ensure!(
-        is_known,
-        "{}: its schema is {schema:?}, not {SCHEMA:?}",
-        foreign()
+        schema == SCHEMA,
+        "{foreign}: its schema is {schema:?}, not {SCHEMA:?}"
     );
     Ok(results)
 }
@@ -249,38 +247,34 @@ impl Comparison {
                 "old", "new", "change", "p"
             );
             for case in cases {
-                for (percentile, of) in [("p50", &case.p50), ("p99", &case.p99)] {
-                    let name = case.name.split_once('/').map_or("", |(_, name)| name);
+                let name = case.name.split_once('/').map_or("", |(_, name)| name);
+                for (name, percentile, of, is_chance) in [
+                    (name, "p50", &case.p50, false),
+                    ("", "p99", &case.p99, case.p99_is_chance),
+                ] {
                     let verdict = match of.verdict {
                         _ if case.is_floor => "(the machine)",
                         Verdict::Faster => "FASTER",
                         Verdict::Slower => "SLOWER",
                         Verdict::NoChange => "no change",
                     };
-                    let show = |ns| match unit.show(ns) {
-                        ns if percentile == "p99" && case.p99_is_chance => format!("({ns})"),
-                        ns => ns,
-                    };
+                    let show = |ns| columns::bracketed(unit.show(ns), is_chance);
+                    let (old, new) = (show(of.old_ns), show(of.new_ns));
                     let _ = writeln!(
                         text,
-                        "  {:<27} {percentile:>4} {:>8} {:>8} {:>9} {:>7}  {verdict}",
-                        if percentile == "p50" { name } else { "" },
-                        show(of.old_ns),
-                        show(of.new_ns),
+                        "  {name:<27} {percentile:>4} {old:>8} {new:>8} {:>9} {:>7.3}  {verdict}",
                         percent(of.change),
-                        format!("{:.3}", of.p),
+                        of.p,
                     );
                 }
             }
             text.push('\n');
         }
+        let by_chance = "changed by chance: their code is the same";
         for (names, word) in [
             (&self.slower, "slower"),
             (&self.faster, "faster"),
-            (
-                &self.peers_changed,
-                "changed by chance: their code is the same",
-            ),
+            (&self.peers_changed, by_chance),
         ] {
             if !names.is_empty() {
                 let _ = writeln!(text, "{word}: {}", names.join(", "));
@@ -336,12 +330,7 @@ mod tests {
         assert_eq!(chance(&[0.0; 4]), 1.0);
     }
 
-    const CASES: [&str; 4] = [
-        "spin/floor",
-        "spin/tandem",
-        "spin/tandem-channel",
-        "spin/pipe",
-    ];
+    const CASES: [&str; 4] = ["floor", "tandem", "tandem-channel", "pipe"];
 
     /// Pairs of runs on a machine like ours. Each run is fast or slow as a whole, and each case of
     /// a run has an effect of its own, which all of its batches share.
@@ -352,7 +341,8 @@ mod tests {
             let mood: f64 = mood.sample(random);
             let time = |name: &str| {
                 let ours = if name.contains("tandem") { factor } else { 1.0 };
-                row(name, 150.0 * ours * (mood + effect.sample(random)).exp())
+                let ns = 150.0 * ours * (mood + effect.sample(random)).exp();
+                row(&format!("spin/{name}"), ns)
             };
             results(CASES.map(time).to_vec())
         };
@@ -384,10 +374,7 @@ mod tests {
         let floor = &found.cases[0];
         assert!(floor.is_floor && floor.p50.p == 1.0 && floor.p50.verdict == Verdict::NoChange);
         let table = found.table();
-        assert!(
-            table.contains("SLOWER") && table.contains("slower: spin/tandem, "),
-            "{table}"
-        );
+        assert!(table.contains("SLOWER") && table.contains("slower: spin/tandem, "));
         let faster = compare(&pairs(&mut random, 12, 0.8)).unwrap();
         assert_eq!(faster.faster, ["spin/tandem", "spin/tandem-channel"]);
     }

@@ -1,6 +1,6 @@
 //! The floors: what the hardware and the kernel alone need.
 
-use crate::harness::{Batch, End, Plan, alone, between_processes, give_way, polled};
+use crate::harness::{Batch, End, Plan, between_processes, give_way, polled, repeated};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::open_loop::at_fixed_rate;
 use crate::shared::{LINE, Shared};
@@ -132,7 +132,7 @@ pub(crate) const CHUNK: usize = 64;
 pub(crate) fn lock(plan: &Plan) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let word = shared.line(0);
-    alone(plan, &shared, CHUNK, || {
+    repeated(plan, &shared, CHUNK, || {
         || {
             let taken = word.compare_exchange(0, 1, Acquire, Relaxed);
             black_box(taken.is_ok());

@@ -117,15 +117,28 @@ pub(crate) fn polled<T>(mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
+/// One process by itself on this CPU.
+pub(crate) fn alone(
+    cpu: usize,
+    shared: &Shared,
+    run: impl FnOnce(&mut Role<'_>),
+) -> io::Result<()> {
+    let part = Part::on(cpu, |role| {
+        run(role);
+        Ok(())
+    });
+    perform(shared, vec![part])
+}
+
 /// Times an operation that one process does by itself on the near CPU: each round is a chunk of
 /// `chunk` operations, so that the clock's own time does not count. The sample is the mean of one.
-pub(crate) fn alone<F: FnMut()>(
+pub(crate) fn repeated<F: FnMut()>(
     plan: &Plan,
     shared: &Shared,
     chunk: usize,
     prepare: impl FnOnce() -> F,
 ) -> io::Result<Batch> {
-    let part = Part::on(plan.cpus[0], |role| {
+    alone(plan.cpus[0], shared, |role| {
         let mut operation = prepare();
         for round in 0..plan.warm_up + plan.rounds {
             if round == plan.warm_up {
@@ -139,9 +152,7 @@ pub(crate) fn alone<F: FnMut()>(
             }
         }
         role.end();
-        Ok(())
-    });
-    perform(shared, vec![part])?;
+    })?;
     Ok(Batch::collect(shared, 1, plan.rounds).per_operation(chunk))
 }
 
@@ -312,29 +323,40 @@ fn be_counted(end: &mut impl End, role: &Role<'_>) {
     }
 }
 
-/// Between two threads of one process, for peers that only work there.
+/// Passes a stamp to and fro between two threads of one process, for peers that only work there.
 pub(crate) fn between_threads<E: End + Send>(
     plan: &Plan,
-    ends: impl FnOnce() -> [E; 2],
+    [mut near, mut far]: [E; 2],
 ) -> io::Result<Batch> {
+    let near = |role: &mut Role<'_>| near_end(&mut near, plan, role);
+    let far = |role: &mut Role<'_>| far_end(&mut far, plan, role);
+    let shared = in_threads(plan.cpus, near, far)?;
+    Ok(there_and_back(plan, &shared))
+}
+
+/// Two threads of one process: parts 0 and 1, on these CPUs.
+pub(crate) fn in_threads(
+    cpus: [usize; 2],
+    first: impl FnOnce(&mut Role<'_>),
+    second: impl FnOnce(&mut Role<'_>) + Send,
+) -> io::Result<Shared> {
     let shared = Shared::new()?;
-    let part = Part::on(plan.cpus[0], |role| {
-        let [mut near, mut far] = ends();
-        let mut far_role = role.beside(1);
+    let part = Part::on(cpus[0], |role| {
+        let mut beside = role.beside(1);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                pin(plan.cpus[1]);
-                far_role.shared.meet(2);
-                far_end(&mut far, plan, &mut far_role);
-                far_role.log.close();
+                pin(cpus[1]);
+                beside.shared.meet(2);
+                second(&mut beside);
+                beside.log.close();
             });
             role.shared.meet(2);
-            near_end(&mut near, plan, role);
+            first(role);
         });
         Ok(())
     });
     perform(&shared, vec![part])?;
-    Ok(there_and_back(plan, &shared))
+    Ok(shared)
 }
 
 /// A number for names that no other batch of this machine uses at the same time.

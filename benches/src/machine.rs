@@ -65,8 +65,7 @@ impl Machine {
             compiler: env!("TANDEM_BENCH_COMPILER").to_owned(),
             flags: env!("TANDEM_BENCH_FLAGS").to_owned(),
             topology: pinned_to.iter().map(|cpu| place(*cpu)).collect(),
-            hypervisor: field(&info, "flags")
-                .is_some_and(|flags| flags.split(' ').any(|flag| flag == "hypervisor")),
+            hypervisor: field(&info, "flags").is_some_and(|flags| flags.contains(" hypervisor")),
             governor: Some(read(&governor).trim().to_owned()).filter(|name| !name.is_empty()),
             scheduling: scheduling().to_owned(),
             memory_locked: field(&read("/proc/self/status"), "VmLck")
@@ -76,31 +75,46 @@ impl Machine {
         }
     }
 
+    /// Processor and kernel.
+    pub(crate) fn name(&self) -> String {
+        let under = if self.hypervisor {
+            " under a hypervisor"
+        } else {
+            ""
+        };
+        format!("{}{under}, Linux {}", self.cpu, self.kernel)
+    }
+
+    /// The CPUs of the ends.
+    pub(crate) fn pinned(&self) -> String {
+        let cpus: Vec<String> = self.pinned_to.iter().map(usize::to_string).collect();
+        cpus.join(" and ")
+    }
+
     /// In words: one line for each kind of fact.
     pub(crate) fn facts(&self) -> Vec<(&'static str, String)> {
-        let pinned: Vec<String> = self.pinned_to.iter().map(usize::to_string).collect();
         let versions = self.versions.iter();
         let versions: Vec<String> = versions.map(|(name, v)| format!("{name} {v}")).collect();
         let governor = self.governor.as_deref().unwrap_or("not visible");
-        let locked = if self.memory_locked { "" } else { "not " };
-        let cpus = format!("{} usable, pinned to {}", self.cpus, pinned.join(" and "));
-        let (build, commit) = (&self.build, &self.commit);
-        let hypervisor = if self.hypervisor { "yes" } else { "none seen" };
+        let memory = if self.memory_locked {
+            "memory locked"
+        } else {
+            "memory not locked"
+        };
+        let build = [&self.compiler[..], &self.flags].join(", ");
         vec![
-            ("Processor", self.cpu.clone()),
-            ("CPUs", cpus),
-            ("Hypervisor", hypervisor.to_owned()),
-            ("Clock governor", governor.to_owned()),
-            ("Kernel", format!("Linux {}", self.kernel)),
+            ("Machine", self.name()),
             (
-                "Scheduling",
-                format!("{}, memory {locked}locked", self.scheduling),
+                "CPUs",
+                format!("{} usable, pinned to {}", self.cpus, self.pinned()),
             ),
-            ("Huge pages for shared memory", self.huge_pages.clone()),
             ("Topology", self.topology.join("; ")),
+            ("Clock governor", governor.to_owned()),
+            ("Scheduling", format!("{}, {memory}", self.scheduling)),
+            ("Huge pages for shared memory", self.huge_pages.clone()),
             (
                 "Build",
-                format!("{build} of {commit}, {}, {}", self.compiler, self.flags),
+                format!("{} of {}, {build}", self.build, self.commit),
             ),
             ("Versions", versions.join(", ")),
         ]
@@ -154,10 +168,8 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
 
 /// The word in brackets, as files under `/sys` mark what is chosen.
 fn chosen(text: &str) -> String {
-    let word = text
-        .split_once('[')
-        .and_then(|(_, rest)| rest.split_once(']'));
-    word.map_or("unknown", |(word, _)| word).to_owned()
+    let word = text.split(['[', ']']).nth(1);
+    word.unwrap_or("unknown").to_owned()
 }
 
 fn scheduling() -> &'static str {

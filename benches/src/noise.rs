@@ -1,9 +1,8 @@
 //! What the machine does by itself: the pauses of a program that only reads the clock.
 
 use crate::clock::{from_ns, monotonic_ns, ps_per_tick, sleep_until, step_ticks, ticks, to_ps};
-use crate::harness::{Batch, Plan};
+use crate::harness::{Batch, Plan, alone};
 use crate::shared::Shared;
-use crate::worker::{Part, Role, perform};
 use std::io;
 
 /// Windows of the spin; each gives one sample.
@@ -16,7 +15,7 @@ const GAP_NS: u64 = 1_000;
 /// within 100 us; all pauses above 1 us are counted.
 pub(crate) fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
     let shared = Shared::new()?;
-    let batch = alone(cpu, &shared, |role| {
+    alone(cpu, &shared, |role| {
         let (window, limit) = (from_ns(WINDOW_NS), from_ns(GAP_NS));
         let (mut count, mut longest_of_all, mut lost, mut spanned) = (0u32, 0, 0u64, 0u64);
         for _ in 0..plan.rounds {
@@ -36,14 +35,14 @@ pub(crate) fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
             spanned += u64::from(last.wrapping_sub(begin));
             role.log.push(0, longest);
         }
-        let spanned = spanned as f64;
-        role.log
-            .note(0, f64::from(count) * 1e12 / (spanned * ps_per_tick()));
+        let (count, spanned) = (f64::from(count), spanned as f64);
+        role.log.note(0, count * 1e12 / (spanned * ps_per_tick()));
         role.log.note(1, to_ps(longest_of_all) as f64 / 1e3);
         role.log.note(2, lost as f64 / spanned);
     })?;
     let noted = |at| shared.log(0).noted(at);
-    Ok(batch
+    Ok(Batch::collect(&shared, 1, 1)
+        .carrying(0)
         .with_fact("gaps above 1 us per second", noted(0))
         .with_fact("longest gap, ns", noted(1))
         .with_fact("lost share of the time", noted(2))
@@ -53,22 +52,14 @@ pub(crate) fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
 /// Sleeps until a point in time 500 us ahead, again and again. A sample is how late the sleep ends.
 pub(crate) fn timer(plan: &Plan) -> io::Result<Batch> {
     const PERIOD_NS: u64 = 500_000;
-    alone(plan.cpus[0], &Shared::new()?, |role| {
+    let shared = Shared::new()?;
+    alone(plan.cpus[0], &shared, |role| {
         for _ in 0..plan.rounds {
             let due = monotonic_ns() + PERIOD_NS;
             sleep_until(due);
-            role.log
-                .push(0, from_ns(monotonic_ns().saturating_sub(due)));
+            let late_ns = monotonic_ns().saturating_sub(due);
+            role.log.push(0, from_ns(late_ns));
         }
-    })
-}
-
-/// A process that no message goes to.
-fn alone(cpu: usize, shared: &Shared, run: impl FnOnce(&mut Role<'_>)) -> io::Result<Batch> {
-    let part = Part::on(cpu, |role| {
-        run(role);
-        Ok(())
-    });
-    perform(shared, vec![part])?;
-    Ok(Batch::collect(shared, 1, 1).carrying(0))
+    })?;
+    Ok(Batch::collect(&shared, 1, 1).carrying(0))
 }

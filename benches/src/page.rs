@@ -35,8 +35,7 @@ fn header(results: &Results) -> Markup {
     html! {
         h1 { "Time from core to core" }
         p.sub {
-            (machine.cpu) @if machine.hypervisor { " under a hypervisor" }
-            " · Linux " (machine.kernel) " · " (results.results.len()) " cases · "
+            (machine.name()) " · " (results.results.len()) " cases · "
             (format::count(samples as f64)) " samples in "
             (format!("{:.0}", results.duration_s)) " s"
         }

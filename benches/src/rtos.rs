@@ -69,18 +69,13 @@ fn of_ns(ns: u32) -> u64 {
     u64::from(ns) * 1000
 }
 
-/// What the peer's program measures, and the unit of its samples.
-pub(crate) type OfPosixPort = (&'static str, fn(u32) -> u64);
-/// How late a task wakes, from one period after it last did: this port counts time by sleeping, so
-/// that its ticks drift and have no absolute time.
-pub(crate) const TICK: OfPosixPort = ("tick", of_ns);
-/// From one task to another by a yield.
-pub(crate) const SWITCH: OfPosixPort = ("switch", clock::to_ps);
-/// From the interrupt of the tick to the task that it wakes.
-pub(crate) const INTERRUPT: OfPosixPort = ("interrupt", clock::to_ps);
-
-/// Runs the peer's program.
-pub(crate) fn posix_port(plan: &Plan, (what, in_ps): OfPosixPort) -> io::Result<Batch> {
+/// Runs the peer's program, which measures
+/// - `tick`: how late a task wakes, from one period after it last did: this port counts time by
+///   sleeping, so that its ticks drift and have no absolute time;
+/// - `switch`: from one task to another by a yield;
+/// - `interrupt`: from the interrupt of the tick to the task that it wakes.
+pub(crate) fn posix_port(plan: &Plan, what: &str) -> io::Result<Batch> {
+    let in_ps = if what == "tick" { of_ns } else { clock::to_ps };
     let memory = || memfd_create("freertos-posix", MemfdFlags::CLOEXEC).map(File::from);
     let (mut program, mut output) = (memory()?, memory()?);
     program.write_all(POSIX_PORT)?;

@@ -5,9 +5,9 @@
 //! missing or out of order, so that nothing can be fast by losing messages.
 
 use crate::clock::ticks;
-use crate::harness::{Batch, Plan, give_way};
+use crate::harness::{Batch, Plan, give_way, in_threads};
 use crate::shared::Shared;
-use crate::worker::{Part, Role, perform, pin};
+use crate::worker::{Part, Role, perform};
 use std::hint::spin_loop;
 use std::io;
 
@@ -117,20 +117,9 @@ pub(crate) fn between_threads(
     stream: Stream,
     (send, receive): (impl FnMut(u32) -> bool + Send, impl FnMut() -> Option<u32>),
 ) -> io::Result<Batch> {
-    let shared = Shared::new()?;
-    let part = Part::on(plan.cpus[1], |role| {
-        let mut sender = role.beside(1);
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                pin(plan.cpus[0]);
-                sender.shared.meet(2);
-                pour(send, stream.messages(plan), &mut sender, spin_loop);
-            });
-            role.shared.meet(2);
-            drain(plan, stream.chunk, [receive], role);
-        });
-        Ok(())
-    });
-    perform(&shared, vec![part])?;
+    let [near, far] = plan.cpus;
+    let receiver = |role: &mut Role<'_>| drain(plan, stream.chunk, [receive], role);
+    let sender = |role: &mut Role<'_>| pour(send, stream.messages(plan), role, spin_loop);
+    let shared = in_threads([far, near], receiver, sender)?;
     Ok(stream.batch(plan, &shared, 2))
 }

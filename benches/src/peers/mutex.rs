@@ -2,7 +2,7 @@
 //! and pthread_mutexattr_setrobust(3).
 
 use crate::floor::CHUNK;
-use crate::harness::{Batch, Plan, alone};
+use crate::harness::{Batch, Plan, repeated};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
 use crate::shared::Shared;
 use std::io;
@@ -70,7 +70,7 @@ impl Exclusion for Mutex {
 pub(crate) fn free(plan: &Plan, death: Death) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, death);
-    alone(plan, &shared, CHUNK, || {
+    repeated(plan, &shared, CHUNK, || {
         || {
             mutex.lock();
             mutex.unlock();

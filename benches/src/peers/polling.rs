@@ -47,31 +47,29 @@ pub(crate) fn seqlock(plan: &Plan) -> io::Result<Batch> {
 
 /// rtrb's single-producer single-consumer ring.
 pub(crate) fn rtrb(plan: &Plan) -> io::Result<Batch> {
-    between_threads(plan, || {
-        let [(there, there_in), (back, back_in)] = [0; 2].map(|_| rtrb::RingBuffer::new(16));
-        [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
-            let send = move |stamp: u32| {
-                while out.push(stamp).is_err() {
-                    spin_loop();
-                }
-            };
-            (send, move || polled(|| inward.pop().ok()))
-        })
-    })
+    let [(there, there_in), (back, back_in)] = [0; 2].map(|_| rtrb::RingBuffer::new(16));
+    let ends = [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
+        let send = move |stamp: u32| {
+            while out.push(stamp).is_err() {
+                spin_loop();
+            }
+        };
+        (send, move || polled(|| inward.pop().ok()))
+    });
+    between_threads(plan, ends)
 }
 
 /// The newest value through a triple buffer.
 pub(crate) fn triple_buffer(plan: &Plan) -> io::Result<Batch> {
-    between_threads(plan, || {
-        let [(there, there_in), (back, back_in)] = [0; 2].map(|_| triple_buffer::triple_buffer(&0));
-        [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
-            let receive = move || {
-                polled(|| inward.update().then_some(()));
-                *inward.output_buffer()
-            };
-            (move |stamp| out.write(stamp), receive)
-        })
-    })
+    let [(there, there_in), (back, back_in)] = [0; 2].map(|_| triple_buffer::triple_buffer(&0));
+    let ends = [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
+        let receive = move || {
+            polled(|| inward.update().then_some(()));
+            *inward.output_buffer()
+        };
+        (move |stamp| out.write(stamp), receive)
+    });
+    between_threads(plan, ends)
 }
 
 /// A stream of 8 bytes each through rtrb's ring, with as many slots as Tandem's FIFO in this group.

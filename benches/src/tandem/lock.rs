@@ -1,7 +1,7 @@
 //! The lock: free, contended, and after the death of its owner.
 
 use crate::floor::CHUNK;
-use crate::harness::{Batch, Plan, alone, give_way};
+use crate::harness::{Batch, Plan, give_way, repeated};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
 use crate::shared::{Shared, announce};
 use std::hint::black_box;
@@ -23,7 +23,7 @@ fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
 /// Taking and giving back a lock that no other core wants.
 pub(crate) fn free(plan: &Plan) -> io::Result<Batch> {
     let (shared, map) = Shared::with_lmu(LAYOUT)?;
-    alone(plan, &shared, CHUNK, || {
+    repeated(plan, &shared, CHUNK, || {
         let mut lock = attach(&map, 0, 1);
         move || {
             black_box(lock.try_lock().is_some());
