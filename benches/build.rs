@@ -8,12 +8,10 @@ use std::process::Command;
 
 /// What a command says in its first line; `None` if it fails.
 fn said(command: &mut Command) -> Option<String> {
-    let output = command
-        .output()
-        .ok()
-        .filter(|output| output.status.success())?;
+    let output = command.output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
-    text.lines().next().map(str::to_owned)
+    let line = text.lines().next().map(str::to_owned);
+    line.filter(|_| output.status.success())
 }
 
 fn note_build() -> Result<(), env::VarError> {
@@ -25,17 +23,10 @@ fn note_build() -> Result<(), env::VarError> {
     let flags = flags.replace('\u{1f}', " ");
     let (level, target) = (env::var("OPT_LEVEL")?, env::var("TARGET")?);
     let flags = format!("opt-level {level}, {target} {flags}");
-    for (name, value) in [
-        (
-            "COMMIT",
-            git("describe --always --dirty --exclude=* --abbrev=12"),
-        ),
-        (
-            "COMPILER",
-            said(Command::new(env::var("RUSTC")?).arg("--version")),
-        ),
-        ("FLAGS", Some(flags.trim().to_owned())),
-    ] {
+    let commit = git("describe --always --dirty --exclude=* --abbrev=12");
+    let compiler = said(Command::new(env::var("RUSTC")?).arg("--version"));
+    let flags = Some(flags.trim().to_owned());
+    for (name, value) in [("COMMIT", commit), ("COMPILER", compiler), ("FLAGS", flags)] {
         let value = value.unwrap_or_else(|| "unknown".to_owned());
         println!("cargo::rustc-env=TANDEM_BENCH_{name}={value}");
     }
@@ -51,22 +42,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     let kernel = PathBuf::from(env::var("DEP_TANDEM_FREERTOS_KERNEL")?);
     let port = kernel.join("portable/ThirdParty/GCC/Posix");
     let program = PathBuf::from(env::var("OUT_DIR")?).join("freertos-posix");
-    let compiler = cc::Build::new()
-        .opt_level(2)
-        .warnings(false)
-        .try_get_compiler()?;
+    let mut compiler = cc::Build::new();
+    let compiler = compiler.opt_level(2).warnings(false).try_get_compiler()?;
     let mut command = compiler.to_command();
-    command.arg("-w").arg("-pthread").arg("-o").arg(&program);
+    command.args(["-w", "-pthread", "-o"]).arg(&program);
     for folder in [&ours, &kernel.join("include"), &port, &port.join("utils")] {
         command.arg("-I").arg(folder);
     }
     command.arg(ours.join("main.c"));
-    for source in ["tasks.c", "queue.c", "list.c", "portable/MemMang/heap_3.c"] {
-        command.arg(kernel.join(source));
-    }
-    command
-        .arg(port.join("port.c"))
-        .arg(port.join("utils/wait_for_event.c"));
+    let of_kernel = ["tasks.c", "queue.c", "list.c", "portable/MemMang/heap_3.c"];
+    command.args(of_kernel.map(|source| kernel.join(source)));
+    command.args(["port.c", "utils/wait_for_event.c"].map(|source| port.join(source)));
     let status = command.status()?;
     if !status.success() {
         return Err(format!("{command:?} ended with {status}").into());

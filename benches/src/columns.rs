@@ -13,7 +13,6 @@ pub(crate) enum Figure {
 /// One column of figures.
 pub(crate) struct Column {
     pub(crate) head: &'static str,
-    /// What it means.
     pub(crate) title: &'static str,
     /// 0 is always shown, 1 to 4 where the terminal is wide enough, [`PAGE`] on the page alone.
     rank: u8,
@@ -24,6 +23,7 @@ pub(crate) struct Column {
 
 /// Rank of what only the page shows.
 pub(crate) const PAGE: u8 = 5;
+const TAIL_RATIO: &str = "x p99.9";
 /// A percentile with fewer samples than this beyond it rests on chance.
 const FEW: f64 = 10.0;
 
@@ -37,7 +37,7 @@ const COLUMNS: [Column; 12] = [
     column("max", "the longest of all", 3, 1.0, Time(|row| Some(row.max_ns))),
     column("x p50", "median over the floor's median", 0, 1.0,
         Text(|row| row.ratio_to_floor_p50.map(format::ratio))),
-    column("x p99.9", "99.9th percentile over the floor's", 0, 0.001,
+    column(TAIL_RATIO, "99.9th percentile over the floor's", 0, 0.001,
         Text(|row| row.ratio_to_floor_p99_9.map(format::ratio))),
     column("and back", "median of the round trip", 1, 1.0,
         Time(|row| row.round_trip.map(|trip| trip.p50_ns))),
@@ -75,9 +75,9 @@ impl Column {
         }
     }
 
-    /// Whether the figure of this row rests on a handful of samples.
+    /// Whether the figure of this row rests on a handful of samples, or on the machine's stalls.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
-        is_chance(self.beyond, row)
+        is_chance(self.beyond, row) || (self.head == TAIL_RATIO && row.has_stalled_floor())
     }
 }
 

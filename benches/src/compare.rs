@@ -34,9 +34,7 @@ pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Verdict {
-    /// It takes less time.
     Faster,
-    /// It takes more time.
     Slower,
     /// Nothing that could not be noise.
     NoChange,
@@ -53,22 +51,18 @@ pub(crate) struct Change {
     pub(crate) change: f64,
     /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
     pub(crate) p: f64,
-    /// What became of it.
     pub(crate) verdict: Verdict,
 }
 
 /// One case in both builds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Compared {
-    /// Group and case.
     pub(crate) name: String,
     /// Shown for the machine's sake, without a verdict.
     pub(crate) is_floor: bool,
     /// Not Tandem's: its verdict does not count.
     pub(crate) is_peer: bool,
-    /// Median.
     pub(crate) p50: Change,
-    /// 99th percentile.
     pub(crate) p99: Change,
     /// The 99th percentile of a run rests on a handful of samples.
     #[serde(skip)]
@@ -78,9 +72,7 @@ pub(crate) struct Compared {
 /// Two builds side by side.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Comparison {
-    /// `tandem-bench-compare/2`.
     pub(crate) schema: &'static str,
-    /// Pairs of runs.
     pub(crate) pairs: usize,
     /// Cases of Tandem that are slower in the new build.
     pub(crate) slower: Vec<String>,

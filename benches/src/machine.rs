@@ -18,9 +18,7 @@ pub(crate) struct Machine {
     pub(crate) cpus: usize,
     /// CPUs that the ends were pinned to.
     pub(crate) pinned_to: Vec<usize>,
-    /// Version of the kernel.
     pub(crate) kernel: String,
-    /// `release` or `debug`.
     pub(crate) build: String,
     /// Commit of the sources when this crate was built; `-dirty`: with changes.
     #[serde(default)]
@@ -38,13 +36,11 @@ pub(crate) struct Machine {
     pub(crate) hypervisor: bool,
     /// What scales the clock of the first CPU; `None` if that is not for this system to say.
     pub(crate) governor: Option<String>,
-    /// Scheduling class of the ends.
     pub(crate) scheduling: String,
     /// Whether the ends' memory could not be swapped out.
     pub(crate) memory_locked: bool,
     /// When shared memory gets huge pages.
     pub(crate) huge_pages: String,
-    /// Versions of Tandem and of the peers.
     pub(crate) versions: BTreeMap<String, String>,
 }
 

@@ -12,7 +12,6 @@ use tandem_board_host::UnsupervisedSystem;
 
 /// What was measured of one case so far.
 pub(crate) struct Measurement {
-    /// The case.
     pub(crate) case: Case,
     /// All samples, in picoseconds.
     pub(crate) times: Histogram<u64>,

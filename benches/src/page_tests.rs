@@ -14,6 +14,7 @@ fn run() -> Results {
     ];
     rows[1].ratio_to_floor_p50 = Some(1.12);
     rows[2].ratio_to_floor_p50 = Some(5.6);
+    rows[2].ratio_to_floor_p99_9 = Some(5.6);
     rows[3].messages_per_second = Some(120e6);
     rows[4].facts.insert("longest wait, ns".to_owned(), 3.0e6);
     let mut run = results(rows);
@@ -70,6 +71,13 @@ fn a_percentile_that_rests_on_chance_is_marked() {
     assert!(!page(&run).contains("num rare"));
     // Two samples lie beyond p99.9, and so its ratio.
     run.results[0].samples = 2_000;
+    assert_eq!(page(&run).matches("num rare").count(), 2);
+    // The floor's p99.9 is that of a stall, ten times its median; so is then the ratio to it.
+    let tandem = &mut run.results[1];
+    tandem.p99_9_ns = 10.1 * tandem.p50_ns;
+    tandem.ratio_to_floor_p50 = Some(1.0);
+    assert_eq!(page(&run).matches("num rare").count(), 3);
+    run.results[1].p99_9_ns *= 0.98;
     assert_eq!(page(&run).matches("num rare").count(), 2);
 }
 

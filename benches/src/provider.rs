@@ -9,9 +9,7 @@ use tandem_page::svg::Color;
 pub(crate) enum Provider {
     /// The hardware's or the kernel's alone: what nothing can beat.
     Floor,
-    /// Tandem's.
     Tandem,
-    /// iceoryx2's.
     Iceoryx2,
     /// That of a library between the threads of one process.
     Threads,
@@ -75,7 +73,6 @@ impl Provider {
 /// The three that a group is summed up by.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Headline<'a> {
-    /// The floor.
     pub(crate) floor: Option<&'a Row>,
     /// Tandem's first case.
     pub(crate) tandem: &'a Row,

@@ -56,7 +56,8 @@ impl Results {
         }
         text += &self.noise_in_words();
         text += "x: times the floor, the bare mechanism of the same run. And back: both ways.\n";
-        text += "(in brackets): fewer than ten samples lie beyond this percentile.\n";
+        text += "(in brackets): fewer than ten samples lie beyond this percentile. x p99.9: or the floor's \
+                 own is a stall.\n";
         text
     }
 

@@ -164,7 +164,7 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
         (&["compare", "spin"], "--against"),
         (
             &["--quick", "compare", "--against", "."],
-            "cannot be used with",
+            "unexpected argument",
         ),
     ] {
         let output = fixture.output(args);

@@ -200,7 +200,8 @@ fn host(results: &Value) -> Result<String> {
     let mut text = format!(
         "\n## Times on a host\n\n`{BENCH}`: {}{under}, {} CPUs, Linux {}, {}, {} build, {:.0} s.\nA program that only reads the clock is held up for {} at worst. The ratio to \
          the floor is the result;\nthe times are the machine's. A figure in brackets has \
-         fewer than ten samples beyond it.\n\n\
+         fewer than ten samples beyond it,\nor is a ratio to a floor \
+         whose own p99.9 is more than ten times its median: a stall, no mechanism.\n\n\
          | case | p50 | p99 | p99.9 | x p50 | x p99.9 |\n|---|---:|---:|---:|---:|---:|\n",
         text_of(&machine["cpu"]),
         machine["cpus"],
@@ -212,9 +213,17 @@ fn host(results: &Value) -> Result<String> {
     );
     for row in results["results"].as_array().context("no results")? {
         let samples = row["samples"].as_f64().unwrap_or(0.0);
+        let floor = |time: &str, ratio: &str| Some(row[time].as_f64()? / row[ratio].as_f64()?);
+        let medians = floor("p50_ns", "ratio_to_floor_p50");
+        let tails = floor("p99_9_ns", "ratio_to_floor_p99_9");
+        // As in the table of `tandem bench`.
+        let is_stalled = medians
+            .zip(tails)
+            .is_some_and(|(p50, p99_9)| p99_9 > 10.0 * p50);
         let figure = |name: &str, beyond: f64, show: &dyn Fn(f64) -> String| {
             let shown = row[name].as_f64().map_or("–".to_owned(), show);
-            match samples * beyond >= FEW {
+            let is_stalled = is_stalled && name == "ratio_to_floor_p99_9";
+            match samples * beyond >= FEW && !is_stalled {
                 true => shown,
                 false => format!("({shown})"),
             }

@@ -21,11 +21,8 @@ const SAMPLES_BEYOND: f64 = 10.0;
 /// A whole run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Results {
-    /// [`SCHEMA`].
     pub(crate) schema: String,
-    /// Where.
     pub(crate) machine: Machine,
-    /// How long the measurement took, s.
     pub(crate) duration_s: f64,
     /// The background load that was asked for, as `spin:2`.
     #[serde(default)]
@@ -34,18 +31,14 @@ pub(crate) struct Results {
     pub(crate) interrupted: bool,
     /// What the machine does to a program that does nothing: the rows of the group `noise`.
     pub(crate) noise: Vec<Row>,
-    /// What was measured, in the order of the cases.
     pub(crate) results: Vec<Row>,
-    /// What could not be measured.
     pub(crate) skipped: Vec<Skipped>,
 }
 
 /// A case that could not be measured.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Skipped {
-    /// Group and case.
     pub(crate) name: String,
-    /// Why.
     pub(crate) why: String,
 }
 
@@ -54,29 +47,18 @@ pub(crate) struct Skipped {
 pub(crate) struct Row {
     /// Group and case, as `spin/tandem`.
     pub(crate) name: String,
-    /// The group.
     pub(crate) group: String,
-    /// What it is.
     pub(crate) what: String,
-    /// Bytes of payload per message.
     pub(crate) payload_bytes: u64,
-    /// Median.
     pub(crate) p50_ns: f64,
-    /// 90th percentile.
     pub(crate) p90_ns: f64,
-    /// 99th percentile.
     pub(crate) p99_ns: f64,
-    /// 99.9th percentile.
     pub(crate) p99_9_ns: f64,
-    /// Largest.
     pub(crate) max_ns: f64,
-    /// Number of times measured.
     pub(crate) samples: u64,
-    /// Median over the floor's median; `None` without a floor in this group.
+    /// Over the same percentile of the floor; `None` without a floor in this group.
     pub(crate) ratio_to_floor_p50: Option<f64>,
-    /// 99.9th percentile over the floor's.
     pub(crate) ratio_to_floor_p99_9: Option<f64>,
-    /// There and back, where the case is a ping-pong.
     pub(crate) round_trip: Option<RoundTrip>,
     /// CPU time of all ends per message, where it means something.
     pub(crate) cpu_ns_per_message: Option<f64>,
@@ -91,18 +73,14 @@ pub(crate) struct Row {
     pub(crate) batch_steal_ms: Vec<f64>,
     /// Points (quantile, ns) of the distribution, up to the last nines that the samples carry.
     pub(crate) curve: Vec<(f64, f64)>,
-    /// Further facts by name.
     pub(crate) facts: BTreeMap<String, f64>,
 }
 
 /// Percentiles of the way there and back.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RoundTrip {
-    /// Median.
     pub(crate) p50_ns: f64,
-    /// 99th percentile.
     pub(crate) p99_ns: f64,
-    /// 99.9th percentile.
     pub(crate) p99_9_ns: f64,
 }
 
@@ -116,6 +94,14 @@ impl Row {
     /// Whether the others of the group are compared with this one.
     pub(crate) fn is_floor(&self) -> bool {
         self.case() == "floor"
+    }
+
+    /// Whether the floor's 99.9th percentile is more than ten times its median. It is then that of
+    /// stalls, no longer of the bare mechanism, and the ratio at 99.9 % compares how many came.
+    /// The curves rise by powers of ten there: a few stalls more or less make it 3 or 0.3.
+    pub(crate) fn has_stalled_floor(&self) -> bool {
+        let ratios = self.ratio_to_floor_p50.zip(self.ratio_to_floor_p99_9);
+        ratios.is_some_and(|(p50, p99_9)| self.p99_9_ns / p99_9 > 10.0 * self.p50_ns / p50)
     }
 }
 

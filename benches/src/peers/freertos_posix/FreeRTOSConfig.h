@@ -1,35 +1,24 @@
 /* The peer's configuration: what decides the times is as in rtos/kernel/FreeRTOSConfig.h; what the
- * measurement does not use is left out. */
+ * measurement does not use is left out. What is not named is as the kernel has it by default. */
 #ifndef FREERTOS_CONFIG_H
 #define FREERTOS_CONFIG_H
 
 #define configUSE_PREEMPTION                       1
-#define configUSE_TIME_SLICING                     1
 #define configTICK_RATE_HZ                         1000
 #define configTICK_TYPE_WIDTH_IN_BITS              TICK_TYPE_WIDTH_64_BITS
 #define configMAX_PRIORITIES                       32
-#define configUSE_PORT_OPTIMISED_TASK_SELECTION    0
 #define configMINIMAL_STACK_SIZE                   8192
-#define configMAX_TASK_NAME_LEN                    16
 #define configUSE_IDLE_HOOK                        1
 #define configUSE_TICK_HOOK                        1
 #define configUSE_MUTEXES                          1
-#define configUSE_TASK_NOTIFICATIONS               1
-#define configUSE_TIMERS                           0
 #define configUSE_EVENT_GROUPS                     0
 #define configUSE_STREAM_BUFFERS                   0
-#define configUSE_CO_ROUTINES                      0
 #define configSUPPORT_STATIC_ALLOCATION            0
 #define configSUPPORT_DYNAMIC_ALLOCATION           1
-#define configCHECK_FOR_STACK_OVERFLOW             0
-#define configUSE_MALLOC_FAILED_HOOK               0
-#define configUSE_TRACE_FACILITY                   0
-#define configGENERATE_RUN_TIME_STATS              0
 
 #define INCLUDE_vTaskDelay                         1
 #define INCLUDE_xTaskDelayUntil                    1
 #define INCLUDE_vTaskSuspend                       1
-#define INCLUDE_xTaskGetCurrentTaskHandle          1
 #define INCLUDE_xTaskGetSchedulerState             1
 
 #endif

@@ -16,9 +16,9 @@ use tandem_record::{RunLog, start};
 use crate::args::{ThesisArgs, ThesisBoard};
 use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};
-use two_cores::{Counted, Exchange};
 use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
+use two_cores::{Counted, Exchange};
 
 /// The figures of the thesis, and the limits here.
 const SYNC_NS: f64 = 660.0;

@@ -122,7 +122,7 @@ pub(super) struct Counted {
 
 impl Counted {
     /// Increments that are not in the counter.
-        pub(super) const fn lost(&self) -> u32 {
+    pub(super) const fn lost(&self) -> u32 {
         self.increments - self.counter
     }
 }
