@@ -24,7 +24,8 @@ pub(crate) struct Column {
 /// Rank of what only the page shows.
 pub(crate) const PAGE: u8 = 5;
 const TAIL_RATIO: &str = "x p99.9";
-/// A percentile with fewer samples than this beyond it rests on chance.
+/// A percentile with fewer samples than this beyond it rests on chance; so does a ratio of tails
+/// after fewer turns.
 const FEW: f64 = 10.0;
 
 /// In the order of showing: head, meaning, rank, share beyond, figure.
@@ -75,9 +76,12 @@ impl Column {
         }
     }
 
-    /// Whether the figure of this row rests on a handful of samples, or on the machine's stalls.
+    /// Whether the figure of this row rests on a handful of samples, or a ratio of tails on a few
+    /// turns, which stalls hit as a whole, or on a stalled floor.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
-        is_chance(self.beyond, row) || (self.head == TAIL_RATIO && row.has_stalled_floor())
+        let few_turns = (row.batch_p50_ns.len() as f64) < FEW;
+        is_chance(self.beyond, row)
+            || (self.head == TAIL_RATIO && (few_turns || row.has_stalled_floor()))
     }
 }
 

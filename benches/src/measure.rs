@@ -186,7 +186,6 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cases;
 
     #[test]
     fn each_turn_has_an_order_of_its_own() {
@@ -206,21 +205,5 @@ mod tests {
         for span in [Span::of_seconds(1), QUICK, FULL] {
             assert!(!span.is_over(0, hour) && span.is_over(1, hour));
         }
-    }
-
-    #[test]
-    fn a_measurement_keeps_all_samples_and_each_batch() {
-        let mut measurement = Measurement::new(cases::all().next().unwrap());
-        for k in 1..=3 {
-            let batch = Batch {
-                samples_ps: (1..=100).rev().map(|sample| k * sample * 1000).collect(),
-                facts: vec![("k", k as f64)],
-                ..Batch::default()
-            };
-            measurement.add(batch, 10.0);
-        }
-        assert_eq!(measurement.times.len(), 300);
-        assert_eq!(measurement.p50_ps, [51_000, 102_000, 153_000]);
-        assert_eq!(measurement.batches[1].facts, [("k", 2.0)]);
     }
 }

@@ -1,13 +1,7 @@
-//! Messages at a fixed rate, and the mistake that a ping-pong makes.
-//!
-//! A ping-pong sends the next message when the last one was answered: it is a *closed loop*. When
-//! the machine stalls for 10 ms, the sender stalls with it, and of the hundred messages that a real
-//! sender would have sent in that time (100 us apart) the ping-pong sees one. G. Tene calls that
-//! *coordinated omission* ("How NOT to measure latency", 2013).
-//!
-//! Here the sender follows a timetable that nothing shifts (an *open loop*). Message `k` is due at
-//! `begin + k * period`, and its latency counts **from when it was due**. The same messages counted
-//! from when they really left are reported as `naive`.
+//! Messages at a fixed rate: an *open loop*, which no stall of the machine slows down. Message `k`
+//! is due at `begin + k * period`, and its latency counts from when it was due; the same counted
+//! from when it left is `naive`. The mistake that a ping-pong makes is G. Tene's *coordinated
+//! omission* ("How NOT to measure latency", 2013): docs/performance.md.
 //!
 //! What is sent may be overtaken by something newer (a signal, a newest value): a message counts as
 //! arrived when it or a newer one has.

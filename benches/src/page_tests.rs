@@ -79,6 +79,8 @@ fn a_percentile_that_rests_on_chance_is_marked() {
     assert_eq!(page(&run).matches("num rare").count(), 3);
     run.results[1].p99_9_ns *= 0.98;
     assert_eq!(page(&run).matches("num rare").count(), 2);
+    run.results[1].batch_p50_ns.truncate(9);
+    assert_eq!(page(&run).matches("num rare").count(), 3);
 }
 
 #[test]

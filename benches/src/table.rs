@@ -56,8 +56,8 @@ impl Results {
         }
         text += &self.noise_in_words();
         text += "x: times the floor, the bare mechanism of the same run. And back: both ways.\n";
-        text += "(in brackets): fewer than ten samples lie beyond this percentile. x p99.9: or the floor's \
-                 own is a stall.\n";
+        text += "(in brackets): fewer than ten samples lie beyond this percentile. x p99.9: or fewer than \
+                 ten\nturns were measured, or the floor's p99.9 is a stall, more than ten times its median.\n";
         text
     }
 
