@@ -76,7 +76,7 @@ const END: u64 = 2;
 
 /// Identifiers on the bus.
 const CONTROL: [u16; 2] = [0x0A0, 0x0A1];
-const SENSORS: std::ops::Range<u16> = 0x200..0x280;
+const LISTS: std::ops::Range<u16> = 0x200..0x260;
 
 fn events(trace: &[u8]) -> Vec<Moment> {
     let (mut names, mut threads) = (HashMap::new(), HashMap::new());
@@ -104,16 +104,27 @@ fn events(trace: &[u8]) -> Vec<Moment> {
     events
 }
 
+/// How long a list waited for the bus, ms, by the sensor's time in its header: after a stall of the
+/// machine the vehicle sends at once what was due in it. The sensors' clock is the machine's, in µs.
+fn waited_ms(at_ms: f64, header: &str) -> f64 {
+    let measured_us = u32::from_str_radix(&header[8..16], 16)
+        .unwrap()
+        .swap_bytes();
+    let at_us = (at_ms * 1e3).round() as u64 as u32;
+    // Negative if the log has rounded the time down.
+    f64::from(at_us.wrapping_sub(measured_us) as i32) * 1e-3
+}
+
 /// Age in ms of the oldest object list behind each obeyed control frame, by the trace and the log
 /// of the bus alone: the age that a frame carries is not read. Sorted.
 fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
-    let frames: Vec<(f64, u16)> = candump
+    let frames: Vec<(f64, u16, &str)> = candump
         .lines()
         .map(|line| {
             let (time, frame) = line.split_once(") can0 ").unwrap();
-            let id = frame.split_once('#').unwrap().0;
+            let (id, data) = frame.split_once("##1").unwrap();
             let seconds: f64 = time[1..].parse().unwrap();
-            (seconds * 1e3, u16::from_str_radix(id, 16).unwrap())
+            (seconds * 1e3, u16::from_str_radix(id, 16).unwrap(), data)
         })
         .collect();
     let obeyed = |e: &&Moment| e.name.ends_with(" obeyed");
@@ -121,16 +132,17 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
     // The log has the time of day, the trace that of the machine.
     let first_control = frames
         .iter()
-        .find(|(_, id)| CONTROL.contains(id))
+        .find(|(_, id, _)| CONTROL.contains(id))
         .unwrap()
         .0;
     let shift = ms(events.iter().find(obeyed).unwrap()) - first_control;
-    // Of each sensor, its lists: when its first frame was on the bus, and when its last.
+    // Of each sensor, its lists: when it measured, and when the last frame was on the bus.
     let mut lists: HashMap<u16, Vec<(f64, f64)>> = HashMap::new();
-    for (at, id) in frames.into_iter().filter(|(_, id)| SENSORS.contains(id)) {
+    let of_lists = frames.into_iter().filter(|(_, id, _)| LISTS.contains(id));
+    for (at, id, data) in of_lists {
         let lists = lists.entry(id >> 4).or_default();
         if id & 0xF == 0 {
-            lists.push((at + shift, at + shift));
+            lists.push((at + shift - waited_ms(at + shift, data), at + shift));
         } else if let Some(last) = lists.last_mut() {
             last.1 = at + shift;
         }
