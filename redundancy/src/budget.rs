@@ -14,6 +14,7 @@ const GOAL: Duration = CONTROL_PERIOD.times(2);
 const STANDBY_LIMIT: Duration = Duration::from_ms(8);
 /// No order of switching on, and no takeover, may depend on less than this.
 const STAGGER: Duration = Duration::from_ms(20);
+const REPORT_LIMIT: Duration = Duration::from_ms(100);
 const SYNC_STAGGER: Duration = Duration::from_ms(5);
 /// How long after its start a running chain of cores 1 and 2 sends its first handshake.
 const AFTER_BOOT: Duration = Duration::from_ms(500);
@@ -99,22 +100,53 @@ impl Budget {
         Duration::from_ns(rest - self.poll_interval.as_ns())
     }
 
+    /// Why no limits fit, if none do.
+    const fn impossible(&self) -> Option<&'static str> {
+        let (polls, beats) = (self.poll_interval.as_ns(), self.heartbeat_period.as_ns());
+        let needed = beats * 2 + self.lateness.as_ns() + polls + MS.as_ns();
+        if polls > beats {
+            Some("a budget's polls must not be rarer than its heartbeats")
+        } else if needed > GOAL.as_ns() - CONTROL_PERIOD.as_ns() {
+            Some("two heartbeats, their lateness, a poll and 1 ms must fit in a control period")
+        } else {
+            None
+        }
+    }
+
+    const fn refuse_impossible(&self) {
+        if let Some(why) = self.impossible() {
+            panic!("{}", why);
+        }
+    }
+
     /// The longest stall of the master that does not count as its death. A longer one only costs an
     /// unnecessary takeover.
+    ///
+    /// # Panics
+    /// As [`Budget::config`].
     #[must_use]
     pub const fn tolerated_stall(&self) -> Duration {
+        self.refuse_impossible();
         let used = self.silence_needed().as_ns() - self.stall.as_ns();
         let permitted = Duration::from_ns(self.silence_permitted().as_ns() - used);
         shorter(permitted, self.stall)
     }
 
-    /// The limits that follow.
+    /// The limits that follow. [`Config::check`] accepts them.
+    ///
+    /// # Panics
+    /// If no limits fit: polls are rarer than heartbeats, or even without a stall a takeover on
+    /// silence takes longer than two control periods. A constant is refused by the compiler.
     #[must_use]
     pub const fn config(self) -> Config {
+        self.refuse_impossible();
         let silence = shorter(self.silence_needed(), self.silence_permitted());
-        // Lateness and a short stall are not a missing heartbeat: the rest is a number of them.
+        // Lateness and a short stall are not a missing heartbeat: the rest is a number of them, at
+        // least two.
         let jitter = Duration::from_ns(self.lateness.as_ns() + shorter(self.stall, MS).as_ns());
-        let misses = (silence.as_ns() - jitter.as_ns()) / self.heartbeat_period.as_ns();
+        let beyond_two = Duration::from_ns(silence.as_ns() - self.heartbeat_period.as_ns() * 2);
+        let beats = silence.as_ns() - shorter(jitter, beyond_two).as_ns();
+        let misses = beats / self.heartbeat_period.as_ns();
         let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
 
         // A control frame is late by the bus and the poll, 1 ms together, and by the stall. The
@@ -129,6 +161,7 @@ impl Budget {
         let tens = (heard + self.stall.as_ns()).div_ceil(10 * MS.as_ns());
         let stagger = longer(STAGGER, Duration::from_ms(10 * tens));
         let quarter = Duration::from_ms(stagger.as_us() / 4_000);
+        let link_silence = self.report_period.as_ns() * misses + jitter.as_ns();
 
         Config {
             heartbeat_period: self.heartbeat_period,
@@ -136,7 +169,7 @@ impl Budget {
             heartbeat_jitter: jitter,
             poll_interval: self.poll_interval,
             standby_limit: longer(
-                STANDBY_LIMIT,
+                longer(STANDBY_LIMIT, silence),
                 Duration::from_ns(self.heartbeat_period.as_ns() * 2 + self.stall.as_ns()),
             ),
             control_period: CONTROL_PERIOD,
@@ -148,7 +181,8 @@ impl Budget {
             // line shows at once a system without power.
             start_limit: Duration::from_ns(self.boot_limit.as_ns() + AFTER_BOOT.as_ns()),
             stagger,
-            sync_stagger: longer(SYNC_STAGGER, quarter),
+            // In this time the other system polls at least three times.
+            sync_stagger: longer(longer(SYNC_STAGGER, quarter), self.poll_interval.times(4)),
             promote_limit: stagger,
             recover_after: Duration::from_ms(1000),
             reintegrate: false,
@@ -159,7 +193,11 @@ impl Budget {
             // failed attempt doubles it: a loose connector gets seconds to recover.
             can_open_limit: Duration::from_ms(250),
             report_period: self.report_period,
-            report_limit: Duration::from_ms(100),
+            // Valid until the link counts as silent.
+            report_limit: longer(
+                REPORT_LIMIT,
+                Duration::from_ns(link_silence + self.report_period.as_ns()),
+            ),
             // Status frames arrive every 100 ms, so two may be lost in a row.
             status_limit: Duration::from_ms(350),
             // Ten control periods: by then the cause of the change has ended, or the vehicle
@@ -211,11 +249,11 @@ mod tests {
     /// periods, and no limit is shorter than the machine needs unless the goal demands it.
     #[test]
     fn every_measured_stall_gives_limits_that_fit() {
-        let rare_polls = Budget {
-            poll_interval: Duration::from_us(1_250),
+        let polls = |us| Budget {
+            poll_interval: Duration::from_us(us),
             ..Budget::DESKTOP
         };
-        for base in ALL.into_iter().chain([rare_polls]) {
+        for base in ALL.into_iter().chain([polls(1_250), polls(2_000)]) {
             let mut last = Duration::ZERO;
             for us in (0..200_000).step_by(130) {
                 let budget = base.measured(Duration::from_us(us));
@@ -244,10 +282,49 @@ mod tests {
                 let stagger = tens.into_iter().find(|it| *it >= need.max(STAGGER));
                 assert_eq!(Some(config.stagger), stagger, "{us} us");
                 assert_eq!(config.promote_limit, config.stagger);
-                let quarter = config.sync_stagger.times(4);
-                assert!(quarter <= config.stagger && config.stagger < quarter + MS.times(4));
+                let quarter = Duration::from_ms(config.stagger.as_us() / 4_000);
+                assert_eq!(config.sync_stagger, quarter.max(polls.times(4)));
             }
         }
+    }
+
+    /// Each budget by hand gives limits that fit together, or is impossible.
+    #[test]
+    fn a_possible_budget_gives_limits_that_fit() {
+        let quarters = |n: u64| Duration::from_us(250 * n);
+        let mut fitting = 0;
+        for (beats, polls) in (1..16).flat_map(|beats| (1..16).map(move |polls| (beats, polls))) {
+            for (lateness, reports, stall_ms) in [(1, 4, 0), (4, 40, 6), (4, 40, 50), (12, 4, 1)] {
+                let budget = Budget {
+                    heartbeat_period: quarters(beats),
+                    poll_interval: quarters(polls),
+                    lateness: quarters(lateness),
+                    report_period: quarters(reports),
+                    stall: Duration::from_ms(stall_ms),
+                    ..Budget::RT
+                };
+                let possible = polls <= beats && 2 * beats + lateness + polls + 4 <= 40;
+                assert_eq!(budget.impossible().is_none(), possible, "{budget:?}");
+                if possible {
+                    let config = budget.config();
+                    assert!(config.check(), "{budget:?}: {config:?}");
+                    assert!(budget.tolerated_stall() <= budget.stall, "{budget:?}");
+                    fitting += 1;
+                }
+            }
+        }
+        assert!(fitting > 100, "{fitting}");
+    }
+
+    #[test]
+    #[should_panic(expected = "polls must not be rarer than its heartbeats")]
+    fn a_budget_whose_polls_are_rarer_than_heartbeats_is_refused() {
+        let rare_polls = Duration::from_ms(2);
+        let _ = Budget {
+            poll_interval: rare_polls,
+            ..Budget::RT
+        }
+        .config();
     }
 
     #[test]
