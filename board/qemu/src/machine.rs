@@ -1,14 +1,14 @@
 //! One emulator process, and the two pipes to its emulated peripherals.
 
 use std::fs::File;
-use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{self, PipeReader, PipeWriter, Read as _, Seek as _, SeekFrom, Write as _, pipe};
+use std::os::unix::fs::symlink;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, poll};
-use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat, open};
 use tandem_board::SystemId;
 use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
@@ -78,8 +78,8 @@ pub struct Options {
 #[derive(Debug)]
 pub struct Machine {
     child: Child,
-    from: File,
-    to: File,
+    from: PipeReader,
+    to: PipeWriter,
     /// Errors of the emulator, and the firmware's log.
     logs: [File; 2],
     /// Kept until the emulator has opened all files in it, so that none is left behind in any case.
@@ -103,7 +103,14 @@ impl Machine {
             .prefix("tandem-qemu-")
             .tempdir()
             .map_err(MachineError::Pipes)?;
-        let (from, to) = pipes(folder.path()).map_err(|error| MachineError::Pipes(error.into()))?;
+        // The firmware opens them as files. They have no name that outlives the world: a machine
+        // whose world has ended, even before the machine opened them, sees the end of its pipe.
+        let (from, to_world) = pipe().map_err(MachineError::Pipes)?;
+        let (from_world, to) = pipe().map_err(MachineError::Pipes)?;
+        for (name, place) in [("from-world", 0), ("to-world", 1)] {
+            symlink(format!("/proc/self/fd/{place}"), folder.path().join(name))
+                .map_err(MachineError::Pipes)?;
+        }
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
         let mut command = Command::new(QEMU);
         command
@@ -145,8 +152,8 @@ impl Machine {
         let child = command
             // The run itself handles Ctrl-C at a terminal.
             .process_group(0)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
+            .stdin(from_world)
+            .stdout(to_world)
             .stderr(errors)
             .spawn()
             .map_err(MachineError::Start)?;
@@ -239,15 +246,8 @@ impl Machine {
         while filled < bytes.len() {
             self.await_bytes(begin)?;
             match self.from.read(&mut bytes[filled..]) {
-                // No writer: the emulator has not opened the pipe yet, or has ended.
-                Ok(0) => {
-                    if self.has_ended() {
-                        return Err(self.ended());
-                    }
-                    std::thread::sleep(Duration::from_millis(1));
-                }
+                Ok(0) => return Err(self.ended()),
                 Ok(count) => filled += count,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(MachineError::Pipes(error)),
             }
@@ -316,19 +316,4 @@ impl Drop for Machine {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// Makes the two pipes and opens this side of them: the reading end so that it does not wait for a
-/// writer, the writing end so that a machine's death raises no signal here.
-fn pipes(folder: &Path) -> rustix::io::Result<(File, File)> {
-    let mode = Mode::RUSR | Mode::WUSR;
-    let paths = ["to-world", "from-world"].map(|name| folder.join(name));
-    for path in &paths {
-        mknodat(CWD, path, FileType::Fifo, mode, 0)?;
-    }
-    // Not inherited by the emulators: a machine whose world has ended must see the end of its pipe.
-    let flags = OFlags::CLOEXEC;
-    let from = open(&paths[0], flags | OFlags::RDONLY | OFlags::NONBLOCK, mode)?;
-    let to = open(&paths[1], flags | OFlags::RDWR, mode)?;
-    Ok((from.into(), to.into()))
 }

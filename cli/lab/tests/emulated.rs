@@ -116,30 +116,32 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
     );
 }
 
-/// Killing the world leaves no emulator behind.
+/// Killing the world leaves no emulator behind, also while the firmware has not yet begun.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn emulators_end_when_the_run_is_killed() {
-    let folder = tempfile::tempdir().unwrap();
-    let arguments = ["--board", "qemu", "--duration", "60"];
-    let mut run = tandem(&arguments, &folder.path().join("report"))
-        .spawn()
-        .unwrap();
-    let said = BufReader::new(run.stderr.take().unwrap()).lines();
-    let pid = |line: String| line.rsplit_once(' ').unwrap().1.parse::<u32>().unwrap();
-    let pids: Vec<u32> = said.take(2).map(|line| pid(line.unwrap())).collect();
-    std::thread::sleep(Duration::from_secs(1));
-    let running = |pid: &u32| {
-        let state = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-        state.contains("(qemu") && !state.contains(") Z ")
-    };
-    assert!(pids.iter().all(running), "{pids:?}");
-    run.kill().unwrap();
-    run.wait().unwrap();
-    let begin = Instant::now();
-    while pids.iter().any(running) {
-        assert!(begin.elapsed() < WATCHDOG, "{pids:?} run on");
-        std::thread::sleep(Duration::from_millis(20));
+    for after_ms in [0, 1_000] {
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = ["--board", "qemu", "--duration", "60"];
+        let mut run = tandem(&arguments, &folder.path().join("report"))
+            .spawn()
+            .unwrap();
+        let said = BufReader::new(run.stderr.take().unwrap()).lines();
+        let pid = |line: String| line.rsplit_once(' ').unwrap().1.parse::<u32>().unwrap();
+        let pids: Vec<u32> = said.take(2).map(|line| pid(line.unwrap())).collect();
+        std::thread::sleep(Duration::from_millis(after_ms));
+        let running = |pid: &u32| {
+            let state = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+            state.contains("(qemu") && !state.contains(") Z ")
+        };
+        assert!(pids.iter().all(running), "{pids:?}");
+        run.kill().unwrap();
+        run.wait().unwrap();
+        let begin = Instant::now();
+        while pids.iter().any(running) {
+            assert!(begin.elapsed() < WATCHDOG, "{pids:?} run on");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 }
 
