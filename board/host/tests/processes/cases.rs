@@ -7,7 +7,7 @@ use std::time::{Duration as Span, Instant as Clock};
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, DataFlash, Edge, FlashStatus, Instant, Line, Lines, Link,
-    RoleLamp, Supply, SystemId, VehicleBus, VehiclePort, Wake,
+    RoleLamp, Supply, SystemId, VehicleBus, VehiclePort, Wake, watchdog_answer,
 };
 use tandem_board_conformance::{self as suite, Handler};
 use tandem_board_host::{HostBoard, Wire};
@@ -175,13 +175,17 @@ fn interrupted(board: &HostBoard) {
 fn undisturbed(script: &mut Script) {
     for system in SystemId::ALL {
         let [_, runs, rounds, _] = script.await_trace(system, PERCEPTION, DONE);
+        assert!(script.was_never_blamed(system), "{system}");
+        let incarnations = script.generation(system, PERCEPTION).0 as usize;
         for (code, expected) in [
             (Handler::TRACE_CODE, runs),
             (Handler::TASK_TRACE_CODE, rounds),
         ] {
             let of_code = script.take_traced(system, PERCEPTION, code);
             let numbers: Vec<u32> = of_code.iter().map(|record| record[1]).collect();
-            assert!(numbers.is_sorted_by(|a, b| a < b), "{system} {code:#x}");
+            // Each incarnation counts from the start.
+            let in_order = numbers.chunk_by(|a, b| a < b).count();
+            assert!(in_order <= incarnations, "{system} {code:#x}: {numbers:?}");
             let lost = script.lost as usize;
             assert!(
                 numbers.len() + lost >= expected as usize,
@@ -469,8 +473,13 @@ fn chatter(board: &HostBoard) {
             board.trace([1, n, 0, 0]);
         }
         board.supply().show_role(RoleLamp::Standby);
+        loop {
+            let question = board.supply().watchdog_question();
+            board.supply().service_watchdog(watchdog_answer(question));
+            std::thread::sleep(Span::from_millis(10));
+        }
     }
-    live(board);
+    idle(board);
 }
 
 fn overheard(script: &mut Script) {

@@ -6,12 +6,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use tandem_board::{Board, CoreId, Generation, SystemId, Traced, VehicleBus, VehiclePort};
+use tandem_board::{
+    Board, CoreId, Generation, SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
+};
 use tandem_board_host::{
     HostBoard, HostVehiclePort, ProcessArgs, RunName, clock, processes, supply,
 };
+use tandem_peripherals::watchdog::Window;
 
 use crate::launcher::{self, again, start_launcher};
+
+const CONTROL: CoreId = CoreId::CONTROL;
 
 /// How long anything may take before it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
@@ -19,6 +24,8 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 /// First trace record of every core in the case of that name: whether it was granted real-time
 /// priority.
 pub(crate) const GRANTED: u32 = 1_000;
+/// Trace record of a core 0 just before it services the watchdog.
+const SERVES: u32 = 1_001;
 
 /// One case: the work of every core, and the script.
 #[derive(Clone, Copy)]
@@ -36,6 +43,8 @@ pub(crate) struct Script {
     pub(crate) folder: OsString,
     /// Trace records that no test has waited for yet.
     traced: Vec<Traced>,
+    /// The resets by the supplies.
+    resets: Vec<(tandem_board::Instant, SystemId)>,
     /// Records that the cores could not write, as counted by [`Script::await_trace`].
     pub(crate) lost: u32,
 }
@@ -115,6 +124,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                         case: name,
                         folder: args.common.extra[1].clone(),
                         traced: vec![],
+                        resets: vec![],
                         lost: 0,
                     };
                     script.port.set_ignition(true);
@@ -156,9 +166,7 @@ impl Script {
     pub(crate) fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
         let is_it = |t: &Traced| t.system == system && t.core == core && t.record[0] == code;
         self.until(&format!("{system}{core} says {code}"), |script| {
-            script.lost += script
-                .port
-                .drain_trace(&mut |traced| script.traced.push(traced));
+            script.drain();
             script.traced.iter().any(is_it)
         });
         let at = self.traced.iter().position(is_it).expect("just found");
@@ -189,6 +197,35 @@ impl Script {
             script.pid(system, core) != 0
         });
         signal(self.pid(system, core), what);
+    }
+
+    /// Whether the system was never reset, or only when its core 0 was held up for so long that the
+    /// watchdog had to: the machine had taken its CPU.
+    pub(crate) fn was_never_blamed(&mut self, system: SystemId) -> bool {
+        self.drain();
+        let serves = |t: &&Traced| (t.system, t.core, t.record[0]) == (system, CONTROL, SERVES);
+        let closes = tandem_board::Duration::from_us(Window::DESKTOP.closes_us.into());
+        let was_held_up = |reset: tandem_board::Instant| {
+            let before = self.traced.iter().filter(serves).map(|t| t.at);
+            let last = before.filter(|at| *at < reset).max();
+            last.is_some_and(|last| reset.since(last) >= closes)
+        };
+        let resets = self.resets.iter().filter(|(_, of)| *of == system);
+        let excused: Vec<bool> = resets.map(|(at, _)| was_held_up(*at)).collect();
+        let incarnations = self.generation(system, CONTROL).0 as usize;
+        excused.len() + 1 == incarnations && !excused.contains(&false)
+    }
+
+    /// Takes what cores and supplies have written.
+    fn drain(&mut self) {
+        self.lost += self
+            .port
+            .drain_trace(&mut |traced| self.traced.push(traced));
+        self.port.drain_supplies(&mut |at, of, event| {
+            if matches!(event, SupplyEvent::Reset(_)) {
+                self.resets.push((at, of));
+            }
+        });
     }
 
     pub(crate) fn generation(&self, system: SystemId, core: CoreId) -> Generation {
@@ -233,14 +270,20 @@ pub(crate) fn idle(board: &HostBoard) {
 
 /// Services the watchdog correctly, until killed.
 pub(crate) fn serve(board: &HostBoard) {
-    use tandem_board::Supply;
     loop {
-        let question = board.supply().watchdog_question();
-        board
-            .supply()
-            .service_watchdog(tandem_board::watchdog_answer(question));
+        service(board);
         clock::sleep_until(board.now() + tandem_board::Duration::from_ms(10));
     }
+}
+
+/// Services the watchdog once, correctly.
+pub(crate) fn service(board: &HostBoard) {
+    use tandem_board::Supply;
+    board.trace([SERVES, 0, 0, 0]);
+    let question = board.supply().watchdog_question();
+    board
+        .supply()
+        .service_watchdog(tandem_board::watchdog_answer(question));
 }
 
 /// Core 0 services the watchdog, the others sleep.
