@@ -104,8 +104,8 @@ fn events(trace: &[u8]) -> Vec<Moment> {
     events
 }
 
-/// How long a list waited for the bus, ms, by the sensor's time in its header: after a stall of the
-/// machine the vehicle sends at once what was due in it. The sensors' clock is the machine's, in µs.
+/// How long a list waited for the bus, ms, by the sensor's time in its header: after a stall the
+/// vehicle sends at once what was due in it. The sensors' clock is the machine's, in µs.
 fn waited_ms(at_ms: f64, header: &str) -> f64 {
     let measured_us = u32::from_str_radix(&header[8..16], 16)
         .unwrap()
