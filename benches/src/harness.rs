@@ -282,15 +282,45 @@ fn there_and_back(plan: &Plan, shared: &Shared) -> Batch {
 /// Sends of each kind whose system calls are counted, after the timed rounds.
 const COUNTED: u32 = 4;
 
+/// A waiting far end that has run for this long does not go to sleep, ns.
+const STAYS_AWAKE_NS: u64 = 1_000_000;
+
+/// Waits until this process, which waits for a message, sleeps or has shown that it does not. Its
+/// own time counts: the machine may keep it from running.
+fn let_wait(pid: u32) {
+    let read = |name| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap_or_default();
+    // proc(5): the state follows the name in brackets; the first number is the time on a CPU, ns.
+    let is_running = || {
+        read("stat")
+            .rsplit_once(") ")
+            .is_some_and(|it| it.1.starts_with('R'))
+    };
+    let ran_ns = || -> Option<u64> { read("schedstat").split(' ').next()?.parse().ok() };
+    let begin_ns = ran_ns();
+    loop {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        let so_far_ns = ran_ns().zip(begin_ns).map(|(now, begin)| now - begin);
+        if !is_running() || so_far_ns.is_none_or(|ns| ns >= STAYS_AWAKE_NS) {
+            return;
+        }
+    }
+}
+
 /// Counts the system calls of sends to a far end that waits as it does in the timed rounds, then of
 /// sends to one that is awake and busy with something else.
 fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
+    let flag = &role.shared.flag;
+    // Acquire pairs with the Release in `be_counted`.
+    while flag.load(Ordering::Acquire) == 0 {
+        give_way();
+    }
+    let far = flag.swap(0, Ordering::AcqRel);
     for awake in [false, true] {
         let mut calls = Some(0);
         for round in 0..=COUNTED {
             if !awake {
                 // It has sent its answer; now it may go to sleep.
-                std::thread::sleep(std::time::Duration::from_millis(1));
+                let_wait(far);
             }
             if round == 0 {
                 // It may have to open what it rings.
@@ -312,6 +342,10 @@ fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
 
 /// The far end of [`count_calls`].
 fn be_counted(end: &mut impl End, role: &Role<'_>) {
+    // Release pairs with the Acquire in `count_calls`.
+    role.shared
+        .flag
+        .store(std::process::id(), Ordering::Release);
     for awake in [false, true] {
         for round in 0..=COUNTED {
             while awake && role.shared.flag.load(Ordering::Acquire) != round + 1 {
