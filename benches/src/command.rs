@@ -7,7 +7,7 @@ use crate::measure::{self, Measurement};
 use crate::page;
 use crate::result::Results;
 use crate::{table, worker};
-use anyhow::{Context as _, anyhow};
+use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -221,16 +221,14 @@ fn ends(asked: &[usize]) -> anyhow::Result<[usize; 2]> {
     let usable: Vec<usize> = usable.iter().map(|cpu| cpu.id).collect();
     match (asked, &usable[..]) {
         ([], [near, far, ..]) => Ok([*near, *far]),
-        ([], _) => Err(anyhow!(
-            "the benchmark needs two CPUs, and this process may use {}",
-            usable.len()
-        )),
         ([near, far], _) if near != far && asked.iter().all(|cpu| usable.contains(cpu)) => {
             Ok([*near, *far])
         }
-        _ => Err(anyhow!(
-            "--cpus: name two of the CPUs that this process may use: {usable:?}"
-        )),
+        ([], _) => bail!(
+            "the benchmark needs two CPUs, and this process may use {}",
+            usable.len()
+        ),
+        _ => bail!("--cpus: name two of the CPUs that this process may use: {usable:?}"),
     }
 }
 
@@ -240,10 +238,9 @@ fn nothing(results: &Results) -> Failure {
         return Failure { status: 130, why };
     }
     let skipped = results.skipped.iter();
-    let why: Vec<String> = skipped
-        .map(|case| format!("{}: {}", case.name, case.why))
-        .collect();
-    anyhow!("nothing could be measured: {}", why.join("; ")).into()
+    let why = skipped.map(|case| format!("{}: {}", case.name, case.why));
+    let why = why.collect::<Vec<String>>().join("; ");
+    anyhow!("nothing could be measured: {why}").into()
 }
 
 fn measure(
@@ -288,8 +285,7 @@ fn compare(args: &CompareArgs) -> Result<Outcome, Failure> {
     let file = args.json.as_deref();
     let to_stdout = file.is_some_and(|path| path.as_os_str() == "-");
     let file = file.filter(|_| !to_stdout);
-    let place = file.map(|path| OutputFile::check("--json", path));
-    let place = place.transpose().map_err(usage)?;
+    let [place] = OutputFile::check_all([("--json", file)]).map_err(usage)?;
     let this = std::env::current_exe().context("cannot run /proc/self/exe");
     let programs = [&args.against, &this.map_err(usage)?];
     let groups = args.groups.iter().map(|group| group.name());
@@ -300,15 +296,12 @@ fn compare(args: &CompareArgs) -> Result<Outcome, Failure> {
     for pair in 0..args.pairs {
         bar.set_position((f64::from(pair) / f64::from(args.pairs) * STEPS) as u64);
         bar.set_message(format!("pair {} of {}", pair + 1, args.pairs));
-        // Neither build is always the first.
         let run = |at: usize| compare::figures_of(programs[at], &options).map_err(usage);
-        pairs.push(if pair % 2 == 0 {
-            let old = run(0)?;
-            [old, run(1)?]
-        } else {
-            let new = run(1)?;
-            [run(0)?, new]
-        });
+        // Neither build is always the first.
+        let first = usize::from(pair % 2);
+        let mut runs = [run(first)?, run(1 - first)?];
+        runs.rotate_left(first);
+        pairs.push(runs);
     }
     bar.finish_and_clear();
     let comparison = compare::compare(&pairs).map_err(usage)?;

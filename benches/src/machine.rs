@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
+use tandem_board_host::realtime::cpus;
 
 /// The dependencies of this build, by the lock file that it was built with.
 const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.lock"));
@@ -53,7 +54,7 @@ impl Machine {
         let build = ["release", "debug"][usize::from(cfg!(debug_assertions))];
         Self {
             cpu: field(&info, "model name").unwrap_or("unknown").to_owned(),
-            cpus: core_affinity::get_core_ids().map_or(1, |ids| ids.len()),
+            cpus: cpus(),
             pinned_to: pinned_to.to_vec(),
             kernel: read("/proc/sys/kernel/osrelease").trim().to_owned(),
             build: build.to_owned(),
