@@ -1,7 +1,7 @@
 //! Instructions of the primitives on the host, counted by valgrind and compared with a committed
 //! table: an exact gate, which no load of the machine moves.
 
-use crate::{cargo, target_dir};
+use crate::example;
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 use std::fs;
@@ -10,7 +10,7 @@ use std::process::Command;
 
 const TABLE: &str = "shm/instructions.json";
 const PROGRAM: &str = "instructions";
-/// The cases of `shm/examples/instructions.rs`.
+/// The cases of `benches/two-cores/examples/instructions.rs`.
 const CASES: [&str; 10] = [
     "mailbox",
     "mailbox-empty-poll",
@@ -38,18 +38,12 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
         println!("skipped: no valgrind (apt-get install --no-install-recommends valgrind)");
         return Ok(());
     }
-    let built = cargo(root, &["build", "--quiet", "--release", "-p", "tandem-shm"])
-        .args(["--example", PROGRAM])
-        .status()?;
-    ensure!(
-        built.success(),
-        "the program that is measured does not build"
-    );
-    let program = target_dir(root).join("release/examples").join(PROGRAM);
+    let program = example(root, "release", PROGRAM)?;
+    let program = Path::new(program.get_program());
     let mut counted = Vec::new();
     for case in CASES {
         let [few, many] = TIMES;
-        let more = count(&program, case, many)?.saturating_sub(count(&program, case, few)?);
+        let more = count(program, case, many)?.saturating_sub(count(program, case, few)?);
         counted.push((
             case,
             (more as f64 / (many - few) as f64 * 10.0).round() / 10.0,

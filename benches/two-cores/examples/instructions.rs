@@ -1,5 +1,4 @@
 //! One operation of each kind, again and again, for `cargo xtask instructions` to count.
-#![cfg_attr(loom, allow(unused_imports, dead_code))]
 #![allow(clippy::unwrap_used, reason = "a wrong set-up ends the program")]
 
 use std::hint::black_box;
