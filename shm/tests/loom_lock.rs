@@ -104,10 +104,17 @@ fn three_cores_exclude_each_other() {
     contend([1, 1, 1], 3);
 }
 
-/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often the others come
-/// back.
+/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often another comes back.
+/// The others take the lock four times: once perhaps before the wait, and three times are too many.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
+    contend([1, 1, 3], 2);
+}
+
+/// T-LOCK-3: as above, if both others come back.
+#[test]
+#[ignore = "ten times as long: cargo xtask loom --long"]
+fn three_cores_that_come_back_wait_two_turns_at_most() {
     contend([1, 2, 2], 2);
 }
 

@@ -87,6 +87,9 @@ enum Task {
         /// Only orderings in functions whose name contains this
         #[arg(long, requires = "weakened", default_value = "")]
         only: String,
+        /// Also the models that take half a minute and more
+        #[arg(long, conflicts_with = "weakened")]
+        long: bool,
     },
     /// Run the tests of shm under Miri, on 64 and on 32 bit, and those of its interface for C
     Miri {
@@ -268,8 +271,10 @@ fn execute() -> Result<()> {
         }
         Task::Dbc { check } => generated(root, "tandem-bus", "dbc", "TANDEM_WRITE_DBC", check),
         Task::Loom {
-            weakened: false, ..
-        } => loom(root),
+            weakened: false,
+            long,
+            ..
+        } => loom(root, long),
         Task::Loom { only, .. } => weakened::run(root, &only),
         Task::Miri { quick } => miri(root, quick),
         Task::Figures { bench, run, check } => {
@@ -423,9 +428,13 @@ fn generated(root: &Path, package: &str, test: &str, write: &str, check: bool) -
     run(command)
 }
 
-fn loom(root: &Path) -> Result<()> {
+fn loom(root: &Path, long: bool) -> Result<()> {
     let arguments = ["test", "--release", "-p", "tandem-shm", "--test", "loom*"];
-    run(with_cfg(root, cargo(root, &arguments), "loom"))
+    let mut command = cargo(root, &arguments);
+    if long {
+        command.args(["--", "--include-ignored"]);
+    }
+    run(with_cfg(root, command, "loom"))
 }
 
 /// The same in a build with this `--cfg`, in a target folder of its own: the flag would rebuild
