@@ -9,9 +9,6 @@ use std::process::Command;
 /// NUMBER: reason`.
 const NOT_CAUGHT: &str = "shm/tests/weakened.txt";
 
-/// A test of the bound on waiting, which no ordering changes; it takes longest.
-const SKIPPED: &str = "three_cores_wait_two_turns_at_most";
-
 /// One ordering in the sources: `number` counts within one function.
 struct Site {
     file: &'static str,
@@ -148,7 +145,6 @@ fn failing_model(copy: &Path, models: &[&str]) -> Result<Option<String>> {
             .env("RUSTFLAGS", "--cfg loom -A warnings")
             .env("CARGO_TARGET_DIR", copy.join("../loom"))
             .args(["test", "--release", "-p", "tandem-shm", "--test", model])
-            .args(["--", "--skip", SKIPPED])
             .output()?;
         let text = String::from_utf8_lossy(&output.stdout);
         let failed = text
