@@ -199,7 +199,8 @@ fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() 
 /// or not the incarnations between them attach to the lock.
 #[test]
 fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
-    for incarnations in [1, 3, 4, 15, 16, 17, 32, 64] {
+    let all = [16, 1, 3, 4, 15, 17, 32, 64];
+    for &incarnations in &all[..if cfg!(miri) { 2 } else { all.len() }] {
         for attach_from in [2, incarnations, incarnations + 1, incarnations + 2] {
             let bench = Bench::new();
             let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
@@ -614,7 +615,7 @@ impl StateMachineTest for Cores {
 
 prop_state_machine! {
     #![proptest_config(ProptestConfig {
-        cases: if cfg!(miri) { 2 } else { 512 },
+        cases: if cfg!(miri) { 1 } else { 512 },
         failure_persistence: None,
         ..ProptestConfig::default()
     })]

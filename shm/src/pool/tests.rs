@@ -290,7 +290,8 @@ fn a_frozen_core_keeps_nobody_waiting() {
 /// Generations that are equal in a head's bits do not make a dead owner alive.
 #[test]
 fn the_words_of_the_dead_come_back_after_any_number_of_incarnations() {
-    for incarnations in [1, 15, 16, 31, 32, 64] {
+    let all = [16, 1, 15, 31, 32, 64];
+    for &incarnations in &all[..if cfg!(miri) { 2 } else { all.len() }] {
         for attach_from in [2, incarnations, incarnations + 1, incarnations + 2] {
             let bench = Bench::new();
             let dying = bench.start(0, 1);
