@@ -91,6 +91,8 @@ fn both_systems_are_updated_while_they_drive() {
     let mut command = tandem();
     command
         .args(["run", "--scenario", "free-lane", "--reintegrate", "--quiet"])
+        // As long as the test waits: a machine that stands still delays dual operation.
+        .args(["--duration", &WATCHDOG.as_secs().to_string()])
         .args(["--update", "2", "--program-flash"])
         // A folder that is not there yet.
         .arg(folder.path().join("flash"))

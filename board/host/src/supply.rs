@@ -489,11 +489,13 @@ mod tests {
         };
         // Its cores are not started here.
         assert!(supply.model.power_on(clock::now()).is_some());
+        let mut at = clock::now();
         for count in 0..3 {
             let answer = watchdog_answer(question(count));
-            core.send(&encode_service(clock::now(), answer)).unwrap();
-            clock::sleep_until(clock::now() + Duration::from_ms(7));
+            core.send(&encode_service(at, answer)).unwrap();
+            at += Duration::from_ms(7);
         }
+        clock::sleep_until(at);
         supply.look_at_registers();
         assert!(supply.model.is_on());
         assert_eq!(supply.model.question(), question(3), "all were accepted");
