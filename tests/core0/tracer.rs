@@ -104,8 +104,17 @@ unsafe fn ptrace(request: libc::c_uint, thread: libc::pid_t, at: usize, data: us
     unsafe { libc::ptrace(request, thread, at, data) }
 }
 
+/// More urgent than core 0: while it waits for its tracer, signals pile up on its stack.
+const PRIORITY: i32 = 80;
+
 /// The incarnation of the tracer.
 fn trace(process: libc::pid_t, ready: i32, into: &Path) {
+    let urgent = libc::sched_param {
+        sched_priority: PRIORITY,
+    };
+    // Refused without the right, which core 0 lacks then too.
+    // SAFETY: the parameter is read during the call.
+    unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &urgent) };
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE;
     // SAFETY: seizes the parent and stops it once; the pipe's end is ours.
     unsafe {

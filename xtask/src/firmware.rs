@@ -178,7 +178,7 @@ fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
 
 fn cargo_build_package(root: &Path, arguments: &[&str]) -> Result<()> {
     crate::toolchain::demand(TARGET)?;
-    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
+    let mut command = Command::new(crate::cargo_program());
     command
         .current_dir(port(root))
         .args(["build", "--quiet", "--target", TARGET])

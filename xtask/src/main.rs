@@ -18,6 +18,8 @@ mod weakened;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, Subcommand};
+use std::env;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -366,9 +368,15 @@ fn execute() -> Result<()> {
     }
 }
 
+/// The cargo that runs this program. Without one, rustup's: it alone tells rustc which toolchain
+/// builds all crates, also those with a toolchain file of their own.
+fn cargo_program() -> OsString {
+    env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
+}
+
 /// A cargo command in the workspace's root.
 fn cargo(root: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
+    let mut command = Command::new(cargo_program());
     command.current_dir(root).args(arguments);
     command
 }
