@@ -107,7 +107,7 @@ pub struct Metrics {
     pub(crate) both_transmitted_ms: f64,
     /// How much of that the hand-overs of this run explain at most, ms.
     pub(crate) hand_over_ms: f64,
-    /// Control frames after a takeover that were too old to act.
+    /// Control frames after a takeover that were too old to act, and no stall explains it.
     pub(crate) stale_frames: usize,
     /// Times without control beyond the bound of their cause.
     pub(crate) gaps: Vec<GapMetrics>,
@@ -398,7 +398,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         two_masters_ms: log.mastership().two_masters_ns() as f64 * 1e-6,
         both_transmitted_ms: gap::both_transmitted_ms(log),
         hand_over_ms: gap::hand_over_ms(&takeovers),
-        stale_frames: gap::stale_frames(log, &takeovers),
+        stale_frames: gap::stale_frames(log, &takeovers, &stalls(log, around)),
         gaps: gaps(log, &takeovers, around),
         stalls: StallMetrics {
             watched_by: around.machine.watched_by.clone(),

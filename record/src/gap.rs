@@ -5,6 +5,7 @@ use tandem_board::{CoreId, Duration, ResetCause, SystemId};
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Config, Evidence, Phase};
 use tandem_vehicle::Verdict;
+use tandem_vehicle::gate::MAX_DELAY_MS;
 use tandem_vehicle::mastership::Mastership;
 
 use crate::run_log::{ControlFrame, CoreEvent, Stall, Stood};
@@ -19,6 +20,9 @@ const NOT_SEEN_NS: u64 = 2_000_000;
 /// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
 /// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
+/// A control frame that nothing holds up has arrived within this time after it was made, ms: a
+/// control period.
+const USUAL_WAY_MS: f64 = 10.0;
 /// A new master hears a predecessor that still lives within one control period and one move of the
 /// bus, ms.
 const HAND_OVER_MS: f64 = 11.0;
@@ -284,9 +288,9 @@ pub fn hand_overs(takeovers: &[Takeover]) -> usize {
 }
 
 /// Control frames that arrived within a second after a takeover, but were made, or rest on data
-/// from, too long ago.
+/// from, too long ago, though nothing stood still for so long.
 #[must_use]
-pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
+pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> usize {
     let follows = |frame: &&ControlFrame| {
         let mut after = takeovers.iter().map(|of| frame.at_ns.checked_sub(of.at_ns));
         after.any(|after| after.is_some_and(|after| after < AFTER_TAKEOVER_NS))
@@ -294,8 +298,22 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
     let stale = log
         .control
         .iter()
-        .filter(|frame| frame.verdict == Verdict::Stale);
+        .filter(|frame| frame.verdict == Verdict::Stale)
+        .filter(|frame| !was_held_up(frame, stalls));
     stale.filter(follows).count()
+}
+
+/// Whether what stood still until this frame was on its way makes up for its delay: without it, the
+/// frame would have come as usual.
+fn was_held_up(frame: &ControlFrame, stalls: &[Stall]) -> bool {
+    let max_delay_ms = f64::from(MAX_DELAY_MS);
+    let reaches = |stall: &&Stall| {
+        stall.from_ns < frame.at_ns && ms_between(stall.to_ns, frame.at_ns) < max_delay_ms
+    };
+    let reaching: Vec<Stall> = stalls.iter().filter(reaches).copied().collect();
+    let stalled_ms = stalled_ms(&reaching, [0, frame.at_ns], u64::MAX);
+    let under_way_ms = ms_between(frame.sent_ns, frame.at_ns) - stalled_ms;
+    stalled_ms + USUAL_WAY_MS > max_delay_ms && under_way_ms < USUAL_WAY_MS
 }
 
 #[cfg(test)]
@@ -556,6 +574,28 @@ mod tests {
         for at_ms in [5, 30, 900, 2_000] {
             log.control.push(frame(at_ms, B, Verdict::Stale));
         }
-        assert_eq!(stale_frames(&log, &takeovers(&log)), 2);
+        assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
+    }
+
+    /// A frame that was made before a stall and came after it says nothing about its sender.
+    #[test]
+    fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
+        let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
+        log.control.push(frame(900, B, Verdict::Stale));
+        let cpu = |from_ms, to_ms| stall(Stood::Cpu(0), from_ms, to_ms);
+        let count = |log: &RunLog, stalls: &[Stall]| stale_frames(log, &takeovers(log), stalls);
+        for (stalls, stale) in [
+            (&[cpu(838, 899)][..], 0),
+            (&[cpu(838, 950)], 0),
+            (&[cpu(860, 880), stall(Stood::Bus, 870, 895)], 0),
+            (&[cpu(869, 899)], 1),
+            (&[cpu(790, 859)], 1),
+            (&[cpu(901, 990)], 1),
+        ] {
+            assert_eq!(count(&log, stalls), stale, "{stalls:?}");
+        }
+        // On the bus for longer than that.
+        log.control.last_mut().unwrap().sent_ns -= 80_000_000;
+        assert_eq!(count(&log, &[cpu(838, 899)]), 1);
     }
 }

@@ -85,6 +85,18 @@ impl Fixture {
         self.folder.path()
     }
 
+    /// Notes the stalls that a campaign's report names.
+    #[allow(dead_code, reason = "the tests of campaigns use it")]
+    pub(crate) fn heard_of_stalls(&self, report: &str) {
+        let told = report.split("gone for ").skip(1);
+        let ms = told.filter_map(|rest| rest.split(' ').next()?.parse::<f64>().ok());
+        let longest_ms = ms.fold(self.seen.stalled_ms.get(), f64::max);
+        self.seen.stalled_ms.set(longest_ms);
+        let harm = ["two masters", "touched another", "was sound"].iter();
+        let harm = harm.copied().any(|word| report.contains(word));
+        self.seen.harm.set(self.seen.harm.get() || harm);
+    }
+
     /// The command with these arguments, in the fixture's folder.
     pub(crate) fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(crate::PROGRAM);

@@ -34,7 +34,7 @@ const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
 /// A frame that was longer on its way than the fastest one by more than this is refused, ms: four
 /// control periods.
-const MAX_DELAY_MS: u16 = 40;
+pub const MAX_DELAY_MS: u16 = 40;
 /// The clocks may drift apart: the offset that is taken for the smallest grows by 1 ms in this
 /// time, ns. So the clocks may differ by 0.1 %, and a queue that grows by less is not found.
 const DRIFT_NS: u64 = 1_000_000_000;

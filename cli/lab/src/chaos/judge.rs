@@ -220,7 +220,7 @@ impl Run<'_> {
         if both_ms > longest_ms {
             wrong.push(format!("both systems transmitted for {both_ms:.1} ms"));
         }
-        let stale = stale_frames(&log, &takeovers);
+        let stale = stale_frames(&log, &takeovers, &self.stalls);
         if stale > 0 {
             wrong.push(format!("{stale} control frames too old to act"));
         }
