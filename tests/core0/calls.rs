@@ -83,7 +83,7 @@ const STATED: [Stated; 6] = [
     Stated(
         libc::SYS_write,
         "write",
-        4,
+        20,
         "shows the role as the name of the process",
     ),
 ];

@@ -159,7 +159,7 @@ fn both_emulated_systems_are_updated_while_they_drive() {
         "--scenario",
         "free-lane",
         "--duration",
-        "88",
+        "110",
     ];
     let mut command = tandem(&scenario, &out);
     let run = command.args(["--reintegrate", "--update", "2"]).output();
