@@ -90,8 +90,18 @@ fn no_lower_task_toggles_while_the_highest_works() {
     }
 }
 
+/// A busy host moves an emulated timer by some instructions: by 200 ns, when it was seen.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_change_at_the_same_times_in_each_run() {
-    assert_eq!(log(), log());
+    let [first, second] = [log(), log()];
+    assert_eq!(first.lines().count(), second.lines().count());
+    for (one, other) in first.lines().zip(second.lines()) {
+        let [one_at, other_at] = [one, other].map(|line| {
+            let (edge, at) = line.rsplit_once(' ').unwrap_or((line, "0"));
+            (edge, at.parse::<u64>().unwrap_or(0))
+        });
+        assert_eq!(one_at.0, other_at.0);
+        assert!(one_at.1.abs_diff(other_at.1) <= 1_000, "{one}, {other}");
+    }
 }
