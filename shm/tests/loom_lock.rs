@@ -104,7 +104,7 @@ fn three_cores_exclude_each_other() {
     contend([1, 1, 1], 3);
 }
 
-/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often another comes back.
+/// T-LOCK-3: two cores pass the one that waits twice at most, even if one of them comes back.
 /// The others take the lock four times: once perhaps before the wait, and three times are too many.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
