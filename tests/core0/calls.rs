@@ -12,6 +12,7 @@ use std::{fs, thread};
 use tandem_board::{Board, CoreId, Duration, RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{Alarm, CoreArgs, HostBoard};
+use tandem_cores::trace::Event;
 use tandem_rtos::host;
 
 pub(crate) const CASES: [Case; 3] = [
@@ -42,6 +43,9 @@ struct Stated(i64, &'static str, u32, &'static str);
 const EACH_TICK: u32 = u32::MAX;
 /// Calls of interrupts after which core 0 did not sleep: twice as many as there are, and ten.
 const EACH_PILED: u32 = u32::MAX - 1;
+
+/// Calls for each role that core 0 has shown, which the trace has too.
+const EACH_ROLE: u32 = u32::MAX - 2;
 
 /// The call of `libc::pause`.
 #[cfg(target_arch = "x86_64")]
@@ -83,7 +87,7 @@ const STATED: [Stated; 6] = [
     Stated(
         libc::SYS_write,
         "write",
-        20,
+        EACH_ROLE,
         "shows the role as the name of the process",
     ),
 ];
@@ -148,7 +152,11 @@ fn take_over(script: &mut Script, added: Option<i64>) {
 
     let counted = fs::read_to_string(&file).expect("the file of the counts");
     let counted: Vec<(i64, u32)> = counted.lines().map(count).collect();
-    let (table, unstated) = judge(&counted);
+    let roles = script.traced.iter().filter(|(entry, event)| {
+        let by = (entry.system, entry.core);
+        by == (SystemId::B, CoreId::CONTROL) && matches!(event, Event::Role { .. })
+    });
+    let (table, unstated) = judge(&counted, roles.count() as u32);
     eprintln!("{table}");
     match added {
         None => assert_eq!(unstated, []),
@@ -167,8 +175,8 @@ fn count(line: &str) -> (i64, u32) {
     (number, times.parse().expect("a number"))
 }
 
-/// The calls in words, and the numbers of those that are not stated.
-fn judge(counted: &[(i64, u32)]) -> (String, Vec<i64>) {
+/// The calls in words, and the numbers of those that are not stated; core 0 has shown `roles`.
+fn judge(counted: &[(i64, u32)], roles: u32) -> (String, Vec<i64>) {
     let (mut table, mut unstated) = (String::new(), vec![]);
     let times = |of| counted.iter().find(|it| it.0 == of).map_or(0, |it| it.1);
     let piled = times(libc::SYS_rt_sigreturn).saturating_sub(times(SYS_PAUSE));
@@ -181,6 +189,7 @@ fn judge(counted: &[(i64, u32)]) -> (String, Vec<i64>) {
         };
         let most = |stated: &Stated| match stated.2 {
             EACH_PILED => 2 * piled + 10,
+            EACH_ROLE => roles,
             most => most,
         };
         if stated.is_none_or(|stated| *times > most(stated)) {
