@@ -154,7 +154,7 @@ fn ctrl_c_stops_everything_and_leaves_the_report() {
         let status = run.end();
         assert_eq!(status.code(), Some(130), "{}", run.said());
         run.until_vanished();
-        assert!(run.files().is_empty(), "{:?}", run.files());
+        run.left_nothing();
         if !run.said().contains("no report was written") {
             break (fixture, run);
         }
@@ -182,7 +182,7 @@ fn the_start_after_everything_was_killed_works_and_nothing_is_left() {
         run.end();
         run.until_vanished();
         fixture.run(&["--duration", "1"]).metrics();
-        assert!(run.files().is_empty(), "{:?}", run.files());
+        run.left_nothing();
         assert_eq!(fixture.names(), ["tandem-report"]);
     });
 }
@@ -198,7 +198,7 @@ fn the_systems_drive_on_without_tandem_run_and_then_vanish() {
         run.until_vanished();
         // On a machine without namespaces the next start removes what is left.
         fixture.run(&["--duration", "1"]).metrics();
-        assert!(run.files().is_empty(), "{:?}", run.files());
+        run.left_nothing();
     });
 }
 
@@ -222,5 +222,5 @@ fn a_run_whose_vehicle_was_killed_has_failed_and_leaves_nothing() {
         run.said()
     );
     run.until_vanished();
-    assert!(run.files().is_empty(), "{:?}", run.files());
+    run.left_nothing();
 }

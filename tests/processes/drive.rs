@@ -97,7 +97,7 @@ fn a_short_drive_ends_with_a_report() {
         assert!(log.contains(" 0B1##"), "status frames of B");
         assert_eq!(fixture.names(), ["report"]);
         run.until_vanished();
-        assert_eq!(run.files(), Vec::<std::path::PathBuf>::new());
+        run.left_nothing();
     });
 }
 

@@ -88,7 +88,7 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
         one_master(&metrics);
         assert_eq!(drivers_of(&metrics), ["B", "A"], "{metrics:#}");
         run.until_vanished();
-        assert!(run.files().is_empty(), "{:?}", run.files());
+        run.left_nothing();
     });
 }
 
