@@ -201,7 +201,7 @@ fn host(results: &Value) -> Result<String> {
         "\n## Times on a host\n\n`{BENCH}`: {}{under}, {} CPUs, Linux {}, {}, {} build, {:.0} s.\nA program that only reads the clock is held up for {} at worst. The ratio to \
          the floor is the result;\nthe times are the machine's. A figure in brackets has \
          fewer than ten samples beyond it,\nor is a ratio to a floor \
-         whose own p99.9 is more than ten times its median: a stall, no mechanism.\n\n\
+         whose own p99.9 is more than ten times its median, by stalls or by taking turns.\n\n\
          | case | p50 | p99 | p99.9 | x p50 | x p99.9 |\n|---|---:|---:|---:|---:|---:|\n",
         text_of(&machine["cpu"]),
         machine["cpus"],

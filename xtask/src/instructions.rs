@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-const TABLE: &str = "shm/instructions.json";
+const TABLE: &str = "benches/two-cores/instructions.json";
 const PROGRAM: &str = "instructions";
 /// The cases of `benches/two-cores/examples/instructions.rs`.
 const CASES: [&str; 10] = [

@@ -134,7 +134,7 @@ enum Task {
         check: bool,
     },
     /// Count the host instructions of the primitives under valgrind, and compare them with
-    /// shm/instructions.json
+    /// benches/two-cores/instructions.json
     Instructions {
         /// Make these counts the table
         #[arg(long)]
