@@ -232,8 +232,8 @@ mod tests {
     #[test]
     fn a_folder_is_judged() {
         let folder = tempfile::tempdir().unwrap();
-        let good = include_str!("../../../../vehicle/fixtures/commonroad/sign-2020a.xml");
-        let off_road = include_str!("../../../../tests/fuzz/corpus/scenario/off-road.xml");
+        let good = include_str!("../../../vehicle/fixtures/commonroad/sign-2020a.xml");
+        let off_road = include_str!("../../../tests/fuzz/corpus/scenario/off-road.xml");
         for (name, text) in [("a.xml", good), ("b.xml", off_road), ("c.xml", "<broken")] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
