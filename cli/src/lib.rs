@@ -13,7 +13,7 @@ mod core_process;
 pub mod dflash;
 pub mod failure;
 pub mod files;
-pub mod hands;
+pub mod injection;
 pub mod live;
 pub mod metrics;
 pub mod output;

@@ -9,7 +9,7 @@ use tandem::args::{Cli, Command};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
-use tandem::{boot_demo, dflash, hands, print, ps, publish, run};
+use tandem::{boot_demo, dflash, injection, print, ps, publish, run};
 
 fn main() -> ExitCode {
     tandem::program(|| {
@@ -54,10 +54,10 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Publish => publish::run().map_err(Failure::Run),
-        Command::Cut(args) => hands::set_cut(&args, true).map_err(Failure::Run),
-        Command::Mend(args) => hands::set_cut(&args, false).map_err(Failure::Run),
-        Command::Power(args) => hands::power(&args).map_err(Failure::Run),
-        Command::Fault(args) => hands::fault(&args).map_err(Failure::Run),
+        Command::Cut(args) => injection::set_cut(&args, true).map_err(Failure::Run),
+        Command::Mend(args) => injection::set_cut(&args, false).map_err(Failure::Run),
+        Command::Power(args) => injection::power(&args).map_err(Failure::Run),
+        Command::Fault(args) => injection::fault(&args).map_err(Failure::Run),
         Command::Dflash(args) => {
             let shown = dflash::run(&args).map_err(Failure::Run)?;
             print(&shown).map_err(Failure::Run)

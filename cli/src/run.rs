@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, bail};
 use tandem_board::{Duration, SystemId};
-use tandem_board_host::hands::Hands;
+use tandem_board_host::injection::Injection;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
@@ -82,17 +82,17 @@ pub struct Recorded<T> {
     pub log: RunLog,
     /// What the run knows beside it.
     pub around: Surroundings,
-    /// The return value of the hands.
+    /// The return value of `inject`.
     pub done: T,
 }
 
-/// Drives as [`run`] does, while `hands` act on a thread of their own, and writes no report.
+/// Drives as [`run`] does, while `inject` acts on a thread of its own, and writes no report.
 ///
 /// # Errors
-/// If the run does not start, the hands fail, or there is no recording.
+/// If the run does not start, `inject` fails, or there is no recording.
 pub fn recorded<T: Send>(
     args: &RunArgs,
-    hands: impl FnOnce(Hands, &RunFiles) -> anyhow::Result<T> + Send,
+    inject: impl FnOnce(Injection, &RunFiles) -> anyhow::Result<T> + Send,
 ) -> anyhow::Result<Recorded<T>> {
     let checked = Checked::new(args)?;
     let publishing = Publishing::prepare();
@@ -100,20 +100,20 @@ pub fn recorded<T: Send>(
     let (profile, granted) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, RunConfig::of(args, profile))?;
-    let run_hands = launcher.hands();
+    let injection = launcher.injection();
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
     let config = RunConfig {
         stall_timers: watch.timers(),
         ..config
     };
     let (ended, done) = std::thread::scope(|scope| {
-        let hands = scope.spawn(|| hands(run_hands, &files));
+        let injected = scope.spawn(|| inject(injection, &files));
         let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
-        (ended, hands.join())
+        (ended, injected.join())
     });
     let machine = watch.end();
     ended?;
-    let done = done.map_err(|_| anyhow::anyhow!("the hands panicked"))?;
+    let done = done.map_err(|_| anyhow::anyhow!("the injection panicked"))?;
     let folder = tempfile::tempdir().context("a folder for the log")?;
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP));
     let leftovers = leftovers(&launcher.finish());

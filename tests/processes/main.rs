@@ -11,7 +11,7 @@ mod deaths;
 mod drive;
 mod errors;
 mod fixture;
-mod hands;
+mod injection;
 mod observers;
 mod stalls;
 mod startup;

@@ -20,7 +20,7 @@ use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
 use crate::clock;
 use crate::flash::{Claimed, FlashFileError, HostFlash};
-use crate::hands::Hands;
+use crate::injection::Injection;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
 use crate::name::RunName;
@@ -168,10 +168,10 @@ impl Launcher {
         self.backplane
     }
 
-    /// Hands on the run from this process.
+    /// Injects faults into this run, from this process.
     #[must_use]
-    pub fn hands(&self) -> Hands {
-        Hands::of(self.isolation.run().clone(), self.backplane)
+    pub fn injection(&self) -> Injection {
+        Injection::of(self.isolation.run().clone(), self.backplane)
     }
 
     /// Switches a system on this long after the ignition. To be called before the start.
@@ -232,7 +232,7 @@ impl Launcher {
         self.wait_with(&mut |_| {})
     }
 
-    /// As [`Launcher::wait`]; starts a supply anew that was killed, when a hand asks for it.
+    /// As [`Launcher::wait`]; starts a killed supply again when a user asks for it.
     /// `command` as for [`Launcher::start`]. A supply that does not start is one without power.
     pub fn wait_and_switch(
         &mut self,

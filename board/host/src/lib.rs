@@ -22,7 +22,7 @@ mod board;
 mod can;
 pub mod clock;
 mod flash;
-pub mod hands;
+pub mod injection;
 pub mod isolation;
 pub mod jump;
 mod launch;

@@ -2,7 +2,7 @@
 //! becomes it.
 #![forbid(unsafe_code)]
 
-mod hand;
+mod keys;
 mod picture;
 mod view;
 
@@ -17,7 +17,7 @@ use tandem_board_host::services::Observer;
 use clap::{Args, Parser, Subcommand};
 use tandem::failure::Failure;
 
-use hand::Hand;
+use keys::Keys;
 use picture::Picture;
 
 /// How often the screen is drawn.
@@ -77,10 +77,10 @@ fn run(args: &TopArgs) -> Result<(), Failure> {
 
 fn show(observer: &Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow::Result<()> {
     let mut picture = Picture::new(observer.run().as_str());
-    let mut hand = Hand::on(observer.run().clone());
+    let mut keys = Keys::on(observer.run().clone());
     loop {
         observer.poll(&mut |news| picture.take(&news));
-        picture.said = hand.said();
+        picture.said = keys.said();
         terminal
             .draw(|frame| view::draw(&picture, frame))
             .context("the terminal")?;
@@ -97,7 +97,7 @@ fn show(observer: &Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow:
             KeyCode::Char('q') | KeyCode::Esc => return Ok(()),
             KeyCode::Char('c') if interrupts => return Ok(()),
             KeyCode::Tab => picture.selected = picture.selected.peer(),
-            KeyCode::Char(key) => hand.press(key, picture.selected),
+            KeyCode::Char(key) => keys.press(key, picture.selected),
             _ => {}
         }
     }

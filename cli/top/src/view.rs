@@ -8,7 +8,7 @@ use ratatui::widgets::{Block, Paragraph, Sparkline};
 use tandem_board::SystemId;
 use tandem_board_host::services::{Event, Roles};
 
-use super::hand::KEYS;
+use super::keys::KEYS;
 use super::picture::Picture;
 
 /// Names of the states of a system, and their colours, as [`Roles::state`] numbers them.

@@ -7,30 +7,30 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use rustix::process::Signal;
 use tandem_board::{CoreId, Duration, ResetCause, SystemId};
-use tandem_board_host::hands::{Hands, Target};
+use tandem_board_host::injection::{Injection, Target};
 use tandem_board_host::{BusFault, Wire, clock};
 use tandem_sim::faults::{Act, BusFaults, Fault};
 
 /// Does the acts of faults to a run.
-pub(super) struct Injector<'h> {
-    hands: &'h Hands,
+pub(super) struct Injector<'i> {
+    injection: &'i Injection,
     /// The data flash of A and B.
     flash: [PathBuf; 2],
     /// Lets the process that started the run stand still for the given number of milliseconds.
-    hold_launcher: &'h dyn Fn(u16) -> anyhow::Result<()>,
+    hold_launcher: &'i dyn Fn(u16) -> anyhow::Result<()>,
     bus: BusFaults,
     /// The system that is A in the faults: the one that drives.
     driver: SystemId,
 }
 
-impl<'h> Injector<'h> {
+impl<'i> Injector<'i> {
     pub(super) fn new(
-        hands: &'h Hands,
+        injection: &'i Injection,
         flash: [PathBuf; 2],
-        hold_launcher: &'h dyn Fn(u16) -> anyhow::Result<()>,
+        hold_launcher: &'i dyn Fn(u16) -> anyhow::Result<()>,
     ) -> Self {
         Self {
-            hands,
+            injection,
             flash,
             hold_launcher,
             bus: BusFaults::default(),
@@ -67,7 +67,7 @@ impl<'h> Injector<'h> {
         acts.sort_by_key(|(at, _)| *at);
         for (at, act) in acts {
             clock::sleep_until(begin + at.min(span));
-            if self.hands.backplane().stop_requested() {
+            if self.injection.backplane().stop_requested() {
                 break;
             }
             self.act(act)?;
@@ -79,21 +79,22 @@ impl<'h> Injector<'h> {
 
     /// Ends whatever is under way. A system without power is switched on.
     pub(super) fn mend(&mut self) {
-        self.hands.signal(Target::Vehicle, Signal::CONT);
+        self.injection.signal(Target::Vehicle, Signal::CONT);
         self.bus = BusFaults::default();
         for system in SystemId::ALL {
             for wire in Wire::ALL {
-                self.hands.set_cut(wire, &[system], false);
+                self.injection.set_cut(wire, &[system], false);
             }
-            self.hands.hold_level_low(system, false);
-            self.hands
+            self.injection.hold_level_low(system, false);
+            self.injection
                 .backplane()
                 .disturb_bus(system, BusFault::default());
-            self.hands.signal(Target::Supply(system), Signal::CONT);
+            self.injection.signal(Target::Supply(system), Signal::CONT);
             for core in CoreId::ALL {
-                self.hands.signal(Target::Core(system, core), Signal::CONT);
+                self.injection
+                    .signal(Target::Core(system, core), Signal::CONT);
             }
-            self.hands.request_power(system);
+            self.injection.request_power(system);
         }
     }
 
@@ -107,39 +108,39 @@ impl<'h> Injector<'h> {
     }
 
     fn act(&mut self, act: Act) -> anyhow::Result<()> {
-        let hands = self.hands;
+        let injection = self.injection;
         let freeze = |target, on| {
             let signal = if on { Signal::STOP } else { Signal::CONT };
-            hands.signal(target, signal);
+            injection.signal(target, signal);
         };
         match act {
-            Act::Cut(wire, of, cut) => hands.set_cut(wire, &[self.real(of)], cut),
-            Act::LevelLow(of, held) => hands.hold_level_low(self.real(of), held),
-            Act::Edge(to, line, edge) => hands.stray_edge(self.real(to).peer(), line, edge),
+            Act::Cut(wire, of, cut) => injection.set_cut(wire, &[self.real(of)], cut),
+            Act::LevelLow(of, held) => injection.hold_level_low(self.real(of), held),
+            Act::Edge(to, line, edge) => injection.stray_edge(self.real(to).peer(), line, edge),
             Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
                 if let Some((of, fault)) = self.bus.follow(act) {
-                    hands.backplane().disturb_bus(self.real(of), fault);
+                    injection.backplane().disturb_bus(self.real(of), fault);
                 }
             }
-            Act::Power(of, true) => hands.request_power(self.real(of)),
+            Act::Power(of, true) => injection.request_power(self.real(of)),
             Act::Power(of, false) => {
-                hands.signal(Target::Supply(self.real(of)), Signal::KILL);
+                injection.signal(Target::Supply(self.real(of)), Signal::KILL);
             }
             Act::Reset(of, ResetCause::Watchdog) => {
                 freeze(Target::Core(self.real(of), CoreId::CONTROL), true);
             }
             Act::Reset(of, ResetCause::Trap) => {
-                hands.signal(Target::Core(self.real(of), CoreId::CONTROL), Signal::KILL);
+                injection.signal(Target::Core(self.real(of), CoreId::CONTROL), Signal::KILL);
             }
-            Act::Reset(of, _) => hands.reset(self.real(of)),
+            Act::Reset(of, _) => injection.reset(self.real(of)),
             Act::FreezeCore(of, core, on) => freeze(Target::Core(self.real(of), core), on),
             Act::FreezeSupply(of, on) => freeze(Target::Supply(self.real(of)), on),
             Act::FreezeVehicle(on) => freeze(Target::Vehicle, on),
             Act::FreezeLauncher(ms) => (self.hold_launcher)(ms)?,
             Act::Kill(of, core) => {
-                hands.signal(Target::Core(self.real(of), core), Signal::KILL);
+                injection.signal(Target::Core(self.real(of), core), Signal::KILL);
             }
-            Act::Scribble(of) => hands.scribble(self.real(of), 1)?,
+            Act::Scribble(of) => injection.scribble(self.real(of), 1)?,
             Act::FlashLost(of) => self.lose_flash(self.real(of))?,
             Act::Freeze(..)
             | Act::Rest(..)

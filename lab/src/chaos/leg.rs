@@ -8,7 +8,7 @@ use clap::Parser as _;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, Duration, RoleLamp, SystemId};
-use tandem_board_host::hands::{Hands, Target};
+use tandem_board_host::injection::{Injection, Target};
 use tandem_board_host::{Backplane, BusTap, clock};
 use tandem_bus::Control;
 
@@ -89,9 +89,9 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
     set_parent_process_death_signal(Some(Signal::TERM))?;
     let folder = tempfile::tempdir().context("a folder")?;
     let args = arguments(numbers, &folder.path().join("report"), &[])?;
-    let recorded = run::recorded(&args, |hands, files| {
-        let done = inject_all(source, numbers, &hands, files);
-        hands.backplane().request_stop();
+    let recorded = run::recorded(&args, |injection, files| {
+        let done = inject_all(source, numbers, &injection, files);
+        injection.backplane().request_stop();
         done
     })?;
     let (outcomes, wrong) = judge::judge(source, &recorded)?;
@@ -101,13 +101,13 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
 fn inject_all(
     source: &Source<'_>,
     numbers: &[u64],
-    hands: &Hands,
+    injection: &Injection,
     files: &RunFiles,
 ) -> anyhow::Result<Vec<Injected>> {
     let hold = |ms| tell(&Line::Hold(ms));
     let flash = SystemId::ALL.map(|system| files.flash(system));
-    let mut injector = Injector::new(hands, flash, &hold);
-    let backplane = hands.backplane();
+    let mut injector = Injector::new(injection, flash, &hold);
+    let backplane = injection.backplane();
     let mut done: Vec<Injected> = Vec::new();
     let mut begun = Injected {
         number: 0,
@@ -117,12 +117,12 @@ fn inject_all(
         power_cycles: 0,
         roles: [RoleLamp::Starting; 2],
     };
-    heal(hands, &mut begun);
+    heal(injection, &mut begun);
     for (index, number) in numbers.iter().enumerate() {
         let (sequence, phase) = source.sequence(*number)?;
         clock::sleep_until(clock::now() + settled(*number));
         // A stall of the machine may have changed the roles again.
-        let Some(driver) = driver(roles(backplane)).or_else(|| heal(hands, &mut begun)) else {
+        let Some(driver) = driver(roles(backplane)).or_else(|| heal(injection, &mut begun)) else {
             break;
         };
         if let Some(phase) = phase {
@@ -136,7 +136,7 @@ fn inject_all(
         };
         injected.power_cycles = 0;
         injector.suffer(&sequence.faults, sequence.span, driver)?;
-        let healed = heal(hands, &mut injected);
+        let healed = heal(injection, &mut injected);
         if backplane.stop_requested() {
             break;
         }
@@ -171,8 +171,8 @@ fn roles(backplane: Backplane) -> [RoleLamp; 2] {
 
 /// Waits until one system is master and the other its standby; the master. A system that has no
 /// power is switched on, one that has suspended itself off and on.
-fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
-    let backplane = hands.backplane();
+fn heal(injection: &Injection, injected: &mut Injected) -> Option<SystemId> {
+    let backplane = injection.backplane();
     let begin = clock::now();
     let mut suspended = [begin; 2];
     while clock::now().since(begin) < HEALED_WITHIN && !backplane.stop_requested() {
@@ -188,9 +188,9 @@ fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
             } else if clock::now().since(*since) > SUSPENDED_FOR {
                 *since = clock::now();
                 injected.power_cycles += 1;
-                hands.signal(Target::Supply(system), Signal::KILL);
+                injection.signal(Target::Supply(system), Signal::KILL);
             }
-            hands.request_power(system);
+            injection.request_power(system);
         }
         clock::sleep_until(clock::now() + LOOK_AGAIN);
     }

@@ -33,9 +33,9 @@ fn arguments() -> anyhow::Result<RunArgs> {
 /// Start one after the other; then core 0 of A is killed, which resets A; A comes back as standby,
 /// and the supply of B is killed.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
-    let recorded = run::recorded(&arguments()?, |hands, _| {
-        let done = act(hands.backplane());
-        hands.backplane().request_stop();
+    let recorded = run::recorded(&arguments()?, |injection, _| {
+        let done = act(injection.backplane());
+        injection.backplane().request_stop();
         done
     })?;
     Ok((recorded.log, recorded.done))

@@ -1,9 +1,9 @@
-//! `tandem cut`, `mend`, `power` and `fault`: hands on a run while it drives.
+//! `tandem cut`, `mend`, `power` and `fault`: fault injection on a run while it drives.
 
 use anyhow::{Context as _, bail};
 use tandem_board::{Edge, HardwareFault, Line, SystemId};
 use tandem_board_host::Wire;
-use tandem_board_host::hands::Hands;
+use tandem_board_host::injection::Injection;
 
 use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
 
@@ -12,12 +12,12 @@ use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
 /// # Errors
 /// If the run cannot be reached.
 pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.as_deref())?;
     let from = match args.from {
         Some(system) => vec![system],
         None => SystemId::ALL.to_vec(),
     };
-    hands.set_cut(args.wire.wire(), &from, is_cut);
+    injection.set_cut(args.wire.wire(), &from, is_cut);
     Ok(())
 }
 
@@ -26,10 +26,10 @@ pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
 /// # Errors
 /// If the run cannot be reached, or the system is so already.
 pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.as_deref())?;
     match args.switch {
-        Switch::On => hands.power_on(args.system)?,
-        Switch::Off => hands.power_off(args.system)?,
+        Switch::On => injection.power_on(args.system)?,
+        Switch::Off => injection.power_off(args.system)?,
     }
     Ok(())
 }
@@ -39,18 +39,18 @@ pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
 /// # Errors
 /// If the run cannot be reached, or the fault cannot be mended.
 pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.as_deref())?;
     let hardware = match args.fault {
         FaultKind::Lmu | FaultKind::Handshake | FaultKind::Sync if args.mend => {
             bail!("this fault is over at once: there is nothing to mend")
         }
-        FaultKind::Lmu => return hands.scribble(args.system, args.seed).context("LMU"),
+        FaultKind::Lmu => return injection.scribble(args.system, args.seed).context("LMU"),
         FaultKind::Handshake => {
-            hands.stray_edge(args.system, Line::Start, Edge::Rising);
+            injection.stray_edge(args.system, Line::Start, Edge::Rising);
             return Ok(());
         }
         FaultKind::Sync => {
-            hands.stray_edge(args.system, Line::Start, Edge::Falling);
+            injection.stray_edge(args.system, Line::Start, Edge::Falling);
             return Ok(());
         }
         FaultKind::OpenLoad => HardwareFault::OpenLoad,
@@ -61,7 +61,7 @@ pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
         FaultKind::Undervoltage => HardwareFault::Undervoltage,
         FaultKind::Overvoltage => HardwareFault::Overvoltage,
     };
-    hands.set_fault(args.system, hardware, !args.mend);
+    injection.set_fault(args.system, hardware, !args.mend);
     Ok(())
 }
 

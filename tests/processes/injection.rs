@@ -1,4 +1,4 @@
-//! Hands on wires and power while a run drives.
+//! Faults of wires and power while a run drives.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::fixture::{Fixture, Run, unless_stalled};
 
 /// `tandem` with these words, on this run.
-fn hand(fixture: &Fixture, run: &Run, words: &[&str]) {
+fn inject(fixture: &Fixture, run: &Run, words: &[&str]) {
     let pid = run.launcher_pid().to_string();
     let output = fixture.output(&[words, &["--run", &pid]].concat());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -74,13 +74,13 @@ fn one_master(metrics: &Value) {
 fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     unless_stalled(|fixture| {
         let mut run = long_run(fixture);
-        hand(fixture, &run, &["power", "off", "A"]);
+        inject(fixture, &run, &["power", "off", "A"]);
         until_roles(&run, &[("B", "master")]);
-        hand(fixture, &run, &["power", "on", "A"]);
+        inject(fixture, &run, &["power", "on", "A"]);
         until_roles(&run, &[("A", "standby"), ("B", "master")]);
-        hand(fixture, &run, &["power", "off", "B"]);
+        inject(fixture, &run, &["power", "off", "B"]);
         until_roles(&run, &[("A", "master")]);
-        hand(fixture, &run, &["power", "on", "B"]);
+        inject(fixture, &run, &["power", "on", "B"]);
         until_roles(&run, &[("A", "master"), ("B", "standby")]);
         let on = fixture.output(&["power", "on", "B", "--run", &run.launcher_pid().to_string()]);
         assert_eq!(on.status.code(), Some(1), "it is on already");
@@ -98,13 +98,13 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
 fn faults_of_the_hardware_are_made_and_mended_by_hand() {
     unless_stalled(|fixture| {
         let mut run = long_run(fixture);
-        hand(fixture, &run, &["fault", "undervoltage", "A"]);
+        inject(fixture, &run, &["fault", "undervoltage", "A"]);
         until_drives(&run, "B");
-        hand(fixture, &run, &["fault", "undervoltage", "A", "--mend"]);
+        inject(fixture, &run, &["fault", "undervoltage", "A", "--mend"]);
         until_roles(&run, &[("A", "standby"), ("B", "master")]);
-        hand(fixture, &run, &["fault", "bus-off", "B"]);
+        inject(fixture, &run, &["fault", "bus-off", "B"]);
         until_drives(&run, "A");
-        hand(fixture, &run, &["fault", "bus-off", "B", "--mend"]);
+        inject(fixture, &run, &["fault", "bus-off", "B", "--mend"]);
         until_roles(&run, &[("A", "master"), ("B", "standby")]);
         let metrics = run.interrupt();
         one_master(&metrics);
@@ -194,14 +194,14 @@ fn row_holds(fixture: &Fixture, row: &Row, off: Option<usize>) {
     until_roles(&run, &[("A", "master"), ("B", "standby")]);
     // One after the other: B's CAN before A's, or B would take over in between.
     for (wire, _) in WIRES.iter().zip(row.cut).rev().filter(|(_, cut)| *cut) {
-        hand(fixture, &run, &[&["cut"], *wire].concat());
+        inject(fixture, &run, &[&["cut"], *wire].concat());
     }
     let mut obeyed = vec![&row.obeyed];
     let mut roles = row.roles.clone();
     match off {
         Some(system) => {
             std::thread::sleep(Duration::from_millis(100));
-            hand(fixture, &run, &["power", "off", ["A", "B"][system]]);
+            inject(fixture, &run, &["power", "off", ["A", "B"][system]]);
             std::thread::sleep(Duration::from_millis(500));
             obeyed.push(&row.then_obeyed[system]);
         }

@@ -29,7 +29,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 /// Why a run cannot be reached.
 #[derive(Debug, thiserror::Error)]
-pub enum HandsError {
+pub enum InjectionError {
     /// There is no such run, or there are several.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -74,22 +74,22 @@ pub enum Target {
 
 /// A process that has entered a run.
 #[derive(Clone, Debug)]
-pub struct Hands {
+pub struct Injection {
     run: RunName,
     backplane: Backplane,
 }
 
-impl Hands {
+impl Injection {
     /// Enters the run of this name, or the one that `tandem run` with this process id started;
     /// without a name, the only run that is active. The calling process must have one thread, and
     /// stays in the run's namespaces.
     ///
     /// # Errors
-    /// [`HandsError`] if there is no such run, there are several, or it cannot be entered.
-    pub fn on(name: Option<&str>) -> Result<Self, HandsError> {
+    /// [`InjectionError`] if there is no such run, there are several, or it cannot be entered.
+    pub fn on(name: Option<&str>) -> Result<Self, InjectionError> {
         let process = processes::process_of(name)?;
         let run = process.run.clone();
-        enter(&process).map_err(|source| HandsError::Place {
+        enter(&process).map_err(|source| InjectionError::Place {
             run: run.clone(),
             source,
         })?;
@@ -97,7 +97,7 @@ impl Hands {
         Ok(Self { run, backplane })
     }
 
-    /// Hands of the process that started the run.
+    /// The injection of the process that started the run.
     pub(crate) const fn of(run: RunName, backplane: Backplane) -> Self {
         Self { run, backplane }
     }
@@ -151,19 +151,19 @@ impl Hands {
     /// Takes the power from a system: its supply dies, and its cores with it.
     ///
     /// # Errors
-    /// [`HandsError::IsOff`], [`HandsError::Kill`].
-    pub fn power_off(&self, system: SystemId) -> Result<(), HandsError> {
-        let pid = self.supply(system).ok_or(HandsError::IsOff(system))?;
-        kill_process(pid, Signal::KILL).map_err(|errno| HandsError::Kill(errno.into()))
+    /// [`InjectionError::IsOff`], [`InjectionError::Kill`].
+    pub fn power_off(&self, system: SystemId) -> Result<(), InjectionError> {
+        let pid = self.supply(system).ok_or(InjectionError::IsOff(system))?;
+        kill_process(pid, Signal::KILL).map_err(|errno| InjectionError::Kill(errno.into()))
     }
 
     /// Switches on a system that was killed or switched off. Waits until its supply runs.
     ///
     /// # Errors
-    /// [`HandsError::IsOn`], [`HandsError::NoLauncher`].
-    pub fn power_on(&self, system: SystemId) -> Result<(), HandsError> {
+    /// [`InjectionError::IsOn`], [`InjectionError::NoLauncher`].
+    pub fn power_on(&self, system: SystemId) -> Result<(), InjectionError> {
         if self.supply(system).is_some() {
-            return Err(HandsError::IsOn(system));
+            return Err(InjectionError::IsOn(system));
         }
         self.backplane.request_power(system);
         poke_launcher(self.backplane);
@@ -171,7 +171,7 @@ impl Hands {
         while self.supply(system).is_none() {
             if begin.elapsed() > SWITCHED_ON_WITHIN {
                 self.backplane.take_power_request(system);
-                return Err(HandsError::NoLauncher(system));
+                return Err(InjectionError::NoLauncher(system));
             }
             std::thread::sleep(LOOK_AGAIN);
         }
@@ -194,8 +194,8 @@ impl Hands {
     /// words.
     ///
     /// # Errors
-    /// [`HandsError::Lmu`].
-    pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), HandsError> {
+    /// [`InjectionError::Lmu`].
+    pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), InjectionError> {
         scribble(memory::open_lmu(&self.run, system)?, seed);
         Ok(())
     }

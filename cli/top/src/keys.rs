@@ -1,4 +1,4 @@
-//! The keys of `tandem top` that inject faults and mend: commands of `tandem`, and signals.
+//! The keys of `tandem top` that inject faults and repair them: commands of `tandem`, and signals.
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -22,15 +22,15 @@ const WIRES: [&str; 6] = [
     "can",
 ];
 
-/// An action of a person on a run.
-pub(super) struct Hand {
+/// Executes the keys that a person presses.
+pub(super) struct Keys {
     run: RunName,
     /// Commands under way.
     commands: Vec<Child>,
     said: String,
 }
 
-impl Hand {
+impl Keys {
     pub(super) const fn on(run: RunName) -> Self {
         Self {
             run,
