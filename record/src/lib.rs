@@ -14,6 +14,7 @@ pub mod roles;
 pub mod run_log;
 pub mod start;
 pub mod takeover;
+pub mod verdict;
 
 pub use file::Entry;
 pub use run_log::RunLog;

@@ -1,0 +1,221 @@
+//! The longest times without control that the requirement permits, for each timing profile.
+//!
+//! T-RED-8: a takeover ends before the second control frame is missed. These are the judge's own
+//! figures: they do not follow from the limits of the product that is judged, which are compared
+//! with them ([`Limits::exceeded_by`]).
+
+use tandem_board::Duration;
+use tandem_redundancy::Config;
+
+use super::{Finding, Rule};
+
+const MS: Duration = Duration::from_ms(1);
+/// Time between two control frames.
+pub const CONTROL_PERIOD: Duration = Duration::from_ms(10);
+/// The gap at a takeover is shorter than this: two control periods.
+const GOAL: Duration = Duration::from_ms(20);
+/// Longest time between two polls of a system.
+const POLL: Duration = MS;
+/// A line may be silent for at most this long: the goal, less the control period since the last
+/// frame, a poll, and 1 ms of margin.
+const LINE_MOST: Duration = Duration::from_ms(8);
+/// The third witness may wait for at most this long: the goal, less an echo, a poll and 1 ms.
+const THIRD_MOST: Duration = Duration::from_ms(17);
+/// The third witness waits for a control period and 1 ms on the bus, and for the stall.
+const THIRD_LEAST: Duration = Duration::from_ms(11);
+
+/// What a profile needs. All limits follow from it and from the goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Name of the profile.
+    pub profile: &'static str,
+    /// Two heartbeats, and how late they are seen although nothing stalls.
+    beats: Duration,
+    /// How long a low power level, without a heartbeat, is not yet believed.
+    level: Duration,
+    /// How long a master that hears nothing on CAN may transmit beside its successor.
+    pub deaf_hand_over: Duration,
+    /// For this long a core that is due may not run although nothing has failed.
+    stall: Duration,
+}
+
+impl Limits {
+    /// Chips, on which nothing stalls.
+    pub const CHIP: Self = Self {
+        profile: "chip",
+        beats: Duration::from_us(2_800),
+        level: Duration::from_us(1_800),
+        deaf_hand_over: Duration::from_ms(33),
+        stall: Duration::ZERO,
+    };
+    /// Processes under SCHED_FIFO.
+    pub const RT: Self = Self {
+        profile: "rt",
+        beats: Duration::from_ms(3),
+        level: Duration::from_ms(2),
+        deaf_hand_over: Duration::from_ms(51),
+        stall: Duration::from_ms(6),
+    };
+    /// Ordinary processes.
+    pub const DESKTOP: Self = Self {
+        profile: "desktop",
+        beats: Duration::from_ms(5),
+        level: Duration::from_ms(3),
+        stall: Duration::from_ms(46),
+        ..Self::RT
+    };
+    /// All profiles.
+    pub const ALL: [Self; 3] = [Self::CHIP, Self::RT, Self::DESKTOP];
+
+    /// The same on a machine whose stalls last for at most this long.
+    #[must_use]
+    pub const fn with_stall(self, stall: Duration) -> Self {
+        Self { stall, ..self }
+    }
+
+    /// The longest stall of a master that must not cost it its role.
+    #[must_use]
+    pub fn tolerated_stall(&self) -> Duration {
+        self.stall.min(LINE_MOST - self.beats)
+    }
+
+    /// How long both heartbeat lines may be silent before the standby knows it.
+    fn line(&self) -> Duration {
+        self.beats + self.tolerated_stall()
+    }
+
+    /// How long the control frames may be missing before the third witness says so.
+    fn third(&self) -> Duration {
+        (THIRD_LEAST + self.stall).min(THIRD_MOST)
+    }
+
+    /// The longest gap when the master falls silent.
+    #[must_use]
+    pub fn silent(&self) -> Duration {
+        CONTROL_PERIOD + self.line() + POLL
+    }
+
+    /// The longest gap when its power level falls.
+    #[must_use]
+    pub fn power(&self) -> Duration {
+        CONTROL_PERIOD + self.level + POLL
+    }
+
+    /// The longest gap when it lives and its frames do not reach the vehicle: the vehicle repeats
+    /// its echo each millisecond.
+    #[must_use]
+    pub fn mute(&self) -> Duration {
+        self.third() + MS + POLL
+    }
+
+    /// The longest gap at any takeover.
+    #[must_use]
+    pub fn longest(&self) -> Duration {
+        self.silent().max(self.mute())
+    }
+
+    /// After heartbeats were silent for this long, a level that falls has the bound of silence: no
+    /// heartbeat can confirm it.
+    #[must_use]
+    pub fn silent_before(&self) -> Duration {
+        self.line() + self.third()
+    }
+
+    /// A finding for each limit of the product that permits more than this.
+    #[must_use]
+    pub fn exceeded_by(&self, config: &Config) -> Vec<Finding> {
+        let pairs = [
+            ("control period", config.control_period, CONTROL_PERIOD),
+            ("gap of a silent master", config.gap_bound(), self.silent()),
+            (
+                "gap of a master without power",
+                config.gap_bound_power(),
+                self.power(),
+            ),
+            ("gap of a mute master", config.gap_bound_mute(), self.mute()),
+            (
+                "hand-over of a deaf master",
+                config.deaf_hand_over(),
+                self.deaf_hand_over,
+            ),
+        ];
+        let beyond = pairs.into_iter().filter(|(_, here, most)| here > most);
+        beyond
+            .map(|(what, here, most)| {
+                let [here, most] = [here, most].map(Duration::as_ms_f64);
+                let words = format!(
+                    "the product's limits permit a {what} of {here} ms; profile {} permits {most} ms",
+                    self.profile
+                );
+                Finding::new(Rule::Limits, [here, most], words)
+            })
+            .collect()
+    }
+}
+
+const _: () = {
+    assert!(LINE_MOST.as_ns() + CONTROL_PERIOD.as_ns() + 2 * MS.as_ns() == GOAL.as_ns());
+    assert!(THIRD_MOST.as_ns() + 3 * MS.as_ns() == GOAL.as_ns());
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_redundancy::Budget;
+
+    /// T-RED-8: the bounds of the judge are those of the requirement, and below two control periods.
+    #[test]
+    fn the_limits_of_each_profile_are_below_two_control_periods() {
+        let us = |limits: Limits| {
+            [limits.silent(), limits.power(), limits.mute()].map(|bound| bound.as_us())
+        };
+        assert_eq!(us(Limits::CHIP), [13_800, 12_800, 13_000]);
+        assert_eq!(us(Limits::RT), [19_000, 13_000, 19_000]);
+        assert_eq!(us(Limits::DESKTOP), [19_000, 14_000, 19_000]);
+        assert!(Limits::ALL.iter().all(|limits| limits.longest() < GOAL));
+    }
+
+    /// The product's own limits stay within the judge's, for any stall that is measured.
+    #[test]
+    fn the_limits_of_the_product_are_within_those_of_the_judge() {
+        let budgets = [Budget::CHIP, Budget::RT, Budget::DESKTOP];
+        for (limits, budget) in Limits::ALL.into_iter().zip(budgets) {
+            assert_eq!(
+                limits.exceeded_by(&budget.config()),
+                [],
+                "{}",
+                limits.profile
+            );
+            assert_eq!(limits.tolerated_stall(), budget.tolerated_stall());
+            // A chip has no stalls to measure.
+            let most_us = if budget == Budget::CHIP { 0 } else { 20_000 };
+            for us in (0..most_us).step_by(250) {
+                let measured = budget.measured(Duration::from_us(us));
+                let limits = limits.with_stall(measured.stall);
+                assert_eq!(limits.exceeded_by(&measured.config()), [], "{us} us");
+                assert_eq!(
+                    limits.tolerated_stall(),
+                    measured.tolerated_stall(),
+                    "{us} us"
+                );
+            }
+        }
+    }
+
+    /// A product that waits for 400 ms too long for a control frame does not choose its own bound.
+    #[test]
+    fn a_product_with_longer_limits_is_found() {
+        let config = Config {
+            control_margin: Duration::from_ms(400),
+            ..Config::rt()
+        };
+        let found = Limits::RT.exceeded_by(&config);
+        assert!(
+            found
+                .iter()
+                .any(|it| it.words.contains("mute master of 412 ms")),
+            "{found:?}"
+        );
+        assert!(found.iter().all(Finding::fails_run));
+    }
+}
