@@ -6,12 +6,12 @@
 //! environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
-use crate::flash::{FlashFault, body_crc, erase, is_intact, program};
+use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program};
 use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
-use crate::map::{PAGE_BYTES, Region, Slot, Target, offset_of, sector, sector_at};
+use crate::map::{FlashRegion, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at};
 use crate::page::PageBuffer;
 use crate::protocol::Refusal;
-use crate::srec::{Record, RecordType};
+use crate::srec::{SRecord, SRecordType};
 use crate::trust::{Trust, TrustMode};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
@@ -30,23 +30,23 @@ pub(crate) struct Ground<'k> {
 
 impl Ground<'_> {
     /// Whether a download may erase this place.
-    fn is_free(&self, target: Target) -> bool {
+    fn is_free(&self, target: ImageTarget) -> bool {
         match target {
-            Target::Application(slot) => self.keep.application != Some(slot),
-            Target::Configuration(slot) => self.keep.configuration != Some(slot),
-            Target::Staging => self.store.get().loader == LoaderUpdate::Idle,
+            ImageTarget::Application(slot) => self.keep.application != Some(slot),
+            ImageTarget::Configuration(slot) => self.keep.configuration != Some(slot),
+            ImageTarget::Staging => self.store.get().loader == LoaderUpdate::Idle,
         }
     }
 
     /// The environment must not name what is about to be erased.
-    fn forget(&mut self, flash: &mut impl NorFlash, target: Target) -> Result<(), FlashFault> {
+    fn forget(&mut self, flash: &mut impl NorFlash, target: ImageTarget) -> Result<(), FlashFault> {
         let mut environment = *self.store.get();
         let selection = environment.trial.map(|trial| trial.selection);
         let selection = selection.unwrap_or_default();
         let named = match target {
-            Target::Application(slot) => selection.application == Some(slot),
-            Target::Configuration(slot) => selection.configuration == Some(slot),
-            Target::Staging => false,
+            ImageTarget::Application(slot) => selection.application == Some(slot),
+            ImageTarget::Configuration(slot) => selection.configuration == Some(slot),
+            ImageTarget::Staging => false,
         };
         if named {
             environment.trial = None;
@@ -59,7 +59,7 @@ impl Ground<'_> {
 /// One image of the file.
 #[derive(Clone, Debug)]
 struct Image {
-    target: Target,
+    target: ImageTarget,
     manifest_bytes: [u8; MANIFEST_BYTES],
     /// Bytes of the manifest so far.
     filled: usize,
@@ -72,7 +72,7 @@ struct Image {
 
 impl Image {
     const fn place(&self) -> u32 {
-        Region::Target(self.target).range().start
+        FlashRegion::Target(self.target).range().start
     }
 
     /// The offset at which data must come next; `None` if all have come.
@@ -115,20 +115,20 @@ impl Download {
     /// Takes a record. `Ok(true)` says that the file has ended and is on trial.
     pub(crate) fn take(
         &mut self,
-        record: &Record,
+        record: &SRecord,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Result<bool, Refusal> {
         match record.record_type {
-            RecordType::Header => Ok(false),
-            RecordType::Data => {
+            SRecordType::Header => Ok(false),
+            SRecordType::Data => {
                 self.data(record, flash, ground)?;
                 self.count += 1;
                 Ok(false)
             }
-            RecordType::Count if record.address == self.count => Ok(false),
-            RecordType::Count => Err(Refusal::Count),
-            RecordType::Entry => {
+            SRecordType::Count if record.address == self.count => Ok(false),
+            SRecordType::Count => Err(Refusal::Count),
+            SRecordType::Entry => {
                 self.finish(record.address, flash, ground)?;
                 Ok(true)
             }
@@ -137,7 +137,7 @@ impl Download {
 
     fn data(
         &mut self,
-        record: &Record,
+        record: &SRecord,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Result<(), Refusal> {
@@ -193,7 +193,7 @@ impl Download {
     /// The first thing that changes the flash: the place's first sector is erased.
     fn prepare(
         &mut self,
-        target: Target,
+        target: ImageTarget,
         first: Option<Range<u32>>,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
@@ -239,7 +239,7 @@ impl Download {
             let place = image.place();
             // Only the ROM needs the checksum, and only of a bootloader.
             let right = is_intact(flash, place, manifest).map_err(fault)?
-                && (image.target != Target::Staging
+                && (image.target != ImageTarget::Staging
                     || body_crc(flash, place, manifest.length).map_err(fault)? == manifest.crc);
             if !right {
                 return Err(Refusal::Digest);
@@ -249,9 +249,9 @@ impl Download {
                 program(flash, at, page).map_err(fault)?;
             }
             match image.target {
-                Target::Application(slot) => selection.application = Some(slot),
-                Target::Configuration(slot) => selection.configuration = Some(slot),
-                Target::Staging => environment.loader = LoaderUpdate::Staged,
+                ImageTarget::Application(slot) => selection.application = Some(slot),
+                ImageTarget::Configuration(slot) => selection.configuration = Some(slot),
+                ImageTarget::Staging => environment.loader = LoaderUpdate::Staged,
             }
         }
         environment.trial = (selection != Selection::default()).then_some(Trial {
@@ -273,15 +273,17 @@ fn begin(
     if at < last.end {
         return Err(behind(end, last));
     }
-    let Some(target) = Target::at(at) else {
+    let Some(target) = ImageTarget::at(at) else {
         let below = sector(4).is_some_and(|environment| at < environment.start);
         let region = [
-            Region::Environment(0),
-            Region::Environment(1),
-            Region::Log(0),
+            FlashRegion::Environment(0),
+            FlashRegion::Environment(1),
+            FlashRegion::Log(0),
         ];
-        let kept = region.into_iter().chain([Region::Log(1)]);
-        let kept = kept.map(Region::range).any(|range| range.contains(&at));
+        let kept = region.into_iter().chain([FlashRegion::Log(1)]);
+        let kept = kept
+            .map(FlashRegion::range)
+            .any(|range| range.contains(&at));
         return Err(if below || kept {
             Refusal::Protected
         } else {
@@ -294,7 +296,7 @@ fn begin(
     if !ground.is_free(target) {
         return Err(Refusal::SlotInUse);
     }
-    if at != Region::Target(target).range().start {
+    if at != FlashRegion::Target(target).range().start {
         return Err(Refusal::NoManifest);
     }
     Ok(Image {
@@ -310,13 +312,13 @@ fn begin(
 /// Checks a manifest before anything is erased for it.
 fn accept(
     bytes: &[u8; MANIFEST_BYTES],
-    target: Target,
+    target: ImageTarget,
     ground: &Ground<'_>,
 ) -> Result<Manifest, Refusal> {
     let signed = bytes.first_chunk::<SIGNED_BYTES>();
     let manifest = signed.and_then(|signed| Manifest::decode(signed).ok());
     let manifest = manifest.ok_or(Refusal::BadManifest)?;
-    let range = Region::Target(target).range();
+    let range = FlashRegion::Target(target).range();
     let room = range.end - range.start - MANIFEST_BYTES as u32;
     let fits = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
     // A key that retires itself would lock out every later download.

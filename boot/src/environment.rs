@@ -8,8 +8,8 @@
 //! luck, proves that its record is firm. `docs/boot.md` says why two copies survive any two losses
 //! of power in a row.
 
-use crate::flash::{FlashFault, erase, program, read};
-use crate::map::{PAGE_BYTES, Region, Slot};
+use crate::flash_access::{FlashFault, erase, program, read};
+use crate::map::{FlashRegion, PAGE_BYTES, Slot};
 use crate::page::{CRC_32, word};
 use embedded_storage::nor_flash::NorFlash;
 
@@ -229,7 +229,7 @@ impl EnvironmentStore {
     }
 
     fn write_copy(&self, flash: &mut impl NorFlash, copy: u8) -> Result<(), FlashFault> {
-        let range = Region::Environment(copy).range();
+        let range = FlashRegion::Environment(copy).range();
         let record = self.current.encode(self.sequence);
         let (pages, _) = record.as_chunks::<PAGE_BYTES>();
         erase(flash, range.clone())?;
@@ -254,7 +254,7 @@ fn confirmation(record: &[u8; RECORD_BYTES]) -> [u8; PAGE_BYTES] {
 }
 
 fn read_copy(flash: &mut impl NorFlash, copy: u8) -> Result<Option<Copy>, FlashFault> {
-    let start = Region::Environment(copy).range().start;
+    let start = FlashRegion::Environment(copy).range().start;
     let record: [u8; RECORD_BYTES] = read(flash, start)?;
     let mut confirmed = true;
     for _ in 0..READS {

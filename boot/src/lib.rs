@@ -13,7 +13,7 @@ extern crate std;
 
 mod download;
 mod environment;
-mod flash;
+mod flash_access;
 mod loader;
 mod log;
 mod manifest;
@@ -27,19 +27,20 @@ mod three_frames;
 mod trust;
 
 pub use environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
-pub use flash::{FlashFault, rom_choice};
+pub use flash_access::{FlashFault, rom_choice};
 pub use loader::{CONNECT_WINDOW, HOST_SILENCE, Launch, Loader, Next, Setup, approve};
 pub use log::{LogEntry, LogEvent, read_log};
 pub use manifest::{
-    BODY_OFFSET, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, ManifestError, Part, SIGNED_BYTES,
+    BODY_OFFSET, HARDWARE, ImagePart, MANIFEST_BYTES, MAX_PARTS, Manifest, ManifestError,
+    SIGNED_BYTES,
 };
 pub use map::{
-    Bank, FLASH_BYTES, Kind, PAGE_BYTES, Region, SECTORS, SMALLEST_SECTOR, Slot, Target, offset_of,
-    sector, sector_at,
+    Bank, FLASH_BYTES, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, SECTORS, SMALLEST_SECTOR,
+    Slot, offset_of, sector, sector_at,
 };
-pub use protocol::{Answer, Refusal, Request, TO_HOST, TO_LOADER};
+pub use protocol::{Answer, HostRequest, Refusal, TO_HOST, TO_LOADER};
 pub use session::{MAX_WINDOW, RESEND_AFTER};
-pub use srec::{Assembler, MAX_DATA, Record, RecordError, RecordType};
+pub use srec::{Assembler, MAX_DATA, SRecord, SRecordError, SRecordType};
 pub use start::{BetweenSteps, Keeper, Leave, first_service, next_service, start};
 pub use three_frames::{FIRST_ID, three_frames};
 pub use trust::{Trust, TrustMode};

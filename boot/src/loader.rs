@@ -4,11 +4,11 @@ mod own_update;
 
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
-use crate::flash::{FlashFault, body_crc, is_intact, read};
+use crate::flash_access::{FlashFault, body_crc, is_intact, read};
 use crate::log::{LogEvent, append};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
-use crate::map::{Bank, Region, Slot, Target};
-use crate::protocol::{Answer, Request, TO_LOADER};
+use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
+use crate::protocol::{Answer, HostRequest, TO_LOADER};
 use crate::session::Session;
 use crate::trust::{Trust, TrustMode};
 use embedded_storage::nor_flash::NorFlash;
@@ -203,8 +203,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             return;
         }
         self.was_busy = true;
-        let answer = match Request::decode(frame.data()) {
-            Request::Connect { system, resume } => self
+        let answer = match HostRequest::decode(frame.data()) {
+            HostRequest::Connect { system, resume } => self
                 .is_for_us(system)
                 .then(|| self.session.connect(now, resume)),
             request => {
@@ -272,7 +272,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             let candidates = [slot, slot.other()];
             let good = candidates
                 .into_iter()
-                .find(|slot| self.can_boot(Target::Application(*slot)));
+                .find(|slot| self.can_boot(ImageTarget::Application(*slot)));
             self.ground.keep.application = good;
             if let Some(other) = good.filter(|good| *good != slot) {
                 environment.active.application = Some(other);
@@ -280,12 +280,12 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 self.log(LogEvent::SlotDamaged, other as u32);
             }
         }
-        let whole = |slot: &Slot| self.can_boot(Target::Configuration(*slot));
+        let whole = |slot: &Slot| self.can_boot(ImageTarget::Configuration(*slot));
         self.ground.keep.configuration = active.configuration.filter(whole);
         Ok(())
     }
 
-    fn can_boot(&mut self, target: Target) -> bool {
+    fn can_boot(&mut self, target: ImageTarget) -> bool {
         let image = inspect(&mut self.flash, &self.setup.trust, target);
         if let Some(Image {
             authentic: false, ..
@@ -312,8 +312,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             application: self.ground.keep.application,
         };
         if let Some(Trial { selection: new, .. }) = environment.trial {
-            let application = new.application.map(Target::Application);
-            let configuration = new.configuration.map(Target::Configuration);
+            let application = new.application.map(ImageTarget::Application);
+            let configuration = new.configuration.map(ImageTarget::Configuration);
             let mut targets = application.into_iter().chain(configuration);
             if targets.all(|target| self.can_boot(target)) {
                 selection.application = new.application.or(selection.application);
@@ -338,8 +338,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     }
 
     fn launch(&mut self, application: Slot, configuration: Option<Slot>) -> Option<Next> {
-        let (manifest, _) = manifest_at(&mut self.flash, Target::Application(application))?;
-        let place = Region::Target(Target::Application(application))
+        let (manifest, _) = manifest_at(&mut self.flash, ImageTarget::Application(application))?;
+        let place = FlashRegion::Target(ImageTarget::Application(application))
             .range()
             .start;
         let entry = |entry: u32| (entry > 0).then_some(place + entry);
@@ -380,9 +380,9 @@ struct Image {
 /// The manifest that begins a place, with its bytes.
 fn manifest_at(
     flash: &mut impl NorFlash,
-    target: Target,
+    target: ImageTarget,
 ) -> Option<(Manifest, [u8; MANIFEST_BYTES])> {
-    let range = Region::Target(target).range();
+    let range = FlashRegion::Target(target).range();
     let bytes: [u8; MANIFEST_BYTES] = read(flash, range.start).ok()?;
     let manifest = Manifest::decode(bytes.first_chunk::<SIGNED_BYTES>()?).ok()?;
     let fits = range.start + BODY_OFFSET + manifest.length <= range.end;
@@ -392,11 +392,11 @@ fn manifest_at(
 
 /// The image in a place; `None` if it is damaged or there is none. A key that was retired since
 /// the image was taken still counts here: what has approved itself stays as fallback.
-fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: Target) -> Option<Image> {
+fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) -> Option<Image> {
     let (manifest, bytes) = manifest_at(flash, target)?;
-    let place = Region::Target(target).range().start;
+    let place = FlashRegion::Target(target).range().start;
     let whole = is_intact(flash, place, &manifest) == Ok(true)
-        && (target != Target::Staging
+        && (target != ImageTarget::Staging
             || body_crc(flash, place, manifest.length) == Ok(manifest.crc));
     whole.then(|| Image {
         manifest,
@@ -408,7 +408,7 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: Target) -> Opti
 /// and the newer one on trial. Used by a new controller, and by one that lost both copies.
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     let mut environment = Environment::default();
-    let mut find = |kind: fn(Slot) -> Target| {
+    let mut find = |kind: fn(Slot) -> ImageTarget| {
         let mut version = |slot| {
             let image = inspect(flash, &setup.trust, kind(slot))?;
             let taken = image.authentic || setup.trust.mode == TrustMode::Monitor;
@@ -420,8 +420,8 @@ fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
             [a, b] => (a.or(b).map(|(_, slot)| slot), None),
         }
     };
-    let (application, newer_application) = find(Target::Application);
-    let (configuration, newer_configuration) = find(Target::Configuration);
+    let (application, newer_application) = find(ImageTarget::Application);
+    let (configuration, newer_configuration) = find(ImageTarget::Configuration);
     environment.active = Selection {
         application,
         configuration,
@@ -443,10 +443,10 @@ fn raise_to_active(flash: &mut impl NorFlash, environment: &mut Environment) {
         application,
         configuration,
     } = environment.active;
-    let application = application.map(Target::Application);
+    let application = application.map(ImageTarget::Application);
     for target in application
         .into_iter()
-        .chain(configuration.map(Target::Configuration))
+        .chain(configuration.map(ImageTarget::Configuration))
     {
         if let Some((manifest, _)) = manifest_at(flash, target) {
             raise(environment, &manifest);

@@ -2,8 +2,8 @@
 //!
 //! It is written at best effort: no decision reads it.
 
-use crate::flash::{FlashFault, erase, program, read};
-use crate::map::{PAGE_BYTES, Region};
+use crate::flash_access::{FlashFault, erase, program, read};
+use crate::map::{FlashRegion, PAGE_BYTES};
 use crate::page::{CRC_32, ERASED, Page, word};
 use embedded_storage::nor_flash::NorFlash;
 
@@ -94,7 +94,7 @@ fn scan(
     sector: u8,
     mut found: impl FnMut(LogEntry),
 ) -> Result<u32, FlashFault> {
-    let range = Region::Log(sector).range();
+    let range = FlashRegion::Log(sector).range();
     let mut free = range.start;
     for at in range.clone().step_by(PAGE_BYTES) {
         let page: Page = read(flash, at)?;
@@ -152,13 +152,13 @@ pub(crate) fn append(
     }
     .encode();
     let sector = u8::from(newest[1] > newest[0]);
-    let end = Region::Log(sector).range().end;
+    let end = FlashRegion::Log(sector).range().end;
     for at in (free[usize::from(sector)]..end).step_by(PAGE_BYTES) {
         if program(flash, at, &page).is_ok() {
             return Ok(());
         }
     }
-    let range = Region::Log(1 - sector).range();
+    let range = FlashRegion::Log(1 - sector).range();
     erase(flash, range.clone())?;
     program(flash, range.start, &page)
 }

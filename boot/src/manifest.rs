@@ -19,7 +19,7 @@
 //! | 164..192 | 0 |
 //! | 192..256 | Ed25519 signature of bytes 0..192 |
 
-use crate::map::{Kind, PAGE_BYTES};
+use crate::map::{ImageKind, PAGE_BYTES};
 use crate::page::{CRC_32, word};
 use tandem_board::CoreId;
 
@@ -39,7 +39,7 @@ const FORMAT: u8 = 1;
 
 /// A run of bytes in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Part {
+pub struct ImagePart {
     /// From the image's place; at least [`BODY_OFFSET`].
     pub offset: u32,
     /// In bytes; 0 for none.
@@ -52,7 +52,7 @@ pub struct Part {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Manifest {
     /// Its kind.
-    pub kind: Kind,
+    pub kind: ImageKind,
     /// Which key signed it.
     pub key: u8,
     /// Keys below this are no longer accepted once the image has approved itself.
@@ -68,7 +68,7 @@ pub struct Manifest {
     /// Where each core begins, from the image's place; 0 for a core that is not started.
     pub entries: [u32; CoreId::COUNT],
     /// In ascending order; the first one of length 0 ends the list.
-    pub parts: [Part; MAX_PARTS],
+    pub parts: [ImagePart; MAX_PARTS],
 }
 
 /// Why bytes are not a manifest.
@@ -84,7 +84,7 @@ pub enum ManifestError {
 
 impl Manifest {
     /// The parts that it has.
-    pub fn parts(&self) -> impl Iterator<Item = &Part> {
+    pub fn parts(&self) -> impl Iterator<Item = &ImagePart> {
         self.parts.iter().take_while(|part| part.length > 0)
     }
 
@@ -131,7 +131,9 @@ impl Manifest {
         if bytes[..4] != MAGIC {
             return Err(ManifestError::Magic);
         }
-        let kind = Kind::ALL.into_iter().find(|kind| *kind as u8 == bytes[5]);
+        let kind = ImageKind::ALL
+            .into_iter()
+            .find(|kind| *kind as u8 == bytes[5]);
         let (parts, _) = bytes[44..164].as_chunks::<40>();
         let mut manifest = Self {
             kind: kind.ok_or(ManifestError::Format)?,
@@ -142,7 +144,7 @@ impl Manifest {
             length: word(16),
             crc: word(20),
             entries: [word(32), word(36), word(40)],
-            parts: [Part::default(); MAX_PARTS],
+            parts: [ImagePart::default(); MAX_PARTS],
         };
         let count = usize::from(bytes[6]);
         for (index, bytes) in parts.iter().enumerate().take(count) {
@@ -172,7 +174,7 @@ impl Manifest {
             free = part_end;
         }
         let inside = |entry: &u32| {
-            let holds = |part: &Part| (part.offset..part.offset + part.length).contains(entry);
+            let holds = |part: &ImagePart| (part.offset..part.offset + part.length).contains(entry);
             *entry == 0 || self.parts().any(holds)
         };
         // The body ends with its last part.
@@ -199,14 +201,14 @@ pub(crate) mod tests {
 
     /// A manifest of one part.
     pub(crate) fn example() -> Manifest {
-        let mut parts = [Part::default(); MAX_PARTS];
-        parts[0] = Part {
+        let mut parts = [ImagePart::default(); MAX_PARTS];
+        parts[0] = ImagePart {
             offset: BODY_OFFSET,
             length: 100,
             sha256: [7; 32],
         };
         Manifest {
-            kind: Kind::Application,
+            kind: ImageKind::Application,
             key: 0,
             lowest_key: 0,
             hardware: HARDWARE,
@@ -221,7 +223,7 @@ pub(crate) mod tests {
     /// U-5: each kind, read as it was written; its first page is what the ROM needs.
     #[test]
     fn what_is_encoded_is_decoded() {
-        for kind in Kind::ALL {
+        for kind in ImageKind::ALL {
             let manifest = Manifest { kind, ..example() };
             let bytes = manifest.encode();
             assert_eq!(Manifest::decode(&bytes), Ok(manifest));

@@ -85,7 +85,7 @@ pub enum Bank {
 
 /// What an image is. Each kind has its own place and its own way of updating. U-5
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ImageKind {
     /// What the three cores run.
     Application,
     /// Parameters of the application.
@@ -94,14 +94,14 @@ pub enum Kind {
     Bootloader,
 }
 
-impl Kind {
+impl ImageKind {
     /// All kinds.
     pub const ALL: [Self; 3] = [Self::Application, Self::Configuration, Self::Bootloader];
 }
 
 /// Where a downloaded image is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
+pub enum ImageTarget {
     /// A slot of the application.
     Application(Slot),
     /// A slot of the configuration.
@@ -110,7 +110,7 @@ pub enum Target {
     Staging,
 }
 
-impl Target {
+impl ImageTarget {
     /// All targets, in the order of their addresses.
     pub const ALL: [Self; 5] = [
         Self::Configuration(Slot::A),
@@ -123,36 +123,36 @@ impl Target {
     /// The target that holds `offset`.
     #[must_use]
     pub fn at(offset: u32) -> Option<Self> {
-        let holds = |target: &Self| Region::Target(*target).range().contains(&offset);
+        let holds = |target: &Self| FlashRegion::Target(*target).range().contains(&offset);
         Self::ALL.into_iter().find(holds)
     }
 
     /// What belongs there.
     #[must_use]
-    pub const fn kind(self) -> Kind {
+    pub const fn kind(self) -> ImageKind {
         match self {
-            Self::Application(_) => Kind::Application,
-            Self::Configuration(_) => Kind::Configuration,
-            Self::Staging => Kind::Bootloader,
+            Self::Application(_) => ImageKind::Application,
+            Self::Configuration(_) => ImageKind::Configuration,
+            Self::Staging => ImageKind::Bootloader,
         }
     }
 }
 
 /// What a range of the flash is for. U-2
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Region {
+pub enum FlashRegion {
     /// A bootloader that can run: S0–S1, S2–S3.
     Bank(Bank),
     /// One of two copies of the boot environment: S4, S5.
     Environment(u8),
     /// What a download may write: S6, S7 (configuration), S8 (staging), S12–S22 and S23–S25
     /// (application, 768 KiB each).
-    Target(Target),
+    Target(ImageTarget),
     /// One of two sectors of the log: S10, S11.
     Log(u8),
 }
 
-impl Region {
+impl FlashRegion {
     /// Its range; begins and ends with a sector.
     #[must_use]
     pub const fn range(self) -> Range<u32> {
@@ -161,13 +161,13 @@ impl Region {
             Self::Bank(Bank::Backup) => 0x00_8000..0x01_0000,
             Self::Environment(0) => 0x01_0000..0x01_4000,
             Self::Environment(_) => 0x01_4000..0x01_8000,
-            Self::Target(Target::Configuration(Slot::A)) => 0x01_8000..0x01_C000,
-            Self::Target(Target::Configuration(Slot::B)) => 0x01_C000..0x02_0000,
-            Self::Target(Target::Staging) => 0x02_0000..0x02_8000,
+            Self::Target(ImageTarget::Configuration(Slot::A)) => 0x01_8000..0x01_C000,
+            Self::Target(ImageTarget::Configuration(Slot::B)) => 0x01_C000..0x02_0000,
+            Self::Target(ImageTarget::Staging) => 0x02_0000..0x02_8000,
             Self::Log(0) => 0x03_0000..0x03_8000,
             Self::Log(_) => 0x03_8000..0x04_0000,
-            Self::Target(Target::Application(Slot::A)) => 0x04_0000..0x10_0000,
-            Self::Target(Target::Application(Slot::B)) => 0x10_0000..0x1C_0000,
+            Self::Target(ImageTarget::Application(Slot::A)) => 0x04_0000..0x10_0000,
+            Self::Target(ImageTarget::Application(Slot::B)) => 0x10_0000..0x1C_0000,
         }
     }
 }
@@ -176,18 +176,18 @@ impl Region {
 mod tests {
     use super::*;
 
-    const REGIONS: [Region; 11] = [
-        Region::Bank(Bank::Primary),
-        Region::Bank(Bank::Backup),
-        Region::Environment(0),
-        Region::Environment(1),
-        Region::Target(Target::Configuration(Slot::A)),
-        Region::Target(Target::Configuration(Slot::B)),
-        Region::Target(Target::Staging),
-        Region::Log(0),
-        Region::Log(1),
-        Region::Target(Target::Application(Slot::A)),
-        Region::Target(Target::Application(Slot::B)),
+    const REGIONS: [FlashRegion; 11] = [
+        FlashRegion::Bank(Bank::Primary),
+        FlashRegion::Bank(Bank::Backup),
+        FlashRegion::Environment(0),
+        FlashRegion::Environment(1),
+        FlashRegion::Target(ImageTarget::Configuration(Slot::A)),
+        FlashRegion::Target(ImageTarget::Configuration(Slot::B)),
+        FlashRegion::Target(ImageTarget::Staging),
+        FlashRegion::Log(0),
+        FlashRegion::Log(1),
+        FlashRegion::Target(ImageTarget::Application(Slot::A)),
+        FlashRegion::Target(ImageTarget::Application(Slot::B)),
     ];
 
     /// T-BOOT-6: the offsets of the thesis's figure 3.9, and no gap.
@@ -232,14 +232,15 @@ mod tests {
                 assert!(range.end <= other.start || other.end <= range.start);
             }
         }
-        for target in Target::ALL {
-            let range = Region::Target(target).range();
+        for target in ImageTarget::ALL {
+            let range = FlashRegion::Target(target).range();
             assert!(range.start >= sector(2).unwrap().start);
-            assert_eq!(Target::at(range.start), Some(target));
-            assert_eq!(Target::at(range.end - 1), Some(target));
+            assert_eq!(ImageTarget::at(range.start), Some(target));
+            assert_eq!(ImageTarget::at(range.end - 1), Some(target));
         }
-        assert_eq!(Target::at(0x00_8000), None);
-        let [a, b] = Slot::ALL.map(|slot| Region::Target(Target::Application(slot)).range());
+        assert_eq!(ImageTarget::at(0x00_8000), None);
+        let [a, b] =
+            Slot::ALL.map(|slot| FlashRegion::Target(ImageTarget::Application(slot)).range());
         assert_eq!(a.len(), b.len());
     }
 

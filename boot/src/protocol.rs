@@ -168,7 +168,7 @@ impl Answer {
 
 /// What a host says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Request<'a> {
+pub enum HostRequest<'a> {
     /// Connect.
     Connect {
         /// Which system; `None`, as old hosts say it, for whichever listens.
@@ -190,7 +190,7 @@ pub enum Request<'a> {
     Data(&'a [u8]),
 }
 
-impl<'a> Request<'a> {
+impl<'a> HostRequest<'a> {
     /// Reads the data of a frame.
     #[must_use]
     pub fn decode(data: &'a [u8]) -> Self {
@@ -257,7 +257,7 @@ mod tests {
         assert_eq!(accepted.encode(), 0x21_4B1Du64.to_le_bytes());
         let resend = Answer::Resend { record: 0 };
         assert_eq!(resend.encode(), 0x53_4F53u64.to_le_bytes());
-        let connect = Request::Connect {
+        let connect = HostRequest::Connect {
             system: None,
             resume: false,
         };
@@ -288,15 +288,18 @@ mod tests {
         let systems = [None, Some(SystemId::A), Some(SystemId::B)];
         let connects = systems.map(|system| [false, true].map(|resume| (system, resume)));
         let connects = connects.into_iter().flatten();
-        let connects = connects.map(|(system, resume)| Request::Connect { system, resume });
+        let connects = connects.map(|(system, resume)| HostRequest::Connect { system, resume });
         let others = [
-            Request::Offer { records: 16 },
-            Request::GoBack { record: 70_000 },
-            Request::Data(b"S1130000"),
-            Request::Data(b"\r\n"),
+            HostRequest::Offer { records: 16 },
+            HostRequest::GoBack { record: 70_000 },
+            HostRequest::Data(b"S1130000"),
+            HostRequest::Data(b"\r\n"),
         ];
         for request in connects.chain(others) {
-            assert_eq!(Request::decode(request.frame().unwrap().data()), request);
+            assert_eq!(
+                HostRequest::decode(request.frame().unwrap().data()),
+                request
+            );
         }
     }
 }

@@ -5,8 +5,8 @@
 //! error the host goes back to the record that the loader names.
 
 use crate::download::{Download, Ground, free_slot};
-use crate::protocol::{Answer, Refusal, Request};
-use crate::srec::{Assembler, Record, RecordType};
+use crate::protocol::{Answer, HostRequest, Refusal};
+use crate::srec::{Assembler, SRecord, SRecordType};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{Duration, Instant};
 
@@ -45,7 +45,7 @@ pub(crate) struct Session {
     waits_for_go_back: bool,
     attempts: u8,
     /// The last accepted record: if its acknowledgement was lost, the host sends it again.
-    last: Option<Record>,
+    last: Option<SRecord>,
     heard: Instant,
 }
 
@@ -103,7 +103,7 @@ impl Session {
     pub(crate) fn on_request(
         &mut self,
         now: Instant,
-        request: Request<'_>,
+        request: HostRequest<'_>,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Option<Answer> {
@@ -112,8 +112,8 @@ impl Session {
         }
         self.heard = now;
         match request {
-            Request::Connect { .. } => None,
-            Request::Offer { records } => {
+            HostRequest::Connect { .. } => None,
+            HostRequest::Offer { records } => {
                 self.window = records.min(MAX_WINDOW);
                 Some(Answer::Window {
                     records: self.window,
@@ -122,19 +122,19 @@ impl Session {
                     accepted: self.accepted,
                 })
             }
-            Request::GoBack { record } if record == self.accepted => {
+            HostRequest::GoBack { record } if record == self.accepted => {
                 self.assembler = Assembler::default();
                 (self.waits_for_go_back, self.unanswered) = (false, 0);
                 None
             }
-            Request::GoBack { .. } => Some(self.ask_again()),
-            Request::Data(_) if self.waits_for_go_back => None,
+            HostRequest::GoBack { .. } => Some(self.ask_again()),
+            HostRequest::Data(_) if self.waits_for_go_back => None,
             // The end of the record before was lost. Without a window the host repeats a record so.
-            Request::Data([b'S', ..]) if self.window > 0 && self.assembler.is_inside() => {
+            HostRequest::Data([b'S', ..]) if self.window > 0 && self.assembler.is_inside() => {
                 self.assembler = Assembler::default();
                 Some(self.ask_again())
             }
-            Request::Data(data) => {
+            HostRequest::Data(data) => {
                 let record = self.assembler.push(data)?;
                 Some(self.on_record(record.ok(), flash, ground)).flatten()
             }
@@ -143,7 +143,7 @@ impl Session {
 
     fn on_record(
         &mut self,
-        record: Option<Record>,
+        record: Option<SRecord>,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Option<Answer> {
@@ -180,7 +180,7 @@ impl Session {
             }
             self.last = Some(record);
         }
-        let ends = record.record_type == RecordType::Entry;
+        let ends = record.record_type == SRecordType::Entry;
         if self.unanswered < self.window && !ends {
             return None;
         }

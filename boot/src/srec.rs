@@ -7,7 +7,7 @@ pub const MAX_DATA: usize = 252;
 
 /// What a record is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RecordType {
+pub enum SRecordType {
     /// S0: text about the file; its address says nothing.
     Header,
     /// S1, S2, S3: data at an address.
@@ -20,7 +20,7 @@ pub enum RecordType {
 
 /// Why a line is not an S-record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RecordError {
+pub enum SRecordError {
     /// It does not begin with `S` and a digit from 0 to 3 or 5 to 9.
     Type,
     /// It has another number of digits than its length says, or none for its address.
@@ -33,59 +33,59 @@ pub enum RecordError {
 
 /// One record, checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Record {
+pub struct SRecord {
     /// What it is for.
-    pub record_type: RecordType,
+    pub record_type: SRecordType,
     /// Its address, its count, or its entry.
     pub address: u32,
     len: u8,
     bytes: [u8; MAX_DATA],
 }
 
-impl Record {
+impl SRecord {
     /// Reads a line without its line end.
     ///
     /// # Errors
-    /// [`RecordError`] if it is not a record. A record that was changed on its way fails with any
+    /// [`SRecordError`] if it is not a record. A record that was changed on its way fails with any
     /// of them; the sender is asked for it again.
-    pub fn parse(line: &[u8]) -> Result<Self, RecordError> {
+    pub fn parse(line: &[u8]) -> Result<Self, SRecordError> {
         let [b'S', digit, hex @ ..] = line else {
-            return Err(RecordError::Type);
+            return Err(SRecordError::Type);
         };
         let (record_type, address_bytes) = match digit {
-            b'0' => (RecordType::Header, 2),
-            b'1' => (RecordType::Data, 2),
-            b'2' => (RecordType::Data, 3),
-            b'3' => (RecordType::Data, 4),
-            b'5' => (RecordType::Count, 2),
-            b'6' => (RecordType::Count, 3),
-            b'7' => (RecordType::Entry, 4),
-            b'8' => (RecordType::Entry, 3),
-            b'9' => (RecordType::Entry, 2),
-            _ => return Err(RecordError::Type),
+            b'0' => (SRecordType::Header, 2),
+            b'1' => (SRecordType::Data, 2),
+            b'2' => (SRecordType::Data, 3),
+            b'3' => (SRecordType::Data, 4),
+            b'5' => (SRecordType::Count, 2),
+            b'6' => (SRecordType::Count, 3),
+            b'7' => (SRecordType::Entry, 4),
+            b'8' => (SRecordType::Entry, 3),
+            b'9' => (SRecordType::Entry, 2),
+            _ => return Err(SRecordError::Type),
         };
         let mut bytes = [0; 256];
         let (pairs, odd) = hex.as_chunks::<2>();
         if !odd.is_empty() || pairs.len() > bytes.len() {
-            return Err(RecordError::Length);
+            return Err(SRecordError::Length);
         }
         for (byte, [high, low]) in bytes.iter_mut().zip(pairs) {
             *byte = nibble(*high)? << 4 | nibble(*low)?;
         }
         let bytes = &bytes[..pairs.len()];
         let [length, content @ .., _] = bytes else {
-            return Err(RecordError::Length);
+            return Err(SRecordError::Length);
         };
         if usize::from(*length) != bytes.len() - 1 || content.len() < address_bytes {
-            return Err(RecordError::Length);
+            return Err(SRecordError::Length);
         }
         // The sum of all bytes with the ones' complement of the sum is 0xFF.
         if bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)) != 0xFF {
-            return Err(RecordError::Checksum);
+            return Err(SRecordError::Checksum);
         }
         let (address, data) = content.split_at(address_bytes);
-        if !data.is_empty() && matches!(record_type, RecordType::Count | RecordType::Entry) {
-            return Err(RecordError::Length);
+        if !data.is_empty() && matches!(record_type, SRecordType::Count | SRecordType::Entry) {
+            return Err(SRecordError::Length);
         }
         let mut record = Self {
             record_type,
@@ -106,12 +106,12 @@ impl Record {
     }
 }
 
-const fn nibble(digit: u8) -> Result<u8, RecordError> {
+const fn nibble(digit: u8) -> Result<u8, SRecordError> {
     match digit {
         b'0'..=b'9' => Ok(digit - b'0'),
         b'A'..=b'F' => Ok(digit - b'A' + 10),
         b'a'..=b'f' => Ok(digit - b'a' + 10),
-        _ => Err(RecordError::Digit),
+        _ => Err(SRecordError::Digit),
     }
 }
 
@@ -140,8 +140,8 @@ impl Assembler {
     /// Takes the data of one frame; returns the record if it ends here.
     ///
     /// # Errors
-    /// [`RecordError`] inside `Some` if the line that ended is not a record.
-    pub fn push(&mut self, data: &[u8]) -> Option<Result<Record, RecordError>> {
+    /// [`SRecordError`] inside `Some` if the line that ended is not a record.
+    pub fn push(&mut self, data: &[u8]) -> Option<Result<SRecord, SRecordError>> {
         if data.first() == Some(&b'S') {
             (self.len, self.begun) = (0, true);
         }
@@ -157,13 +157,13 @@ impl Assembler {
         let (len, begun) = (self.len, self.begun);
         (self.len, self.begun) = (0, false);
         if !begun {
-            return Some(Err(RecordError::Type));
+            return Some(Err(SRecordError::Type));
         }
         if len > MAX_LINE + 1 {
-            return Some(Err(RecordError::Length));
+            return Some(Err(SRecordError::Length));
         }
         let line = &self.line[..len.min(MAX_LINE)];
-        Some(Record::parse(line.strip_suffix(b"\r").unwrap_or(line)))
+        Some(SRecord::parse(line.strip_suffix(b"\r").unwrap_or(line)))
     }
 
     /// Whether a record has begun and not ended.
@@ -193,11 +193,11 @@ mod tests {
     /// T-BOOT-4: lines of the thesis's figure 3.4 whose text is whole in its print.
     #[test]
     fn records_of_the_thesis_are_read() {
-        let header = Record::parse(b"S01600004D756C7469636F72655F746573742E737265633B").unwrap();
-        assert_eq!(header.record_type, RecordType::Header);
+        let header = SRecord::parse(b"S01600004D756C7469636F72655F746573742E737265633B").unwrap();
+        assert_eq!(header.record_type, SRecordType::Header);
         assert_eq!(header.data(), b"Multicore_test.srec");
-        let entry = Record::parse(b"S705A00E00202C").unwrap();
-        assert_eq!(entry.record_type, RecordType::Entry);
+        let entry = SRecord::parse(b"S705A00E00202C").unwrap();
+        assert_eq!(entry.record_type, SRecordType::Entry);
         assert_eq!(entry.address, 0xA00E_0020);
     }
 
@@ -205,18 +205,18 @@ mod tests {
     #[test]
     fn each_type_has_its_address() {
         for (digit, address, record_type) in [
-            (0, 2, RecordType::Header),
-            (1, 2, RecordType::Data),
-            (2, 3, RecordType::Data),
-            (3, 4, RecordType::Data),
-            (5, 2, RecordType::Count),
-            (6, 3, RecordType::Count),
-            (7, 4, RecordType::Entry),
-            (8, 3, RecordType::Entry),
-            (9, 2, RecordType::Entry),
+            (0, 2, SRecordType::Header),
+            (1, 2, SRecordType::Data),
+            (2, 3, SRecordType::Data),
+            (3, 4, SRecordType::Data),
+            (5, 2, SRecordType::Count),
+            (6, 3, SRecordType::Count),
+            (7, 4, SRecordType::Entry),
+            (8, 3, SRecordType::Entry),
+            (9, 2, SRecordType::Entry),
         ] {
             let bytes = &[0xA1, 0xB2, 0xC3, 0xD4][..address];
-            let record = Record::parse(line(digit, bytes, &[]).as_bytes()).unwrap();
+            let record = SRecord::parse(line(digit, bytes, &[]).as_bytes()).unwrap();
             assert_eq!(record.record_type, record_type);
             let expected = bytes
                 .iter()
@@ -231,7 +231,7 @@ mod tests {
             "X1030000FC",
             ":00000001FF",
         ] {
-            assert_eq!(Record::parse(other.as_bytes()), Err(RecordError::Type));
+            assert_eq!(SRecord::parse(other.as_bytes()), Err(SRecordError::Type));
         }
     }
 
@@ -286,7 +286,7 @@ mod tests {
             if lower {
                 text = text.to_lowercase().replacen('s', "S", 1);
             }
-            let record = Record::parse(text.as_bytes()).unwrap();
+            let record = SRecord::parse(text.as_bytes()).unwrap();
             prop_assert_eq!(record.address, address);
             prop_assert_eq!(record.data(), &data[..]);
         }
@@ -303,7 +303,7 @@ mod tests {
             let mut changed = text.clone().into_bytes();
             changed[place] = b"0123456789ABCDEF"[new];
             if changed != text.as_bytes() {
-                prop_assert!(Record::parse(&changed).is_err());
+                prop_assert!(SRecord::parse(&changed).is_err());
             }
         }
 

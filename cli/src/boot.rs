@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, RoleLamp, SystemId};
 use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
 use tandem_boot::{
-    BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot,
-    Target, Trust, TrustMode, approve, rom_choice, start,
+    BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, FlashRegion, ImageTarget, Leave, Manifest,
+    SIGNED_BYTES, Slot, Trust, TrustMode, approve, rom_choice, start,
 };
-use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
+use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 
 /// What RFC 8410 puts before the 32 bytes of a private key.
 pub const PRIVATE_DER: [u8; 16] =
@@ -29,14 +29,14 @@ const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes are told.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ProgramFlash {
+pub struct ProgramFlashes {
     /// By [`SystemId::index`].
     pub files: [PathBuf; 2],
     /// Whom the bootloaders believe.
     public: [u8; 32],
 }
 
-impl ProgramFlash {
+impl ProgramFlashes {
     /// The flashes in these files. Those that are missing are made as a factory makes them:
     /// release 1 of the controller, signed with this key.
     ///
@@ -110,14 +110,14 @@ impl ProgramFlash {
 
 /// A release of an application of this executable, for a slot.
 pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
-    let release = Release {
+    let release = ReleaseInfo {
         version,
         entries: [BODY_OFFSET; CoreId::COUNT],
         lowest_key: 0,
     };
     let script = jump::script(name);
     Image::sign(
-        Target::Application(slot),
+        ImageTarget::Application(slot),
         release,
         &[(BODY_OFFSET, &script)],
         key,
@@ -172,7 +172,7 @@ pub fn new_key() -> anyhow::Result<SigningKey> {
 ///
 /// # Errors
 /// If the run is over, or the slot cannot be read or executed. It does not return otherwise.
-pub fn run(args: &CoreArgs, flash: &ProgramFlash) -> anyhow::Result<()> {
+pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
     let system = args.identity.system;
     let mut file = flash.open(system)?;
     let slot = if args.identity.core == CoreId::CONTROL {
@@ -189,7 +189,7 @@ pub fn run(args: &CoreArgs, flash: &ProgramFlash) -> anyhow::Result<()> {
 }
 
 /// The bootloader, until core 0 leaves it.
-fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlash) -> anyhow::Result<Slot> {
+fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow::Result<Slot> {
     let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
     let trust = Trust {
         keys: &[flash.public],
@@ -208,14 +208,16 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlash) -> anyhow::
 
 /// What a slot holds for a core: from its entry to the end of that part.
 fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec<u8>> {
-    let place = Region::Target(Target::Application(slot)).range().start;
+    let place = FlashRegion::Target(ImageTarget::Application(slot))
+        .range()
+        .start;
     let unreadable = |_| anyhow!("the program flash cannot be read");
     let mut bytes = [0; SIGNED_BYTES];
     file.read(place, &mut bytes).map_err(unreadable)?;
     let manifest = Manifest::decode(&bytes).map_err(|why| anyhow!("slot {slot:?}: {why:?}"))?;
     let entry = manifest.entries[core.index()];
     let holds =
-        |part: &&tandem_boot::Part| (part.offset..part.offset + part.length).contains(&entry);
+        |part: &&tandem_boot::ImagePart| (part.offset..part.offset + part.length).contains(&entry);
     let part = manifest.parts().find(holds);
     let part = part.with_context(|| format!("slot {slot:?} has nothing for core {core}"))?;
     let mut program = vec![0; (part.offset + part.length - entry) as usize];
@@ -229,7 +231,7 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
 /// If the thread cannot be started.
 pub fn approve_later(
     board: &HostBoard,
-    flash: ProgramFlash,
+    flash: ProgramFlashes,
     system: SystemId,
 ) -> anyhow::Result<()> {
     let backplane = board.backplane();

@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
 use tandem_boot::{FIRST_ID, Slot};
-use tandem_boot_host::{Sender, ToDo, records};
+use tandem_boot_host::{FileSender, ToDo, records};
 
-use crate::boot::{self, ProgramFlash};
+use crate::boot::{self, ProgramFlashes};
 use crate::files::RunFiles;
 use crate::run::this_program;
-use crate::run_config::{Profile, RunConfig, write_lines};
+use crate::run_config::{LimitProfile, RunConfig, write_lines};
 pub use crate::three_frames::NAME;
 
 /// The controller under test; the other one has an empty flash and waits.
@@ -82,13 +82,13 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
         scenario: String::new(),
         seed: 0,
         duration_s: 0.0,
-        profile: Profile::Desktop,
+        profile: LimitProfile::Desktop,
         stall_us: None,
         reintegrate: false,
         overrides_s: None,
         answers_after_s: None,
         sensor_faults: vec![],
-        program_flash: Some(ProgramFlash::empty(flashes, key)?),
+        program_flash: Some(ProgramFlashes::empty(flashes, key)?),
         update: None,
         demo: Some(demo.clone()),
         stall_timers: vec![],
@@ -131,7 +131,7 @@ where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
 {
     let count = lines.len();
-    let mut sender = Sender::new(lines, Some(SYSTEM), WINDOW);
+    let mut sender = FileSender::new(lines, Some(SYSTEM), WINDOW);
     let mut accepted = None;
     let mut came: [Option<(Instant, u16, u8)>; CoreId::COUNT] = [None; CoreId::COUNT];
     port.set_ignition(true);

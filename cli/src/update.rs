@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use tandem_board::{CanFrame, Duration, Instant, RoleLamp, SystemId};
-use tandem_boot_host::{Sender, ToDo};
+use tandem_boot_host::{FileSender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
@@ -26,7 +26,7 @@ pub(crate) struct Update {
     ended: PathBuf,
     /// What each system is to get; taken when it begins.
     lines: [Option<Vec<String>>; 2],
-    under_way: Option<(SystemId, Sender)>,
+    under_way: Option<(SystemId, FileSender)>,
     /// Since when a system could be updated.
     ready_since: [Option<Instant>; 2],
 }
@@ -106,7 +106,7 @@ impl Update {
             }
             let settled = now.since(*since.get_or_insert(now)) >= SETTLED;
             if settled && let Some(lines) = self.lines[system.index()].take() {
-                self.under_way = Some((system, Sender::new(lines, Some(system), WINDOW)));
+                self.under_way = Some((system, FileSender::new(lines, Some(system), WINDOW)));
                 return;
             }
         }

@@ -57,11 +57,11 @@ pub(crate) struct FlashArgs {
     pub(crate) wait: u32,
 
     /// Multicast group of the CAN bus, as python-can's udp_multicast
-    #[arg(long, default_value_t = tandem_boot_host::wire::GROUP)]
+    #[arg(long, default_value_t = tandem_boot_host::udp_bus::GROUP)]
     pub(crate) group: Ipv4Addr,
 
     /// Its port
-    #[arg(long, default_value_t = tandem_boot_host::wire::PORT)]
+    #[arg(long, default_value_t = tandem_boot_host::udp_bus::PORT)]
     pub(crate) port: u16,
 }
 
@@ -113,10 +113,10 @@ pub(crate) struct BootloaderArgs {
     pub(crate) approve: bool,
 
     /// Multicast group of the CAN bus
-    #[arg(long, default_value_t = tandem_boot_host::wire::GROUP)]
+    #[arg(long, default_value_t = tandem_boot_host::udp_bus::GROUP)]
     pub(crate) group: Ipv4Addr,
 
     /// Its port
-    #[arg(long, default_value_t = tandem_boot_host::wire::PORT)]
+    #[arg(long, default_value_t = tandem_boot_host::udp_bus::PORT)]
     pub(crate) port: u16,
 }

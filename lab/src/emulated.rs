@@ -7,7 +7,7 @@ use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::{CoreId, SystemId};
 use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options, PROGRAM_FLASH_AT};
-use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
+use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 use tandem_vehicle::Scenario;
 
 use tandem::args::RunArgs;
@@ -19,7 +19,7 @@ use tandem::live::Progress;
 use tandem::recorder::Recorder;
 use tandem::run;
 use tandem::run_config::{RunConfig, UpdateFiles};
-use tandem::vehicle::{self, Ended};
+use tandem::vehicle::{self, DriveEnd};
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -54,7 +54,7 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
 /// # Errors
 /// If the file is no image for a slot.
 pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
-    let release = Release {
+    let release = ReleaseInfo {
         version,
         entries: [0; CoreId::COUNT],
         lowest_key: 0,
@@ -172,7 +172,7 @@ fn drive(
     images: &Images,
     config: &RunConfig,
     files: &RunFiles,
-) -> anyhow::Result<(String, Ended)> {
+) -> anyhow::Result<(String, DriveEnd)> {
     let layout = match args.board {
         BoardKind::QemuOne => Layout::One,
         BoardKind::Host | BoardKind::Qemu => Layout::Two,

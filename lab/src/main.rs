@@ -8,7 +8,7 @@ mod boot_demo;
 mod chaos;
 mod chaos_args;
 mod emulated;
-mod flash;
+mod flash_command;
 mod judge;
 mod rtos_demo;
 mod sim;
@@ -32,8 +32,8 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Run(args) if args.board == BoardKind::Host => run::run(&args),
         Command::Run(args) => emulated::run(&args),
         Command::Publish => publish::run().map_err(Failure::Run),
-        Command::Flash(args) => flash::run(&args),
-        Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
+        Command::Flash(args) => flash_command::run(&args),
+        Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),
         Command::Judge(args) => judge::run(&args),
         Command::Sim(args) => sim::run(&args),
         Command::Chaos(args) => chaos::run(&args),

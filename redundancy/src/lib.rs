@@ -18,7 +18,6 @@
 extern crate std;
 
 mod action;
-mod boot;
 mod budget;
 mod config;
 mod driving;
@@ -27,6 +26,7 @@ mod machine;
 mod phase;
 mod report;
 mod standby;
+mod start_checks;
 mod starting;
 mod state;
 mod store;

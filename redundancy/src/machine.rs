@@ -5,10 +5,10 @@ mod hear;
 #[cfg(test)]
 mod table;
 
-use crate::boot::{self, Boot};
 use crate::driving::{Driving, Thawed};
 use crate::input::{Polls, Seen};
 use crate::standby::Standby;
+use crate::start_checks::{self, StartDecision};
 use crate::starting::Starting;
 use crate::transition::{Effect, rule};
 use crate::witness::{BeatSender, Witnesses};
@@ -125,12 +125,12 @@ impl Redundancy {
         loaded: Loaded,
         now: Instant,
     ) -> Self {
-        let (state, boot) = boot::check(&config, system, cause, loaded);
-        let Boot {
+        let (state, start) = start_checks::check(&config, system, cause, loaded);
+        let StartDecision {
             kind,
             claims_master,
             fault,
-        } = boot;
+        } = start;
         let starting = Starting::new(kind, claims_master, system, now);
         Self {
             config,
@@ -260,7 +260,7 @@ impl Redundancy {
     /// differ little: a stop that steers is better than one that does not.
     #[must_use]
     pub fn stops_for_its_command(&self) -> bool {
-        self.state.sys_failure && self.state.wrong_in_a_row >= boot::WRONG_COMMANDS
+        self.state.sys_failure && self.state.wrong_in_a_row >= start_checks::WRONG_COMMANDS
     }
 
     /// The persistent state as it is now; it is in flash when the store is settled.

@@ -14,10 +14,11 @@ use std::process::ExitCode;
 use std::thread;
 use tandem_board::{Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Answer, Bank, Loader, Manifest, Next, Region, Request, Setup, Slot, Target, Trust, TrustMode,
+    Answer, Bank, FlashRegion, HostRequest, ImageTarget, Loader, Manifest, Next, Setup, Slot,
+    Trust, TrustMode,
 };
 use tandem_boot_host::life::{Life, TEST_KEY, TEST_PUBLIC};
-use tandem_boot_host::{Image, ProgramFlash, Release, line, records};
+use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash, line, records};
 
 #[derive(Parser)]
 #[command(about = "Changes good files and counts what is accepted wrongly")]
@@ -95,13 +96,13 @@ fn main() -> Result<ExitCode> {
 
 fn image(slot: Slot, version: u32) -> Image {
     let body: Vec<u8> = (0..200u32).map(|at| (at * 11 + version) as u8).collect();
-    let release = Release {
+    let release = ReleaseInfo {
         version,
         entries: [256; 3],
         lowest_key: 0,
     };
     Image::sign(
-        Target::Application(slot),
+        ImageTarget::Application(slot),
         release,
         &[(256, &body)],
         &TEST_KEY,
@@ -109,16 +110,16 @@ fn image(slot: Slot, version: u32) -> Image {
 }
 
 /// A controller that drives with an image in slot A.
-fn controller() -> ProgramFlash {
-    let mut flash = ProgramFlash::new();
+fn controller() -> SimulatedFlash {
+    let mut flash = SimulatedFlash::new();
     let driving = image(Slot::A, 3);
     flash.load(driving.place(), &driving.bytes);
-    let release = Release {
+    let release = ReleaseInfo {
         version: 1,
         entries: [256, 0, 0],
         lowest_key: 0,
     };
-    let loader = Image::sign(Target::Staging, release, &[(256, &[1; 64])], &TEST_KEY);
+    let loader = Image::sign(ImageTarget::Staging, release, &[(256, &[1; 64])], &TEST_KEY);
     flash.load(0, &loader.bytes);
     Life::plain().live(&mut flash);
     flash
@@ -155,7 +156,9 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
             Some(Answer::Refused(refusal)) => format!("{refusal:?}"),
             Some(Answer::Accepted { .. }) => {
                 let mut flash = std::mem::replace(&mut loader, fresh()?).into_flash();
-                let place = Region::Target(Target::Application(Slot::B)).range().start;
+                let place = FlashRegion::Target(ImageTarget::Application(Slot::B))
+                    .range()
+                    .start;
                 let held = |image: &Image| {
                     let bytes = flash.firm(place, image.bytes.len() as u32);
                     bytes.is_some_and(|bytes| bytes == image.bytes)
@@ -174,9 +177,9 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
 }
 
 /// Sends every line once. The last answer, if the file was accepted to its end or refused.
-fn send(loader: &mut Loader<'_, ProgramFlash>, lines: &[String]) -> Option<Answer> {
+fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Answer> {
     let now = Instant::ORIGIN;
-    let connect = Request::Connect {
+    let connect = HostRequest::Connect {
         system: None,
         resume: false,
     };
@@ -189,7 +192,7 @@ fn send(loader: &mut Loader<'_, ProgramFlash>, lines: &[String]) -> Option<Answe
             while let Ok(Next::Send(frame)) = loader.next(now) {
                 last = Answer::decode(frame.data());
             }
-            loader.on_frame(now, &Request::Data(piece).frame()?);
+            loader.on_frame(now, &HostRequest::Data(piece).frame()?);
         }
         while let Ok(Next::Send(frame)) = loader.next(now) {
             last = Answer::decode(frame.data());
@@ -238,7 +241,7 @@ fn mutate(images: &[Image; 3], chance: &mut ChaCha8Rng) -> Vec<String> {
 
 /// A record with other content and the right checksum.
 fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
-    let Ok(record) = tandem_boot::Record::parse(text.trim_end().as_bytes()) else {
+    let Ok(record) = tandem_boot::SRecord::parse(text.trim_end().as_bytes()) else {
         return text.to_owned();
     };
     let (mut address, mut data) = (record.address, record.data().to_vec());

@@ -14,10 +14,12 @@ use std::process::{Command, ExitCode, Stdio};
 use std::sync::Mutex;
 use std::thread;
 use tandem_boot::{Launch, Slot};
-use tandem_boot_host::ProgramFlash;
+use tandem_boot_host::SimulatedFlash;
 use tandem_boot_host::Tear;
-use tandem_boot_host::cuts::{Defect, Scenario, Stage, Step, Swept, Ticks, live, sweep};
-use tandem_boot_host::life::{End, Outcome};
+use tandem_boot_host::cuts::{
+    CutScenario, LifePlan, Stage, Swept, TickRange, WiringDefect, live, sweep,
+};
+use tandem_boot_host::life::{End, LifeOutcome};
 
 /// Into how many parts the ticks of a scenario are split.
 const PARTS: u64 = 8;
@@ -42,8 +44,8 @@ struct Arguments {
 fn main() -> Result<ExitCode> {
     let arguments = Arguments::parse();
     let defect = match arguments.broken.as_deref() {
-        Some("one-slot") => Some(Defect::OneSlot),
-        Some(_) => Some(Defect::OneBank),
+        Some("one-slot") => Some(WiringDefect::OneSlot),
+        Some(_) => Some(WiringDefect::OneBank),
         None => None,
     };
     if let Some(life) = &arguments.life {
@@ -53,7 +55,7 @@ fn main() -> Result<ExitCode> {
     // The parts of a scenario are as long as those of another: the processors stay busy.
     let parts = |scenario| (0..PARTS).map(move |part| (scenario, part));
     let jobs = Mutex::new(
-        Scenario::ALL
+        CutScenario::ALL
             .into_iter()
             .flat_map(parts)
             .collect::<Vec<_>>(),
@@ -66,7 +68,7 @@ fn main() -> Result<ExitCode> {
                 let Some((scenario, part)) = lock(&jobs).pop() else {
                     return Ok(());
                 };
-                let ticks = Ticks {
+                let ticks = TickRange {
                     from: part * arguments.every,
                     every: PARTS * arguments.every,
                 };
@@ -119,10 +121,14 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
         .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-fn sweep_scenario(scenario: Scenario, defect: Option<Defect>, ticks: Ticks) -> Result<Swept> {
+fn sweep_scenario(
+    scenario: CutScenario,
+    defect: Option<WiringDefect>,
+    ticks: TickRange,
+) -> Result<Swept> {
     let stage = Stage::new(scenario, defect);
     let program = std::env::current_exe()?;
-    let number = Scenario::ALL
+    let number = CutScenario::ALL
         .iter()
         .position(|one| *one == scenario)
         .unwrap_or(0) as u64;
@@ -134,8 +140,8 @@ fn sweep_scenario(scenario: Scenario, defect: Option<Defect>, ticks: Ticks) -> R
             .arg("--life")
             .args(life.map(|value| value.to_string()));
         match defect {
-            Some(Defect::OneSlot) => drop(command.args(["--broken", "one-slot"])),
-            Some(Defect::OneBank) => drop(command.args(["--broken", "one-bank"])),
+            Some(WiringDefect::OneSlot) => drop(command.args(["--broken", "one-slot"])),
+            Some(WiringDefect::OneBank) => drop(command.args(["--broken", "one-bank"])),
             None => {}
         }
         let mut child = command
@@ -156,11 +162,11 @@ fn sweep_scenario(scenario: Scenario, defect: Option<Defect>, ticks: Ticks) -> R
     })
 }
 
-fn live_one(life: &[u64], defect: Option<Defect>) -> Result<()> {
+fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
     let [scenario, acts, seed, tick, tear] = life else {
         bail!("five numbers");
     };
-    let scenario = Scenario::ALL
+    let scenario = CutScenario::ALL
         .get(*scenario as usize)
         .context("which scenario?")?;
     let tear = Tear::ALL.get(*tear as usize).context("which tear?")?;
@@ -171,7 +177,7 @@ fn live_one(life: &[u64], defect: Option<Defect>) -> Result<()> {
     let (lines, flash) = lines.context("no lines")?;
     let lines = std::str::from_utf8(lines)?.split_inclusive('\n');
     let lines: Vec<String> = lines.map(str::to_owned).collect();
-    let step = Step {
+    let step = LifePlan {
         acts: *acts != 0,
         seed: *seed,
         cut: (*tick != u64::MAX).then_some((*tick, *tear)),
@@ -183,7 +189,7 @@ fn live_one(life: &[u64], defect: Option<Defect>) -> Result<()> {
 }
 
 /// What the sweep needs of a life: how it ended, its ticks, its flash.
-fn encode(outcome: &Outcome, ticks: u64, flash: &ProgramFlash) -> Vec<u8> {
+fn encode(outcome: &LifeOutcome, ticks: u64, flash: &SimulatedFlash) -> Vec<u8> {
     let head = match outcome.end {
         End::PowerLost => [0, 0, 0],
         End::Waiting => [1, 0, 0],
@@ -197,7 +203,7 @@ fn encode(outcome: &Outcome, ticks: u64, flash: &ProgramFlash) -> Vec<u8> {
     [&head[..], &ticks.to_le_bytes(), &flash.save()].concat()
 }
 
-fn decode(bytes: &[u8]) -> Option<(Outcome, u64, ProgramFlash)> {
+fn decode(bytes: &[u8]) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
     let ([kind, application, configuration], rest) = bytes.split_first_chunk()?;
     let (ticks, flash) = rest.split_first_chunk()?;
     let slot = |number: u8| Slot::ALL.into_iter().find(|slot| *slot as u8 == number);
@@ -212,7 +218,7 @@ fn decode(bytes: &[u8]) -> Option<(Outcome, u64, ProgramFlash)> {
             entries: [None; 3],
         }),
     };
-    let outcome = Outcome {
+    let outcome = LifeOutcome {
         end,
         refused: None,
         downloaded: false,
@@ -220,6 +226,6 @@ fn decode(bytes: &[u8]) -> Option<(Outcome, u64, ProgramFlash)> {
     Some((
         outcome,
         u64::from_le_bytes(*ticks),
-        ProgramFlash::restore(flash)?,
+        SimulatedFlash::restore(flash)?,
     ))
 }

@@ -4,13 +4,13 @@
 //! bits on their way are left. Each life is lived by what the caller gives: in a fresh process, or
 //! in a fresh [`Life`] of this one. U-5
 
-use crate::life::{End, Life, Outcome, TEST_KEY};
-use crate::{Image, ProgramFlash, Release, Tear, records};
-use tandem_boot::{Bank, Region, Slot, Target, rom_choice};
+use crate::life::{End, Life, LifeOutcome, TEST_KEY};
+use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
+use tandem_boot::{Bank, FlashRegion, ImageTarget, Slot, rom_choice};
 
 /// What happens while power is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scenario {
+pub enum CutScenario {
     /// A download to the free slot, trial, approval.
     Application,
     /// Application and configuration in one file.
@@ -29,7 +29,7 @@ pub enum Scenario {
     RefusedFile,
 }
 
-impl Scenario {
+impl CutScenario {
     /// All of them.
     pub const ALL: [Self; 8] = [
         Self::Application,
@@ -45,7 +45,7 @@ impl Scenario {
 
 /// A defect for which the sweep must find bricks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Defect {
+pub enum WiringDefect {
     /// Both slots of the application are one: the download overwrites what boots.
     OneSlot,
     /// Both banks of the bootloader are one: it overwrites its backup.
@@ -54,7 +54,7 @@ pub enum Defect {
 
 /// One life: what is done in it, and when power is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Step {
+pub struct LifePlan {
     /// The scenario's act; else a plain start.
     pub acts: bool,
     /// Which way noise falls.
@@ -66,24 +66,24 @@ pub struct Step {
 /// A scenario with its images.
 #[derive(Debug)]
 pub struct Stage {
-    scenario: Scenario,
+    scenario: CutScenario,
     lines: Vec<String>,
     start: Vec<u8>,
     applications: [Image; 2],
     configurations: [Image; 2],
     bootloaders: [Image; 2],
-    defect: Option<Defect>,
+    defect: Option<WiringDefect>,
 }
 
-fn release(version: u32, entry: u32) -> Release {
-    Release {
+fn release(version: u32, entry: u32) -> ReleaseInfo {
+    ReleaseInfo {
         version,
         entries: [entry; 3],
         lowest_key: 0,
     }
 }
 
-fn sign(target: Target, version: u32, len: u32) -> Image {
+fn sign(target: ImageTarget, version: u32, len: u32) -> Image {
     let body: Vec<u8> = (0..len).map(|at| (at * 7 + version) as u8).collect();
     Image::sign(target, release(version, 256), &[(256, &body)], &TEST_KEY)
 }
@@ -94,30 +94,31 @@ impl Stage {
     /// # Panics
     /// If the controller does not even boot without a loss of power.
     #[must_use]
-    pub fn new(scenario: Scenario, defect: Option<Defect>) -> Self {
+    pub fn new(scenario: CutScenario, defect: Option<WiringDefect>) -> Self {
         let applications = [(Slot::A, 1), (Slot::B, 2)];
-        let applications = applications.map(|(slot, v)| sign(Target::Application(slot), v, 400));
+        let applications =
+            applications.map(|(slot, v)| sign(ImageTarget::Application(slot), v, 400));
         let configurations = [(Slot::A, 1), (Slot::B, 2)];
         let configurations =
-            configurations.map(|(slot, v)| sign(Target::Configuration(slot), v, 33));
-        let bootloaders = [1, 2].map(|version| sign(Target::Staging, version, 90));
-        let mut flash = ProgramFlash::new();
+            configurations.map(|(slot, v)| sign(ImageTarget::Configuration(slot), v, 33));
+        let bootloaders = [1, 2].map(|version| sign(ImageTarget::Staging, version, 90));
+        let mut flash = SimulatedFlash::new();
         for bank in [Bank::Primary, Bank::Backup] {
-            flash.load(Region::Bank(bank).range().start, &bootloaders[0].bytes);
+            flash.load(FlashRegion::Bank(bank).range().start, &bootloaders[0].bytes);
         }
         for image in [&applications[0], &configurations[0]] {
             flash.load(image.place(), &image.bytes);
         }
         let wanted: &[&Image] = match scenario {
-            Scenario::Application | Scenario::Rollback | Scenario::RefusedFile => {
+            CutScenario::Application | CutScenario::Rollback | CutScenario::RefusedFile => {
                 &[&applications[1]]
             }
-            Scenario::Both => &[&applications[1], &configurations[1]],
-            Scenario::Bootloader | Scenario::CrashingBootloader => &[&bootloaders[1]],
-            Scenario::DamagedBootloader | Scenario::LostEnvironment => &[],
+            CutScenario::Both => &[&applications[1], &configurations[1]],
+            CutScenario::Bootloader | CutScenario::CrashingBootloader => &[&bootloaders[1]],
+            CutScenario::DamagedBootloader | CutScenario::LostEnvironment => &[],
         };
         let mut lines = records("update", wanted);
-        if scenario == Scenario::RefusedFile {
+        if scenario == CutScenario::RefusedFile {
             let address = (applications[1].place() + 256).to_be_bytes();
             let wrong = lines.iter_mut().rfind(|line| line[4..12] == hex(&address));
             assert!(wrong.is_some(), "the body begins there");
@@ -139,11 +140,11 @@ impl Stage {
         stage
     }
 
-    fn prepare(&self, flash: &mut ProgramFlash) {
+    fn prepare(&self, flash: &mut SimulatedFlash) {
         let plain = Life::plain();
         assert!(matches!(plain.live(flash).end, End::Running(_)));
         match self.scenario {
-            Scenario::Rollback => {
+            CutScenario::Rollback => {
                 let unapproved = Life {
                     file: Some((&self.lines, 0)),
                     approves: false,
@@ -151,12 +152,12 @@ impl Stage {
                 };
                 assert!(unapproved.live(flash).downloaded);
             }
-            Scenario::DamagedBootloader => flash.load(0x100, &[0; 64]),
-            Scenario::LostEnvironment => {
+            CutScenario::DamagedBootloader => flash.load(0x100, &[0; 64]),
+            CutScenario::LostEnvironment => {
                 let new = &self.applications[1];
                 flash.load(new.place(), &new.bytes);
                 for copy in [0, 1] {
-                    flash.load(Region::Environment(copy).range().start, &[0; 96]);
+                    flash.load(FlashRegion::Environment(copy).range().start, &[0; 96]);
                 }
             }
             _ => {}
@@ -173,21 +174,21 @@ impl Stage {
     #[must_use]
     pub fn lines(&self) -> &[String] {
         match self.scenario {
-            Scenario::Rollback => &[],
+            CutScenario::Rollback => &[],
             _ => &self.lines,
         }
     }
 
     /// One life in this process: see [`live`].
     #[must_use]
-    pub fn live(&self, flash: &[u8], step: Step) -> Option<(Outcome, u64, ProgramFlash)> {
+    pub fn live(&self, flash: &[u8], step: LifePlan) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
         live((self.scenario, self.defect), self.lines(), flash, step)
     }
 
     /// What is wrong with a controller that has just lived without a loss of power; `None` if it
     /// runs an old or a new image, whole and with no weak bit, under a whole bootloader.
     #[must_use]
-    pub fn brick(&self, outcome: &Outcome, flash: &mut ProgramFlash) -> Option<String> {
+    pub fn brick(&self, outcome: &LifeOutcome, flash: &mut SimulatedFlash) -> Option<String> {
         let End::Running(launch) = outcome.end else {
             return Some(format!("{:?}", outcome.end));
         };
@@ -197,14 +198,14 @@ impl Stage {
                 .iter()
                 .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
         };
-        let place = |target| Region::Target(target).range().start;
+        let place = |target| FlashRegion::Target(target).range().start;
         if !holds(
-            place(Target::Application(launch.application)),
+            place(ImageTarget::Application(launch.application)),
             &self.applications,
         ) {
             return Some(format!("runs a damaged image: {launch:?}"));
         }
-        let configuration = launch.configuration.map(Target::Configuration);
+        let configuration = launch.configuration.map(ImageTarget::Configuration);
         if !configuration.is_some_and(|target| holds(place(target), &self.configurations)) {
             return Some(format!("has lost its configuration: {launch:?}"));
         }
@@ -217,7 +218,7 @@ impl Stage {
             all.clone()
                 .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
         };
-        if !holds(Region::Bank(bank).range().start) {
+        if !holds(FlashRegion::Bank(bank).range().start) {
             return Some(format!("runs a damaged bootloader from {bank:?}"));
         }
         None
@@ -228,24 +229,24 @@ impl Stage {
 /// flash.
 #[must_use]
 pub fn live(
-    (scenario, defect): (Scenario, Option<Defect>),
+    (scenario, defect): (CutScenario, Option<WiringDefect>),
     lines: &[String],
     flash: &[u8],
-    step: Step,
-) -> Option<(Outcome, u64, ProgramFlash)> {
-    let mut flash = ProgramFlash::restore(flash)?;
+    step: LifePlan,
+) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
+    let mut flash = SimulatedFlash::restore(flash)?;
     if let Some(defect) = defect {
-        let application = |slot| Region::Target(Target::Application(slot)).range();
+        let application = |slot| FlashRegion::Target(ImageTarget::Application(slot)).range();
         let (range, place) = match defect {
-            Defect::OneSlot => (application(Slot::B), application(Slot::A).start),
-            Defect::OneBank => (Region::Bank(Bank::Backup).range(), 0),
+            WiringDefect::OneSlot => (application(Slot::B), application(Slot::A).start),
+            WiringDefect::OneBank => (FlashRegion::Bank(Bank::Backup).range(), 0),
         };
         flash = flash.with_alias(range, place);
     }
     flash.power_on(step.seed, step.cut);
     let life = Life {
         file: (step.acts && !lines.is_empty()).then_some((lines, 0)),
-        new_loader_crashes: scenario == Scenario::CrashingBootloader,
+        new_loader_crashes: scenario == CutScenario::CrashingBootloader,
         ..Life::plain()
     };
     let outcome = life.live(&mut flash);
@@ -270,7 +271,7 @@ pub struct Swept {
 
 /// Which ticks of the first life to sweep: every `every`-th from `from` on.
 #[derive(Clone, Copy, Debug)]
-pub struct Ticks {
+pub struct TickRange {
     /// The first.
     pub from: u64,
     /// 1 for all of them.
@@ -284,11 +285,11 @@ pub struct Ticks {
 /// What `live` fails with.
 pub fn sweep<E>(
     stage: &Stage,
-    which: Ticks,
-    mut live: impl FnMut(&[u8], Step) -> Result<(Outcome, u64, ProgramFlash), E>,
+    which: TickRange,
+    mut live: impl FnMut(&[u8], LifePlan) -> Result<(LifeOutcome, u64, SimulatedFlash), E>,
 ) -> Result<Swept, E> {
     let mut swept = Swept::default();
-    let step = |acts, seed, cut| Step { acts, seed, cut };
+    let step = |acts, seed, cut| LifePlan { acts, seed, cut };
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     for tick in (which.from..ticks).step_by(which.every as usize) {
         // 33 moments an operation, five ways of being torn: each meets each, at any step.

@@ -1,6 +1,6 @@
 //! A controller from power-on to the next loss of power: boot ROM, bootloader, application.
 
-use crate::{ProgramFlash, Sender, SigningKey, ToDo};
+use crate::{FileSender, SigningKey, SimulatedFlash, ToDo};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
     Bank, FlashFault, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
@@ -55,7 +55,7 @@ pub struct Life<'a> {
 
 /// What a life showed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outcome {
+pub struct LifeOutcome {
     /// How it ended.
     pub end: End,
     /// Why the host's file was refused.
@@ -85,10 +85,10 @@ impl<'a> Life<'a> {
     }
 
     /// Lives it. The flash has been powered on.
-    pub fn live(&self, flash: &mut ProgramFlash) -> Outcome {
+    pub fn live(&self, flash: &mut SimulatedFlash) -> LifeOutcome {
         let mut run = Run {
             now: Instant::ORIGIN,
-            outcome: Outcome {
+            outcome: LifeOutcome {
                 end: End::Brick,
                 refused: None,
                 downloaded: false,
@@ -126,18 +126,23 @@ impl<'a> Life<'a> {
 
 struct Run {
     now: Instant,
-    outcome: Outcome,
+    outcome: LifeOutcome,
 }
 
 impl Run {
-    fn ended(mut self, flash: &ProgramFlash) -> Outcome {
+    fn ended(mut self, flash: &SimulatedFlash) -> LifeOutcome {
         if !flash.is_on() {
             self.outcome.end = End::PowerLost;
         }
         self.outcome
     }
 
-    fn application(mut self, life: &Life<'_>, flash: &mut ProgramFlash, launch: Launch) -> Outcome {
+    fn application(
+        mut self,
+        life: &Life<'_>,
+        flash: &mut SimulatedFlash,
+        launch: Launch,
+    ) -> LifeOutcome {
         self.outcome.end = End::Running(launch);
         if life.approves {
             // An application that cannot approve itself runs on; the next start rolls it back.
@@ -150,7 +155,7 @@ impl Run {
     fn loader(
         &mut self,
         life: &Life<'_>,
-        flash: &mut ProgramFlash,
+        flash: &mut SimulatedFlash,
         bank: Bank,
         cause: ResetCause,
     ) -> Result<Next, FlashFault> {
@@ -171,7 +176,7 @@ impl Run {
         let file = life
             .file
             .filter(|_| !self.outcome.downloaded && self.outcome.refused.is_none());
-        let mut host = file.map(|(lines, window)| Sender::new(lines.to_vec(), None, window));
+        let mut host = file.map(|(lines, window)| FileSender::new(lines.to_vec(), None, window));
         let mut loader = Loader::start(&mut *flash, setup, self.now)?;
         loop {
             let wait = match loader.next(self.now)? {
@@ -201,7 +206,7 @@ impl Run {
         }
     }
 
-    fn deliver(&mut self, loader: &mut Loader<'_, &mut ProgramFlash>, frame: &CanFrame) {
+    fn deliver(&mut self, loader: &mut Loader<'_, &mut SimulatedFlash>, frame: &CanFrame) {
         // 131 bits and more at 500 kbit/s.
         self.now = Instant::from_ns(self.now.as_ns() + 270_000);
         loader.on_frame(self.now, frame);

@@ -3,8 +3,8 @@
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use tandem_boot::{
-    BODY_OFFSET, FLASH_BYTES, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, Part, Record,
-    RecordType, Region, SIGNED_BYTES, Target, offset_of,
+    BODY_OFFSET, FLASH_BYTES, FlashRegion, HARDWARE, ImagePart, ImageTarget, MANIFEST_BYTES,
+    MAX_PARTS, Manifest, SIGNED_BYTES, SRecord, SRecordType, offset_of,
 };
 
 /// Data bytes of one record, as objcopy and srec_cat write them.
@@ -36,7 +36,7 @@ pub enum PackageError {
         /// From 1.
         line: usize,
         /// What is wrong with it.
-        why: tandem_boot::RecordError,
+        why: tandem_boot::SRecordError,
     },
     /// The number in a count record is wrong.
     #[error("line {line} counts {counted} data records, but {found} come before it")]
@@ -94,26 +94,26 @@ impl Content {
                 continue;
             }
             let line_number = index + 1;
-            let record = Record::parse(line.trim_end().as_bytes());
+            let record = SRecord::parse(line.trim_end().as_bytes());
             let record = record.map_err(|why| PackageError::Line {
                 line: line_number,
                 why,
             })?;
             match record.record_type {
-                RecordType::Header => {}
-                RecordType::Data => {
+                SRecordType::Header => {}
+                SRecordType::Data => {
                     found += 1;
                     runs.push((record.address, record.data().to_vec()));
                 }
-                RecordType::Count if record.address == found => {}
-                RecordType::Count => {
+                SRecordType::Count if record.address == found => {}
+                SRecordType::Count => {
                     return Err(PackageError::Count {
                         line: line_number,
                         counted: record.address,
                         found,
                     });
                 }
-                RecordType::Entry => content.entry = Some(record.address),
+                SRecordType::Entry => content.entry = Some(record.address),
             }
         }
         runs.retain(|(_, data)| !data.is_empty());
@@ -139,7 +139,7 @@ impl Content {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     /// Where.
-    pub target: Target,
+    pub target: ImageTarget,
     /// Its manifest.
     pub manifest: Manifest,
     /// All bytes from the start of the place on.
@@ -148,7 +148,7 @@ pub struct Image {
 
 /// What is said about an image besides its bytes.
 #[derive(Clone, Copy, Debug)]
-pub struct Release {
+pub struct ReleaseInfo {
     /// Rises with every release.
     pub version: u32,
     /// Entries of the cores, as offsets from the image's place; 0 for none.
@@ -165,14 +165,14 @@ impl Image {
     /// the end of the one before it.
     #[must_use]
     pub fn sign(
-        target: Target,
-        release: Release,
+        target: ImageTarget,
+        release: ReleaseInfo,
         parts: &[(u32, &[u8])],
         key: &SigningKey,
     ) -> Self {
         assert!((1..=MAX_PARTS).contains(&parts.len()), "one to three parts");
         let mut bytes = vec![0xFF; MANIFEST_BYTES];
-        let mut listed = [Part::default(); MAX_PARTS];
+        let mut listed = [ImagePart::default(); MAX_PARTS];
         for ((offset, data), part) in parts.iter().zip(&mut listed) {
             assert!(
                 *offset as usize >= bytes.len(),
@@ -180,7 +180,7 @@ impl Image {
             );
             bytes.resize(*offset as usize, 0xFF);
             bytes.extend(*data);
-            *part = Part {
+            *part = ImagePart {
                 offset: *offset,
                 length: data.len() as u32,
                 sha256: Sha256::digest(data).into(),
@@ -216,13 +216,13 @@ impl Image {
     /// [`PackageError`] if the data are not those of one image.
     pub fn of(
         content: &Content,
-        mut release: Release,
+        mut release: ReleaseInfo,
         key: &SigningKey,
     ) -> Result<Self, PackageError> {
         let first = content.runs.first().ok_or(PackageError::Empty)?;
         let first = offset_of(first.0).ok_or(PackageError::Place { offset: first.0 })?;
-        let target = Target::at(first).ok_or(PackageError::Place { offset: first })?;
-        let place = Region::Target(target).range();
+        let target = ImageTarget::at(first).ok_or(PackageError::Place { offset: first })?;
+        let place = FlashRegion::Target(target).range();
         let mut bytes = Vec::new();
         for (address, data) in &content.runs {
             let offset = offset_of(*address).ok_or(PackageError::Place { offset: *address })?;
@@ -252,7 +252,7 @@ impl Image {
     pub fn of_elf(
         elf: &[u8],
         flash: u32,
-        mut release: Release,
+        mut release: ReleaseInfo,
         key: &SigningKey,
     ) -> Result<Self, PackageError> {
         let (entry, runs) = loaded(elf).ok_or(PackageError::Elf)?;
@@ -265,15 +265,15 @@ impl Image {
         }
         content.runs.sort_by_key(|(offset, _)| *offset);
         let entry = entry.wrapping_sub(flash);
-        let target = Target::at(entry).ok_or(PackageError::Place { offset: entry })?;
-        release.entries = [entry - Region::Target(target).range().start; 3];
+        let target = ImageTarget::at(entry).ok_or(PackageError::Place { offset: entry })?;
+        release.entries = [entry - FlashRegion::Target(target).range().start; 3];
         Self::of(&content, release, key)
     }
 
     /// Where it lies in the flash.
     #[must_use]
     pub fn place(&self) -> u32 {
-        Region::Target(self.target).range().start
+        FlashRegion::Target(self.target).range().start
     }
 
     /// The bytes that are sent: the manifest and the parts, without the gaps between them.

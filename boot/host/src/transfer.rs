@@ -1,6 +1,6 @@
-//! Both ends of a download over a [`Wire`](crate::Wire), in real time.
+//! Both ends of a download over a [`UdpBus`](crate::UdpBus), in real time.
 
-use crate::{Sender, ToDo, Wire};
+use crate::{FileSender, ToDo, UdpBus};
 use embedded_storage::nor_flash::NorFlash;
 use std::io;
 use std::time::Instant as Clock;
@@ -39,8 +39,8 @@ fn left(now: Instant, until: Instant) -> std::time::Duration {
 /// # Errors
 /// [`TransferError`] says why the file is not on trial.
 pub fn send_file(
-    wire: &Wire,
-    mut host: Sender,
+    wire: &UdpBus,
+    mut host: FileSender,
     connect_within: Duration,
     mut progress: impl FnMut(u32, u32),
 ) -> Result<(), TransferError> {
@@ -84,7 +84,7 @@ pub fn send_file(
 /// # Errors
 /// [`TransferError`] if wire or flash fail.
 pub fn serve<F: NorFlash>(
-    wire: &Wire,
+    wire: &UdpBus,
     start: Clock,
     loader: &mut Loader<'_, F>,
 ) -> Result<Next, TransferError> {

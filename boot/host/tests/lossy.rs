@@ -10,7 +10,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use tandem_board::{CanFrame, Duration, Instant, ResetCause, SystemId};
 use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;
-use tandem_boot_host::{Sender, ToDo, records};
+use tandem_boot_host::{FileSender, ToDo, records};
 
 /// A frame as it arrives: mostly as it was sent, sometimes not at all. Frames to the loader are
 /// sometimes changed too: records have a checksum of their own, answers have that of CAN only.
@@ -31,7 +31,7 @@ fn noisy(frame: &CanFrame, per_mille: u32, chance: &mut ChaCha8Rng) -> Option<Ca
 fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
     let mut flash = factory();
     let new = image(Slot::B, 2, 700);
-    let mut host = Sender::new(records("new", &[&new]), None, window);
+    let mut host = FileSender::new(records("new", &[&new]), None, window);
     let keys = [TEST_PUBLIC];
     let setup = Setup {
         trust: Trust {
@@ -107,7 +107,7 @@ fn what_is_lost_is_asked_for_again() {
 fn a_download_goes_on_after_a_loss_of_power() {
     let mut flash = factory();
     let new = image(Slot::B, 2, 3000);
-    let mut host = Sender::new(records("new", &[&new]), Some(SystemId::A), 16);
+    let mut host = FileSender::new(records("new", &[&new]), Some(SystemId::A), 16);
     let keys = [TEST_PUBLIC];
     let setup = Setup {
         trust: Trust {

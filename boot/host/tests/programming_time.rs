@@ -5,9 +5,9 @@ mod fixture;
 
 use fixture::{factory, image};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
-use tandem_boot::{Bank, Loader, Next, Request, Setup, Slot, Trust, TrustMode};
+use tandem_boot::{Bank, HostRequest, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;
-use tandem_boot_host::{ProgramFlash, Sender, ToDo, bits, records};
+use tandem_boot_host::{FileSender, SimulatedFlash, ToDo, bits, records};
 
 const BIT_NS: u64 = 2_000;
 /// Assumed times of the flash: a page of 32 bytes, and each 16 KiB of a sector, so that one of
@@ -27,7 +27,7 @@ struct Measured {
 fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     let mut flash = factory();
     let new = image(Slot::B, 2, 96 * 1024);
-    let mut host = Sender::new(records("new", &[&new]), None, window);
+    let mut host = FileSender::new(records("new", &[&new]), None, window);
     let keys = [TEST_PUBLIC];
     let setup = Setup {
         trust: Trust {
@@ -45,7 +45,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     };
     let mut now = Instant::ORIGIN;
     let mut loader = Loader::start(&mut flash, setup, now).unwrap();
-    let work = |loader: &Loader<'_, &mut ProgramFlash>| loader.flash().work();
+    let work = |loader: &Loader<'_, &mut SimulatedFlash>| loader.flash().work();
     let mut done = work(&loader);
     let mut send = |now: &mut Instant, frame: &CanFrame| {
         let span = u64::from(bits(frame)) * BIT_NS;
@@ -98,7 +98,7 @@ fn stop_and_wait_is_within_5_percent_of_the_bus() {
         .unwrap();
     let frames = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
     let record_bits: u64 = frames
-        .map(|piece| u64::from(bits(&Request::Data(piece).frame().unwrap())))
+        .map(|piece| u64::from(bits(&HostRequest::Data(piece).frame().unwrap())))
         .sum();
     let limit_ns = (record_bits + lines.len() as u64 * u64::from(bits(&accepted))) * BIT_NS;
     let ratio = measured.total_ns as f64 / limit_ns as f64;

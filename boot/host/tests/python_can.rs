@@ -11,8 +11,8 @@ use std::time::Instant as Clock;
 use tandem_board::{Duration, Instant, ResetCause, SystemId};
 use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode, approve};
 use tandem_boot_host::life::TEST_PUBLIC;
-use tandem_boot_host::wire::{GROUP, PORT, Wire};
-use tandem_boot_host::{FlashFile, Sender, TransferError, records, send_file, serve};
+use tandem_boot_host::udp_bus::{GROUP, PORT, UdpBus};
+use tandem_boot_host::{FileSender, FlashFile, TransferError, records, send_file, serve};
 
 /// Runs `test` of this binary in a network of its own, whose loopback carries multicast.
 fn in_a_network(test: &str, needs: &str) {
@@ -60,7 +60,7 @@ fn controller(folder: &tempfile::TempDir) -> FlashFile {
 }
 
 fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
-    let wire = Wire::join(GROUP, PORT).unwrap();
+    let wire = UdpBus::join(GROUP, PORT).unwrap();
     let keys = [TEST_PUBLIC];
     let setup = Setup {
         trust: Trust {
@@ -131,12 +131,18 @@ fn resume_inside() {
         let _ = start(&mut flash, ResetCause::Download);
         start(&mut flash, ResetCause::Software)
     });
-    let wire = Wire::join(GROUP, PORT).unwrap();
+    let wire = UdpBus::join(GROUP, PORT).unwrap();
     let within = Duration::from_ms(60_000);
     // This file has no end: its sender is satisfied when all of it is accepted.
-    send_file(&wire, Sender::new(half.clone(), None, 1), within, |_, _| {}).unwrap();
+    send_file(
+        &wire,
+        FileSender::new(half.clone(), None, 1),
+        within,
+        |_, _| {},
+    )
+    .unwrap();
     let mut first = None;
-    let resumed = Sender::new(lines, Some(SystemId::A), 16).resuming();
+    let resumed = FileSender::new(lines, Some(SystemId::A), 16).resuming();
     send_file(&wire, resumed, within, |done, _| {
         if done > 0 {
             first.get_or_insert(done);
@@ -166,8 +172,8 @@ fn abnormal_inside() {
     let folder = tempfile::tempdir().unwrap();
     let mut flash = controller(&folder);
     let host = std::thread::spawn(|| {
-        let wire = Wire::join(GROUP, PORT).unwrap();
-        let host = Sender::new(records("new", &[&image(Slot::B, 2, 50)]), None, 0);
+        let wire = UdpBus::join(GROUP, PORT).unwrap();
+        let host = FileSender::new(records("new", &[&image(Slot::B, 2, 50)]), None, 0);
         send_file(&wire, host, Duration::from_ms(500), |_, _| {})
     });
     for cause in [ResetCause::Watchdog, ResetCause::Trap, ResetCause::Software] {

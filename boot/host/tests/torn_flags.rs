@@ -9,8 +9,8 @@
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use std::convert::Infallible;
 use tandem_boot::PAGE_BYTES;
-use tandem_boot_host::cuts::{Scenario, Stage, Ticks, sweep};
-use tandem_boot_host::{ModelError, PROGRAM_TICKS, ProgramFlash, Tear};
+use tandem_boot_host::cuts::{CutScenario, Stage, TickRange, sweep};
+use tandem_boot_host::{ModelError, PROGRAM_TICKS, SimulatedFlash, Tear};
 
 type Page = [u8; PAGE_BYTES];
 const MAGIC: Page = [0x5A; PAGE_BYTES];
@@ -24,22 +24,22 @@ const SECOND: u32 = 0x04_8000;
 const RESTORED: u32 = 0x05_0000;
 
 /// After an update whose image crashes: the first slot holds it, swapped in and not approved.
-fn crashed_update() -> ProgramFlash {
-    let mut flash = ProgramFlash::new();
+fn crashed_update() -> SimulatedFlash {
+    let mut flash = SimulatedFlash::new();
     flash.load(FIRST, &MAGIC);
     flash.load(FIRST + 32, &SET);
     flash
 }
 
-fn page(flash: &mut ProgramFlash, at: u32) -> Result<Page, ModelError> {
+fn page(flash: &mut SimulatedFlash, at: u32) -> Result<Page, ModelError> {
     let mut page = UNSET;
     flash.read(at, &mut page)?;
     Ok(page)
 }
 
 /// One start of the loader; whether the old image runs.
-fn start(flash: &mut ProgramFlash) -> Result<bool, ModelError> {
-    let trailer = |flash: &mut ProgramFlash, at| -> Result<[Page; 3], ModelError> {
+fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
+    let trailer = |flash: &mut SimulatedFlash, at| -> Result<[Page; 3], ModelError> {
         Ok([
             page(flash, at)?,
             page(flash, at + 32)?,
@@ -90,9 +90,9 @@ fn torn_flags_brick_a_loader_that_believes_them_and_not_this_one() {
     );
     assert!((0..ticks).any(|tick| bricks(tick, Tear::Clean)), "torn");
 
-    let stage = Stage::new(Scenario::Rollback, None);
+    let stage = Stage::new(CutScenario::Rollback, None);
     let live = |flash: &[u8], step| Ok::<_, Infallible>(stage.live(flash, step).unwrap());
-    let swept = sweep(&stage, Ticks { from: 0, every: 7 }, live).unwrap();
+    let swept = sweep(&stage, TickRange { from: 0, every: 7 }, live).unwrap();
     assert!(swept.points > 50);
     assert_eq!(swept.bricks, Vec::<String>::new());
 }

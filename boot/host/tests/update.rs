@@ -4,9 +4,9 @@
 mod fixture;
 
 use fixture::{Images, configuration, factory, image, lives, loader, signed};
-use tandem_boot::{Bank, Refusal, Region, Slot, Target, rom_choice};
+use tandem_boot::{Bank, FlashRegion, ImageTarget, Refusal, Slot, rom_choice};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1};
-use tandem_boot_host::{Content, Image, Release, records};
+use tandem_boot_host::{Content, Image, ReleaseInfo, records};
 
 fn running(end: End) -> (Slot, u32) {
     match end {
@@ -101,13 +101,13 @@ fn a_retired_key_signs_nothing_any_more() {
         life.live(&mut flash).refused
     };
     let retiring = |slot, version| {
-        let release = Release {
+        let release = ReleaseInfo {
             version,
             entries: [256, 0, 0],
             lowest_key: 1,
         };
         Image::sign(
-            Target::Application(slot),
+            ImageTarget::Application(slot),
             release,
             &[(256, &[7; 50])],
             &TEST_KEY_1,
@@ -122,8 +122,8 @@ fn a_retired_key_signs_nothing_any_more() {
     assert_eq!(step(&retiring(Slot::B, 3), true), None);
     assert_eq!(step(&image(Slot::A, 4, 50), true), Some(Refusal::Untrusted));
     let foreign = Image::sign(
-        Target::Application(Slot::A),
-        Release {
+        ImageTarget::Application(Slot::A),
+        ReleaseInfo {
             version: 9,
             entries: [0; 3],
             lowest_key: 1,
@@ -191,7 +191,7 @@ fn addresses_that_are_not_free_are_refused() {
 fn unchanged_but_for_the_log(before: &[u8], after: &[u8]) {
     const CELL: usize = 69;
     let outside = |bytes: &[u8]| -> Vec<Vec<u8>> {
-        let log = Region::Log(0).range().start..Region::Log(1).range().end;
+        let log = FlashRegion::Log(0).range().start..FlashRegion::Log(1).range().end;
         let cells = bytes.chunks(CELL);
         let page = |cell: &&[u8]| u32::from_le_bytes(*cell.first_chunk().unwrap()) * 32;
         let cells = cells.filter(|cell| !log.contains(&page(cell)));
@@ -317,7 +317,7 @@ fn a_new_bootloader_is_installed() {
     assert!(outcome.downloaded);
     assert_eq!(running(outcome.end), (Slot::A, 1));
     assert_eq!(flash.firm(0, new.bytes.len() as u32), Some(new.bytes));
-    let backup = Region::Bank(Bank::Backup).range().start;
+    let backup = FlashRegion::Bank(Bank::Backup).range().start;
     let old = loader(1).bytes;
     assert_eq!(flash.firm(backup, old.len() as u32), Some(old));
     assert_eq!(rom_choice(&mut flash), Some(Bank::Primary));
@@ -358,7 +358,7 @@ fn a_damaged_bootloader_is_restored() {
 fn a_lost_environment_is_rebuilt() {
     let Images { mut flash, .. } = Images::updated();
     for copy in [0, 1] {
-        flash.load(Region::Environment(copy).range().start, &[0; 128]);
+        flash.load(FlashRegion::Environment(copy).range().start, &[0; 128]);
     }
     let mut life = Life::plain();
     life.approves = false;
@@ -382,7 +382,7 @@ fn a_damaged_image_falls_back() {
 /// T-BOOT-1: a controller without any image waits for a download, and takes it.
 #[test]
 fn an_empty_controller_waits() {
-    let mut flash = tandem_boot_host::ProgramFlash::new();
+    let mut flash = tandem_boot_host::SimulatedFlash::new();
     let first = loader(1);
     flash.load(0, &first.bytes);
     flash.power_on(0, None);

@@ -2,17 +2,17 @@
 
 use super::{Loader, Next, manifest_at, raise};
 use crate::environment::{Environment, LoaderUpdate};
-use crate::flash::{FlashFault, copy_to_bank, program, read};
+use crate::flash_access::{FlashFault, copy_to_bank, program, read};
 use crate::log::LogEvent;
 use crate::manifest::{BODY_OFFSET, Manifest};
-use crate::map::{Bank, Kind, PAGE_BYTES, Region, Target};
+use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};
 use embedded_storage::nor_flash::NorFlash;
 
 impl<F: NorFlash> Loader<'_, F> {
     /// One step of an update of the bootloader; what to do then, or `None` to go on. U-4
     pub(super) fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
-        let staging = Region::Target(Target::Staging).range().start;
-        let backup = Region::Bank(Bank::Backup).range().start;
+        let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
+        let backup = FlashRegion::Bank(Bank::Backup).range().start;
         match (self.ground.store.get().loader, self.setup.bank) {
             (LoaderUpdate::Idle, Bank::Primary) => Ok(None),
             // The ROM found the primary bank damaged: make it whole again.
@@ -21,13 +21,13 @@ impl<F: NorFlash> Loader<'_, F> {
                 self.update_bootloader()
             }
             (LoaderUpdate::Staged, bank) => {
-                if !self.can_boot(Target::Staging) {
-                    self.log(LogEvent::SlotDamaged, Kind::Bootloader as u32);
+                if !self.can_boot(ImageTarget::Staging) {
+                    self.log(LogEvent::SlotDamaged, ImageKind::Bootloader as u32);
                     self.set_loader(LoaderUpdate::Idle)?;
                     return self.update_bootloader();
                 }
                 if bank == Bank::Primary {
-                    let primary = Region::Bank(Bank::Primary).range().start;
+                    let primary = FlashRegion::Bank(Bank::Primary).range().start;
                     self.copy(primary, Bank::Backup, true)?;
                 }
                 self.set_loader(LoaderUpdate::Installing)?;
@@ -69,12 +69,12 @@ impl<F: NorFlash> Loader<'_, F> {
             return Ok(());
         }
         self.set_loader(LoaderUpdate::Sealing)?;
-        let staging = Region::Target(Target::Staging).range().start;
+        let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
         let seal = read::<PAGE_BYTES>(&mut self.flash, staging)?;
-        let primary = Region::Bank(Bank::Primary).range().start;
+        let primary = FlashRegion::Bank(Bank::Primary).range().start;
         program(&mut self.flash, primary, &seal)?;
         let mut environment = *self.ground.store.get();
-        if let Some((manifest, _)) = manifest_at(&mut self.flash, Target::Staging) {
+        if let Some((manifest, _)) = manifest_at(&mut self.flash, ImageTarget::Staging) {
             raise(&mut environment, &manifest);
         }
         environment.loader = LoaderUpdate::Idle;

@@ -4,8 +4,8 @@ use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 use tandem_boot::{
-    Assembler, BODY_OFFSET, EnvironmentStore, MANIFEST_BYTES, Manifest, PAGE_BYTES, Record, Region,
-    SIGNED_BYTES, SMALLEST_SECTOR,
+    Assembler, BODY_OFFSET, EnvironmentStore, FlashRegion, MANIFEST_BYTES, Manifest, PAGE_BYTES,
+    SIGNED_BYTES, SMALLEST_SECTOR, SRecord,
 };
 
 /// A record that is right.
@@ -16,7 +16,7 @@ const GOOD: &[u8] = b"S107004000DEADBE6F\r\n";
 /// # Panics
 /// If it is taken although length or checksum are wrong, or in one case of its digits only.
 pub(crate) fn record(line: &[u8]) -> bool {
-    let Ok(record) = Record::parse(line) else {
+    let Ok(record) = SRecord::parse(line) else {
         return false;
     };
     let digits = |byte: &u8| char::from(*byte).to_digit(16).expect("hexadecimal digits");
@@ -36,7 +36,7 @@ pub(crate) fn record(line: &[u8]) -> bool {
     );
     let mut upper = line.to_ascii_uppercase();
     upper[0] = b'S';
-    assert_eq!(Record::parse(&upper), Ok(record));
+    assert_eq!(SRecord::parse(&upper), Ok(record));
     true
 }
 
@@ -99,7 +99,7 @@ pub(crate) fn manifest(bytes: &[u8]) -> bool {
 pub(crate) fn environment(bytes: &[u8]) -> bool {
     let mut flash = Sectors::new();
     for (copy, bytes) in (0..2).zip(bytes.chunks(3 * PAGE_BYTES)) {
-        let at = Region::Environment(copy).range().start as usize;
+        let at = FlashRegion::Environment(copy).range().start as usize;
         flash.0[at..][..bytes.len()].copy_from_slice(bytes);
     }
     let load = |flash: &mut Sectors| EnvironmentStore::load(flash).expect("this flash can be read");
@@ -117,7 +117,7 @@ struct Sectors(Vec<u8>);
 
 impl Sectors {
     fn new() -> Self {
-        Self(vec![0xFF; Region::Environment(1).range().end as usize])
+        Self(vec![0xFF; FlashRegion::Environment(1).range().end as usize])
     }
 }
 

@@ -1,7 +1,7 @@
 //! The host's end of a download: connects, sends, repeats. Sans-IO. T-BOOT-3
 
 use tandem_board::{CanFrame, Duration, Instant, SystemId};
-use tandem_boot::{Answer, Refusal, Request};
+use tandem_boot::{Answer, HostRequest, Refusal};
 
 /// Time between two connect requests.
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
@@ -38,7 +38,7 @@ enum State {
 
 /// Sends one file.
 #[derive(Clone, Debug)]
-pub struct Sender {
+pub struct FileSender {
     lines: Vec<String>,
     system: Option<SystemId>,
     /// Continue what another sender began.
@@ -64,7 +64,7 @@ pub struct Sender {
     resends: u64,
 }
 
-impl Sender {
+impl FileSender {
     /// A sender of these records. `window` is the number of records that it would send ahead; 0
     /// speaks the protocol of the thesis.
     #[must_use]
@@ -128,7 +128,7 @@ impl Sender {
             State::Ended(end) => end,
             State::Connecting if now >= self.due => {
                 self.due = now + CONNECT_EVERY;
-                self.send(Request::Connect {
+                self.send(HostRequest::Connect {
                     system: self.system,
                     resume: self.resume,
                 })
@@ -137,7 +137,7 @@ impl Sender {
             State::Offering if self.offered < self.attempts => {
                 self.offered = self.attempts;
                 let records = self.wanted;
-                self.send(Request::Offer { records })
+                self.send(HostRequest::Offer { records })
             }
             State::Offering => ToDo::Wait(self.due),
             State::Sending => self.next_piece(),
@@ -172,7 +172,7 @@ impl Sender {
         if self.go_back {
             self.go_back = false;
             let record = self.record;
-            return self.send(Request::GoBack { record });
+            return self.send(HostRequest::GoBack { record });
         }
         let may_send = self.record < self.accepted + self.window;
         let line = self.lines.get(self.record as usize).filter(|_| may_send);
@@ -181,7 +181,7 @@ impl Sender {
         };
         let piece = &line.as_bytes()[self.sent..];
         let piece = &piece[..piece.len().min(8)];
-        let frame = Request::Data(piece).frame();
+        let frame = HostRequest::Data(piece).frame();
         self.sent += piece.len();
         if self.sent == line.len() {
             (self.record, self.sent) = (self.record + 1, 0);
@@ -190,7 +190,7 @@ impl Sender {
         frame.map_or(ToDo::Silent, ToDo::Send)
     }
 
-    fn send(&self, request: Request<'_>) -> ToDo {
+    fn send(&self, request: HostRequest<'_>) -> ToDo {
         request.frame().map_or(ToDo::Silent, ToDo::Send)
     }
 

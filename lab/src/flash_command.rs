@@ -13,7 +13,7 @@ use tandem_boot::{
     Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
 };
 use tandem_boot_host::{
-    Content, FlashFile, Image, Release, Sender, SigningKey, TransferError, Wire, records,
+    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, TransferError, UdpBus, records,
     send_file, serve,
 };
 
@@ -56,7 +56,7 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
         number: args.key_number,
         seed: key(path, &PRIVATE_DER)?,
     };
-    let release = Release {
+    let release = ReleaseInfo {
         version: args.release,
         entries: [0; 3],
         lowest_key: 0,
@@ -66,10 +66,10 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
 }
 
 fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
-    let wire = Wire::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let wire = UdpBus::join(args.group, args.port).context("CAN over UDP multicast")?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} records, {eta} left");
     let bar = ProgressBar::new(lines.len() as u64).with_style(style?);
-    let mut sender = Sender::new(lines, args.to.map(Into::into), args.window);
+    let mut sender = FileSender::new(lines, args.to.map(Into::into), args.window);
     if args.resume {
         sender = sender.resuming();
     }
@@ -91,7 +91,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     }
     let keys = args.public.iter().map(|path| key(path, &PUBLIC_DER));
     let keys = keys.collect::<anyhow::Result<Vec<_>>>()?;
-    let wire = Wire::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let wire = UdpBus::join(args.group, args.port).context("CAN over UDP multicast")?;
     let mut setup = Setup {
         trust: Trust {
             keys: &keys,

@@ -58,7 +58,7 @@ struct Cell {
 /// Why the flash did not do what it was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelError {
-    /// Power is lost: nothing works until [`ProgramFlash::power_on`].
+    /// Power is lost: nothing works until [`SimulatedFlash::power_on`].
     PowerLost,
     /// Not whole pages, not whole sectors, or outside.
     Range,
@@ -85,7 +85,7 @@ impl Clone for Noise {
 
 /// A program flash.
 #[derive(Clone, Debug)]
-pub struct ProgramFlash {
+pub struct SimulatedFlash {
     cells: BTreeMap<u32, Cell>,
     noise: Noise,
     /// Which way weak bits fall in this life.
@@ -103,13 +103,13 @@ pub struct ProgramFlash {
     alias: Option<(Range<u32>, u32)>,
 }
 
-impl Default for ProgramFlash {
+impl Default for SimulatedFlash {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl ProgramFlash {
+impl SimulatedFlash {
     /// Erased, on, and never cut.
     #[must_use]
     pub fn new() -> Self {
@@ -323,7 +323,7 @@ impl ProgramFlash {
         bytes
     }
 
-    /// The inverse of [`ProgramFlash::save`]; `None` if the bytes are something else.
+    /// The inverse of [`SimulatedFlash::save`]; `None` if the bytes are something else.
     #[must_use]
     pub fn restore(bytes: &[u8]) -> Option<Self> {
         let (records, rest) = bytes.as_chunks::<{ 4 + 2 * PAGE_BYTES + 1 }>();
@@ -351,11 +351,11 @@ const fn mix(value: u64) -> u64 {
     value ^ (value >> 31)
 }
 
-impl ErrorType for ProgramFlash {
+impl ErrorType for SimulatedFlash {
     type Error = ModelError;
 }
 
-impl ReadNorFlash for ProgramFlash {
+impl ReadNorFlash for SimulatedFlash {
     const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), ModelError> {
@@ -381,7 +381,7 @@ impl ReadNorFlash for ProgramFlash {
     }
 }
 
-impl NorFlash for ProgramFlash {
+impl NorFlash for SimulatedFlash {
     const WRITE_SIZE: usize = PAGE_BYTES;
     const ERASE_SIZE: usize = SMALLEST_SECTOR as usize;
 
@@ -414,7 +414,7 @@ impl NorFlash for ProgramFlash {
 mod tests {
     use super::*;
 
-    fn read<const N: usize>(flash: &mut ProgramFlash, at: u32) -> [u8; N] {
+    fn read<const N: usize>(flash: &mut SimulatedFlash, at: u32) -> [u8; N] {
         let mut bytes = [0; N];
         flash.read(at, &mut bytes).unwrap();
         bytes
@@ -423,7 +423,7 @@ mod tests {
     /// T-BOOT-6: pages are programmed, sectors erased, and nothing else is possible.
     #[test]
     fn it_is_nor_flash_with_sectors_of_five_sizes() {
-        let mut flash = ProgramFlash::new();
+        let mut flash = SimulatedFlash::new();
         flash.write(0x04_0000, &[0xF0; 64]).unwrap();
         flash.write(0x04_0020, &[0x3C; 32]).unwrap();
         assert_eq!(read(&mut flash, 0x04_001F), [0xF0, 0x30]);
@@ -441,7 +441,7 @@ mod tests {
     fn a_torn_page_is_torn_where_power_was_lost() {
         for tear in Tear::ALL {
             for cut in 0..PROGRAM_TICKS {
-                let mut flash = ProgramFlash::new();
+                let mut flash = SimulatedFlash::new();
                 flash.write(0, &[0x11; 32]).unwrap();
                 flash.power_on(cut, Some((cut, tear)));
                 assert_eq!(flash.write(32, &[0; 32]), Err(ModelError::PowerLost));
@@ -469,10 +469,10 @@ mod tests {
             (Tear::PerLife, false, true),
             (Tear::Mimic, false, true),
         ] {
-            let mut flash = ProgramFlash::new();
+            let mut flash = SimulatedFlash::new();
             flash.power_on(3, Some((0, tear)));
             assert_eq!(flash.write(32, &[0; 32]), Err(ModelError::PowerLost));
-            let mut flash = ProgramFlash::restore(&flash.save()).unwrap();
+            let mut flash = SimulatedFlash::restore(&flash.save()).unwrap();
             let (mut lives, mut reads) = (Vec::new(), Vec::new());
             for life in 0..20 {
                 flash.power_on(life, None);
@@ -499,7 +499,7 @@ mod tests {
     fn a_torn_erase_leaves_some_pages() {
         let mut left = Vec::new();
         for cut in 0..ERASE_TICKS {
-            let mut flash = ProgramFlash::new();
+            let mut flash = SimulatedFlash::new();
             flash.write(0, &[0; 0x4000]).unwrap();
             flash.power_on(cut, Some((cut, Tear::Clean)));
             assert_eq!(flash.erase(0, 0x4000), Err(ModelError::PowerLost));

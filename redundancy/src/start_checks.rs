@@ -10,7 +10,7 @@ pub(crate) const WRONG_COMMANDS: u8 = 2;
 
 /// How to begin the start protocol, as the result of the checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Boot {
+pub(crate) struct StartDecision {
     pub(crate) kind: StartKind,
     /// Whether this system claims to lead.
     pub(crate) claims_master: bool,
@@ -25,7 +25,7 @@ pub(crate) fn check(
     system: SystemId,
     cause: ResetCause,
     loaded: Loaded,
-) -> (SystemState, Boot) {
+) -> (SystemState, StartDecision) {
     let mut state = match loaded {
         Loaded::State(state) => state,
         Loaded::Blank | Loaded::Lost => SystemState::factory(system),
@@ -68,7 +68,7 @@ pub(crate) fn check(
     };
     // 4. Sync; after a reset as the standby of the other system.
     let claims_master = state.is_master && power_on && fault.is_none();
-    let boot = Boot {
+    let boot = StartDecision {
         kind,
         claims_master,
         fault,
@@ -83,7 +83,7 @@ mod tests {
 
     const CONFIG: Config = Config::rt();
 
-    fn boot(cause: ResetCause, state: SystemState) -> (SystemState, Boot) {
+    fn boot(cause: ResetCause, state: SystemState) -> (SystemState, StartDecision) {
         check(&CONFIG, SystemId::A, cause, Loaded::State(state))
     }
 
@@ -91,12 +91,12 @@ mod tests {
     #[test]
     fn order_of_checks() {
         let clean = SystemState::factory(SystemId::A);
-        let start = |kind, claims_master| Boot {
+        let start = |kind, claims_master| StartDecision {
             kind,
             claims_master,
             fault: None,
         };
-        let fails = |kind| Boot {
+        let fails = |kind| StartDecision {
             fault: Some(FailureMode::IoModule),
             ..start(kind, false)
         };

@@ -43,14 +43,14 @@ struct Heard {
 
 /// One end of the bus.
 #[derive(Debug)]
-pub struct Wire {
+pub struct UdpBus {
     socket: UdpSocket,
     group: SocketAddrV4,
     own: io::Result<std::net::SocketAddr>,
     sender: UdpSocket,
 }
 
-impl Wire {
+impl UdpBus {
     /// Joins a group. Other processes of this machine may join it too.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! What the bootloader does with flash, on any `NorFlash` of the TC297's geometry.
 
 use crate::manifest::{BODY_OFFSET, Manifest};
-use crate::map::{Bank, PAGE_BYTES, Region, sector_at};
+use crate::map::{Bank, FlashRegion, PAGE_BYTES, sector_at};
 use crate::page::{CRC_32, Page};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
@@ -97,7 +97,7 @@ pub(crate) fn copy_to_bank(
     end: u32,
     seal: bool,
 ) -> Result<(), FlashFault> {
-    let to = Region::Bank(bank).range();
+    let to = FlashRegion::Bank(bank).range();
     erase(flash, to.clone())?;
     let end = end.next_multiple_of(PAGE_BYTES as u32);
     for at in (PAGE_BYTES as u32..end).step_by(PAGE_BYTES) {
@@ -118,7 +118,7 @@ pub(crate) fn copy_to_bank(
 /// over a range, tried in a fixed order.
 pub fn rom_choice(flash: &mut impl NorFlash) -> Option<Bank> {
     [Bank::Primary, Bank::Backup].into_iter().find(|bank| {
-        let place = Region::Bank(*bank).range();
+        let place = FlashRegion::Bank(*bank).range();
         let Ok(page) = read::<PAGE_BYTES>(flash, place.start) else {
             return false;
         };
