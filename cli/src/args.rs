@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::beside::Words;
+use crate::beside::PassedArguments;
 use crate::board_kind::{BoardKind, DemoBoard};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
@@ -52,7 +52,7 @@ pub enum Command {
     /// List the processes of all runs, so that you can kill one
     Ps(PsArgs),
     /// Watch a run live, and inject faults by keys
-    Top(Words),
+    Top(PassedArguments),
     /// Publish a run for observers: what `tandem run` starts
     #[command(hide = true)]
     Publish,
@@ -69,24 +69,24 @@ pub enum Command {
     /// List the scenarios that are built in
     Scenarios,
     /// Drive a folder of scenarios in virtual time, and say how each went
-    Judge(Words),
+    Judge(PassedArguments),
     /// Measure the time from one core to another, beside the floor and what else one would use
-    Bench(Words),
+    Bench(PassedArguments),
     /// Try faults on the control cores of both systems, in virtual time
-    Sim(Words),
+    Sim(PassedArguments),
     /// Inject faults into the processes and wires of real runs, and report what each kind cost
-    Chaos(Words),
+    Chaos(PassedArguments),
     /// Run the experiments of the thesis, and print its figures beside those of here
-    Thesis(Words),
+    Thesis(PassedArguments),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
-    RtosDemo(Words),
+    RtosDemo(PassedArguments),
     /// Download the smallest application over CAN to an empty controller, start it, and show the
     /// frames of its three cores
     BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
-    Flash(Words),
+    Flash(PassedArguments),
     /// Run the bootloader of one system on a flash file, and say what it would start
-    Bootloader(Words),
+    Bootloader(PassedArguments),
 }
 
 /// Arguments of `tandem boot-demo`.

@@ -45,7 +45,7 @@ impl Program {
 /// Arguments of a command of another program, as that program reads them.
 #[derive(Clone, Debug, clap::Args)]
 #[command(disable_help_flag = true)]
-pub struct Words {
+pub struct PassedArguments {
     /// `--help` lists them
     #[arg(
         trailing_var_arg = true,

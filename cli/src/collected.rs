@@ -9,7 +9,7 @@ use tandem_record::{RunLog, file};
 
 use crate::files::RunFiles;
 use crate::metrics::{self, Metrics, Surroundings};
-use crate::output::{self, Output};
+use crate::output::{self, ReportFolder};
 use crate::percentiles::Spans;
 use crate::report;
 use crate::timeline::{self, Timeline};
@@ -23,7 +23,7 @@ pub struct Collected {
 
 impl Collected {
     pub(crate) fn new(
-        out: &Output,
+        out: &ReportFolder,
         files: &RunFiles,
         because: &dyn Fn() -> String,
     ) -> anyhow::Result<Self> {
@@ -47,7 +47,7 @@ impl Collected {
     ///
     /// # Errors
     /// If the folder cannot be written.
-    pub fn of(out: &Output, log: RunLog, candump: &str) -> anyhow::Result<Self> {
+    pub fn of(out: &ReportFolder, log: RunLog, candump: &str) -> anyhow::Result<Self> {
         let stage = out.stage()?;
         let path = stage.path().join(output::CANDUMP);
         fs::write(&path, candump).with_context(|| format!("writing {}", path.display()))?;
@@ -63,7 +63,7 @@ impl Collected {
     ///
     /// # Errors
     /// If the folder cannot be written.
-    pub fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
+    pub fn write(self, out: &ReportFolder, around: &Surroundings) -> anyhow::Result<Metrics> {
         let metrics = metrics::compute(&self.log, &self.timeline, around);
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();

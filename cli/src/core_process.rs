@@ -1,6 +1,6 @@
 //! The process that is one core of one system.
 
-use crate::run_config::{Profile, RunConfig};
+use crate::run_config::{LimitProfile, RunConfig};
 use crate::{boot, control_core, three_frames};
 use anyhow::{Context as _, bail};
 use tandem_board::{Board, CoreId, Wake};
@@ -47,8 +47,8 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
 /// The limits of a run.
 pub(crate) fn config(run: &RunConfig) -> Config {
     let mut config = match run.profile {
-        Profile::Rt => Config::rt(),
-        Profile::Desktop => Config::desktop(),
+        LimitProfile::Rt => Config::rt(),
+        LimitProfile::Desktop => Config::desktop(),
     };
     config.redundancy = run.budget().config();
     config.redundancy.reintegrate = run.reintegrate;

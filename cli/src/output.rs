@@ -28,14 +28,14 @@ const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE
 
 /// A place where a report can be put.
 #[derive(Debug)]
-pub struct Output {
+pub struct ReportFolder {
     /// The folder, without symbolic links.
     path: PathBuf,
     /// Its parent.
     parent: PathBuf,
 }
 
-impl Output {
+impl ReportFolder {
     /// Checks that a report can be put at `path`, without changing anything.
     ///
     /// # Errors
@@ -78,7 +78,7 @@ impl Output {
         &self.path
     }
 
-    /// A temporary folder beside it, to be filled and handed to [`Output::put`].
+    /// A temporary folder beside it, to be filled and handed to [`ReportFolder::put`].
     ///
     /// # Errors
     /// If it cannot be created.
@@ -195,7 +195,7 @@ fn check_replaceable(path: &Path) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    fn put(out: &Output, content: &str) -> anyhow::Result<()> {
+    fn put(out: &ReportFolder, content: &str) -> anyhow::Result<()> {
         let stage = out.stage().unwrap();
         fs::write(
             stage.path().join(METRICS),
@@ -219,19 +219,19 @@ mod tests {
     fn a_report_replaces_an_empty_folder_and_an_earlier_report() {
         let root = tempfile::tempdir().unwrap();
         let path = root.path().join("out");
-        put(&Output::check(&path).unwrap(), "one").unwrap();
-        put(&Output::check(&path).unwrap(), "two").unwrap();
+        put(&ReportFolder::check(&path).unwrap(), "one").unwrap();
+        put(&ReportFolder::check(&path).unwrap(), "two").unwrap();
         assert_eq!(fs::read_to_string(path.join(REPORT)).unwrap(), "two");
         let empty = root.path().join("empty");
         fs::create_dir(&empty).unwrap();
-        put(&Output::check(&empty).unwrap(), "three").unwrap();
+        put(&ReportFolder::check(&empty).unwrap(), "three").unwrap();
         assert_eq!(names(root.path()), ["empty", "out"]);
     }
 
     #[test]
     fn checking_changes_nothing() {
         let root = tempfile::tempdir().unwrap();
-        Output::check(&root.path().join("out")).unwrap();
+        ReportFolder::check(&root.path().join("out")).unwrap();
         assert!(names(root.path()).is_empty());
     }
 
@@ -253,7 +253,7 @@ mod tests {
             root.path().join("a/b"),
             PathBuf::from("/"),
         ] {
-            assert!(Output::check(&path).is_err(), "{}", path.display());
+            assert!(ReportFolder::check(&path).is_err(), "{}", path.display());
         }
     }
 
@@ -261,7 +261,7 @@ mod tests {
     fn what_came_into_a_report_since_is_never_replaced() {
         let root = tempfile::tempdir().unwrap();
         let path = root.path().join("out");
-        let out = Output::check(&path).unwrap();
+        let out = ReportFolder::check(&path).unwrap();
         put(&out, "one").unwrap();
         fs::write(path.join("notes.txt"), "mine").unwrap();
         assert!(put(&out, "two").is_err());
@@ -276,7 +276,7 @@ mod tests {
         fs::create_dir(&real).unwrap();
         let link = root.path().join("link");
         std::os::unix::fs::symlink(&real, &link).unwrap();
-        put(&Output::check(&link).unwrap(), "one").unwrap();
+        put(&ReportFolder::check(&link).unwrap(), "one").unwrap();
         assert!(link.is_symlink() && link.join(REPORT).exists());
     }
 }

@@ -19,15 +19,15 @@ use tandem_vehicle::Scenario;
 
 use crate::args::{CpuList, RunArgs, Timing};
 use crate::board_kind::BoardKind;
-use crate::boot::{self, ProgramFlash};
+use crate::boot::{self, ProgramFlashes};
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::live::Progress;
 use crate::metrics::{Metrics, Surroundings};
-use crate::output::{self, Output};
+use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
-use crate::run_config::{Profile, RunConfig, UpdateFiles};
+use crate::run_config::{LimitProfile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::{core_process, report, summary, vehicle};
 
@@ -44,7 +44,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
     let longest = (args.timing == Timing::Auto)
-        .then(|| stall_watch::longest(&checked.places, profile == Profile::Rt, MEASURED_FOR));
+        .then(|| stall_watch::longest(&checked.places, profile == LimitProfile::Rt, MEASURED_FOR));
     let config = RunConfig {
         stall_us: longest.map(|it| u32::try_from(it.as_us()).unwrap_or(u32::MAX)),
         ..RunConfig::of(args, profile)
@@ -54,7 +54,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     }
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
-    let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
+    let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
         stall_timers: watch.timers(),
         ..config
@@ -101,7 +101,7 @@ pub fn recorded<T: Send>(
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, RunConfig::of(args, profile))?;
     let injection = launcher.injection();
-    let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
+    let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
         stall_timers: watch.timers(),
         ..config
@@ -135,10 +135,10 @@ pub fn recorded<T: Send>(
 /// [`Failure`] with the exit status that the command documents.
 pub fn run_elsewhere(
     args: &RunArgs,
-    drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<(String, vehicle::Ended), Failure>,
+    drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<(String, vehicle::DriveEnd), Failure>,
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    let config = RunConfig::of(args, Profile::Rt);
+    let config = RunConfig::of(args, LimitProfile::Rt);
     let folder = tempfile::tempdir()
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
@@ -149,7 +149,7 @@ pub fn run_elsewhere(
         eprintln!("{told}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
-    let interrupted = ended == vehicle::Ended::Stopped;
+    let interrupted = ended == vehicle::DriveEnd::Stopped;
     let around = surroundings(&config, told);
     conclude(args, &checked, collected, &around, interrupted)
 }
@@ -178,7 +178,7 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
             SystemId::ALL.map(|system| files.program_flash(system)),
         ),
     };
-    let flash = ProgramFlash::of(paths, &key)?;
+    let flash = ProgramFlashes::of(paths, &key)?;
     let update = match args.update {
         Some(release) => {
             let [a, b] = SystemId::ALL.map(|system| flash.update(system, release, &key));
@@ -245,7 +245,7 @@ fn conclude(
 
 /// What was found to be right before anything is started.
 struct Checked {
-    out: Output,
+    out: ReportFolder,
     pinning: Pinning,
     cpus: Vec<usize>,
     /// The same, with their places among those that this process may use.
@@ -257,7 +257,7 @@ impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;
-        let out = Output::check(&args.out)?;
+        let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
         let (pinning, cpus, places) = match &args.cpus {
@@ -393,7 +393,7 @@ fn grant(
     args: &RunArgs,
     checked: &Checked,
     launcher: &Launcher,
-) -> anyhow::Result<(Profile, String)> {
+) -> anyhow::Result<(LimitProfile, String)> {
     let granted = if args.timing == Timing::Desktop {
         Grant {
             fifo: None,
@@ -419,9 +419,9 @@ fn grant(
         );
     }
     let profile = if granted.is_realtime() {
-        Profile::Rt
+        LimitProfile::Rt
     } else {
-        Profile::Desktop
+        LimitProfile::Desktop
     };
     let cpus: Vec<String> = checked.cpus.iter().map(ToString::to_string).collect();
     let line = format!(
@@ -457,7 +457,7 @@ fn drive(
         None => files.flash(system),
     });
     let schedule = Schedule {
-        realtime: config.profile == Profile::Rt,
+        realtime: config.profile == LimitProfile::Rt,
         pinning: checked.pinning.clone(),
     };
     let errors = fs::File::create(files.errors()).context("creating the log of errors")?;
@@ -517,7 +517,7 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
 }
 
 /// The end of the run on the terminal.
-fn tell(args: &RunArgs, out: &Output, metrics: &Metrics) -> anyhow::Result<()> {
+fn tell(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
     if args.json {
         let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;

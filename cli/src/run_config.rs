@@ -13,20 +13,20 @@ use tandem_board_host::Alarm;
 use tandem_redundancy::Budget;
 
 use crate::args::RunArgs;
-use crate::boot::ProgramFlash;
+use crate::boot::ProgramFlashes;
 use crate::files::RunFiles;
 
 /// The time limits of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Profile {
+pub enum LimitProfile {
     /// Real-time priority was granted: tight limits.
     Rt,
     /// It was not: limits that a desktop's scheduler can keep.
     Desktop,
 }
 
-impl Profile {
+impl LimitProfile {
     /// As the command line and `metrics.json` write it.
     pub const fn name(self) -> &'static str {
         match self {
@@ -40,8 +40,8 @@ impl RunConfig {
     /// The source of the time limits.
     pub fn budget(&self) -> Budget {
         let budget = match self.profile {
-            Profile::Rt => Budget::RT,
-            Profile::Desktop => Budget::DESKTOP,
+            LimitProfile::Rt => Budget::RT,
+            LimitProfile::Desktop => Budget::DESKTOP,
         };
         match self.stall_us {
             Some(us) => budget.measured(Duration::from_us(us.into())),
@@ -60,7 +60,7 @@ pub struct RunConfig {
     /// Seconds of scenario time.
     pub duration_s: f64,
     /// The limits of time.
-    pub profile: Profile,
+    pub profile: LimitProfile,
     /// The longest stall that was measured, us; `None`: that of the profile.
     pub stall_us: Option<u32>,
     /// Whether a system that comes back may become the standby of a running pair.
@@ -72,7 +72,7 @@ pub struct RunConfig {
     /// Sensors that fail, as on the command line.
     pub sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board that has its own.
-    pub program_flash: Option<ProgramFlash>,
+    pub program_flash: Option<ProgramFlashes>,
     /// Records that are sent to each system while the other drives.
     pub update: Option<UpdateFiles>,
     /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
@@ -135,7 +135,7 @@ pub fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 
 impl RunConfig {
     /// The configuration of the command line, without program flashes.
-    pub fn of(args: &RunArgs, profile: Profile) -> Self {
+    pub fn of(args: &RunArgs, profile: LimitProfile) -> Self {
         Self {
             scenario: args.scenario.clone(),
             seed: args.seed,
@@ -198,7 +198,7 @@ mod tests {
             scenario: "/tmp/a \"b\".xml".into(),
             seed: u64::MAX,
             duration_s: 0.5,
-            profile: Profile::Desktop,
+            profile: LimitProfile::Desktop,
             stall_us: Some(1_500),
             reintegrate: true,
             overrides_s: Some((1.0, 2.5)),

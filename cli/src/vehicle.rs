@@ -51,7 +51,7 @@ pub fn drive<P>(
     scenario: &Scenario,
     port: &mut P,
     recorder: Recorder,
-) -> anyhow::Result<Ended>
+) -> anyhow::Result<DriveEnd>
 where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
 {
@@ -63,7 +63,7 @@ where
 
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum DriveEnd {
     /// After its whole duration, or because no controller drove: the recording is complete.
     ByItself,
     /// A person asked for it.
@@ -129,7 +129,7 @@ where
         })
     }
 
-    fn work(&mut self) -> anyhow::Result<Ended> {
+    fn work(&mut self) -> anyhow::Result<DriveEnd> {
         self.port.set_ignition(true);
         loop {
             let now = self.port.now();
@@ -140,7 +140,7 @@ where
             };
             let pass = self.port.wait_for(event)?;
             if self.port.stop_requested() {
-                return Ok(Ended::Stopped);
+                return Ok(DriveEnd::Stopped);
             }
             if let Pass::Period(due) = pass {
                 self.note_lateness(due.as_ns());
@@ -186,7 +186,7 @@ where
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
             if time_s >= self.duration_s || (!self.running && self.ticks >= GIVE_UP_TICKS) {
-                return Ok(Ended::ByItself);
+                return Ok(DriveEnd::ByItself);
             }
         }
     }
@@ -330,7 +330,7 @@ where
     }
 
     /// Ends the run for all, and the recording.
-    fn finish(mut self, ended: Ended) -> anyhow::Result<()> {
+    fn finish(mut self, ended: DriveEnd) -> anyhow::Result<()> {
         let at_ns = self.port.now().as_ns();
         self.port.set_ignition(false);
         self.drain_traces();
@@ -342,7 +342,7 @@ where
             .record(VehicleRecord::Figures(world_record::figures(
                 &self.world.metrics(),
             )));
-        if ended == Ended::ByItself {
+        if ended == DriveEnd::ByItself {
             let stalled_ms = self.world.stalled_ns() as f64 * 1e-6;
             let lost_trace = self.lost_trace;
             self.recorder.record(VehicleRecord::End {

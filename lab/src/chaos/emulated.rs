@@ -27,7 +27,7 @@ use tandem::files::RunFiles;
 use tandem::metrics::Surroundings;
 use tandem::recorder::Recorder;
 use tandem::run::{Recorded, surroundings};
-use tandem::run_config::{Profile, RunConfig};
+use tandem::run_config::{LimitProfile, RunConfig};
 use tandem::{output, vehicle};
 
 /// A system that is switched off and on is without power for this long.
@@ -50,7 +50,7 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
     let folder = tempfile::tempdir().context("a folder")?;
     let board = ["--board", "qemu", "--no-bootloader"];
     let args = leg::arguments(numbers, &folder.path().join("report"), &board)?;
-    let config = RunConfig::of(&args, Profile::Rt);
+    let config = RunConfig::of(&args, LimitProfile::Rt);
     let files = RunFiles::within(folder.path());
     let options = Options {
         reintegrate: true,

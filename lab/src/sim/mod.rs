@@ -26,7 +26,7 @@ use tandem_sim::timing::Time;
 use outcome::Outcome;
 use report::Summary;
 use tandem::failure::Failure;
-use tandem::output::Output;
+use tandem::output::ReportFolder;
 use tandem::print;
 
 /// Sequences that one process runs: each reset of a core leaves its board in memory.
@@ -393,7 +393,11 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
             .write(&text)
             .map_err(|error| Failure::Run(error.into()))?;
     }
-    let out = arguments.out.as_deref().map(Output::check).transpose();
+    let out = arguments
+        .out
+        .as_deref()
+        .map(ReportFolder::check)
+        .transpose();
     let out = out.map_err(Failure::Usage)?;
     let (verdict, mut bench) = sequence.run(arguments.profile(), true);
     let mut text = format!("{sequence}\n");

@@ -10,10 +10,10 @@ use tandem_sim::faults::{Bench, Profile};
 
 use tandem::collected::Collected;
 use tandem::metrics::Surroundings;
-use tandem::output::Output;
+use tandem::output::ReportFolder;
 
 /// Writes it. The story of the bench is still to be told afterwards.
-pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result<()> {
+pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> Result<()> {
     let mut candump = String::new();
     for frame in bench.frames() {
         writeln!(candump, "{}", candump_line(&frame, 0))?;
@@ -56,7 +56,7 @@ mod tests {
         let (verdict, mut bench) = Group::Single.sequence(1_420).run(profile, true);
         let story = |bench: &mut Bench| bench.story().len();
         let before = story(&mut bench);
-        write(&mut bench, &Output::check(&place).unwrap(), profile).unwrap();
+        write(&mut bench, &ReportFolder::check(&place).unwrap(), profile).unwrap();
         assert_eq!(story(&mut bench), before);
         let read = |name: &str| std::fs::read(place.join(name)).unwrap();
         let metrics: serde_json::Value = serde_json::from_slice(&read(METRICS)).unwrap();
