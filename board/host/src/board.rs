@@ -12,9 +12,9 @@ use tandem_shm::FitError;
 
 use crate::args::CoreArgs;
 use crate::backplane::{Backplane, BackplaneError};
-use crate::bell::{Bell, BellError, Owner, Ringers};
 use crate::can::HostCan;
 use crate::clock;
+use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
 use crate::flash::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
 use crate::memory::{self, MemoryError};
@@ -38,7 +38,7 @@ pub enum AttachError {
     Lmu(#[from] SegmentError),
     /// The doorbell cannot be made.
     #[error(transparent)]
-    Bell(#[from] BellError),
+    Doorbell(#[from] DoorbellError),
     /// The supply that started this core has died, or the core cannot be bound to it.
     #[error("the supply of system {0} has died")]
     NoPower(SystemId),
@@ -62,8 +62,8 @@ pub struct HostBoard {
     of: Identity,
     backplane: Backplane,
     lmu: &'static [AtomicU32],
-    bell: Bell,
-    /// The first wait returns at once, because rings from before the bell was set up are forgotten.
+    doorbell: Doorbell,
+    /// The first wait returns at once: rings from before the doorbell was set up are forgotten.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,
@@ -94,7 +94,7 @@ impl HostBoard {
             of,
             backplane,
             lmu,
-            bell: Bell::hang(&args.common.run, Owner::Core(of.address()))?,
+            doorbell: Doorbell::attach(&args.common.run, Owner::Core(of.address()))?,
             looked_around: AtomicBool::new(false),
             ringers: Arc::clone(&ringers),
             can: HostCan::attach(backplane, of, Arc::clone(&ringers))?,
@@ -150,7 +150,7 @@ impl Board for HostBoard {
         if !self.looked_around.swap(true, Relaxed) {
             return Wake::Interrupt;
         }
-        if self.bell.wait(deadline) {
+        if self.doorbell.wait(deadline) {
             Wake::Interrupt
         } else {
             Wake::Deadline

@@ -8,8 +8,8 @@ use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
-use crate::bell::Ringers;
 use crate::clock;
+use crate::doorbell::Ringers;
 
 /// The CAN controller of one core. The bus itself is in the vehicle's process, which each frame
 /// wakes; without it nothing is received and the transmit buffer fills up.

@@ -16,7 +16,7 @@ use tandem_peripherals::memory::scribble;
 use tandem_peripherals::wires::Wire;
 
 use crate::backplane::{Backplane, BackplaneError};
-use crate::bell::Ringers;
+use crate::doorbell::Ringers;
 use crate::memory;
 use crate::name::RunName;
 use crate::processes::{self, Process, RunError};

@@ -17,10 +17,10 @@ extern crate iceoryx2_bb_loggers as _;
 mod alarm;
 mod args;
 mod backplane;
-pub mod bell;
 mod board;
 mod can;
 pub mod clock;
+pub mod doorbell;
 mod flash;
 pub mod injection;
 pub mod isolation;
@@ -47,9 +47,9 @@ pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
 pub use backplane::{Backplane, BackplaneError};
-pub use bell::BellError;
 pub use board::{AttachError, HostBoard};
 pub use can::HostCan;
+pub use doorbell::DoorbellError;
 pub use flash::{FlashFileError, HostFlash};
 pub use isolation::{Isolation, IsolationError};
 pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};

@@ -10,7 +10,7 @@ use tandem_peripherals::wires::Wire;
 use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
-use crate::bell::Ringers;
+use crate::doorbell::Ringers;
 
 /// A system's ends of the lines.
 #[derive(Debug)]

@@ -7,7 +7,7 @@ use core::sync::atomic::AtomicU32;
 use tandem_board::SystemId;
 
 use crate::backplane::{Backplane, BackplaneError};
-use crate::bell::{self, BellError};
+use crate::doorbell::{self, DoorbellError};
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 
@@ -25,7 +25,7 @@ pub enum MemoryError {
     Lmu(#[from] SegmentError),
     /// The doorbell of a core.
     #[error(transparent)]
-    Bell(#[from] BellError),
+    Doorbell(#[from] DoorbellError),
 }
 
 /// Creates the backplane, the LMU of both systems and the doorbells of all cores.
@@ -34,7 +34,7 @@ pub(crate) fn create(run: &RunName) -> Result<Backplane, MemoryError> {
     for system in SystemId::ALL {
         Segment::<LMU_WORDS>::create(run, &lmu_name(system))?;
     }
-    bell::install(run)?;
+    doorbell::install(run)?;
     Ok(backplane)
 }
 

@@ -2,7 +2,7 @@
 //!
 //! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file and
 //! lets the kernel find a page at the first touch. In a full `/dev/shm` that touch ends the process
-//! with SIGBUS, possibly a process that only rings a bell. Here [`Builder::create`] calls
+//! with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`] calls
 //! `fallocate` before any access to the memory: if there is not enough room, the creator gets an
 //! error, and no other process fails later.
 //!

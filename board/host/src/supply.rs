@@ -31,8 +31,8 @@ use tandem_shm::{FitError, bare, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
 use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
-use crate::bell::Ringers;
 use crate::clock;
+use crate::doorbell::Ringers;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::memory;
 use crate::segment::SegmentError;

@@ -15,8 +15,8 @@ use crate::args::VehicleArgs;
 use crate::backplane::{
     Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
 };
-use crate::bell::{Bell, BellError, Owner, Ringers};
 use crate::clock::{self, Ticker};
+use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
 
@@ -29,9 +29,9 @@ pub enum VehiclePortError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
-    /// The bell of the bus cannot be set up.
+    /// The doorbell of the bus cannot be set up.
     #[error(transparent)]
-    Bell(#[from] BellError),
+    Doorbell(#[from] DoorbellError),
     /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
@@ -72,7 +72,7 @@ pub struct HostVehiclePort {
     /// `None` before the first period.
     ticker: Option<Ticker>,
     /// The cores ring it when they send.
-    bell: Bell,
+    doorbell: Doorbell,
     /// It was rung.
     rung: bool,
     /// The vehicle sends nothing before: the periods until then may be late.
@@ -142,7 +142,7 @@ impl HostVehiclePort {
             emptied: clock::now(),
             news: false,
             ticker: None,
-            bell: Bell::hang(&args.common.run, Owner::Bus)?,
+            doorbell: Doorbell::attach(&args.common.run, Owner::Bus)?,
             rung: false,
             quiet_until: Instant::ORIGIN,
         })
@@ -362,7 +362,7 @@ impl VehiclePort for HostVehiclePort {
                 clock::sleep_until(next);
                 self.quiet_until = next;
             } else {
-                self.rung = self.bell.wait(event);
+                self.rung = self.doorbell.wait(event);
                 self.quiet_until = event;
             }
         }

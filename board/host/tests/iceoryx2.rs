@@ -10,7 +10,7 @@ use iceoryx2_bb_testing::instantiate_conformance_tests_with_module as instantiat
 use iceoryx2_cal_conformance_tests as suite;
 use iceoryx2_cal_conformance_tests::dynamic_storage_trait::TestData;
 use iceoryx2_cal_conformance_tests::named_concept_trait::{DynamicStorageTest, EventTest};
-use tandem_board_host::bell::{FutexEvent, PendingBits};
+use tandem_board_host::doorbell::{FutexEvent, PendingBits};
 use tandem_board_host::storage::Storage;
 
 instantiate!(
@@ -26,7 +26,7 @@ instantiate!(
 );
 // The event of the doorbells.
 instantiate!(
-    bell,
+    doorbell,
     suite::event_trait,
     PendingBits,
     FutexEvent<PendingBits, false>

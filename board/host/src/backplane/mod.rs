@@ -17,7 +17,7 @@ use tandem_board::{
 use tandem_peripherals::wires::{BusFault, Cuts, Wire};
 
 #[cfg(test)]
-use crate::bell;
+use crate::doorbell;
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
@@ -470,7 +470,7 @@ impl ScratchRun {
     pub(crate) fn create() -> (Self, Backplane) {
         let run = RunName::unique();
         let backplane = Backplane::create(&run).unwrap();
-        bell::install(&run).unwrap();
+        doorbell::install(&run).unwrap();
         (Self(run), backplane)
     }
 }
@@ -488,6 +488,6 @@ impl core::ops::Deref for ScratchRun {
 impl Drop for ScratchRun {
     fn drop(&mut self) {
         Backplane::remove(&self.0);
-        bell::remove(&self.0);
+        doorbell::remove(&self.0);
     }
 }

@@ -77,7 +77,7 @@ pub(crate) const CASES: &[Case] = &[
         vehicle: paced,
     },
     Case {
-        name: "bells_ring_the_incarnation_that_is",
+        name: "doorbells_ring_the_incarnation_that_is",
         core: answer_rings,
         vehicle: reset_and_ring,
     },
@@ -382,7 +382,7 @@ fn answer_rings(board: &HostBoard) {
             board.wait(clock::now() + tandem_board::Duration::from_ms(10_000));
             answered.store(asked.load(SeqCst), SeqCst);
         },
-        // Core 1 is dead, but its bell still exists.
+        // Core 1 is dead, but its doorbell still exists.
         _ => {}
     }
 }

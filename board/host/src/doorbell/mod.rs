@@ -1,7 +1,7 @@
 //! Doorbells: iceoryx2 events between the cores, and from the cores to the bus.
 //!
-//! A core has one bell for the whole run, created and reserved before the first process starts
-//! ([`install`]). Each incarnation of the core takes it over with [`Bell::hang`], in the same
+//! A core has one doorbell for the whole run, created and reserved before the first process starts
+//! ([`install`]). Each incarnation of the core takes it over with [`Doorbell::attach`], in the same
 //! memory. So a ringer keeps its mapping, reaches the core again after a reset, and makes a system
 //! call only if the core sleeps. Ringing a dead core has no effect.
 //!
@@ -42,23 +42,23 @@ pub use trigger::{Futex, FutexHandle, FutexWaiter};
 pub type FutexEvent<E, const LASTING: bool> =
     EventImpl<E, Futex, Storage<State<E, Futex>, LASTING>, FutexHandle, FutexWaiter>;
 
-type BellEvent = FutexEvent<PendingBits, true>;
-type BellState = State<PendingBits, Futex>;
-type BellStorage = Storage<BellState, true>;
-type BellListener = Waiter<PendingBits, Futex, BellStorage, FutexWaiter>;
+type DoorbellEvent = FutexEvent<PendingBits, true>;
+type DoorbellState = State<PendingBits, Futex>;
+type DoorbellStorage = Storage<DoorbellState, true>;
+type DoorbellListener = Waiter<PendingBits, Futex, DoorbellStorage, FutexWaiter>;
 
-/// The bell carries one bit; its receiver finds the details in other memory.
+/// The doorbell carries one bit; its receiver finds the details in other memory.
 const RUNG: EventId = EventId::new(0);
 
-/// The bell of a core could not be set up.
+/// The doorbell of a core could not be set up.
 #[derive(Debug, thiserror::Error)]
 #[error("doorbell of {of}: {reason}")]
-pub struct BellError {
+pub struct DoorbellError {
     of: String,
     reason: String,
 }
 
-/// Whose bell it is.
+/// Whose doorbell it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Owner {
     Core(CoreAddress),
@@ -82,48 +82,48 @@ impl Owner {
     }
 
     fn file(self) -> FileName {
-        let name = format!("bell-{}", self.name());
+        let name = format!("doorbell-{}", self.name());
         // Letters, digits and dashes are always a valid name; the fallback is never used.
         FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
     }
 }
 
-/// Creates all bells of the run and reserves their memory.
-pub(crate) fn install(run: &RunName) -> Result<(), BellError> {
+/// Creates all doorbells of the run and reserves their memory.
+pub(crate) fn install(run: &RunName) -> Result<(), DoorbellError> {
     Owner::all().try_for_each(|of| listener(run, of).map(drop))
 }
 
-/// Removes the bells of a run that a test has installed.
+/// Removes the doorbells of a run that a test has installed.
 #[cfg(test)]
 pub(crate) fn remove(run: &RunName) {
     for of in Owner::all() {
         // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
-        let removed = unsafe { BellEvent::remove_cfg(&of.file(), &config(run)) };
+        let removed = unsafe { DoorbellEvent::remove_cfg(&of.file(), &config(run)) };
         assert!(removed.unwrap());
     }
 }
 
-fn listener(run: &RunName, of: Owner) -> Result<BellListener, BellError> {
+fn listener(run: &RunName, of: Owner) -> Result<DoorbellListener, DoorbellError> {
     segment::quiet();
-    <BellEvent as Event<_>>::ListenerBuilder::new(&of.file())
+    <DoorbellEvent as Event<_>>::ListenerBuilder::new(&of.file())
         .config(&config(run))
         .event_id_max(RUNG)
         .create()
-        .map_err(|cause| BellError {
+        .map_err(|cause| DoorbellError {
             of: of.name(),
             reason: format!("{cause}; is /dev/shm full?"),
         })
 }
 
-/// A bell: the end of its owner, which it wakes.
-pub(crate) struct Bell {
-    listener: BellListener,
+/// A doorbell: the end of its owner, which it wakes.
+pub(crate) struct Doorbell {
+    listener: DoorbellListener,
 }
 
-impl Bell {
-    /// Takes over the bell of this owner. Earlier rings are forgotten, so the caller polls all
+impl Doorbell {
+    /// Takes over the doorbell of this owner. Earlier rings are forgotten, so the caller polls all
     /// sources before it first sleeps.
-    pub(crate) fn hang(run: &RunName, of: Owner) -> Result<Self, BellError> {
+    pub(crate) fn attach(run: &RunName, of: Owner) -> Result<Self, DoorbellError> {
         let listener = listener(run, of)?;
         // Pairs with the fence in `Ringers::ring`: if a ring was forgotten here, the owner's first
         // poll sees everything that its ringer wrote before it.
@@ -152,21 +152,21 @@ impl Bell {
     }
 }
 
-impl fmt::Debug for Bell {
+impl fmt::Debug for Doorbell {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Bell")
+        f.write_str("Doorbell")
     }
 }
 
-/// All bells: the ends of the ringers. They ring from any context.
+/// All doorbells: the ends of the ringers. They ring from any context.
 pub(crate) struct Ringers {
     run: RunName,
-    cores: [Option<BellStorage>; CoreAddress::COUNT],
-    bus: Option<BellStorage>,
+    cores: [Option<DoorbellStorage>; CoreAddress::COUNT],
+    bus: Option<DoorbellStorage>,
 }
 
 impl Ringers {
-    /// Maps the bells of the run. Ringing a missing bell has no effect.
+    /// Maps the doorbells of the run. Ringing a missing doorbell has no effect.
     pub(crate) fn new(run: &RunName) -> Self {
         segment::quiet();
         Self {
@@ -190,16 +190,16 @@ impl Ringers {
     /// if the state of the event says that the listener is notified. Another notifier sets this
     /// state after its own trigger. If it is stalled in between, the listener may take its event
     /// and sleep again; then the state says "notified" and the listener sleeps through every ring.
-    fn wake(bell: Option<&BellStorage>) {
-        // Pairs with the fence in `Bell::hang`.
+    fn wake(doorbell: Option<&DoorbellStorage>) {
+        // Pairs with the fence in `Doorbell::attach`.
         fence(SeqCst);
-        if let Some(bell) = bell {
-            let bell: &BellState = bell.get();
-            // Only a bell that a peer has overwritten refuses.
-            let _ = bell.event.activate(RUNG);
+        if let Some(doorbell) = doorbell {
+            let doorbell: &DoorbellState = doorbell.get();
+            // Only a doorbell that a peer has overwritten refuses.
+            let _ = doorbell.event.activate(RUNG);
             // SAFETY: the listener that created the event has initialized it; any bits are a
             // `Futex`.
-            unsafe { bell.handle.assume_init_ref() }.wake();
+            unsafe { doorbell.handle.assume_init_ref() }.wake();
         }
     }
 }
@@ -210,19 +210,19 @@ impl fmt::Debug for Ringers {
     }
 }
 
-/// The memory of a bell, with the name that iceoryx2's event gives it.
-fn storage_of(run: &RunName, of: Owner) -> Option<BellStorage> {
+/// The memory of a doorbell, with the name that iceoryx2's event gives it.
+fn storage_of(run: &RunName, of: Owner) -> Option<DoorbellStorage> {
     let suffix = FileName::new(b".trigger_mgmt").ok()?;
     let config = crate::storage::Configuration::default()
         .prefix(&segment::prefix(run))
         .suffix(&suffix);
-    <BellStorage as DynamicStorage<_>>::Builder::new(&of.file())
+    <DoorbellStorage as DynamicStorage<_>>::Builder::new(&of.file())
         .config(&config)
         .open(AccessMode::ReadWrite)
         .ok()
 }
 
-fn config(run: &RunName) -> Configuration<PendingBits, Futex, BellStorage> {
+fn config(run: &RunName) -> Configuration<PendingBits, Futex, DoorbellStorage> {
     Configuration::default().prefix(&segment::prefix(run))
 }
 
@@ -236,44 +236,44 @@ mod tests {
     const CORE: CoreAddress = CoreAddress::new(SystemId::A, CoreId::PLANNING);
     const OF: Owner = Owner::Core(CORE);
 
-    /// A run that has only its bells; dropping it removes its files.
-    struct Bells(RunName);
+    /// A run that has only its doorbells; dropping it removes its files.
+    struct Doorbells(RunName);
 
-    impl Bells {
+    impl Doorbells {
         fn install() -> Self {
             let run = RunName::unique();
             install(&run).unwrap();
             Self(run)
         }
 
-        fn storage(&self) -> BellStorage {
+        fn storage(&self) -> DoorbellStorage {
             storage_of(&self.0, OF).unwrap()
         }
     }
 
-    impl Drop for Bells {
+    impl Drop for Doorbells {
         fn drop(&mut self) {
             remove(&self.0);
         }
     }
 
     /// Whether a ring wakes a sleeping listener; `harm` happens while it sleeps.
-    fn a_ring_wakes(harm: impl FnOnce(&BellState)) -> bool {
-        let bells = Bells::install();
-        let bell = Bell::hang(&bells.0, OF).unwrap();
-        let ringers = Ringers::new(&bells.0);
+    fn a_ring_wakes(harm: impl FnOnce(&DoorbellState)) -> bool {
+        let doorbells = Doorbells::install();
+        let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
+        let ringers = Ringers::new(&doorbells.0);
         let asleep = AtomicBool::new(false);
         thread::scope(|scope| {
             let sleeper = scope.spawn(|| {
                 let patience = clock::now() + Duration::from_ms(10_000);
                 asleep.store(true, SeqCst);
-                bell.wait(patience) && clock::now() < patience
+                doorbell.wait(patience) && clock::now() < patience
             });
             while !asleep.load(SeqCst) {
                 thread::yield_now();
             }
             thread::sleep(Span::from_millis(50));
-            harm(bells.storage().get());
+            harm(doorbells.storage().get());
             ringers.ring(CORE.system, CORE.core);
             sleeper.join().unwrap()
         })
@@ -289,48 +289,51 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// A peer can write any value to any byte of the bell's memory. This harms neither ringer nor
-    /// sleeper, and the bell of the next incarnation works.
+    /// A peer can write any value to any byte of the doorbell's memory. This harms neither ringer nor
+    /// sleeper, and the doorbell of the next incarnation works.
     #[test]
-    fn a_scribbled_bell_harms_nobody_who_rings_it() {
-        let bells = Bells::install();
-        let bell = Bell::hang(&bells.0, OF).unwrap();
-        let ringers = Ringers::new(&bells.0);
-        let storage = bells.storage();
-        let state: *const BellState = storage.get();
+    fn a_scribbled_doorbell_harms_no_ringer() {
+        let doorbells = Doorbells::install();
+        let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
+        let ringers = Ringers::new(&doorbells.0);
+        let storage = doorbells.storage();
+        let state: *const DoorbellState = storage.get();
         // SAFETY: these are the bytes of the state, in a mapping that is shared and writable.
         let bytes = unsafe {
-            core::slice::from_raw_parts(state.cast::<AtomicU8>(), size_of::<BellState>())
+            core::slice::from_raw_parts(state.cast::<AtomicU8>(), size_of::<DoorbellState>())
         };
         for scribble in [0x00, 0x01, 0x7F, 0x80, 0xAA, 0xFF] {
             for byte in bytes {
                 let before = byte.swap(scribble, SeqCst);
                 ringers.ring(CORE.system, CORE.core);
-                bell.wait(clock::now() + Duration::from_us(10));
+                doorbell.wait(clock::now() + Duration::from_us(10));
                 byte.store(before, SeqCst);
             }
             bytes.iter().for_each(|byte| byte.store(scribble, SeqCst));
             ringers.ring(CORE.system, CORE.core);
-            bell.wait(clock::now() + Duration::from_us(10));
+            doorbell.wait(clock::now() + Duration::from_us(10));
             // The next incarnation.
-            let bell = Bell::hang(&bells.0, OF).unwrap();
-            assert!(!bell.wait(clock::now()), "silent after {scribble:#x}");
+            let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
+            assert!(!doorbell.wait(clock::now()), "silent after {scribble:#x}");
             ringers.ring(CORE.system, CORE.core);
-            assert!(bell.wait(Instant::NEVER), "rung after {scribble:#x}");
+            assert!(doorbell.wait(Instant::NEVER), "rung after {scribble:#x}");
         }
     }
 
     /// T-SYNC-3: a ringer keeps its mapping over the incarnations of the core.
     #[test]
     fn the_next_incarnation_is_rung_through_the_same_end() {
-        let bells = Bells::install();
-        let ringers = Ringers::new(&bells.0);
+        let doorbells = Doorbells::install();
+        let ringers = Ringers::new(&doorbells.0);
         for _incarnation in 0..3 {
             ringers.ring(CORE.system, CORE.core);
-            let bell = Bell::hang(&bells.0, OF).unwrap();
-            assert!(!bell.wait(clock::now()), "rung in the incarnation before");
+            let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
+            assert!(
+                !doorbell.wait(clock::now()),
+                "rung in the incarnation before"
+            );
             ringers.ring(CORE.system, CORE.core);
-            assert!(bell.wait(Instant::NEVER));
+            assert!(doorbell.wait(Instant::NEVER));
         }
     }
 
@@ -338,7 +341,7 @@ mod tests {
     fn a_bell_that_never_hung_is_rung_in_vain() {
         let run = RunName::unique();
         Ringers::new(&run).ring(CORE.system, CORE.core);
-        let bells = Bells::install();
-        Ringers::new(&bells.0).ring(CORE.system, CORE.core);
+        let doorbells = Doorbells::install();
+        Ringers::new(&doorbells.0).ring(CORE.system, CORE.core);
     }
 }
