@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bell_that_never_hung_is_rung_in_vain() {
+    fn ringing_a_missing_doorbell_has_no_effect() {
         let run = RunName::unique();
         Ringers::new(&run).ring(CORE.system, CORE.core);
         let doorbells = Doorbells::install();

@@ -37,7 +37,7 @@ pub(crate) const CASES: &[Case] = &[
         vehicle: both_done,
     },
     Case {
-        name: "a_bell_rung_by_two_is_never_deaf",
+        name: "a_doorbell_rung_by_two_loses_no_ring",
         core: rung_by_two,
         vehicle: both_done,
     },
