@@ -71,7 +71,7 @@
 #define INCLUDE_xTimerPendFunctionCall             0
 #define INCLUDE_eTaskGetState                      1
 
-/* Trace: one test of a pointer without a sink. The numbers are those in `port/trace.rs`. */
+/* Trace: one test of a pointer without a sink. The numbers are those in `sys/mod.rs`. */
 #define tandemTRACE( kind, task )                                          \
     do {                                                                   \
         if( tandem_trace_sink != 0 ) {                                     \

@@ -4,7 +4,8 @@
 //! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
 //! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
 
-use super::{Clock, StartError, trace};
+use super::trace::{self, KernelEventKind};
+use super::{Clock, StartError};
 use crate::context::InterruptContext;
 use crate::ffi;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
@@ -324,11 +325,12 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
         fatal(format_args!("an external interrupt without a handler"));
     };
     let context = InterruptContext::new();
-    trace::interrupt_entered(u32::from(number.number()));
+    let subject = u32::from(number.number());
+    trace::record(KernelEventKind::InterruptEntered, subject, timestamp_ns);
     IN_INTERRUPT.store(true, Ordering::Relaxed);
     handler(&context);
     IN_INTERRUPT.store(false, Ordering::Relaxed);
-    trace::interrupt_left(u32::from(number.number()));
+    trace::record(KernelEventKind::InterruptLeft, subject, timestamp_ns);
     if context.has_woken() {
         // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
         unsafe { ffi::tandem_yield_from_interrupt(1) };

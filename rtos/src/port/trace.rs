@@ -1,6 +1,5 @@
 //! The kernel's events with their times: switches, wake-ups and interrupts, and their sink.
 
-use crate::port;
 use core::cell::UnsafeCell;
 use core::ffi::c_void;
 use core::ptr;
@@ -64,38 +63,14 @@ pub(crate) fn listen(sink: Option<&'static dyn TraceSink>) {
     tandem_trace_sink.store(flag, Ordering::Relaxed);
 }
 
-fn record(kind: KernelEventKind, subject: u32) {
+/// Passes an event to the sink, if there is one, with the time that `clock_ns` returns.
+pub(crate) fn record(kind: KernelEventKind, subject: u32, clock_ns: fn() -> u64) {
     // SAFETY: written only while no scheduler runs.
     if let Some(sink) = unsafe { *SINK.0.get() } {
         sink.record(KernelEvent {
-            at_ns: port::timestamp_ns(),
+            at_ns: clock_ns(),
             kind,
             subject,
         });
     }
-}
-
-/// An event of a task, by the numbers in `FreeRTOSConfig.h`.
-#[unsafe(no_mangle)]
-extern "C" fn tandem_trace(kind: u32, task: u32) {
-    let kind = match kind {
-        1 => KernelEventKind::SwitchedIn,
-        2 => KernelEventKind::SwitchedOut,
-        _ => KernelEventKind::Ready,
-    };
-    record(kind, task);
-}
-
-pub(crate) fn interrupt_entered(number: u32) {
-    record(KernelEventKind::InterruptEntered, number);
-}
-
-pub(crate) fn interrupt_left(number: u32) {
-    record(KernelEventKind::InterruptLeft, number);
-}
-
-/// The kernel's counter for the time that tasks run.
-#[unsafe(no_mangle)]
-extern "C" fn tandem_run_time() -> u64 {
-    port::run_time()
 }

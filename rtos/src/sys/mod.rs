@@ -9,6 +9,7 @@ pub(crate) mod task;
 pub(crate) mod timer;
 
 use crate::port;
+use crate::port::trace::{self, KernelEventKind};
 use core::sync::atomic::{AtomicBool, Ordering};
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
@@ -22,9 +23,26 @@ pub(crate) fn take() -> bool {
 
 /// The kernel can be taken again.
 pub(crate) fn release() {
-    port::trace::listen(None);
+    trace::listen(None);
     // Release pairs with the Acquire in `take`.
     TAKEN.store(false, Ordering::Release);
+}
+
+/// An event of a task, by the numbers in `FreeRTOSConfig.h`.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_trace(kind: u32, task: u32) {
+    let kind = match kind {
+        1 => KernelEventKind::SwitchedIn,
+        2 => KernelEventKind::SwitchedOut,
+        _ => KernelEventKind::Ready,
+    };
+    trace::record(kind, task, port::timestamp_ns);
+}
+
+/// The kernel's counter for the time that tasks run.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_run_time() -> u64 {
+    port::run_time()
 }
 
 /// The life of the kernel for which an object was made.

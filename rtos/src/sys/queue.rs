@@ -1,7 +1,6 @@
 //! Queues of the kernel, which are also its semaphores, mutexes and sets; queues of values.
 
 use super::Life;
-use super::set::Inner as Set;
 use crate::TimedOut;
 use crate::context::{Context, TaskContext, TaskLevel};
 use crate::ffi;
@@ -13,6 +12,7 @@ use core::ffi::c_void;
 use core::fmt;
 use core::mem::{ManuallyDrop, MaybeUninit};
 use core::ptr;
+use core::sync::atomic::AtomicUsize;
 
 const TYPE_QUEUE: u8 = 0;
 const TYPE_MUTEX: u8 = 1;
@@ -25,7 +25,7 @@ pub(crate) struct Raw {
     block: UnsafeCell<[usize; ffi::QUEUE_WORDS]>,
     life: Life,
     /// Keeps alive the set that this is a member of: the kernel points to it.
-    set: UnsafeCell<Option<Arc<Set>>>,
+    set: UnsafeCell<Option<Arc<Members>>>,
 }
 
 // SAFETY: the block is the kernel's, which is called from the core's thread only: every call wants
@@ -110,7 +110,7 @@ impl Raw {
     }
 
     /// Makes this a member of a set. Returns whether it was empty and in no other set.
-    pub(super) fn join(&self, set: &Arc<Set>) -> bool {
+    pub(super) fn join(&self, set: &Arc<Members>) -> bool {
         // SAFETY: both are of this life. The kernel will point from here to the set, which is held
         // below for as long.
         let joined = unsafe { ffi::xQueueAddToSet(self.handle(), set.raw.handle()) == ffi::PASS };
@@ -163,6 +163,19 @@ impl<T> Items<T> {
         }
     }
 }
+
+/// A queue of the members of a set that have an item.
+pub(super) struct Members {
+    pub(super) raw: Raw,
+    pub(super) items: Items<usize>,
+    /// How many of its places the members could fill.
+    pub(super) promised: AtomicUsize,
+}
+
+// SAFETY: as for `Raw`; what is stored are addresses that are only compared.
+unsafe impl Send for Members {}
+// SAFETY: as above.
+unsafe impl Sync for Members {}
 
 /// There was no room; the value is given back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

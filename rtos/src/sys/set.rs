@@ -1,6 +1,6 @@
 //! Queue sets: a task waits for the first of several queues and semaphores.
 
-use super::queue::{Items, Queue, Raw, may_wait};
+use super::queue::{Items, Members, Queue, Raw, may_wait};
 use super::semaphore::Semaphore;
 use crate::context::{TaskContext, TaskLevel};
 use crate::ffi;
@@ -33,26 +33,13 @@ impl fmt::Display for AddError {
 
 impl core::error::Error for AddError {}
 
-/// A queue of the members that have an item.
-pub(crate) struct Inner {
-    pub(super) raw: Raw,
-    items: Items<usize>,
-    /// How many of its places the members could fill.
-    promised: AtomicUsize,
-}
-
-// SAFETY: as for `Raw`; what is stored are addresses that are only compared.
-unsafe impl Send for Inner {}
-// SAFETY: as above.
-unsafe impl Sync for Inner {}
-
 /// A set. Members stay in it for their whole life.
 ///
 /// Each time [`QueueSet::select`] returns a member, the task takes one item from it without
 /// waiting. Items of a member must not be taken in any other way.
 #[derive(Clone)]
 pub struct QueueSet {
-    set: Arc<Inner>,
+    set: Arc<Members>,
 }
 
 impl fmt::Debug for QueueSet {
@@ -68,7 +55,7 @@ impl QueueSet {
     /// If the capacity is zero.
     #[must_use]
     pub fn new(_at: &impl TaskLevel, capacity: usize) -> Self {
-        let set = Arc::new(Inner {
+        let set = Arc::new(Members {
             raw: Raw::new(),
             items: Items::new(capacity),
             promised: AtomicUsize::new(0),

@@ -5,7 +5,7 @@
 //! are re-entrant, see half-changed data. So a task is not pre-empted there: an allocation is a
 //! critical section, and a longer operation defers the switch and lets interrupts run.
 
-use super::state;
+use super::{interrupts, state};
 use core::alloc::{GlobalAlloc, Layout};
 use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
@@ -48,7 +48,7 @@ pub(super) fn guarded<R>(body: impl FnOnce() -> R) -> R {
     }
     state::mask();
     let result = body();
-    state::unmask();
+    interrupts::unmask();
     result
 }
 
@@ -82,8 +82,6 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
 
 /// Whether the program's allocator is a [`TaskAllocator`].
 pub(super) fn is_installed() -> bool {
-    #[cfg(target_env = "gnu")]
-    super::malloc::keep();
     PROBED.store(false, Relaxed);
     PROBING.store(true, Relaxed);
     drop(core::hint::black_box(alloc::boxed::Box::new(0u8)));
@@ -98,5 +96,5 @@ pub(super) fn is_installed() -> bool {
 /// # Panics
 /// A call in `body` that may block the task panics.
 pub fn deferred<R>(body: impl FnOnce() -> R) -> R {
-    state::deferred(body)
+    interrupts::deferred(body)
 }

@@ -1,7 +1,8 @@
 //! The ends of a process that name a task: an overflowed stack, a panic.
 
+use super::process::{errno, fatal};
 use super::stack::page;
-use super::{fatal, state};
+use super::state;
 use crate::ffi;
 use core::mem::MaybeUninit;
 use core::ptr;
@@ -32,7 +33,7 @@ pub(super) fn begin() -> Result<Before, i32> {
     unsafe {
         let memory = libc::mmap(ptr::null_mut(), HANDLER_BYTES, access, flags, -1, 0);
         if memory == libc::MAP_FAILED {
-            return Err(super::errno());
+            return Err(errno());
         }
         let stack = libc::stack_t {
             ss_sp: memory,

@@ -7,24 +7,21 @@
 //! handle it. Signals that arrive while interrupts are masked return at once; at most a few frames
 //! are on a stack.
 
-use super::state::{self, PENDING};
-use super::{fault, tick};
+use super::process::{fatal, keeping_errno};
+use super::state::{self, DEFERRED, DEPTH, LEVEL, PENDING, YIELD, on_core};
+use super::switch::tandem_switch;
+use super::{fault, signals, tick};
 use crate::context::InterruptContext;
-use crate::ffi;
+use crate::ffi::{self, current_tcb};
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::port::trace;
+use crate::port::trace::{self, KernelEventKind};
 use core::cell::UnsafeCell;
-use core::mem::MaybeUninit;
-use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use core::sync::atomic::Ordering::Relaxed;
+use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering, compiler_fence};
 
-/// A handler of a signal: its number, what sent it, and the interrupted code.
-type Action = extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::ucontext_t);
 /// A handler: `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
 
-/// The number of the tick.
-pub(super) const TICK: u32 = 63;
 /// T-RTOS-2: 1 is the deferred reschedule, which has no handler here. Everything else is above the
 /// tick.
 const TICK_PRIORITY: u8 = 2;
@@ -45,24 +42,12 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one
-/// word, so that a thread that sets the bit knows to which core it belongs.
-static CORE: AtomicU64 = AtomicU64::new(0);
-/// A signal to that thread is under way, or has arrived and `PENDING` was not read since.
-const SIGNALLED: u64 = 1 << 32;
-
-/// The signal has arrived, and `PENDING` was not read since. Only for the core's thread.
-static ARRIVED: AtomicBool = AtomicBool::new(false);
-
-/// Carries interrupts of other threads.
-fn raise_signal() -> i32 {
-    libc::SIGRTMIN() + 2
-}
-
-/// Carries the tick.
-pub(super) fn tick_signal() -> i32 {
-    libc::SIGRTMIN() + 3
-}
+/// Address of the context that the last handler that was left with signals unblocked returns to.
+/// The handler's variables are below it, and those of the interrupted code above.
+static LEAVING: AtomicUsize = AtomicUsize::new(0);
+/// What is interrupted at the end of a handler has its stack pointer less than this below that
+/// handler's context, bytes.
+static NEAR: AtomicUsize = AtomicUsize::new(0);
 
 pub(crate) fn attach(
     interrupt: Interrupt,
@@ -101,39 +86,63 @@ pub(super) fn detach_all() {
 pub fn raise(interrupt: Interrupt) {
     // Release pairs with the Acquire of the core that takes the bit.
     PENDING.fetch_or(1 << interrupt.number(), Ordering::Release);
-    if state::on_core() {
-        state::poll();
-        return;
-    }
-    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: the second of the two sees the
-    // first. So either the core reads `PENDING` after our bit, or a signal is sent.
-    let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
-    let thread = core as u32;
-    if thread != 0 && core & SIGNALLED == 0 {
-        // SAFETY: sends a signal to a thread of this process, or to none.
-        let sent =
-            unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), thread, raise_signal()) };
-        if sent != 0 {
-            // The next one tries again, if this life of the kernel is still the same.
-            let _ =
-                CORE.compare_exchange(core | SIGNALLED, core, Ordering::Release, Ordering::Relaxed);
-        }
+    if on_core() {
+        poll();
+    } else {
+        signals::send();
     }
 }
 
-/// Called before the core reads `PENDING`: later interrupts send a signal again. Not called
-/// earlier, so that no signals pile up on the stack while interrupts are masked.
-pub(super) fn acknowledge() {
-    // One signal at a time: a signal that is still under way would add a frame to the next one's.
-    if ARRIVED.load(Ordering::Relaxed) {
-        ARRIVED.store(false, Ordering::Relaxed);
-        // AcqRel pairs with the exchange in `raise`.
-        CORE.fetch_and(!SIGNALLED, Ordering::AcqRel);
+/// Ends one masking.
+pub(super) fn unmask() {
+    if state::unmask_once() {
+        tandem_port_attend();
+    }
+}
+
+/// Interrupts are unmasked, and `attention` is set.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_port_attend() {
+    state::set_masked(1);
+    // The code that unmasks (to free memory, say) may not have read errno of a failed call yet.
+    keeping_errno(serve_and_unmask);
+}
+
+/// Entered with interrupts masked once; serves pending interrupts and returns with them unmasked.
+fn serve_and_unmask() {
+    loop {
+        state::clear_attention();
+        signals::acknowledge();
+        serve();
+        state::set_masked(0);
+        if !state::needs_attention() {
+            return;
+        }
+        state::set_masked(1);
+    }
+}
+
+/// Runs every pending interrupt above the current level, then switches if a switch is due and no
+/// interrupt is left. Entered and left with interrupts masked once.
+fn serve() {
+    while let Some((number, priority)) = most_urgent(LEVEL.load(Relaxed)) {
+        // Acquire pairs with the Release of the raising thread.
+        PENDING.fetch_and(!(1 << number), Ordering::Acquire);
+        let level = LEVEL.load(Relaxed);
+        LEVEL.store(priority, Relaxed);
+        DEPTH.store(DEPTH.load(Relaxed) + 1, Relaxed);
+        run(number);
+        DEPTH.store(DEPTH.load(Relaxed) - 1, Relaxed);
+        LEVEL.store(level, Relaxed);
+    }
+    // T-RTOS-2: the switch waits until the last interrupt has ended.
+    if state::may_switch() && YIELD.load(Relaxed) {
+        switch();
     }
 }
 
 /// The pending source with a handler that is more urgent than `level`, and its priority.
-pub(super) fn most_urgent(level: u32) -> Option<(u32, u32)> {
+fn most_urgent(level: u32) -> Option<(u32, u32)> {
     let mut pending = PENDING.load(Ordering::Acquire);
     let mut best = None;
     let mut best_priority = level;
@@ -141,7 +150,7 @@ pub(super) fn most_urgent(level: u32) -> Option<(u32, u32)> {
         let number = pending.trailing_zeros();
         pending &= pending - 1;
         let source = SOURCES.get(number as usize);
-        let priority = source.map_or(TICK_PRIORITY, |it| it.priority.load(Ordering::Relaxed));
+        let priority = source.map_or(TICK_PRIORITY, |it| it.priority.load(Relaxed));
         if u32::from(priority) > best_priority {
             best_priority = u32::from(priority);
             best = Some((number, best_priority));
@@ -151,8 +160,12 @@ pub(super) fn most_urgent(level: u32) -> Option<(u32, u32)> {
 }
 
 /// Runs the handler of a source. Entered with interrupts masked once and the source's level taken.
-pub(super) fn run(number: u32) {
-    trace::interrupt_entered(number);
+fn run(number: u32) {
+    trace::record(
+        KernelEventKind::InterruptEntered,
+        number,
+        tick::timestamp_ns,
+    );
     match SOURCES.get(number as usize) {
         // The tick works on the kernel's lists, so nothing may interrupt it.
         None => tick::interrupt(),
@@ -160,112 +173,180 @@ pub(super) fn run(number: u32) {
             // SAFETY: a source of this level runs once at a time, and `attach` never replaces.
             if let Some(handler) = unsafe { (*source.handler.get()).as_mut() } {
                 let context = InterruptContext::new();
-                state::nested(|| handler(&context));
+                nested(|| handler(&context));
                 if context.has_woken() {
-                    state::yield_from_interrupt();
+                    state::tandem_port_yield_from_interrupt();
                 }
             }
         }
     }
-    trace::interrupt_left(number);
+    trace::record(KernelEventKind::InterruptLeft, number, tick::timestamp_ns);
+}
+
+/// Lets more urgent interrupts in while a handler runs.
+fn nested<R>(handler: impl FnOnce() -> R) -> R {
+    /// The interrupted code cannot continue without the handler's end.
+    struct Unwound;
+    impl Drop for Unwound {
+        fn drop(&mut self) {
+            fatal(format_args!("a handler has unwound"));
+        }
+    }
+    unmask();
+    let unwound = Unwound;
+    let result = handler();
+    core::mem::forget(unwound);
+    state::mask();
+    result
+}
+
+/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again,
+/// with interrupts masked once as on entry.
+fn switch() {
+    YIELD.store(false, Relaxed);
+    // SAFETY: interrupts are masked and none runs; the kernel's pointer to the current task is its
+    // own, and both control blocks are alive: one is running, the other was chosen.
+    unsafe {
+        let from = current_tcb();
+        ffi::vTaskSwitchContext();
+        let to = current_tcb();
+        if from != to {
+            tandem_switch(&raw mut (*from).top_of_stack, (*to).top_of_stack);
+        }
+    }
+}
+
+/// `portYIELD`: at once, or as soon as interrupts are unmasked and pre-emption is not deferred.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_port_yield() {
+    if !state::is_masked() && state::may_switch() {
+        state::set_masked(1);
+        keeping_errno(switch);
+        serve_if_asked_and_unmask();
+    } else {
+        state::tandem_port_yield_from_interrupt();
+    }
+}
+
+/// After a switch back: serves the interrupts that have become pending.
+pub(super) fn serve_if_asked_and_unmask() {
+    state::set_masked(0);
+    if state::needs_attention() {
+        tandem_port_attend();
+    }
+}
+
+/// An interrupt was made pending on the core's own thread.
+fn poll() {
+    if state::is_masked() {
+        state::want_attention();
+    } else {
+        state::set_masked(1);
+        keeping_errno(serve_and_unmask);
+    }
 }
 
 /// The handler of both signals. It may interrupt a task anywhere, even in a system call, which is
 /// restarted when the task continues (SA_RESTART) or returns EINTR.
 extern "C" fn on_signal(signal: i32, _: *mut libc::siginfo_t, context: *mut libc::ucontext_t) {
     // A stray signal for a thread that is no longer a core.
-    if !state::on_core() {
+    if !on_core() {
         return;
     }
-    if signal == tick_signal() {
-        PENDING.fetch_or(1 << TICK, Ordering::Relaxed);
-    } else {
-        ARRIVED.store(true, Ordering::Relaxed);
-    }
+    signals::arrived(signal);
     // SAFETY: the operating system passes the context that it put on this stack.
     let interrupted = unsafe { fault::stack_pointer(context) };
     // The interrupted code may be between a failed call and its read of errno.
-    super::keeping_errno(|| state::interrupt(context.addr(), interrupted));
+    keeping_errno(|| interrupt(context.addr(), interrupted));
 }
 
-/// Blocks or unblocks both signals, on the core's thread.
-pub(super) fn block(on: bool) {
-    #[cfg(test)]
-    tests::BLOCKED.fetch_add(u32::from(on), Ordering::Relaxed);
-    let how = if on {
-        libc::SIG_BLOCK
-    } else {
-        libc::SIG_UNBLOCK
-    };
-    let mut signals = MaybeUninit::<libc::sigset_t>::uninit();
-    // SAFETY: the set is a valid place; async-signal-safe.
-    unsafe {
-        libc::sigemptyset(signals.as_mut_ptr());
-        libc::sigaddset(signals.as_mut_ptr(), raise_signal());
-        libc::sigaddset(signals.as_mut_ptr(), tick_signal());
-        libc::pthread_sigmask(how, signals.as_ptr(), ptr::null_mut());
+/// A signal arrived on the core's thread. Its handler returns to the context at the address
+/// `context`, whose stack pointer is `interrupted`.
+///
+/// A signal that arrives between the last read of `attention` and the end of the handler is served
+/// in its own frame, below this one; and another one may arrive at the end of that. So that frames
+/// do not pile up while interrupts keep arriving, a handler that may have interrupted such an end
+/// returns with both signals blocked. The operating system unblocks them when it removes the frame,
+/// and then delivers the pending ones.
+fn interrupt(context: usize, interrupted: usize) {
+    if state::is_masked() {
+        state::want_attention();
+        return;
+    }
+    state::set_masked(1);
+    let leaving = LEAVING.load(Relaxed);
+    let at_an_end = interrupted <= leaving && leaving - interrupted < NEAR.load(Relaxed);
+    loop {
+        state::clear_attention();
+        signals::acknowledge();
+        serve();
+        if at_an_end {
+            signals::block(true);
+            // The interrupted code is still at its end.
+            LEAVING.store(leaving, Relaxed);
+        } else {
+            LEAVING.store(context, Relaxed);
+        }
+        state::set_masked(0);
+        if !state::needs_attention() {
+            #[cfg(test)]
+            tests::at_an_end(interrupted);
+            return;
+        }
+        state::set_masked(1);
+        if at_an_end {
+            signals::block(false);
+        }
     }
 }
 
-/// Makes this thread the core: signals are handled, and `raise` finds it.
+/// Makes this thread the core. Reads the size of the operating system's frames before the first
+/// signal.
+///
+/// The doorbell's signal and those of both timers may arrive together. The last of them interrupts
+/// the first instruction of the one before it, so two more frames are between it and that end.
 pub(super) fn begin() -> Result<(), i32> {
-    let handler: Action = on_signal;
-    state::prepare_frames();
-    ARRIVED.store(false, Ordering::Relaxed);
-    // Before the first signal can arrive. Interrupts are masked until the first task runs.
-    state::set_on_core(true);
-    set_up(handler).inspect_err(|_| state::set_on_core(false))?;
-    // AcqRel pairs with the exchange in `raise`: the first task reads `PENDING` in any case and
-    // sees a bit that was set before; a bit that is set later sends a signal.
-    CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
-    Ok(())
+    /// Bytes that a handler has on the stack below its frame.
+    const BELOW: usize = 4 << 10;
+    // SAFETY: asks for a number; zero if it is not known.
+    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
+    NEAR.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
+    signals::begin(on_signal)
 }
 
-/// Sets `handler` for both signals, on this thread.
-fn set_up(handler: Action) -> Result<(), i32> {
-    let mut unblocked = MaybeUninit::<libc::sigset_t>::uninit();
-    // SAFETY: the set and the actions are valid places; the handler is async-signal-safe: it
-    // touches atomics, the core's own state, and the stacks of tasks.
-    unsafe {
-        libc::sigemptyset(unblocked.as_mut_ptr());
-        for signal in [raise_signal(), tick_signal()] {
-            let mut action: libc::sigaction = core::mem::zeroed();
-            action.sa_sigaction = handler as *const () as usize;
-            action.sa_flags = libc::SA_NODEFER | libc::SA_RESTART | libc::SA_SIGINFO;
-            libc::sigemptyset(&mut action.sa_mask);
-            if libc::sigaction(signal, &action, ptr::null_mut()) != 0 {
-                return Err(super::errno());
+/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads `body`
+/// is just called.
+pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
+    struct End;
+    impl Drop for End {
+        fn drop(&mut self) {
+            compiler_fence(Ordering::SeqCst);
+            let deferred = DEFERRED.load(Relaxed) - 1;
+            DEFERRED.store(deferred, Relaxed);
+            compiler_fence(Ordering::SeqCst);
+            let due = deferred == 0 && YIELD.load(Relaxed);
+            if due && DEPTH.load(Relaxed) == 0 {
+                tandem_port_yield();
             }
-            libc::sigaddset(unblocked.as_mut_ptr(), signal);
-        }
-        let refused = libc::pthread_sigmask(libc::SIG_UNBLOCK, unblocked.as_ptr(), ptr::null_mut());
-        if refused != 0 {
-            return Err(refused);
         }
     }
-    Ok(())
-}
-
-/// This thread is no longer the core. The handler stays and ignores signals still under way.
-pub(super) fn end() {
-    // Release pairs with the Acquire of a raising thread: the core has finished everything before.
-    CORE.store(0, Ordering::Release);
-    state::set_on_core(false);
-}
-
-pub(super) fn this_thread() -> i32 {
-    // SAFETY: takes nothing.
-    unsafe { libc::gettid() }
+    if !on_core() {
+        return body();
+    }
+    DEFERRED.store(DEFERRED.load(Relaxed) + 1, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+    let _end = End;
+    body()
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use std::sync::atomic::{AtomicU32, AtomicUsize};
+    use crate::port::host::scheduler;
+    use std::mem::MaybeUninit;
+    use std::ptr;
+    use std::sync::atomic::AtomicU32;
     use std::thread;
-
-    /// How often a handler left with its signals blocked.
-    pub(super) static BLOCKED: AtomicU32 = AtomicU32::new(0);
 
     /// How often the end of a handler is still interrupted, and by how many ticks each time.
     static TO_COME: AtomicU32 = AtomicU32::new(0);
@@ -276,34 +357,29 @@ pub(super) mod tests {
     /// A doorbell and ticks that arrive at this thread together, with nothing to serve. As in a
     /// run, a doorbell has one signal under way at most; and a timer has none while its last one
     /// has not been handled, so none comes to a handler that has blocked them.
-    fn signals() {
+    fn signals_arrive() {
         let mut before = MaybeUninit::<libc::sigset_t>::uninit();
         // SAFETY: the set is a valid place, which the first call fills; the signals are handled
         // when the last one unblocks them, if they were not blocked before.
         unsafe {
             libc::pthread_sigmask(libc::SIG_BLOCK, ptr::null(), before.as_mut_ptr());
-            let blocked = libc::sigismember(before.as_ptr(), tick_signal()) == 1;
-            block(true);
-            let send = |signal: i32| {
-                libc::syscall(libc::SYS_tgkill, libc::getpid(), this_thread(), signal);
-            };
-            for _ in (0..TICKS.load(Ordering::Relaxed)).filter(|_| !blocked) {
-                send(tick_signal());
+            let blocked = libc::sigismember(before.as_ptr(), signals::tick_signal()) == 1;
+            signals::block(true);
+            for _ in (0..TICKS.load(Relaxed)).filter(|_| !blocked) {
+                signals::send_tick();
             }
-            if CORE.fetch_or(SIGNALLED, Ordering::Relaxed) & SIGNALLED == 0 {
-                send(raise_signal());
-            }
+            signals::send();
             libc::pthread_sigmask(libc::SIG_SETMASK, before.as_ptr(), ptr::null_mut());
         }
     }
 
     /// Called where a handler can be interrupted that has served everything.
-    pub(in super::super) fn at_an_end(interrupted: usize) {
-        DEEPEST.fetch_min(interrupted, Ordering::Relaxed);
-        let left = TO_COME.load(Ordering::Relaxed);
+    pub(super) fn at_an_end(interrupted: usize) {
+        DEEPEST.fetch_min(interrupted, Relaxed);
+        let left = TO_COME.load(Relaxed);
         if left > 0 {
-            TO_COME.store(left - 1, Ordering::Relaxed);
-            signals();
+            TO_COME.store(left - 1, Relaxed);
+            signals_arrive();
         }
     }
 
@@ -314,22 +390,22 @@ pub(super) mod tests {
         // No tick is ever due.
         assert_eq!(tick::prepare(crate::port::Clock::Virtual), Ok(()));
         assert_eq!(begin(), Ok(()));
-        state::unmask();
+        unmask();
         let deepest_of = |count| {
-            DEEPEST.store(usize::MAX, Ordering::Relaxed);
-            TO_COME.store(count, Ordering::Relaxed);
-            signals();
-            assert_eq!(TO_COME.load(Ordering::Relaxed), 0);
-            DEEPEST.load(Ordering::Relaxed)
+            DEEPEST.store(usize::MAX, Relaxed);
+            TO_COME.store(count, Relaxed);
+            signals_arrive();
+            assert_eq!(TO_COME.load(Relaxed), 0);
+            DEEPEST.load(Relaxed)
         };
         for ticks in 0..=2 {
-            TICKS.store(ticks, Ordering::Relaxed);
+            TICKS.store(ticks, Relaxed);
             let [seldom, often] = [5, 30].map(deepest_of);
             assert_eq!(often, seldom, "{ticks} ticks");
         }
         state::mask();
-        end();
-        state::reset();
+        signals::end();
+        scheduler::reset();
     }
 
     fn doorbell_rings() {
@@ -350,16 +426,16 @@ pub(super) mod tests {
     #[test]
     fn interrupts_of_code_further_down_the_stack_block_nothing() {
         assert_eq!(begin(), Ok(()));
-        state::unmask();
+        unmask();
         doorbell_rings();
-        let before = BLOCKED.load(Ordering::Relaxed);
+        let before = signals::BLOCKED.load(Relaxed);
         for _ in 0..10 {
             doorbell_rings_deeper();
         }
-        let blocked = BLOCKED.load(Ordering::Relaxed) - before;
+        let blocked = signals::BLOCKED.load(Relaxed) - before;
         state::mask();
-        end();
-        state::reset();
+        signals::end();
+        scheduler::reset();
         assert_eq!(blocked, 0, "of 10 handlers");
     }
 
@@ -371,8 +447,8 @@ pub(super) mod tests {
         assert!(!state::needs_attention());
         doorbell_rings();
         let noted = state::needs_attention();
-        end();
-        state::reset();
+        signals::end();
+        scheduler::reset();
         assert!(noted);
     }
 }

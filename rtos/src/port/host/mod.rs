@@ -5,6 +5,9 @@ mod fault;
 mod interrupts;
 #[cfg(target_env = "gnu")]
 mod malloc;
+mod process;
+mod scheduler;
+mod signals;
 mod stack;
 mod state;
 mod switch;
@@ -16,12 +19,14 @@ pub use tick::{caught_up, elapsed_ns, now_ns, observe as observe_ticks};
 pub(crate) use tick::{run_time, run_time_span, tick_origin_ns, timestamp_ns, virtual_work};
 
 pub(crate) use interrupts::attach;
-pub(crate) use stack::{Stack, idle};
+pub(crate) use process::fatal;
+pub(crate) use scheduler::idle;
+pub(crate) use stack::Stack;
 pub(crate) use state::{assert_may_block, epoch, in_task};
 
 use super::{Clock, StartError};
 use crate::ffi;
-use core::fmt::{self, Write};
+use process::errno;
 use std::sync::mpsc;
 use std::thread;
 
@@ -38,6 +43,8 @@ const THREAD_STACK_BYTES: usize = 64 << 10;
 /// until the task's call returns, so for ever. Therefore the thread never ends after a stop, and
 /// its thread-locals stay.
 pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartError> {
+    #[cfg(target_env = "gnu")]
+    malloc::keep();
     if !exclusive::is_installed() {
         return Err(StartError::Allocator);
     }
@@ -113,72 +120,18 @@ fn run_with_faults_named(clock: Clock) -> Result<(), i32> {
     }
     // SAFETY: called once for each life of the kernel: `Kernel::start` consumes the kernel.
     unsafe { ffi::vTaskStartScheduler() };
-    interrupts::end();
+    signals::end();
     tick::end();
     Ok(())
 }
 
 /// Ends the scheduler from within a task.
 pub(crate) fn stop() -> ! {
-    state::leave()
+    scheduler::leave()
 }
 
 /// Called after the scheduler, or without one; its tasks are abandoned.
 pub(crate) fn tear_down() {
     interrupts::detach_all();
-    state::reset();
-}
-
-/// Runs `body` and leaves `errno` as it was: tasks share it, since they share their thread.
-fn keeping_errno<R>(body: impl FnOnce() -> R) -> R {
-    // SAFETY: the address of this thread's errno; all tasks are on this thread.
-    let errno = unsafe { *libc::__errno_location() };
-    let result = body();
-    // SAFETY: as above.
-    unsafe { *libc::__errno_location() = errno };
-    result
-}
-
-fn errno() -> i32 {
-    // SAFETY: the address of this thread's errno.
-    unsafe { *libc::__errno_location() }
-}
-
-/// Bytes of a message without an allocator, with its line end; the rest is cut.
-const LAST_WORDS: usize = 512;
-
-/// Text without an allocator, for the last message of a process.
-struct LastWords {
-    text: [u8; LAST_WORDS],
-    length: usize,
-}
-
-impl Write for LastWords {
-    fn write_str(&mut self, part: &str) -> fmt::Result {
-        let part = part.as_bytes();
-        let taken = part.len().min(self.text.len() - 1 - self.length);
-        self.text[self.length..][..taken].copy_from_slice(&part[..taken]);
-        self.length += taken;
-        Ok(())
-    }
-}
-
-/// Prints a line to standard error without allocating or locking.
-fn print_raw(message: fmt::Arguments<'_>) {
-    let mut words = LastWords {
-        text: [0; LAST_WORDS],
-        length: 0,
-    };
-    let _ = words.write_fmt(message);
-    words.text[words.length] = b'\n';
-    // SAFETY: writes from a valid buffer; async-signal-safe.
-    unsafe { libc::write(2, words.text.as_ptr().cast(), words.length + 1) };
-}
-
-/// Ends the process with a message. Callable from everywhere, handlers of signals included.
-pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
-    state::mask_for_good();
-    print_raw(format_args!("tandem-rtos: {message}"));
-    // SAFETY: ends the process.
-    unsafe { libc::abort() }
+    scheduler::reset();
 }

@@ -1,6 +1,6 @@
 //! Stacks with a page below them that faults when it is touched.
 
-use super::{state, tick};
+use super::process::fatal;
 use core::ptr;
 
 /// The smallest stack in bytes. A frame of a signal with all vector registers has 3.7 KiB with
@@ -57,7 +57,7 @@ impl Stack {
     pub(crate) fn for_service() -> Self {
         match Self::allocate(SERVICE_BYTES) {
             Some(stack) => stack,
-            None => super::fatal(format_args!("no memory for the stack of a kernel's task")),
+            None => fatal(format_args!("no memory for the stack of a kernel's task")),
         }
     }
 }
@@ -67,20 +67,6 @@ impl Drop for Stack {
         let base = self.low.wrapping_byte_sub(page()).cast();
         // SAFETY: the mapping of `allocate`; its task is gone.
         unsafe { libc::munmap(base, self.words * size_of::<usize>() + page()) };
-    }
-}
-
-/// The idle task: ends the scheduler if `none_left` returns true, otherwise sleeps until a signal.
-/// A signal before the call has already been handled, and if it woke a task, that task ran first;
-/// so no signal is slept through.
-pub(crate) fn idle(none_left: fn() -> bool) {
-    if none_left() {
-        state::leave();
-    } else if tick::is_virtual() {
-        tick::skip_to_next();
-    } else {
-        // SAFETY: takes nothing, and the signal mask stays as it is.
-        unsafe { libc::pause() };
     }
 }
 

@@ -1,4 +1,4 @@
-//! The state of the simulated processor: masking, pending interrupts, and when to switch.
+//! The state of the simulated processor: masking, pending interrupts, and whether a switch is due.
 //!
 //! Everything here belongs to the core's thread: its tasks, and the handlers of signals that
 //! interrupt them on the same thread. Between these, program order is enough: loads and stores are
@@ -10,14 +10,8 @@
 //! signal; a later signal finds `masked` at zero and is served at once. So none is lost, and no
 //! system call is needed.
 
-use super::switch::{first_frame, tandem_switch};
-use super::{interrupts, tick};
-use crate::ffi::{self, Base, Tcb, current_tcb};
-use core::ffi::c_void;
-use core::ptr;
-use core::sync::atomic::Ordering::Relaxed;
-use core::sync::atomic::compiler_fence;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use core::sync::atomic::Ordering::{Relaxed, SeqCst};
+use core::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, compiler_fence};
 use std::cell::Cell;
 
 /// Same layout as `struct TandemPort` in `kernel/host/portmacro.h`.
@@ -38,21 +32,13 @@ static tandem_port: Shared = Shared {
 /// Raised interrupts that have not run yet, by number.
 pub(super) static PENDING: AtomicU64 = AtomicU64::new(0);
 /// Priority of the running interrupt; zero in a task.
-static LEVEL: AtomicU32 = AtomicU32::new(0);
+pub(super) static LEVEL: AtomicU32 = AtomicU32::new(0);
 /// How many handlers are nested.
-static DEPTH: AtomicU32 = AtomicU32::new(0);
+pub(super) static DEPTH: AtomicU32 = AtomicU32::new(0);
 /// How often pre-emption is deferred: interrupts run, and the switch waits.
-static DEFERRED: AtomicU32 = AtomicU32::new(0);
+pub(super) static DEFERRED: AtomicU32 = AtomicU32::new(0);
 /// A reschedule is due.
-static YIELD: AtomicBool = AtomicBool::new(false);
-/// Where the thread was when it started the scheduler.
-static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
-/// Address of the context that the last handler that was left with signals unblocked returns to.
-/// The handler's variables are below it, and those of the interrupted code above.
-static LEAVING: AtomicUsize = AtomicUsize::new(0);
-/// What is interrupted at the end of a handler has its stack pointer less than this below that
-/// handler's context, bytes.
-static NEAR: AtomicUsize = AtomicUsize::new(0);
+pub(super) static YIELD: AtomicBool = AtomicBool::new(false);
 /// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -79,200 +65,53 @@ pub(crate) fn epoch() -> u32 {
 pub(super) fn mask() {
     let masked = &tandem_port.masked;
     masked.store(masked.load(Relaxed) + 1, Relaxed);
-    compiler_fence(Ordering::SeqCst);
+    compiler_fence(SeqCst);
 }
 
-/// Ends one masking.
-pub(super) fn unmask() {
-    compiler_fence(Ordering::SeqCst);
+/// Ends one masking. Returns whether interrupts are unmasked now, and `attention` is set: then the
+/// caller serves them.
+#[must_use]
+pub(super) fn unmask_once() -> bool {
+    compiler_fence(SeqCst);
     let masked = &tandem_port.masked;
-    masked.store(masked.load(Relaxed) - 1, Relaxed);
-    compiler_fence(Ordering::SeqCst);
-    if masked.load(Relaxed) == 0 && tandem_port.attention.load(Relaxed) != 0 {
-        tandem_port_attend();
-    }
+    set_masked(masked.load(Relaxed) - 1);
+    masked.load(Relaxed) == 0 && needs_attention()
 }
 
-/// Interrupts are unmasked, and `attention` is set.
-#[unsafe(no_mangle)]
-extern "C" fn tandem_port_attend() {
-    tandem_port.masked.store(1, Relaxed);
-    // The code that unmasks (to free memory, say) may not have read errno of a failed call yet.
-    super::keeping_errno(serve_and_unmask);
+/// Whether interrupts are masked.
+pub(super) fn is_masked() -> bool {
+    tandem_port.masked.load(Relaxed) != 0
 }
 
-/// Entered with interrupts masked once; serves pending interrupts and returns with them unmasked.
-fn serve_and_unmask() {
-    loop {
-        compiler_fence(Ordering::SeqCst);
-        tandem_port.attention.store(0, Relaxed);
-        compiler_fence(Ordering::SeqCst);
-        interrupts::acknowledge();
-        serve();
-        compiler_fence(Ordering::SeqCst);
-        tandem_port.masked.store(0, Relaxed);
-        compiler_fence(Ordering::SeqCst);
-        if tandem_port.attention.load(Relaxed) == 0 {
-            return;
-        }
-        tandem_port.masked.store(1, Relaxed);
-    }
+/// Sets how often interrupts are masked: 1 to begin serving, 0 when all are served.
+pub(super) fn set_masked(times: u32) {
+    compiler_fence(SeqCst);
+    tandem_port.masked.store(times, Relaxed);
+    compiler_fence(SeqCst);
 }
 
-/// Runs every pending interrupt above the current level, then switches if a switch is due and no
-/// interrupt is left. Entered and left with interrupts masked once.
-fn serve() {
-    while let Some((number, priority)) = interrupts::most_urgent(LEVEL.load(Relaxed)) {
-        // Acquire pairs with the Release of the raising thread.
-        PENDING.fetch_and(!(1 << number), Ordering::Acquire);
-        let level = LEVEL.load(Relaxed);
-        LEVEL.store(priority, Relaxed);
-        DEPTH.store(DEPTH.load(Relaxed) + 1, Relaxed);
-        interrupts::run(number);
-        DEPTH.store(DEPTH.load(Relaxed) - 1, Relaxed);
-        LEVEL.store(level, Relaxed);
-    }
-    // T-RTOS-2: the switch waits until the last interrupt has ended.
-    if DEPTH.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0 && YIELD.load(Relaxed) {
-        switch();
-    }
+/// Whether something must be served when interrupts are unmasked.
+pub(super) fn needs_attention() -> bool {
+    tandem_port.attention.load(Relaxed) != 0
 }
 
-/// Lets more urgent interrupts in while a handler runs.
-pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
-    /// The interrupted code cannot continue without the handler's end.
-    struct Unwound;
-    impl Drop for Unwound {
-        fn drop(&mut self) {
-            super::fatal(format_args!("a handler has unwound"));
-        }
-    }
-    unmask();
-    let unwound = Unwound;
-    let result = handler();
-    core::mem::forget(unwound);
-    mask();
-    result
-}
-
-/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again,
-/// with interrupts masked once as on entry.
-fn switch() {
-    YIELD.store(false, Relaxed);
-    // SAFETY: interrupts are masked and none runs; the kernel's pointer to the current task is its
-    // own, and both control blocks are alive: one is running, the other was chosen.
-    unsafe {
-        let from = current_tcb();
-        ffi::vTaskSwitchContext();
-        let to = current_tcb();
-        if from != to {
-            tandem_switch(&raw mut (*from).top_of_stack, (*to).top_of_stack);
-        }
-    }
-}
-
-/// `portYIELD`: at once, or as soon as interrupts are unmasked and pre-emption is not deferred.
-#[unsafe(no_mangle)]
-extern "C" fn tandem_port_yield() {
-    let now = tandem_port.masked.load(Relaxed) == 0
-        && DEPTH.load(Relaxed) == 0
-        && DEFERRED.load(Relaxed) == 0;
-    if now {
-        tandem_port.masked.store(1, Relaxed);
-        compiler_fence(Ordering::SeqCst);
-        super::keeping_errno(switch);
-        serve_if_asked_and_unmask();
-    } else {
-        tandem_port_yield_from_interrupt();
-    }
-}
-
-/// After a switch back: serves the interrupts that have become pending.
-fn serve_if_asked_and_unmask() {
-    compiler_fence(Ordering::SeqCst);
-    tandem_port.masked.store(0, Relaxed);
-    compiler_fence(Ordering::SeqCst);
-    if tandem_port.attention.load(Relaxed) != 0 {
-        tandem_port_attend();
-    }
-}
-
-/// `portYIELD_FROM_ISR`: when the last interrupt has ended.
-#[unsafe(no_mangle)]
-extern "C" fn tandem_port_yield_from_interrupt() {
-    YIELD.store(true, Relaxed);
+/// Interrupts are to be served when they are unmasked.
+pub(super) fn want_attention() {
     tandem_port.attention.store(1, Relaxed);
 }
 
-/// An interrupt was made pending on the core's own thread.
-pub(super) fn poll() {
-    if tandem_port.masked.load(Relaxed) == 0 {
-        tandem_port.masked.store(1, Relaxed);
-        super::keeping_errno(serve_and_unmask);
-    } else {
-        tandem_port.attention.store(1, Relaxed);
-    }
+/// Called before pending interrupts are read: a later signal sets `attention` again.
+pub(super) fn clear_attention() {
+    compiler_fence(SeqCst);
+    tandem_port.attention.store(0, Relaxed);
+    compiler_fence(SeqCst);
 }
 
-/// A signal arrived on the core's thread. Its handler returns to the context at the address
-/// `context`, whose stack pointer is `interrupted`.
-///
-/// A signal that arrives between the last read of `attention` and the end of the handler is served
-/// in its own frame, below this one; and another one may arrive at the end of that. So that frames
-/// do not pile up while interrupts keep arriving, a handler that may have interrupted such an end
-/// returns with both signals blocked. The operating system unblocks them when it removes the frame,
-/// and then delivers the pending ones.
-pub(super) fn interrupt(context: usize, interrupted: usize) {
-    if tandem_port.masked.load(Relaxed) != 0 {
-        tandem_port.attention.store(1, Relaxed);
-        return;
-    }
-    tandem_port.masked.store(1, Relaxed);
-    let leaving = LEAVING.load(Relaxed);
-    let at_an_end = interrupted <= leaving && leaving - interrupted < NEAR.load(Relaxed);
-    loop {
-        compiler_fence(Ordering::SeqCst);
-        tandem_port.attention.store(0, Relaxed);
-        compiler_fence(Ordering::SeqCst);
-        interrupts::acknowledge();
-        serve();
-        if at_an_end {
-            interrupts::block(true);
-            // The interrupted code is still at its end.
-            LEAVING.store(leaving, Relaxed);
-        } else {
-            LEAVING.store(context, Relaxed);
-        }
-        compiler_fence(Ordering::SeqCst);
-        tandem_port.masked.store(0, Relaxed);
-        compiler_fence(Ordering::SeqCst);
-        if tandem_port.attention.load(Relaxed) == 0 {
-            #[cfg(test)]
-            interrupts::tests::at_an_end(interrupted);
-            return;
-        }
-        tandem_port.masked.store(1, Relaxed);
-        if at_an_end {
-            interrupts::block(false);
-        }
-    }
-}
-
-/// Called before the first signal: reads the size of the operating system's frames.
-///
-/// The doorbell's signal and those of both timers may arrive together. The last of them interrupts
-/// the first instruction of the one before it, so two more frames are between it and that end.
-pub(super) fn prepare_frames() {
-    /// Bytes that a handler has on the stack below its frame.
-    const BELOW: usize = 4 << 10;
-    // SAFETY: asks for a number; zero if it is not known.
-    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
-    NEAR.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
-}
-
-/// As `portYIELD_FROM_ISR`, for the port's own interrupts.
-pub(super) fn yield_from_interrupt() {
-    tandem_port_yield_from_interrupt();
+/// `portYIELD_FROM_ISR`: a switch is due when the last interrupt has ended.
+#[unsafe(no_mangle)]
+pub(super) extern "C" fn tandem_port_yield_from_interrupt() {
+    YIELD.store(true, Relaxed);
+    want_attention();
 }
 
 /// The process ends: nothing may interrupt its last message.
@@ -282,44 +121,17 @@ pub(super) fn mask_for_good() {
     }
 }
 
-/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads `body`
-/// is just called.
-pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
-    struct End;
-    impl Drop for End {
-        fn drop(&mut self) {
-            compiler_fence(Ordering::SeqCst);
-            let deferred = DEFERRED.load(Relaxed) - 1;
-            DEFERRED.store(deferred, Relaxed);
-            compiler_fence(Ordering::SeqCst);
-            let due = deferred == 0 && YIELD.load(Relaxed);
-            if due && DEPTH.load(Relaxed) == 0 {
-                tandem_port_yield();
-            }
-        }
-    }
-    if !on_core() {
-        return body();
-    }
-    DEFERRED.store(DEFERRED.load(Relaxed) + 1, Relaxed);
-    compiler_fence(Ordering::SeqCst);
-    let _end = End;
-    body()
-}
-
-/// Whether something must be served when interrupts are unmasked.
-#[cfg(test)]
-pub(super) fn needs_attention() -> bool {
-    tandem_port.attention.load(Relaxed) != 0
-}
-
 /// The caller is about to block.
 pub(crate) fn assert_may_block() {
-    let may = tandem_port.masked.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0;
     assert!(
-        may && DEPTH.load(Relaxed) == 0,
+        !is_masked() && may_switch(),
         "a call that may block, in a handler, in a critical section or with pre-emption deferred"
     );
+}
+
+/// Whether no handler runs and pre-emption is not deferred.
+pub(super) fn may_switch() -> bool {
+    DEPTH.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0
 }
 
 /// Whether the caller is a task: on the core's thread, and not a handler.
@@ -332,54 +144,9 @@ pub(super) fn in_interrupt() -> bool {
     DEPTH.load(Relaxed) != 0
 }
 
-/// The first code of every task, called on its own stack by the first switch to it.
-pub(super) extern "C" fn begin(code: extern "C" fn(*mut c_void), argument: *mut c_void) -> ! {
-    serve_if_asked_and_unmask();
-    code(argument);
-    super::fatal(format_args!("a task returned"))
-}
-
-#[unsafe(no_mangle)]
-extern "C" fn pxPortInitialiseStack(
-    top: *mut usize,
-    code: extern "C" fn(*mut c_void),
-    argument: *mut c_void,
-) -> *mut usize {
-    // SAFETY: the kernel passes the top of the stack that `create` gave it.
-    unsafe { first_frame(top, code, argument) }
-}
-
-/// Called by the kernel when it has chosen the first task; returns when the scheduler has stopped.
-#[unsafe(no_mangle)]
-extern "C" fn xPortStartScheduler() -> Base {
-    tandem_port.masked.store(1, Relaxed);
-    YIELD.store(false, Relaxed);
-    // The first task serves interrupts that were raised before.
-    tandem_port.attention.store(1, Relaxed);
-    tick::begin();
-    // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context goes to
-    // STARTER, whence `leave` takes it.
-    unsafe {
-        let first: *mut Tcb = current_tcb();
-        tandem_switch(STARTER.as_ptr(), (*first).top_of_stack);
-    }
-    0
-}
-
-/// Leaves the running task for good and returns to the start of the scheduler.
-pub(super) fn leave() -> ! {
-    mask();
-    let mut abandoned = ptr::null_mut();
-    // SAFETY: `xPortStartScheduler` saved this context on the thread's own stack, and has not
-    // returned.
-    unsafe { tandem_switch(&raw mut abandoned, STARTER.load(Relaxed)) };
-    unreachable!("the abandoned task ran");
-}
-
-/// As before the first task: everything masked, nothing pending, no task known.
+/// As before the first task: everything masked, nothing pending.
 pub(super) fn reset() {
-    tandem_port.masked.store(1, Relaxed);
-    compiler_fence(Ordering::SeqCst);
+    set_masked(1);
     tandem_port.attention.store(0, Relaxed);
     PENDING.store(0, Relaxed);
     LEVEL.store(0, Relaxed);
@@ -387,13 +154,4 @@ pub(super) fn reset() {
     DEFERRED.store(0, Relaxed);
     YIELD.store(false, Relaxed);
     EPOCH.store(EPOCH.load(Relaxed) + 1, Relaxed);
-    // SAFETY: no scheduler runs, and no task will run again.
-    unsafe {
-        ffi::vTaskResetState();
-        ffi::vTimerResetState();
-    }
 }
-
-/// The kernel requires this function; this port stops by `leave`.
-#[unsafe(no_mangle)]
-extern "C" fn vPortEndScheduler() {}

@@ -42,17 +42,17 @@ core::arch::global_asm!(
     "pop rbp",
     "ret",
     ".size tandem_switch, . - tandem_switch",
-    // A new task: its code in r12, the argument in r13. The outermost frame of its stack.
+    // A new task: its code in r12, the argument in r13, what calls them in r14. The outermost frame
+    // of its stack.
     ".global tandem_first",
     ".type tandem_first, @function",
     "tandem_first:",
     "xor ebp, ebp",
     "mov rdi, r12",
     "mov rsi, r13",
-    "call {begin}",
+    "call r14",
     "ud2",
     ".size tandem_first, . - tandem_first",
-    begin = sym super::state::begin,
 );
 
 #[cfg(target_arch = "aarch64")]
@@ -98,10 +98,9 @@ core::arch::global_asm!(
     "mov x30, xzr",
     "mov x0, x19",
     "mov x1, x20",
-    "bl {begin}",
+    "blr x21",
     "brk #1",
     ".size tandem_first, . - tandem_first",
-    begin = sym super::state::begin,
 );
 
 /// Prepares the stack of a new task such that [`tandem_switch`] to the result begins it.
@@ -110,48 +109,40 @@ core::arch::global_asm!(
 /// `top` is the highest word of a stack that has room and that nothing else uses.
 pub(super) unsafe fn first_frame(
     top: *mut usize,
+    begin: extern "C" fn(extern "C" fn(*mut c_void), *mut c_void) -> !,
     code: extern "C" fn(*mut c_void),
     argument: *mut c_void,
 ) -> *mut usize {
-    // SAFETY: `top` is in the stack by the caller's promise; all writes are below it.
+    let words = frame(begin as usize, code as usize, argument as usize);
+    // SAFETY: `top` is in the stack by the caller's promise; all writes are below it. Two words
+    // above the frame stay free: the return leaves the stack pointer at a multiple of 16, as before
+    // a call.
     unsafe {
         let aligned = (top as usize & !15) as *mut usize;
-        frame(
-            aligned,
-            code as usize,
-            argument as usize,
-            tandem_first as *const () as usize,
-        )
+        let bottom = aligned.sub(2 + words.len());
+        core::ptr::copy_nonoverlapping(words.as_ptr(), bottom, words.len());
+        bottom
     }
 }
 
+/// The saved context of a new task, from the stack pointer up.
 #[cfg(target_arch = "x86_64")]
-unsafe fn frame(top: *mut usize, code: usize, argument: usize, first: usize) -> *mut usize {
+fn frame(begin: usize, code: usize, argument: usize) -> [usize; 8] {
     // Default control words: all floating-point exceptions masked, round to nearest; the x87 unit
     // with extended precision.
     let control = 0x1F80 | (0x037F << 32);
-    // mxcsr and x87 control word, r15, r14, r13, r12, rbx, rbp, return address. Two words above
-    // stay free: the return leaves the stack pointer at a multiple of 16, as before a call.
-    let words = [control, 0, 0, argument, code, 0, 0, first];
-    // SAFETY: `first_frame`.
-    unsafe {
-        let bottom = top.sub(2 + words.len());
-        core::ptr::copy_nonoverlapping(words.as_ptr(), bottom, words.len());
-        bottom
-    }
+    let first = tandem_first as *const () as usize;
+    // mxcsr and x87 control word, r15, r14, r13, r12, rbx, rbp, return address.
+    [control, 0, begin, argument, code, 0, 0, first]
 }
 
+/// The saved context of a new task, from the stack pointer up.
 #[cfg(target_arch = "aarch64")]
-unsafe fn frame(top: *mut usize, code: usize, argument: usize, first: usize) -> *mut usize {
-    let mut words = [0usize; 22];
-    // x19, x20, and x30 as above; the floating-point control register is zero by default.
-    words[0] = code;
-    words[1] = argument;
-    words[11] = first;
-    // SAFETY: `first_frame`.
-    unsafe {
-        let bottom = top.sub(2 + words.len());
-        core::ptr::copy_nonoverlapping(words.as_ptr(), bottom, words.len());
-        bottom
-    }
+fn frame(begin: usize, code: usize, argument: usize) -> [usize; 22] {
+    let mut words = [0; 22];
+    // x19, x20 and x21; the floating-point control register is zero by default.
+    words[..3].copy_from_slice(&[code, argument, begin]);
+    // x30.
+    words[11] = tandem_first as *const () as usize;
+    words
 }

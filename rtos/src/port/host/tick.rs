@@ -4,8 +4,8 @@
 //! computes the number of due ticks from the clock: no error accumulates, and late ticks are made
 //! up at once and counted.
 
-use super::interrupts;
-use super::state;
+use super::process::errno;
+use super::{signals, state};
 use crate::ffi;
 use crate::port::Clock;
 use crate::time::TICK_RATE_HZ;
@@ -95,14 +95,14 @@ pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
         let refused = unsafe {
             let mut event: libc::sigevent = core::mem::zeroed();
             event.sigev_notify = libc::SIGEV_THREAD_ID;
-            event.sigev_signo = interrupts::tick_signal();
-            event.sigev_notify_thread_id = interrupts::this_thread();
+            event.sigev_signo = signals::tick_signal();
+            event.sigev_notify_thread_id = signals::this_thread();
             libc::timer_create(libc::CLOCK_MONOTONIC, &mut event, &mut timer)
         };
         if refused != 0 {
-            let errno = super::errno();
+            let refusal = errno();
             end();
-            return Err(errno);
+            return Err(refusal);
         }
         place.store(timer, Relaxed);
         MADE.fetch_add(1, Relaxed);
@@ -164,7 +164,7 @@ pub(super) fn interrupt() {
     for _ in 0..due {
         // SAFETY: interrupts are masked; called once for each tick.
         if unsafe { ffi::xTaskIncrementTick() } != 0 {
-            state::yield_from_interrupt();
+            state::tandem_port_yield_from_interrupt();
         }
     }
 }
@@ -177,22 +177,10 @@ pub(super) fn consume_virtual(mut span_ns: u64) {
         span_ns -= step;
         VIRTUAL_NS.store(now + step, Relaxed);
         if (now + step).is_multiple_of(TICK_NS) {
-            signal_tick();
+            // Also in virtual time the tick is a real signal: pre-emption works in the same way.
+            signals::send_tick();
         }
     }
-}
-
-/// Also in virtual time the tick is a real signal: pre-emption works in the same way.
-fn signal_tick() {
-    // SAFETY: a signal to the calling thread is handled before the call returns.
-    unsafe {
-        libc::syscall(
-            libc::SYS_tgkill,
-            libc::getpid(),
-            interrupts::this_thread(),
-            interrupts::tick_signal(),
-        )
-    };
 }
 
 pub(super) fn is_virtual() -> bool {
