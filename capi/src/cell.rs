@@ -88,10 +88,7 @@ fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
-pub(crate) unsafe fn put<O: Opaque>(
-    object: *mut O,
-    value: O::Inner,
-) -> Result<TandemStatus, TandemStatus> {
+pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(), TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
     // SAFETY: not null and aligned, memory of the type by 1; any bits are a mark.
     if unsafe { (&raw const (*cell).mark).read() } == IN_USE {
@@ -103,7 +100,7 @@ pub(crate) unsafe fn put<O: Opaque>(
         (&raw mut (*cell).value).write(MaybeUninit::new(value));
         (&raw mut (*cell).mark).write(O::MARK);
     }
-    Ok(TandemStatus::Ok)
+    Ok(())
 }
 
 /// The cell of an attached object.
@@ -146,9 +143,9 @@ pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inn
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
-pub(crate) unsafe fn with<O: Opaque>(
+pub(crate) unsafe fn with<O: Opaque, R: Into<TandemStatus>>(
     object: *mut O,
-    call: impl FnOnce(&mut O::Inner) -> Result<TandemStatus, TandemStatus>,
+    call: impl FnOnce(&mut O::Inner) -> Result<R, TandemStatus>,
 ) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
     status(|| call(unsafe { get(object) }?))
@@ -166,8 +163,7 @@ pub(crate) unsafe fn lend<O: Opaque>(
     status(|| {
         checked(words)?;
         // SAFETY: the caller's contract is passed on.
-        unsafe { write(words, TandemWords::of(call(get(object)?)?)) }?;
-        Ok(TandemStatus::Ok)
+        unsafe { write(words, TandemWords::of(call(get(object)?)?)) }
     })
 }
 
@@ -231,18 +227,21 @@ pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
     checked(to).map(|_| ())
 }
 
+/// Checks plain words of C: not null, aligned, and no more than any slot or pool has.
+fn checked_words(first: *mut u32, count: usize) -> Result<*mut u32, TandemStatus> {
+    match count {
+        0 => Ok(core::ptr::dangling_mut()),
+        1..=MAX_COUNT => checked(first),
+        _ => Err(TandemStatus::OutOfRange),
+    }
+}
+
 /// Plain words of C. `count` of 0 gives an empty slice, whatever the pointer.
 ///
 /// # Safety
 /// 1 of the caller's contract, for `count` words that no one writes during the call.
 pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u32], TandemStatus> {
-    if count == 0 {
-        return Ok(&[]);
-    }
-    if count > MAX_COUNT {
-        return Err(TandemStatus::OutOfRange);
-    }
-    let first = checked(first.cast_mut())?;
+    let first = checked_words(first.cast_mut(), count)?;
     // SAFETY: not null and aligned; `count` words by the contract.
     Ok(unsafe { core::slice::from_raw_parts(first, count) })
 }
@@ -255,13 +254,7 @@ pub(crate) unsafe fn words_mut<'c>(
     first: *mut u32,
     count: usize,
 ) -> Result<&'c mut [u32], TandemStatus> {
-    if count == 0 {
-        return Ok(&mut []);
-    }
-    if count > MAX_COUNT {
-        return Err(TandemStatus::OutOfRange);
-    }
-    let first = checked(first)?;
+    let first = checked_words(first, count)?;
     // SAFETY: not null and aligned; `count` words, ours for the call, by the contract.
     Ok(unsafe { core::slice::from_raw_parts_mut(first, count) })
 }

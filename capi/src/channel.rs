@@ -1,13 +1,14 @@
 //! The channels: FIFO (every value, in order, or full), newest value (the last one, never torn),
 //! broadcast (every value, in order, or how many were lost).
 
-use crate::cell::{self, TandemWords, opaque};
+use crate::cell::{self, Opaque, TandemWords, opaque};
 use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S};
+use core::sync::atomic::AtomicU32;
 use tandem_shm::broadcast::{self, Lost, Receiver};
-use tandem_shm::fifo::{self, Consumer, Producer};
+use tandem_shm::fifo::{self, Consumer, Item, Loan, Producer};
 use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
-use tandem_shm::{Shape, bare};
+use tandem_shm::{FitError, Shape, bare};
 
 /// The sending end of a FIFO. There is one at a time. Static, zero at first.
 #[repr(C)]
@@ -64,11 +65,13 @@ pub(crate) struct End<T> {
     lent: bool,
 }
 
-impl<T> End<T> {
-    const fn new(end: T) -> Self {
+impl<T> From<T> for End<T> {
+    fn from(end: T) -> Self {
         Self { end, lent: false }
     }
+}
 
+impl<T> End<T> {
     /// Ends the lending; refuses if nothing is lent.
     fn take_back(&mut self) -> Result<&mut T, S> {
         match core::mem::replace(&mut self.lent, false) {
@@ -82,6 +85,12 @@ impl<T> End<T> {
 pub(crate) struct Reading {
     reader: Reader<'static>,
     view: Option<View<'static>>,
+}
+
+impl From<Reader<'static>> for Reading {
+    fn from(reader: Reader<'static>) -> Self {
+        Self { reader, view: None }
+    }
 }
 
 opaque!(TandemFifoProducer, End<Producer<'static>>, 0x07);
@@ -115,6 +124,23 @@ fn shape(slots: usize, slot_words: usize) -> Result<Shape, S> {
     Err(S::OutOfRange)
 }
 
+/// Attaches an end of a channel of this shape.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+unsafe fn attach<O: Opaque, E>(
+    object: *mut O,
+    (map, region, slots, slot_words): (*const TandemMap, usize, usize, usize),
+    end: impl FnOnce(&'static [AtomicU32], Shape) -> Result<E, FitError>,
+) -> TandemStatus
+where
+    O::Inner: From<E>,
+{
+    let made = |words, _| Ok(end(words, shape(slots, slot_words)?)?.into());
+    // SAFETY: the caller's contract is passed on.
+    unsafe { map::attach(object, map, region, made) }
+}
+
 /// Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
 /// (1 ..= 65536), 2^24 words in all at most; 0 if there can be no such FIFO. `TANDEM_FIFO_WORDS` is
 /// the same as a constant.
@@ -133,15 +159,9 @@ pub unsafe extern "C" fn tandem_fifo_producer_attach(
     slots: usize,
     slot_words: usize,
 ) -> TandemStatus {
+    let place = (map, region, slots, slot_words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(producer, map, region, |words, _| {
-            Ok(End::new(bare::fifo_producer(
-                words,
-                shape(slots, slot_words)?,
-            )?))
-        })
-    }
+    unsafe { attach(producer, place, bare::fifo_producer::<()>) }
 }
 
 /// Lends the next slot, to be filled in place; its words hold an old value. Nothing is sent before
@@ -173,8 +193,7 @@ pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> 
     unsafe {
         cell::with(producer, |producer| {
             // The same slot as was lent: only sending moves to the next.
-            producer.take_back()?.loan()?.send();
-            Ok(S::Ok)
+            Ok(producer.take_back()?.loan().map(Loan::send)?)
         })
     }
 }
@@ -189,15 +208,9 @@ pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     slots: usize,
     slot_words: usize,
 ) -> TandemStatus {
+    let place = (map, region, slots, slot_words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(consumer, map, region, |words, _| {
-            Ok(End::new(bare::fifo_consumer(
-                words,
-                shape(slots, slot_words)?,
-            )?))
-        })
-    }
+    unsafe { attach(consumer, place, bare::fifo_consumer::<()>) }
 }
 
 /// The next value, to be worked on in place; it stays the next one until `tandem_fifo_release`.
@@ -227,8 +240,8 @@ pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) 
     // SAFETY: the caller's contract is passed on.
     unsafe {
         cell::with(consumer, |consumer| {
-            consumer.take_back()?.item().ok_or(S::Empty)?.release();
-            Ok(S::Ok)
+            let item = consumer.take_back()?.item();
+            item.map(Item::release).ok_or(S::Empty)
         })
     }
 }
@@ -250,15 +263,9 @@ pub unsafe extern "C" fn tandem_newest_writer_attach(
     slots: usize,
     slot_words: usize,
 ) -> TandemStatus {
+    let place = (map, region, slots, slot_words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(writer, map, region, |words, _| {
-            Ok(End::new(bare::newest_writer(
-                words,
-                shape(slots, slot_words)?,
-            )?))
-        })
-    }
+    unsafe { attach(writer, place, bare::newest_writer::<()>) }
 }
 
 /// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
@@ -286,10 +293,10 @@ pub unsafe extern "C" fn tandem_newest_publish(writer: *mut TandemNewestWriter) 
     unsafe { cell::with(writer, publish) }
 }
 
-fn publish(writer: &mut End<Writer<'static>>) -> Result<S, S> {
+fn publish(writer: &mut End<Writer<'static>>) -> Result<(), S> {
     // The same slot as was lent: only publishing moves to the next.
     writer.take_back()?.loan().publish();
-    Ok(S::Ok)
+    Ok(())
 }
 
 /// Attaches to the channel in region `region`. Task; does not block.
@@ -301,13 +308,9 @@ pub unsafe extern "C" fn tandem_newest_reader_attach(
     slots: usize,
     slot_words: usize,
 ) -> TandemStatus {
+    let place = (map, region, slots, slot_words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(reader, map, region, |words, _| {
-            let reader = bare::newest_reader(words, shape(slots, slot_words)?)?;
-            Ok(Reading { reader, view: None })
-        })
-    }
+    unsafe { attach(reader, place, bare::newest_reader::<()>) }
 }
 
 /// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
@@ -342,8 +345,7 @@ pub unsafe extern "C" fn tandem_newest_finish(
     unsafe {
         cell::with(reader, |reading| {
             let stamp = reading.view.take().ok_or(S::NothingToEnd)?.finish()?;
-            cell::write_if_wanted(number, stamp.0)?;
-            Ok(S::Ok)
+            cell::write_if_wanted(number, stamp.0)
         })
     }
 }
@@ -371,8 +373,7 @@ pub unsafe extern "C" fn tandem_newest_read(
                     .zip(words.iter())
                     .for_each(|(to, word)| *to = word);
             })?;
-            cell::write_if_wanted(number, stamp.0)?;
-            Ok(S::Ok)
+            cell::write_if_wanted(number, stamp.0)
         })
     }
 }
@@ -394,15 +395,9 @@ pub unsafe extern "C" fn tandem_broadcast_sender_attach(
     slots: usize,
     slot_words: usize,
 ) -> TandemStatus {
+    let place = (map, region, slots, slot_words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(sender, map, region, |words, _| {
-            Ok(End::new(bare::broadcast_writer(
-                words,
-                shape(slots, slot_words)?,
-            )?))
-        })
-    }
+    unsafe { attach(sender, place, bare::broadcast_writer::<()>) }
 }
 
 /// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
@@ -441,13 +436,12 @@ pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
     slot_words: usize,
     oldest: u32,
 ) -> TandemStatus {
+    let end = |words, shape| {
+        let end = bare::broadcast_receiver::<()>(words, shape)?;
+        Ok(if oldest == 0 { end } else { end.from_oldest() })
+    };
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(receiver, map, region, |words, _| {
-            let end = bare::broadcast_receiver(words, shape(slots, slot_words)?)?;
-            Ok(End::new(if oldest == 0 { end } else { end.from_oldest() }))
-        })
-    }
+    unsafe { attach(receiver, (map, region, slots, slot_words), end) }
 }
 
 /// Writes how many values are lost.
@@ -506,8 +500,7 @@ pub unsafe extern "C" fn tandem_broadcast_finish(
                 Err(error) => Err(error),
             };
             let stamp = finished.map_err(|error| overrun(lost, error))?;
-            cell::write_if_wanted(number, stamp.0)?;
-            Ok(S::Ok)
+            cell::write_if_wanted(number, stamp.0)
         })
     }
 }

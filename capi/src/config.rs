@@ -118,11 +118,7 @@ impl TandemConfig {
             status_limit: span(self.status_limit_us),
             hold_down: span(self.hold_down_us),
         };
-        if config.check() {
-            Ok(config)
-        } else {
-            Err(S::OutOfRange)
-        }
+        config.check().then_some(config).ok_or(S::OutOfRange)
     }
 }
 
@@ -132,29 +128,20 @@ impl TandemConfig {
 /// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_chip(config: *mut TandemConfig) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::write(config, Config::chip().into()) }?;
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::write(config, Config::chip().into()) })
 }
 
 /// The profile for firmware: systems whose timers are late by far less than a millisecond.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::write(config, Config::rt().into()) }?;
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::write(config, Config::rt().into()) })
 }
 
 /// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_check(config: *const TandemConfig) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::read(config) }?.checked()?;
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::read(config) }?.checked().map(drop))
 }

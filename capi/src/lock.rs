@@ -113,10 +113,5 @@ pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> Tande
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_release(lock: *mut TandemLock) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(lock, |end| {
-            drop(end.held.take().ok_or(S::NothingToEnd)?);
-            Ok(S::Ok)
-        })
-    }
+    unsafe { cell::with(lock, |end| end.held.take().map(drop).ok_or(S::NothingToEnd)) }
 }

@@ -85,7 +85,7 @@ pub unsafe extern "C" fn tandem_mailbox_signal(
     task: u32,
 ) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(sender, |sender| Ok(ring(sender.signal(task_id(task)?)))) }
+    unsafe { cell::with(sender, |sender| Ok(sender.signal(task_id(task)?))) }
 }
 
 /// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
@@ -99,15 +99,17 @@ pub unsafe extern "C" fn tandem_mailbox_signal_with(
     // SAFETY: the caller's contract is passed on.
     unsafe {
         cell::with(sender, |sender| {
-            Ok(ring(sender.signal_with(task_id(task)?, value)))
+            Ok(sender.signal_with(task_id(task)?, value))
         })
     }
 }
 
-const fn ring(ring: Ring) -> S {
-    match ring {
-        Ring::Needed => S::RingNeeded,
-        Ring::NotNeeded => S::Ok,
+impl From<Ring> for S {
+    fn from(ring: Ring) -> Self {
+        match ring {
+            Ring::Needed => Self::RingNeeded,
+            Ring::NotNeeded => Self::Ok,
+        }
     }
 }
 
@@ -170,7 +172,7 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
                 (_, Some(_)) => Err(S::Taken),
                 _ => {
                     *entry = Entry { run, context };
-                    Ok(S::Ok)
+                    Ok(())
                 }
             }
         })
@@ -234,7 +236,7 @@ pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     // SAFETY: the caller's contract is passed on.
     unsafe {
         cell::with(receiver, |table| match table.receiver.prepare_sleep() {
-            true => Ok(S::Ok),
+            true => Ok(()),
             false => Err(S::DoNotSleep),
         })
     }
@@ -246,10 +248,5 @@ pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,
 ) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(receiver, |table| {
-            table.receiver.awake();
-            Ok(S::Ok)
-        })
-    }
+    status(|| unsafe { cell::get(receiver) }.map(|table| table.receiver.awake()))
 }

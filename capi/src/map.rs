@@ -133,12 +133,9 @@ pub unsafe extern "C" fn tandem_map_format(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         let (regions, words) = unsafe { parts(layout, base, bytes) }?;
-        let attached = Attached {
-            map: Map::format(words, regions.layout)?,
-            regions,
-        };
+        let (object, map) = (map, Map::format(words, regions.layout)?);
         // SAFETY: 1 and 3 of the caller's contract.
-        unsafe { cell::put(map, attached) }
+        unsafe { cell::put(object, Attached { map, regions }) }
     })
 }
 
@@ -159,21 +156,23 @@ pub unsafe extern "C" fn tandem_map_attach(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         let (regions, words) = unsafe { parts(layout, base, bytes) }?;
-        let found = Map::attach(words, regions.layout).map_err(|error| match error {
-            AttachError::TooSmall => S::TooSmall,
-            AttachError::Misaligned => S::Misaligned,
-            AttachError::NotReady => S::NotReady,
-            AttachError::WrongMagic => S::WrongMagic,
-            AttachError::WrongVersion => S::WrongVersion,
-            AttachError::WrongLayout => S::WrongLayout,
-        })?;
-        let attached = Attached {
-            map: found,
-            regions,
-        };
+        let (object, map) = (map, Map::attach(words, regions.layout)?);
         // SAFETY: 1 and 3 of the caller's contract.
-        unsafe { cell::put(map, attached) }
+        unsafe { cell::put(object, Attached { map, regions }) }
     })
+}
+
+impl From<AttachError> for S {
+    fn from(error: AttachError) -> Self {
+        match error {
+            AttachError::TooSmall => Self::TooSmall,
+            AttachError::Misaligned => Self::Misaligned,
+            AttachError::NotReady => Self::NotReady,
+            AttachError::WrongMagic => Self::WrongMagic,
+            AttachError::WrongVersion => Self::WrongVersion,
+            AttachError::WrongLayout => Self::WrongLayout,
+        }
+    }
 }
 
 /// # Safety
@@ -254,10 +253,7 @@ pub unsafe extern "C" fn tandem_map_region(
     words: *mut TandemWords,
 ) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    status(|| unsafe {
-        cell::write(words, TandemWords::of(region(map, index)?))?;
-        Ok(S::Ok)
-    })
+    status(|| unsafe { cell::write(words, TandemWords::of(region(map, index)?)) })
 }
 
 /// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
@@ -275,7 +271,7 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         let announced = unsafe { incarnations(map) }?.announce(incarnation(core, generation)?);
-        announced.map(|()| S::Ok).map_err(|_| S::Outdated)
+        announced.map_err(|_| S::Outdated)
     })
 }
 
@@ -292,7 +288,7 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         match unsafe { incarnations(map) }?.mark_dead(incarnation(core, generation)?) {
-            true => Ok(S::Ok),
+            true => Ok(()),
             false => Err(S::Outdated),
         }
     })

@@ -111,8 +111,7 @@ pub unsafe extern "C" fn tandem_pool_get(
         cell::with(pool, |pool| {
             cell::writable(handle)?;
             let words = pool.get(count)?.to_words();
-            cell::write(handle, TandemHandle { words })?;
-            Ok(S::Ok)
+            cell::write(handle, TandemHandle { words })
         })
     }
 }
@@ -143,12 +142,7 @@ pub unsafe extern "C" fn tandem_pool_give_back(
 ) -> TandemStatus {
     let handle = Handle::from_words(handle.words);
     // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(pool, |pool| {
-            pool.give_back(handle)?;
-            Ok(S::Ok)
-        })
-    }
+    unsafe { cell::with(pool, |pool| Ok(pool.give_back(handle)?)) }
 }
 
 /// Makes core `to` the owner. What this core wrote is visible to it when it opens the same handle;
@@ -168,8 +162,7 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
             if to as usize >= TANDEM_CORES {
                 return Err(S::OutOfRange);
             }
-            pool.hand_over(handle, to as usize)?;
-            Ok(S::Ok)
+            Ok(pool.hand_over(handle, to as usize)?)
         })
     }
 }

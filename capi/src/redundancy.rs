@@ -304,21 +304,39 @@ pub unsafe extern "C" fn tandem_redundancy_init(
     })
 }
 
+/// Passes an input to the machine, and writes what it answers.
+///
 /// # Safety
 /// 1 and 3 of the caller's contract.
-unsafe fn tell(
+unsafe fn pass(
     machine: *mut TandemRedundancy,
     now_ns: u64,
-    input: Input,
     actions: *mut TandemActions,
-) -> Result<S, S> {
-    cell::writable(actions)?;
+    input: impl FnOnce() -> Result<Input, S>,
+) -> TandemStatus {
+    status(|| {
+        let input = input()?;
+        cell::writable(actions)?;
+        // SAFETY: the caller's contract is passed on.
+        let answer = unsafe { cell::get(machine) }?.on(Instant::from_ns(now_ns), input);
+        // SAFETY: 1 of the caller's contract.
+        unsafe { cell::write(actions, answer.into()) }
+    })
+}
+
+/// Passes an input that is read from memory of C.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+unsafe fn pass_read<C: Copy>(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    actions: *mut TandemActions,
+    from: *const C,
+    input: impl FnOnce(C) -> Result<Input, S>,
+) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    let machine = unsafe { cell::get(machine) }?;
-    let answer = machine.on(Instant::from_ns(now_ns), input);
-    // SAFETY: 1 of the caller's contract.
-    unsafe { cell::write(actions, answer.into()) }?;
-    Ok(S::Ok)
+    unsafe { pass(machine, now_ns, actions, || input(cell::read(from)?)) }
 }
 
 /// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
@@ -331,19 +349,17 @@ pub unsafe extern "C" fn tandem_redundancy_poll(
     snapshot: *const TandemSnapshot,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let seen = unsafe { cell::read(snapshot) }?;
-        let input = Input::Poll(Snapshot {
+    let input = |seen: TandemSnapshot| {
+        Ok(Input::Poll(Snapshot {
             handshakes: seen.handshakes,
             syncs: seen.syncs,
             beats: seen.beats,
             peer_powered: seen.peer_powered != 0,
             can_frames: seen.can_frames,
-        });
-        // SAFETY: the caller's contract is passed on.
-        unsafe { tell(machine, now_ns, input, actions) }
-    })
+        }))
+    };
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass_read(machine, now_ns, actions, snapshot, input) }
 }
 
 /// A control frame was received on CAN. Any context; does not block.
@@ -354,13 +370,9 @@ pub unsafe extern "C" fn tandem_redundancy_control_frame(
     frame: *const TandemControlFrame,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let frame = cell::read(frame)?.checked()?;
-            tell(machine, now_ns, Input::ControlFrame(frame), actions)
-        }
-    })
+    let input = |frame: TandemControlFrame| Ok(Input::ControlFrame(frame.checked()?));
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass_read(machine, now_ns, actions, frame, input) }
 }
 
 /// A status frame of the other system was received on CAN. Any context; does not block.
@@ -371,13 +383,9 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     report: *const TandemReport,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let report = cell::read(report)?.checked()?;
-            tell(machine, now_ns, Input::StatusFrame(report), actions)
-        }
-    })
+    let input = |report: TandemReport| Ok(Input::StatusFrame(report.checked()?));
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass_read(machine, now_ns, actions, report, input) }
 }
 
 /// A datagram of the other system came over the link: `words` of `count` words. Any context; does
@@ -395,14 +403,13 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     count: usize,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
+    let input = || {
         // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let report = LinkReport::from_words(cell::words(words, count)?);
-            let input = Input::LinkReport(report.ok_or(S::Invalid)?);
-            tell(machine, now_ns, input, actions)
-        }
-    })
+        let report = LinkReport::from_words(unsafe { cell::words(words, count) }?);
+        Ok(Input::LinkReport(report.ok_or(S::Invalid)?))
+    };
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass(machine, now_ns, actions, input) }
 }
 
 /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
@@ -415,13 +422,9 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     frame: *const TandemControlFrame,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let frame = cell::read(frame)?.checked()?;
-            tell(machine, now_ns, Input::StaleFrame(frame), actions)
-        }
-    })
+    let input = |frame: TandemControlFrame| Ok(Input::StaleFrame(frame.checked()?));
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass_read(machine, now_ns, actions, frame, input) }
 }
 
 /// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
@@ -444,7 +447,7 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
         sent: tells.then_some((sent_ms as u8, Duration::from_ns(on_the_way_ns))),
     });
     // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { tell(machine, now_ns, input, actions) })
+    unsafe { pass(machine, now_ns, actions, || Ok(input)) }
 }
 
 /// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
@@ -456,11 +459,9 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
     failure: u32,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    status(|| {
-        let input = Input::OwnFault(failure_mode(failure)?);
-        // SAFETY: the caller's contract is passed on.
-        unsafe { tell(machine, now_ns, input, actions) }
-    })
+    let input = || Ok(Input::OwnFault(failure_mode(failure)?));
+    // SAFETY: the caller's contract is passed on.
+    unsafe { pass(machine, now_ns, actions, input) }
 }
 
 /// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
@@ -514,13 +515,8 @@ pub unsafe extern "C" fn tandem_redundancy_report(
         // SAFETY: the caller's contract is passed on.
         unsafe {
             let said = cell::get(machine)?.link_report(Instant::from_ns(now_ns));
-            if !words.is_null() {
-                cell::write(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
-            }
-            if !report.is_null() {
-                cell::write(report, said.report.into())?;
-            }
+            cell::write_if_wanted(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
+            cell::write_if_wanted(report, said.report.into())
         }
-        Ok(S::Ok)
     })
 }

@@ -71,9 +71,16 @@ impl From<tandem_shm::FitError> for TandemStatus {
     }
 }
 
-/// The status of a call, whichever way it ended.
-pub(crate) fn status(call: impl FnOnce() -> Result<TandemStatus, TandemStatus>) -> TandemStatus {
-    match call() {
-        Ok(status) | Err(status) => status,
+impl From<()> for TandemStatus {
+    /// A call without a result of its own.
+    fn from((): ()) -> Self {
+        Self::Ok
     }
+}
+
+/// The status of a call, whichever way it ended.
+pub(crate) fn status<R: Into<TandemStatus>>(
+    call: impl FnOnce() -> Result<R, TandemStatus>,
+) -> TandemStatus {
+    call().map_or_else(|error| error, R::into)
 }

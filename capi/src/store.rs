@@ -211,12 +211,8 @@ pub unsafe extern "C" fn tandem_state_factory(
     state: *mut TandemState,
     system: u32,
 ) -> TandemStatus {
-    status(|| {
-        let factory = TandemState::factory(system_id(system)?);
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::write(state, factory) }?;
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::write(state, TandemState::factory(system_id(system)?)) })
 }
 
 /// Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
@@ -280,8 +276,7 @@ pub unsafe extern "C" fn tandem_store_request(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         let (store, state) = unsafe { (cell::get(store)?, cell::read(state)?) };
-        store.request(state.checked()?);
-        Ok(S::Ok)
+        state.checked().map(|state| store.request(state))
     })
 }
 
@@ -321,19 +316,15 @@ pub unsafe extern "C" fn tandem_store_poll(
             }
         }
         // SAFETY: 1 of the caller's contract.
-        unsafe { cell::write(op, next) }?;
-        Ok(S::Ok)
+        unsafe { cell::write(op, next) }
     })
 }
 
 /// The operation of the last poll was not started; the next poll returns it again. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::get(store) }?.refused();
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::get(store) }.map(StateStore::refused))
 }
 
 /// 1 if all that was requested is durable, or never will be; else 0. Does not block.
