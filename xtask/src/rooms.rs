@@ -1,154 +1,333 @@
-//! The directions of dependency between the modules of a crate.
+//! The directions of dependency between the modules of a crate, at every depth of its tree.
 
 use crate::cargo;
 use anyhow::{Context, Result};
-use serde_json::Value;
+use proc_macro2::{Delimiter, Group, Spacing, TokenStream, TokenTree};
+use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The second workspace: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
+/// What a target of a package is if its modules are product code.
+const PRODUCT: [&str; 4] = ["lib", "bin", "staticlib", "proc-macro"];
 
-/// Finds circles of dependency between modules.
+/// Finds circles of dependency between the modules of a folder, in all crates.
 pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     for workspace in [root, &root.join(FIRMWARE)] {
-        let metadata = metadata(workspace)?;
-        for package in metadata["packages"].as_array().into_iter().flatten() {
-            let manifest = package["manifest_path"].as_str().unwrap_or_default();
-            let folder = Path::new(manifest).with_file_name("");
-            let circle = circle(&module_uses(&folder.join("src"))?);
-            let room = folder.strip_prefix(root).unwrap_or(&folder);
-            if !circle.is_empty() {
-                let room = room.display();
-                findings.push(format!("{room}: modules that use each other: {circle:?}"));
+        for target in packages(workspace)?.into_iter().flat_map(|it| it.targets) {
+            if !target
+                .kind
+                .iter()
+                .any(|kind| PRODUCT.contains(&kind.as_str()))
+            {
+                continue;
+            }
+            let mut tree = Tree::default();
+            tree.read(Vec::new(), &target.src_path, true)?;
+            let file = target.src_path.strip_prefix(root);
+            let file = file.unwrap_or(&target.src_path).display().to_string();
+            for (folder, circle) in tree.circles() {
+                let is_known = |known: &&(&str, &str, &[&str])| {
+                    let mut circle = circle.iter();
+                    known.0 == file
+                        && known.1 == folder
+                        && circle.all(|it| known.2.contains(&it.as_str()))
+                };
+                if !KNOWN.iter().any(|known| is_known(&known)) {
+                    findings.push(format!(
+                        "{file}: modules of crate::{folder} use each other: {circle:?}"
+                    ));
+                }
             }
         }
     }
     Ok(findings)
 }
 
-fn metadata(folder: &Path) -> Result<Value> {
+/// What begins an item with a name.
+const ITEMS: [&str; 9] = [
+    "struct",
+    "enum",
+    "union",
+    "trait",
+    "type",
+    "fn",
+    "const",
+    "static",
+    "macro_rules",
+];
+/// Circles that are known: a file of a crate's root, a folder, and the modules. The list shrinks to
+/// nothing.
+const KNOWN: &[(&str, &str, &[&str])] = &[
+    ("sim/src/lib.rs", "faults", &["bench", "judge", "plan"]),
+    (
+        "lab/src/main.rs",
+        "chaos",
+        &["campaign", "judge", "leg", "report"],
+    ),
+];
+/// Through this many re-exports a name is followed.
+const IMPORTS: u32 = 4;
+
+/// A package, as `cargo metadata` describes it.
+#[derive(Deserialize)]
+pub(crate) struct Package {
+    pub(crate) name: String,
+    pub(crate) dependencies: Vec<Dependency>,
+    targets: Vec<Target>,
+}
+
+/// A package that another one needs.
+#[derive(Deserialize)]
+pub(crate) struct Dependency {
+    pub(crate) name: String,
+    /// `None` at run time.
+    pub(crate) kind: Option<String>,
+    pub(crate) target: Option<String>,
+}
+
+/// A library or a program of a package.
+#[derive(Deserialize)]
+struct Target {
+    kind: Vec<String>,
+    src_path: PathBuf,
+}
+
+/// The packages of the workspace in this folder.
+pub(crate) fn packages(folder: &Path) -> Result<Vec<Package>> {
+    #[derive(Deserialize)]
+    struct Metadata {
+        packages: Vec<Package>,
+    }
     let output = cargo(folder, &["metadata", "--format-version=1", "--no-deps"]).output()?;
-    serde_json::from_slice(&output.stdout).context("cargo metadata")
+    let metadata: Metadata = serde_json::from_slice(&output.stdout).context("cargo metadata")?;
+    Ok(metadata.packages)
 }
 
-/// For each top module of a crate: the others that it names.
-type Uses = BTreeMap<String, BTreeSet<String>>;
+/// Names from the crate's root, or from the module that contains the text.
+type Names = Vec<String>;
 
-fn module_uses(src: &Path) -> Result<Uses> {
-    let mut texts: BTreeMap<String, String> = BTreeMap::new();
-    let mut root = String::new();
-    for entry in fs::read_dir(src).with_context(|| src.display().to_string())? {
-        let path = entry?.path();
-        let name = path.file_stem().and_then(|name| name.to_str());
-        let name = name.unwrap_or_default().to_owned();
-        if path.is_dir() {
-            // A crate's programs are separate crates.
-            if name != "bin" {
-                read_folder(&path, texts.entry(name).or_default())?;
+/// What one module says.
+#[derive(Default)]
+struct Module {
+    children: BTreeSet<String>,
+    /// Names of the items that the module defines.
+    items: BTreeSet<String>,
+    /// All paths in the code, as written; also the items of `use` declarations.
+    paths: BTreeSet<Names>,
+    /// What `use` declarations bring into the module, by its name there: `*` for all of a module.
+    imports: Vec<(String, Names)>,
+}
+
+/// The modules of a crate, by their paths.
+#[derive(Default)]
+struct Tree(BTreeMap<Names, Module>);
+
+impl Tree {
+    /// Reads the module in this file, and its children.
+    fn read(&mut self, at: Names, file: &Path, owns_folder: bool) -> Result<()> {
+        let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+        let tokens: TokenStream = text
+            .parse()
+            .map_err(|error| anyhow::anyhow!("{}: {error}", file.display()))?;
+        let files = self.add(at, tokens);
+        let folder = match owns_folder {
+            true => file.with_file_name(""),
+            false => file.with_extension(""),
+        };
+        for child in files {
+            let name = child.last().map(String::as_str).unwrap_or_default();
+            let (alone, with_folder) = (
+                folder.join(format!("{name}.rs")),
+                folder.join(name).join("mod.rs"),
+            );
+            // A file at another place (`#[path]`) belongs to another crate.
+            if alone.exists() {
+                self.read(child, &alone, false)?;
+            } else if with_folder.exists() {
+                self.read(child, &with_folder, true)?;
             }
-        } else if name == "lib" || name == "main" {
-            root.push_str(&fs::read_to_string(&path)?);
-        } else {
-            let text = without_tests(&fs::read_to_string(&path)?);
-            // In this file `super` is the crate.
-            let text = text.replace("super::", "crate::");
-            texts.entry(name).or_default().push_str(&text);
         }
+        Ok(())
     }
-    let mut homes: Homes = texts
-        .keys()
-        .map(|name| (name.clone(), name.clone()))
-        .collect();
-    for (name, home) in handed_on(&root) {
-        if texts.contains_key(&home) {
-            homes.entry(name).or_insert(home);
-        }
-    }
-    let uses = texts.into_iter().map(|(name, text)| {
-        let mut used = named_modules(&text, &homes);
-        used.remove(&name);
-        (name, used)
-    });
-    Ok(uses.collect())
-}
 
-/// The module of each name behind `crate::`.
-type Homes = BTreeMap<String, String>;
-
-/// The names that a crate's root re-exports (`pub use module::{Name, ..}`), with their modules.
-fn handed_on(root: &str) -> Homes {
-    let mut homes = Homes::new();
-    for item in root.split(';') {
-        let Some((_, item)) = item.split_once("use ") else {
-            continue;
-        };
-        let Some((module, names)) = item.split_once("::") else {
-            continue;
-        };
-        let names = names.split(|c: char| !c.is_alphanumeric() && c != '_');
-        let names = names.filter(|name| !name.is_empty());
-        homes.extend(names.map(|name| (name.to_owned(), module.trim().to_owned())));
-    }
-    homes
-}
-
-fn read_folder(folder: &Path, into: &mut String) -> Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        if path.is_dir() {
-            read_folder(&path, into)?;
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            into.push_str(&without_tests(&fs::read_to_string(&path)?));
-        }
-    }
-    Ok(())
-}
-
-/// The code without comments, and without the tests, which are last in a file.
-fn without_tests(text: &str) -> String {
-    let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or(text);
-    let lines = code
-        .lines()
-        .filter(|line| !line.trim_start().starts_with("//"));
-    lines.collect::<Vec<_>>().join("\n")
-}
-
-/// The modules of the names behind `crate::`, alone or in braces.
-fn named_modules(text: &str, homes: &Homes) -> BTreeSet<String> {
-    let mut named = BTreeSet::new();
-    for behind in text.split("crate::").skip(1) {
-        let (list, is_list) = match behind.strip_prefix('{') {
-            Some(list) => (list, true),
-            None => (behind, false),
-        };
-        let mut depth = 0;
-        let mut word = String::new();
-        let mut at_begin = true;
-        for letter in list.chars() {
-            if letter.is_alphanumeric() || letter == '_' {
-                word.push(letter);
+    /// Adds a module without its tests, and returns its children in files.
+    fn add(&mut self, at: Names, tokens: TokenStream) -> Vec<Names> {
+        let mut module = Module::default();
+        let mut files = Vec::new();
+        let mut tokens = without_tests(tokens);
+        for index in 0..tokens.len().saturating_sub(2) {
+            let [word, name, behind] = [0, 1, 2].map(|further| tokens[index + further].clone());
+            let TokenTree::Ident(word) = word else {
                 continue;
+            };
+            if word == "mod" {
+                let name = name.to_string();
+                let child = [&at[..], std::slice::from_ref(&name)].concat();
+                module.children.insert(name);
+                match behind {
+                    TokenTree::Group(inner) => {
+                        files.extend(self.add(child, inner.stream()));
+                        tokens[index + 2] = Group::new(Delimiter::Brace, TokenStream::new()).into();
+                    }
+                    _ => files.push(child),
+                }
+            } else if ITEMS.iter().any(|begin| word == begin) {
+                module.items.insert(name.to_string());
+            } else if word == "use" {
+                let item = tokens[index + 1..].iter().take_while(|it| !is(it, ';'));
+                let mut items = BTreeSet::new();
+                paths(item.cloned(), &[], true, &mut items);
+                for mut path in items {
+                    // `use a::{self}`
+                    path.pop_if(|name| name == "self");
+                    if let Some(name) = path.last().cloned() {
+                        let end = path.iter().position(|name| name == "as" || name == "*");
+                        path.truncate(end.unwrap_or(path.len()));
+                        module.imports.push((name, path));
+                    }
+                }
             }
-            if at_begin && depth == 0 {
-                named.extend(homes.get(&word).cloned());
+        }
+        paths(tokens.into_iter(), &[], false, &mut module.paths);
+        self.0.insert(at, module);
+        files
+    }
+
+    /// The module that defines what this path names, seen from module `at`. It is sought through at
+    /// most this many imports.
+    fn home(&self, at: &[String], path: &[String], imports: u32) -> Option<Names> {
+        let mut here = at.to_vec();
+        for (index, name) in path.iter().enumerate() {
+            let module = self.0.get(&here)?;
+            match name.as_str() {
+                "crate" => here.clear(),
+                "self" => {}
+                "super" => drop(here.pop()?),
+                name if module.children.contains(name) => here.push(name.to_owned()),
+                name if module.items.contains(name) => return Some(here),
+                name => {
+                    let imports = imports.checked_sub(1)?;
+                    return module.imports.iter().find_map(|(known, from)| {
+                        let rest = match known.as_str() {
+                            "*" => &path[index..],
+                            _ if known == name => &path[index + 1..],
+                            _ => return None,
+                        };
+                        self.home(&here, &[from, rest].concat(), imports)
+                    });
+                }
             }
-            at_begin = at_begin && word.is_empty() && letter.is_whitespace() || letter == ',';
-            word.clear();
-            match letter {
-                '{' => depth += 1,
-                '}' if depth == 0 => break,
-                '}' => depth -= 1,
-                ';' => break,
-                _ if !is_list => break,
-                _ => {}
+        }
+        Some(here)
+    }
+
+    /// Every set of modules of one folder that use each other, with the folder's path.
+    fn circles(&self) -> Vec<(String, BTreeSet<String>)> {
+        let mut folders: BTreeMap<Names, Uses> = BTreeMap::new();
+        for (at, module) in &self.0 {
+            for path in &module.paths {
+                let Some(home) = self.home(at, path, IMPORTS) else {
+                    continue;
+                };
+                let shared = at.iter().zip(&home).take_while(|(a, b)| a == b).count();
+                // A folder's own file stands above the modules in it.
+                if let (Some(user), Some(used)) = (at.get(shared), home.get(shared)) {
+                    let uses = folders.entry(at[..shared].to_vec()).or_default();
+                    uses.entry(used.clone()).or_default();
+                    uses.entry(user.clone()).or_default().insert(used.clone());
+                }
+            }
+        }
+        let circles = folders
+            .into_iter()
+            .map(|(at, uses)| (at.join("::"), circle(&uses)));
+        circles.filter(|(_, circle)| !circle.is_empty()).collect()
+    }
+}
+
+fn is(token: &TokenTree, sign: char) -> bool {
+    matches!(token, TokenTree::Punct(punct) if punct.as_char() == sign)
+}
+
+/// The tokens without the items that only tests have.
+fn without_tests(tokens: TokenStream) -> Vec<TokenTree> {
+    let mut kept = Vec::new();
+    let mut tokens = tokens.into_iter().peekable();
+    while let Some(token) = tokens.next() {
+        let attribute = tokens
+            .peek()
+            .filter(|_| is(&token, '#'))
+            .map(ToString::to_string);
+        let attribute = attribute.unwrap_or_default().replace(' ', "");
+        if attribute.starts_with("[cfg(")
+            && attribute.contains("test")
+            && !attribute.contains("not(test")
+        {
+            let ends = |token: &TokenTree| match token {
+                TokenTree::Group(group) => group.delimiter() == Delimiter::Brace,
+                _ => is(token, ';'),
+            };
+            tokens.by_ref().find(ends);
+        } else {
+            kept.push(token);
+        }
+    }
+    kept
+}
+
+/// Collects `a::b::c`, and `a::{b, c::d}` as two paths.
+///
+/// In an item of `use` an alias is the end of its path, and `*` is a name: `a::b as c` gives
+/// `a::b::as::c`.
+fn paths(
+    tokens: impl Iterator<Item = TokenTree>,
+    prefix: &[String],
+    is_use: bool,
+    into: &mut BTreeSet<Names>,
+) {
+    let mut path = prefix.to_vec();
+    // Whether the next name continues the path.
+    let mut continues = true;
+    let mut tokens = tokens.peekable();
+    while let Some(token) = tokens.next() {
+        match &token {
+            TokenTree::Ident(name) => {
+                let is_alias = is_use && (name == "as" || path.ends_with(&["as".to_owned()]));
+                if !continues && !is_alias {
+                    into.insert(std::mem::replace(&mut path, prefix.to_vec()));
+                }
+                path.push(name.to_string());
+                continues = false;
+            }
+            TokenTree::Punct(punct) if punct.as_char() == ':' => {
+                let is_double = punct.spacing() == Spacing::Joint;
+                if is_double && tokens.peek().is_some_and(|it| is(it, ':')) {
+                    tokens.next();
+                    continues = true;
+                }
+            }
+            TokenTree::Group(group) => {
+                let inner = without_tests(group.stream()).into_iter();
+                let is_list = continues && path.len() > prefix.len();
+                let prefix = if is_list { path.clone() } else { Vec::new() };
+                paths(inner, &prefix, is_use, into);
+            }
+            all if is_use && is(all, '*') => path.push("*".to_owned()),
+            _ => {
+                into.insert(std::mem::replace(&mut path, prefix.to_vec()));
+                continues = true;
             }
         }
     }
-    named
+    into.insert(path);
 }
+
+/// For each module of a folder: its siblings that it uses.
+type Uses = BTreeMap<String, BTreeSet<String>>;
 
 /// The modules that remain when those that use no other, or that no other uses, are removed
 /// repeatedly.
@@ -170,32 +349,74 @@ fn circle(uses: &Uses) -> BTreeSet<String> {
 mod tests {
     use super::*;
 
-    fn set(names: &[&str]) -> BTreeSet<String> {
-        names.iter().map(ToString::to_string).collect()
+    fn tree(modules: &[(&str, &str)]) -> Tree {
+        let mut tree = Tree::default();
+        for (at, text) in modules {
+            let at = at.split("::").filter(|name| !name.is_empty());
+            tree.add(at.map(str::to_owned).collect(), text.parse().unwrap());
+        }
+        tree
+    }
+
+    /// The circles of a crate with the modules `a::{b, c}` and these texts.
+    fn circles(a: &str, b: &str, c: &str) -> Vec<(String, BTreeSet<String>)> {
+        tree(&[("", "mod a;"), ("a", a), ("a::b", b), ("a::c", c)]).circles()
     }
 
     #[test]
-    fn modules_are_found_alone_and_in_braces() {
-        let modules = ["a", "b", "c", "d"].map(|name| (name.to_owned(), name.to_owned()));
-        let mut homes = Homes::from(modules);
-        let text = "use crate::{a::{X, d}, b};\nfn f() { crate::c::g(crate::e) }";
-        assert_eq!(named_modules(text, &homes), set(&["a", "b", "c"]));
-        // A name that the crate's root re-exports belongs to its module.
-        homes.extend(handed_on("mod d;\npub use d::{E, F};\npub use std::fmt;"));
-        assert_eq!(named_modules("crate::F;", &homes), set(&["d"]));
+    fn modules_of_a_folder_that_use_each_other_are_found_by_each_kind_of_path() {
+        let found = [("a".to_owned(), ["b", "c"].map(str::to_owned).into())];
+        let c = "use crate::a::b::B; pub struct C; pub fn f() {}";
+        for b in [
+            "pub struct B; use super::c::C;",
+            "pub struct B; fn f() { g(crate::a::c::f()) }",
+            "pub struct B; use crate::{a::{c::{self, C}}};",
+            "pub struct B; fn f() { println!(\"{}\", super::c::f()) }",
+            "pub struct B; mod inner { use super::super::c::f; }",
+            "pub struct B; use super::*; fn g() { c::f() }",
+            // Through what the folder re-exports.
+            "pub struct B; use super::C;",
+            "pub struct B; use super::Renamed;",
+            "pub struct B; use crate::a::f;",
+        ] {
+            let a = "mod b; mod c; pub use c::{C, C as Renamed}; pub use c::*;";
+            assert_eq!(circles(a, b, c), found, "{b}");
+        }
+        for b in [
+            "pub struct B; use super::A;",
+            "pub struct B; #[cfg(test)] mod tests { use super::super::c::C; }",
+            "pub struct B; // super::c::C",
+            "pub struct B; use c::C;",
+        ] {
+            let a = "mod b; mod c; pub struct A; fn f() { b::g() }";
+            assert_eq!(circles(a, b, c), [], "{b}");
+        }
     }
 
     #[test]
-    fn a_circle_is_found() {
+    fn a_circle_of_the_top_modules_is_found_from_within_them() {
+        let modules = [
+            ("", "mod a; mod d; pub use d::D;"),
+            ("a", "mod b;"),
+            ("a::b", "use crate::D; pub fn f() {}"),
+            ("d", "pub struct D; fn g() { crate::a::b::f() }"),
+        ];
+        let found = ["a", "d"].map(str::to_owned).into();
+        assert_eq!(tree(&modules).circles(), [(String::new(), found)]);
+    }
+
+    #[test]
+    fn only_the_modules_of_a_circle_are_named() {
         let uses = |arrows: &[(&str, &[&str])]| -> Uses {
+            let names = |to: &[&str]| to.iter().map(ToString::to_string).collect();
             let arrows = arrows.iter();
             arrows
-                .map(|(from, to)| (from.to_string(), set(to)))
+                .map(|(from, to)| (from.to_string(), names(to)))
                 .collect()
         };
         let tree = uses(&[("a", &["b", "c"]), ("b", &["c"]), ("c", &[])]);
-        assert_eq!(circle(&tree), set(&[]));
+        assert_eq!(circle(&tree), BTreeSet::new());
         let round = uses(&[("a", &["b"]), ("b", &["c", "d"]), ("c", &["b"]), ("d", &[])]);
-        assert_eq!(circle(&round), set(&["b", "c"]));
+        assert_eq!(circle(&round), ["b", "c"].map(str::to_owned).into());
     }
 }

@@ -1,8 +1,6 @@
 //! The house rules that a program can check.
 
-use crate::cargo;
 use anyhow::{Context, Result, bail};
-use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -147,23 +145,21 @@ pub(crate) fn run(root: &Path) -> Result<()> {
 }
 
 fn dependencies(root: &Path) -> Result<Vec<String>> {
-    let output = cargo(root, &["metadata", "--format-version=1", "--no-deps"]).output()?;
-    let metadata: Value = serde_json::from_slice(&output.stdout).context("cargo metadata")?;
     let mut findings = Vec::new();
-    for package in metadata["packages"].as_array().into_iter().flatten() {
-        let name = package["name"].as_str().unwrap_or_default();
+    for package in crate::rooms::packages(root)? {
+        let name = package.name.as_str();
         let ours = MAY_DEPEND_ON.iter().find(|(owner, _)| *owner == name);
         if ours.is_none() && !ON_TOP.contains(&name) {
             findings.push(format!("{name}: a crate that tidy does not know"));
         }
-        for dependency in package["dependencies"].as_array().into_iter().flatten() {
-            let on = dependency["name"].as_str().unwrap_or_default();
+        for dependency in &package.dependencies {
+            let on = dependency.name.as_str();
             // A build that counts accesses is never a product.
-            let at_run_time =
-                dependency["kind"].is_null() && dependency["target"] != "cfg(stepped)";
+            let is_counting = dependency.target.as_deref() == Some("cfg(stepped)");
             if on.starts_with("iceoryx2") && !MAY_USE_ICEORYX2.contains(&name) {
                 findings.push(format!("{name}: only the host board may name {on}"));
             }
+            let at_run_time = dependency.kind.is_none() && !is_counting;
             let allowed = ours.is_none_or(|(_, allowed)| allowed.contains(&on));
             if at_run_time && on.starts_with("tandem") && !allowed {
                 findings.push(format!("{name}: must not depend on {on}"));
