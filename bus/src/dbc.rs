@@ -1,11 +1,52 @@
-//! The structs, enums and ids of `dbc/tandem.dbc`. Made by `cargo xtask dbc`: not to be edited.
+//! Enums, structs, messages and frames of `dbc/tandem.dbc`. Made by `cargo xtask dbc`: not to be edited.
 
-use crate::DecodeError;
-use crate::signal::{FrameInfo, Signal};
+use crate::signal::{FrameError, FrameInfo, Signal, ValueTable, Walk};
+
+/// A sensor that sends object lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SensorId {
+    /// Long range radar in front.
+    RadarFront,
+    /// Corner radar in front on the left.
+    RadarFrontLeft,
+    /// Corner radar in front on the right.
+    RadarFrontRight,
+    /// Corner radar behind on the left.
+    RadarRearLeft,
+    /// Corner radar behind on the right.
+    RadarRearRight,
+    /// Camera behind the windscreen.
+    CameraFront,
+}
+
+impl SensorId {
+    /// Every sensor, in the order of the DBC.
+    pub const ALL: [Self; 6] = [
+        Self::RadarFront,
+        Self::RadarFrontLeft,
+        Self::RadarFrontRight,
+        Self::RadarRearLeft,
+        Self::RadarRearRight,
+        Self::CameraFront,
+    ];
+
+    /// Name of the sensor's node in the DBC.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RadarFront => "RadarFront",
+            Self::RadarFrontLeft => "RadarFrontLeft",
+            Self::RadarFrontRight => "RadarFrontRight",
+            Self::RadarRearLeft => "RadarRearLeft",
+            Self::RadarRearRight => "RadarRearRight",
+            Self::CameraFront => "CameraFront",
+        }
+    }
+}
 
 /// Values of the signal `Agreement`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Agreement {
+pub enum AgreementCode {
     /// Coded as 0.
     #[default]
     Agreed = 0,
@@ -15,28 +56,22 @@ pub enum Agreement {
     Unresolved = 2,
 }
 
-impl Agreement {
+impl AgreementCode {
     /// Every value, in the order of the DBC.
     pub const ALL: [Self; 3] = [Self::Agreed, Self::Disagreed, Self::Unresolved];
+}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Agreed => "Agreed",
-            Self::Disagreed => "Disagreed",
-            Self::Unresolved => "Unresolved",
-        }
-    }
+impl ValueTable for AgreementCode {
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {
+        self as u8
     }
 }
 
 /// Values of the signal `Class`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Class {
+pub enum ClassCode {
     /// Coded as 0.
     #[default]
     Unknown = 0,
@@ -52,7 +87,7 @@ pub enum Class {
     Static = 5,
 }
 
-impl Class {
+impl ClassCode {
     /// Every value, in the order of the DBC.
     pub const ALL: [Self; 6] = [
         Self::Unknown,
@@ -62,28 +97,19 @@ impl Class {
         Self::Pedestrian,
         Self::Static,
     ];
+}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unknown => "Unknown",
-            Self::Car => "Car",
-            Self::Truck => "Truck",
-            Self::Motorcycle => "Motorcycle",
-            Self::Pedestrian => "Pedestrian",
-            Self::Static => "Static",
-        }
-    }
+impl ValueTable for ClassCode {
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {
+        self as u8
     }
 }
 
 /// Values of the signal `Mode`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
+pub enum ModeCode {
     /// Coded as 0.
     #[default]
     None = 0,
@@ -95,29 +121,22 @@ pub enum Mode {
     SafeStop = 3,
 }
 
-impl Mode {
+impl ModeCode {
     /// Every value, in the order of the DBC.
     pub const ALL: [Self; 4] = [Self::None, Self::L3, Self::DegradedL2, Self::SafeStop];
+}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "None",
-            Self::L3 => "L3",
-            Self::DegradedL2 => "DegradedL2",
-            Self::SafeStop => "SafeStop",
-        }
-    }
+impl ValueTable for ModeCode {
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {
+        self as u8
     }
 }
 
 /// Values of the signal `Role`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Role {
+pub enum RoleCode {
     /// Coded as 0.
     #[default]
     Starting = 0,
@@ -129,29 +148,22 @@ pub enum Role {
     Suspended = 3,
 }
 
-impl Role {
+impl RoleCode {
     /// Every value, in the order of the DBC.
     pub const ALL: [Self; 4] = [Self::Starting, Self::Master, Self::Standby, Self::Suspended];
+}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Starting => "Starting",
-            Self::Master => "Master",
-            Self::Standby => "Standby",
-            Self::Suspended => "Suspended",
-        }
-    }
+impl ValueTable for RoleCode {
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {
+        self as u8
     }
 }
 
 /// Values of the signal `Route`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Route {
+pub enum RouteCode {
     /// Coded as 0.
     #[default]
     Free = 0,
@@ -163,23 +175,16 @@ pub enum Route {
     Keep = 3,
 }
 
-impl Route {
+impl RouteCode {
     /// Every value, in the order of the DBC.
     pub const ALL: [Self; 4] = [Self::Free, Self::Left, Self::Right, Self::Keep];
+}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Free => "Free",
-            Self::Left => "Left",
-            Self::Right => "Right",
-            Self::Keep => "Keep",
-        }
-    }
+impl ValueTable for RouteCode {
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {
+        self as u8
     }
 }
 
@@ -189,9 +194,9 @@ impl Route {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Control {
     /// Role of the sender.
-    pub role: Role,
+    pub role: RoleCode,
     /// Function that produced the command; None: the driver drives, and the command is what the vehicle does.
-    pub mode: Mode,
+    pub mode: ModeCode,
     /// The function asks the driver to take over.
     pub takeover_request: bool,
     /// Mastership term: the higher one fences the lower one off; its lowest bit is the system. 0 ..= 4294967295
@@ -209,135 +214,30 @@ pub struct Control {
 impl Control {
     /// Ids of the frames with this layout, in the order of the DBC.
     pub const IDS: [u16; 2] = [0x0A0, 0x0A1];
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 16;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 10;
 
-    pub(crate) const ROLE: Signal = Signal {
-        name: "Role",
-        start: 24,
-        len: 2,
-        factor: 1.0,
-        min: 0,
-        max: 3,
-    };
-    pub(crate) const MODE: Signal = Signal {
-        name: "Mode",
-        start: 26,
-        len: 3,
-        factor: 1.0,
-        min: 0,
-        max: 7,
-    };
-    pub(crate) const SYSTEM: Signal = Signal {
-        name: "System",
-        start: 29,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const TAKEOVER_REQUEST: Signal = Signal {
-        name: "TakeoverRequest",
-        start: 30,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const TERM: Signal = Signal {
-        name: "Term",
-        start: 32,
-        len: 32,
-        factor: 1.0,
-        min: 0,
-        max: 4294967295,
-    };
-    pub(crate) const STEERING_ANGLE: Signal = Signal {
-        name: "SteeringAngle",
-        start: 64,
-        len: 16,
-        factor: 2e-5,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const ACCELERATION: Signal = Signal {
-        name: "Acceleration",
-        start: 80,
-        len: 16,
-        factor: 0.001,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const COMMAND_AGE: Signal = Signal {
-        name: "CommandAge",
-        start: 96,
-        len: 16,
-        factor: 0.1,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const SENT_AT: Signal = Signal {
-        name: "SentAt",
-        start: 112,
-        len: 16,
-        factor: 1.0,
-        min: 0,
-        max: 65535,
-    };
+    pub(crate) const ROLE: Signal = Signal::new("Role", 24, 2, 0..=3);
+    pub(crate) const MODE: Signal = Signal::new("Mode", 26, 3, 0..=7);
+    pub(crate) const SYSTEM: Signal = Signal::new("System", 29, 1, 0..=1);
+    pub(crate) const TAKEOVER_REQUEST: Signal = Signal::new("TakeoverRequest", 30, 1, 0..=1);
+    pub(crate) const TERM: Signal = Signal::new("Term", 32, 32, 0..=4294967295);
+    pub(crate) const STEERING_ANGLE: Signal =
+        Signal::new("SteeringAngle", 64, 16, -32768..=32767).in_steps_of(2e-5);
+    pub(crate) const ACCELERATION: Signal =
+        Signal::new("Acceleration", 80, 16, -32768..=32767).in_steps_of(0.001);
+    pub(crate) const COMMAND_AGE: Signal =
+        Signal::new("CommandAge", 96, 16, 0..=65535).in_steps_of(0.1);
+    pub(crate) const SENT_AT: Signal = Signal::new("SentAt", 112, 16, 0..=65535);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::ROLE.put(data, self.role as i64);
-        Self::MODE.put(data, self.mode as i64);
-        Self::TAKEOVER_REQUEST.put(data, i64::from(self.takeover_request));
-        Self::TERM.put(data, i64::from(self.term));
-        Self::STEERING_ANGLE.put_physical(data, self.steering_angle);
-        Self::ACCELERATION.put_physical(data, self.acceleration);
-        Self::COMMAND_AGE.put_physical(data, self.command_age);
-        Self::SENT_AT.put(data, i64::from(self.sent_at));
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            role: Role::from_raw(Self::ROLE.get(data)?).ok_or(Self::ROLE.invalid())?,
-            mode: Mode::from_raw(Self::MODE.get(data)?).ok_or(Self::MODE.invalid())?,
-            takeover_request: Self::TAKEOVER_REQUEST.get(data)? != 0,
-            term: Self::TERM.get(data)? as u32,
-            steering_angle: Self::STEERING_ANGLE.get_physical(data)?,
-            acceleration: Self::ACCELERATION.get_physical(data)?,
-            command_age: Self::COMMAND_AGE.get_physical(data)?,
-            sent_at: Self::SENT_AT.get(data)? as u16,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 8] {
-        [
-            ("Role", f64::from(self.role as u8)),
-            ("Mode", f64::from(self.mode as u8)),
-            (
-                "TakeoverRequest",
-                f64::from(u8::from(self.takeover_request)),
-            ),
-            ("Term", f64::from(self.term)),
-            ("SteeringAngle", f64::from(self.steering_angle)),
-            ("Acceleration", f64::from(self.acceleration)),
-            ("CommandAge", f64::from(self.command_age)),
-            ("SentAt", f64::from(self.sent_at)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::ROLE, &mut self.role)?;
+        walk.field(&Self::MODE, &mut self.mode)?;
+        walk.field(&Self::TAKEOVER_REQUEST, &mut self.takeover_request)?;
+        walk.field(&Self::TERM, &mut self.term)?;
+        walk.field(&Self::STEERING_ANGLE, &mut self.steering_angle)?;
+        walk.field(&Self::ACCELERATION, &mut self.acceleration)?;
+        walk.field(&Self::COMMAND_AGE, &mut self.command_age)?;
+        walk.field(&Self::SENT_AT, &mut self.sent_at)?;
+        Ok(())
     }
 }
 
@@ -367,113 +267,26 @@ impl GateEcho {
     pub const IDS: [u16; 1] = [0x0A8];
     /// Id of the frame.
     pub const ID: u16 = 0x0A8;
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 16;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 10;
 
-    pub(crate) const REFUSED: Signal = Signal {
-        name: "Refused",
-        start: 24,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const TERM: Signal = Signal {
-        name: "Term",
-        start: 32,
-        len: 32,
-        factor: 1.0,
-        min: 0,
-        max: 4294967295,
-    };
-    pub(crate) const TERM_AGE: Signal = Signal {
-        name: "TermAge",
-        start: 64,
-        len: 16,
-        factor: 0.1,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const OBEYED_COUNTER: Signal = Signal {
-        name: "ObeyedCounter",
-        start: 80,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const SENT_AT: Signal = Signal {
-        name: "SentAt",
-        start: 88,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const STEERING_ANGLE: Signal = Signal {
-        name: "SteeringAngle",
-        start: 96,
-        len: 16,
-        factor: 2e-5,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const ACCELERATION: Signal = Signal {
-        name: "Acceleration",
-        start: 112,
-        len: 16,
-        factor: 0.001,
-        min: -32768,
-        max: 32767,
-    };
+    pub(crate) const REFUSED: Signal = Signal::new("Refused", 24, 8, 0..=255);
+    pub(crate) const TERM: Signal = Signal::new("Term", 32, 32, 0..=4294967295);
+    pub(crate) const TERM_AGE: Signal = Signal::new("TermAge", 64, 16, 0..=65535).in_steps_of(0.1);
+    pub(crate) const OBEYED_COUNTER: Signal = Signal::new("ObeyedCounter", 80, 8, 0..=255);
+    pub(crate) const SENT_AT: Signal = Signal::new("SentAt", 88, 8, 0..=255);
+    pub(crate) const STEERING_ANGLE: Signal =
+        Signal::new("SteeringAngle", 96, 16, -32768..=32767).in_steps_of(2e-5);
+    pub(crate) const ACCELERATION: Signal =
+        Signal::new("Acceleration", 112, 16, -32768..=32767).in_steps_of(0.001);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::REFUSED.put(data, i64::from(self.refused));
-        Self::TERM.put(data, i64::from(self.term));
-        Self::TERM_AGE.put_physical(data, self.term_age);
-        Self::OBEYED_COUNTER.put(data, i64::from(self.obeyed_counter));
-        Self::SENT_AT.put(data, i64::from(self.sent_at));
-        Self::STEERING_ANGLE.put_physical(data, self.steering_angle);
-        Self::ACCELERATION.put_physical(data, self.acceleration);
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            refused: Self::REFUSED.get(data)? as u8,
-            term: Self::TERM.get(data)? as u32,
-            term_age: Self::TERM_AGE.get_physical(data)?,
-            obeyed_counter: Self::OBEYED_COUNTER.get(data)? as u8,
-            sent_at: Self::SENT_AT.get(data)? as u8,
-            steering_angle: Self::STEERING_ANGLE.get_physical(data)?,
-            acceleration: Self::ACCELERATION.get_physical(data)?,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 7] {
-        [
-            ("Refused", f64::from(self.refused)),
-            ("Term", f64::from(self.term)),
-            ("TermAge", f64::from(self.term_age)),
-            ("ObeyedCounter", f64::from(self.obeyed_counter)),
-            ("SentAt", f64::from(self.sent_at)),
-            ("SteeringAngle", f64::from(self.steering_angle)),
-            ("Acceleration", f64::from(self.acceleration)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::REFUSED, &mut self.refused)?;
+        walk.field(&Self::TERM, &mut self.term)?;
+        walk.field(&Self::TERM_AGE, &mut self.term_age)?;
+        walk.field(&Self::OBEYED_COUNTER, &mut self.obeyed_counter)?;
+        walk.field(&Self::SENT_AT, &mut self.sent_at)?;
+        walk.field(&Self::STEERING_ANGLE, &mut self.steering_angle)?;
+        walk.field(&Self::ACCELERATION, &mut self.acceleration)?;
+        Ok(())
     }
 }
 
@@ -483,9 +296,9 @@ impl GateEcho {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Status {
     /// Role of the sender.
-    pub role: Role,
+    pub role: RoleCode,
     /// Function in operation.
-    pub mode: Mode,
+    pub mode: ModeCode,
     /// This system has failed.
     pub sys_failure: bool,
     /// The other system is taken for failed.
@@ -495,7 +308,7 @@ pub struct Status {
     /// Heartbeat line 2 is silent.
     pub line2_silent: bool,
     /// Whether the other system would command the same.
-    pub agreement: Agreement,
+    pub agreement: AgreementCode,
     /// Which own fault. 0 ..= 255
     pub failure_mode: u8,
     /// Highest mastership term known. 0 ..= 4294967295
@@ -513,180 +326,36 @@ pub struct Status {
 impl Status {
     /// Ids of the frames with this layout, in the order of the DBC.
     pub const IDS: [u16; 2] = [0x0B0, 0x0B1];
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 16;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 100;
 
-    pub(crate) const ROLE: Signal = Signal {
-        name: "Role",
-        start: 24,
-        len: 4,
-        factor: 1.0,
-        min: 0,
-        max: 15,
-    };
-    pub(crate) const MODE: Signal = Signal {
-        name: "Mode",
-        start: 28,
-        len: 4,
-        factor: 1.0,
-        min: 0,
-        max: 15,
-    };
-    pub(crate) const SYS_FAILURE: Signal = Signal {
-        name: "SysFailure",
-        start: 32,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const CPSYS_FAILURE: Signal = Signal {
-        name: "CpsysFailure",
-        start: 33,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const LINE1_SILENT: Signal = Signal {
-        name: "Line1Silent",
-        start: 34,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const LINE2_SILENT: Signal = Signal {
-        name: "Line2Silent",
-        start: 35,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const AGREEMENT: Signal = Signal {
-        name: "Agreement",
-        start: 36,
-        len: 2,
-        factor: 1.0,
-        min: 0,
-        max: 3,
-    };
-    pub(crate) const FAILURE_MODE: Signal = Signal {
-        name: "FailureMode",
-        start: 40,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const TERM: Signal = Signal {
-        name: "Term",
-        start: 48,
-        len: 32,
-        factor: 1.0,
-        min: 0,
-        max: 4294967295,
-    };
-    pub(crate) const ABN_RESETS: Signal = Signal {
-        name: "AbnResets",
-        start: 80,
-        len: 16,
-        factor: 1.0,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const TOTAL_RESETS: Signal = Signal {
-        name: "TotalResets",
-        start: 96,
-        len: 16,
-        factor: 1.0,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const TRACKS: Signal = Signal {
-        name: "Tracks",
-        start: 112,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const DEADLINE_MISSES: Signal = Signal {
-        name: "DeadlineMisses",
-        start: 120,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
+    pub(crate) const ROLE: Signal = Signal::new("Role", 24, 4, 0..=15);
+    pub(crate) const MODE: Signal = Signal::new("Mode", 28, 4, 0..=15);
+    pub(crate) const SYS_FAILURE: Signal = Signal::new("SysFailure", 32, 1, 0..=1);
+    pub(crate) const CPSYS_FAILURE: Signal = Signal::new("CpsysFailure", 33, 1, 0..=1);
+    pub(crate) const LINE1_SILENT: Signal = Signal::new("Line1Silent", 34, 1, 0..=1);
+    pub(crate) const LINE2_SILENT: Signal = Signal::new("Line2Silent", 35, 1, 0..=1);
+    pub(crate) const AGREEMENT: Signal = Signal::new("Agreement", 36, 2, 0..=3);
+    pub(crate) const FAILURE_MODE: Signal = Signal::new("FailureMode", 40, 8, 0..=255);
+    pub(crate) const TERM: Signal = Signal::new("Term", 48, 32, 0..=4294967295);
+    pub(crate) const ABN_RESETS: Signal = Signal::new("AbnResets", 80, 16, 0..=65535);
+    pub(crate) const TOTAL_RESETS: Signal = Signal::new("TotalResets", 96, 16, 0..=65535);
+    pub(crate) const TRACKS: Signal = Signal::new("Tracks", 112, 8, 0..=255);
+    pub(crate) const DEADLINE_MISSES: Signal = Signal::new("DeadlineMisses", 120, 8, 0..=255);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::ROLE.put(data, self.role as i64);
-        Self::MODE.put(data, self.mode as i64);
-        Self::SYS_FAILURE.put(data, i64::from(self.sys_failure));
-        Self::CPSYS_FAILURE.put(data, i64::from(self.cpsys_failure));
-        Self::LINE1_SILENT.put(data, i64::from(self.line1_silent));
-        Self::LINE2_SILENT.put(data, i64::from(self.line2_silent));
-        Self::AGREEMENT.put(data, self.agreement as i64);
-        Self::FAILURE_MODE.put(data, i64::from(self.failure_mode));
-        Self::TERM.put(data, i64::from(self.term));
-        Self::ABN_RESETS.put(data, i64::from(self.abn_resets));
-        Self::TOTAL_RESETS.put(data, i64::from(self.total_resets));
-        Self::TRACKS.put(data, i64::from(self.tracks));
-        Self::DEADLINE_MISSES.put(data, i64::from(self.deadline_misses));
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            role: Role::from_raw(Self::ROLE.get(data)?).ok_or(Self::ROLE.invalid())?,
-            mode: Mode::from_raw(Self::MODE.get(data)?).ok_or(Self::MODE.invalid())?,
-            sys_failure: Self::SYS_FAILURE.get(data)? != 0,
-            cpsys_failure: Self::CPSYS_FAILURE.get(data)? != 0,
-            line1_silent: Self::LINE1_SILENT.get(data)? != 0,
-            line2_silent: Self::LINE2_SILENT.get(data)? != 0,
-            agreement: Agreement::from_raw(Self::AGREEMENT.get(data)?)
-                .ok_or(Self::AGREEMENT.invalid())?,
-            failure_mode: Self::FAILURE_MODE.get(data)? as u8,
-            term: Self::TERM.get(data)? as u32,
-            abn_resets: Self::ABN_RESETS.get(data)? as u16,
-            total_resets: Self::TOTAL_RESETS.get(data)? as u16,
-            tracks: Self::TRACKS.get(data)? as u8,
-            deadline_misses: Self::DEADLINE_MISSES.get(data)? as u8,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 13] {
-        [
-            ("Role", f64::from(self.role as u8)),
-            ("Mode", f64::from(self.mode as u8)),
-            ("SysFailure", f64::from(u8::from(self.sys_failure))),
-            ("CpsysFailure", f64::from(u8::from(self.cpsys_failure))),
-            ("Line1Silent", f64::from(u8::from(self.line1_silent))),
-            ("Line2Silent", f64::from(u8::from(self.line2_silent))),
-            ("Agreement", f64::from(self.agreement as u8)),
-            ("FailureMode", f64::from(self.failure_mode)),
-            ("Term", f64::from(self.term)),
-            ("AbnResets", f64::from(self.abn_resets)),
-            ("TotalResets", f64::from(self.total_resets)),
-            ("Tracks", f64::from(self.tracks)),
-            ("DeadlineMisses", f64::from(self.deadline_misses)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::ROLE, &mut self.role)?;
+        walk.field(&Self::MODE, &mut self.mode)?;
+        walk.field(&Self::SYS_FAILURE, &mut self.sys_failure)?;
+        walk.field(&Self::CPSYS_FAILURE, &mut self.cpsys_failure)?;
+        walk.field(&Self::LINE1_SILENT, &mut self.line1_silent)?;
+        walk.field(&Self::LINE2_SILENT, &mut self.line2_silent)?;
+        walk.field(&Self::AGREEMENT, &mut self.agreement)?;
+        walk.field(&Self::FAILURE_MODE, &mut self.failure_mode)?;
+        walk.field(&Self::TERM, &mut self.term)?;
+        walk.field(&Self::ABN_RESETS, &mut self.abn_resets)?;
+        walk.field(&Self::TOTAL_RESETS, &mut self.total_resets)?;
+        walk.field(&Self::TRACKS, &mut self.tracks)?;
+        walk.field(&Self::DEADLINE_MISSES, &mut self.deadline_misses)?;
+        Ok(())
     }
 }
 
@@ -716,113 +385,29 @@ impl EgoMotion {
     pub const IDS: [u16; 1] = [0x110];
     /// Id of the frame.
     pub const ID: u16 = 0x110;
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 16;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 10;
 
-    pub(crate) const WORLD_RUNNING: Signal = Signal {
-        name: "WorldRunning",
-        start: 24,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const SPEED: Signal = Signal {
-        name: "Speed",
-        start: 32,
-        len: 16,
-        factor: 0.01,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const YAW_RATE: Signal = Signal {
-        name: "YawRate",
-        start: 48,
-        len: 16,
-        factor: 0.0001,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const LONG_ACCELERATION: Signal = Signal {
-        name: "LongAcceleration",
-        start: 64,
-        len: 16,
-        factor: 0.002,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const LAT_ACCELERATION: Signal = Signal {
-        name: "LatAcceleration",
-        start: 80,
-        len: 16,
-        factor: 0.002,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const STEERING_ANGLE: Signal = Signal {
-        name: "SteeringAngle",
-        start: 96,
-        len: 16,
-        factor: 2e-5,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const SLIP_ANGLE: Signal = Signal {
-        name: "SlipAngle",
-        start: 112,
-        len: 16,
-        factor: 2e-5,
-        min: -32768,
-        max: 32767,
-    };
+    pub(crate) const WORLD_RUNNING: Signal = Signal::new("WorldRunning", 24, 1, 0..=1);
+    pub(crate) const SPEED: Signal = Signal::new("Speed", 32, 16, -32768..=32767).in_steps_of(0.01);
+    pub(crate) const YAW_RATE: Signal =
+        Signal::new("YawRate", 48, 16, -32768..=32767).in_steps_of(0.0001);
+    pub(crate) const LONG_ACCELERATION: Signal =
+        Signal::new("LongAcceleration", 64, 16, -32768..=32767).in_steps_of(0.002);
+    pub(crate) const LAT_ACCELERATION: Signal =
+        Signal::new("LatAcceleration", 80, 16, -32768..=32767).in_steps_of(0.002);
+    pub(crate) const STEERING_ANGLE: Signal =
+        Signal::new("SteeringAngle", 96, 16, -32768..=32767).in_steps_of(2e-5);
+    pub(crate) const SLIP_ANGLE: Signal =
+        Signal::new("SlipAngle", 112, 16, -32768..=32767).in_steps_of(2e-5);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::WORLD_RUNNING.put(data, i64::from(self.world_running));
-        Self::SPEED.put_physical(data, self.speed);
-        Self::YAW_RATE.put_physical(data, self.yaw_rate);
-        Self::LONG_ACCELERATION.put_physical(data, self.long_acceleration);
-        Self::LAT_ACCELERATION.put_physical(data, self.lat_acceleration);
-        Self::STEERING_ANGLE.put_physical(data, self.steering_angle);
-        Self::SLIP_ANGLE.put_physical(data, self.slip_angle);
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            world_running: Self::WORLD_RUNNING.get(data)? != 0,
-            speed: Self::SPEED.get_physical(data)?,
-            yaw_rate: Self::YAW_RATE.get_physical(data)?,
-            long_acceleration: Self::LONG_ACCELERATION.get_physical(data)?,
-            lat_acceleration: Self::LAT_ACCELERATION.get_physical(data)?,
-            steering_angle: Self::STEERING_ANGLE.get_physical(data)?,
-            slip_angle: Self::SLIP_ANGLE.get_physical(data)?,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 7] {
-        [
-            ("WorldRunning", f64::from(u8::from(self.world_running))),
-            ("Speed", f64::from(self.speed)),
-            ("YawRate", f64::from(self.yaw_rate)),
-            ("LongAcceleration", f64::from(self.long_acceleration)),
-            ("LatAcceleration", f64::from(self.lat_acceleration)),
-            ("SteeringAngle", f64::from(self.steering_angle)),
-            ("SlipAngle", f64::from(self.slip_angle)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::WORLD_RUNNING, &mut self.world_running)?;
+        walk.field(&Self::SPEED, &mut self.speed)?;
+        walk.field(&Self::YAW_RATE, &mut self.yaw_rate)?;
+        walk.field(&Self::LONG_ACCELERATION, &mut self.long_acceleration)?;
+        walk.field(&Self::LAT_ACCELERATION, &mut self.lat_acceleration)?;
+        walk.field(&Self::STEERING_ANGLE, &mut self.steering_angle)?;
+        walk.field(&Self::SLIP_ANGLE, &mut self.slip_angle)?;
+        Ok(())
     }
 }
 
@@ -836,7 +421,7 @@ pub struct DriverRequest {
     /// The driver steers or brakes against the function.
     pub overrides: bool,
     /// Where the route leads: to the lane on the left or right, or on in the own lane; Free: anywhere.
-    pub route: Route,
+    pub route: RouteCode,
     /// The shorter of the two distances to the vehicle ahead.
     pub near_gap: bool,
     /// Desired speed. 0 ..= 655.35 m/s in steps of 0.01
@@ -850,102 +435,24 @@ impl DriverRequest {
     pub const IDS: [u16; 1] = [0x120];
     /// Id of the frame.
     pub const ID: u16 = 0x120;
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 8;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 100;
 
-    pub(crate) const ENGAGE: Signal = Signal {
-        name: "Engage",
-        start: 24,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const OVERRIDES: Signal = Signal {
-        name: "Overrides",
-        start: 25,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const ROUTE: Signal = Signal {
-        name: "Route",
-        start: 26,
-        len: 2,
-        factor: 1.0,
-        min: 0,
-        max: 3,
-    };
-    pub(crate) const NEAR_GAP: Signal = Signal {
-        name: "NearGap",
-        start: 28,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const SET_SPEED: Signal = Signal {
-        name: "SetSpeed",
-        start: 32,
-        len: 16,
-        factor: 0.01,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const LANE_OFFSET: Signal = Signal {
-        name: "LaneOffset",
-        start: 48,
-        len: 8,
-        factor: 0.01,
-        min: -128,
-        max: 127,
-    };
+    pub(crate) const ENGAGE: Signal = Signal::new("Engage", 24, 1, 0..=1);
+    pub(crate) const OVERRIDES: Signal = Signal::new("Overrides", 25, 1, 0..=1);
+    pub(crate) const ROUTE: Signal = Signal::new("Route", 26, 2, 0..=3);
+    pub(crate) const NEAR_GAP: Signal = Signal::new("NearGap", 28, 1, 0..=1);
+    pub(crate) const SET_SPEED: Signal =
+        Signal::new("SetSpeed", 32, 16, 0..=65535).in_steps_of(0.01);
+    pub(crate) const LANE_OFFSET: Signal =
+        Signal::new("LaneOffset", 48, 8, -128..=127).in_steps_of(0.01);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::ENGAGE.put(data, i64::from(self.engage));
-        Self::OVERRIDES.put(data, i64::from(self.overrides));
-        Self::ROUTE.put(data, self.route as i64);
-        Self::NEAR_GAP.put(data, i64::from(self.near_gap));
-        Self::SET_SPEED.put_physical(data, self.set_speed);
-        Self::LANE_OFFSET.put_physical(data, self.lane_offset);
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            engage: Self::ENGAGE.get(data)? != 0,
-            overrides: Self::OVERRIDES.get(data)? != 0,
-            route: Route::from_raw(Self::ROUTE.get(data)?).ok_or(Self::ROUTE.invalid())?,
-            near_gap: Self::NEAR_GAP.get(data)? != 0,
-            set_speed: Self::SET_SPEED.get_physical(data)?,
-            lane_offset: Self::LANE_OFFSET.get_physical(data)?,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 6] {
-        [
-            ("Engage", f64::from(u8::from(self.engage))),
-            ("Overrides", f64::from(u8::from(self.overrides))),
-            ("Route", f64::from(self.route as u8)),
-            ("NearGap", f64::from(u8::from(self.near_gap))),
-            ("SetSpeed", f64::from(self.set_speed)),
-            ("LaneOffset", f64::from(self.lane_offset)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::ENGAGE, &mut self.engage)?;
+        walk.field(&Self::OVERRIDES, &mut self.overrides)?;
+        walk.field(&Self::ROUTE, &mut self.route)?;
+        walk.field(&Self::NEAR_GAP, &mut self.near_gap)?;
+        walk.field(&Self::SET_SPEED, &mut self.set_speed)?;
+        walk.field(&Self::LANE_OFFSET, &mut self.lane_offset)?;
+        Ok(())
     }
 }
 
@@ -963,58 +470,14 @@ pub struct SensorHeader {
 impl SensorHeader {
     /// Ids of the frames with this layout, in the order of the DBC.
     pub const IDS: [u16; 6] = [0x200, 0x210, 0x220, 0x230, 0x240, 0x250];
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 8;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 50;
 
-    pub(crate) const OBJECT_COUNT: Signal = Signal {
-        name: "ObjectCount",
-        start: 24,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 32,
-    };
-    pub(crate) const MEASURED_AT: Signal = Signal {
-        name: "MeasuredAt",
-        start: 32,
-        len: 32,
-        factor: 1.0,
-        min: 0,
-        max: 4294967295,
-    };
+    pub(crate) const OBJECT_COUNT: Signal = Signal::new("ObjectCount", 24, 8, 0..=32);
+    pub(crate) const MEASURED_AT: Signal = Signal::new("MeasuredAt", 32, 32, 0..=4294967295);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::OBJECT_COUNT.put(data, i64::from(self.object_count));
-        Self::MEASURED_AT.put(data, i64::from(self.measured_at));
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            object_count: Self::OBJECT_COUNT.get(data)? as u8,
-            measured_at: Self::MEASURED_AT.get(data)? as u32,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 2] {
-        [
-            ("ObjectCount", f64::from(self.object_count)),
-            ("MeasuredAt", f64::from(self.measured_at)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::OBJECT_COUNT, &mut self.object_count)?;
+        walk.field(&Self::MEASURED_AT, &mut self.measured_at)?;
+        Ok(())
     }
 }
 
@@ -1026,7 +489,7 @@ pub struct SensorObject {
     /// Place in the list of this measurement. 0 ..= 31
     pub index: u8,
     /// Kind of object.
-    pub class: Class,
+    pub class: ClassCode,
     /// Centre of the object. -327.68 ..= 327.67 m in steps of 0.01
     pub x: f32,
     /// Centre of the object. -327.68 ..= 327.67 m in steps of 0.01
@@ -1048,146 +511,32 @@ pub struct SensorObject {
 impl SensorObject {
     /// Ids of the frames with this layout, in the order of the DBC.
     pub const IDS: [u16; 6] = [0x201, 0x211, 0x221, 0x231, 0x241, 0x251];
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 16;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 50;
 
-    pub(crate) const INDEX: Signal = Signal {
-        name: "Index",
-        start: 24,
-        len: 5,
-        factor: 1.0,
-        min: 0,
-        max: 31,
-    };
-    pub(crate) const CLASS: Signal = Signal {
-        name: "Class",
-        start: 29,
-        len: 3,
-        factor: 1.0,
-        min: 0,
-        max: 7,
-    };
-    pub(crate) const X: Signal = Signal {
-        name: "X",
-        start: 32,
-        len: 16,
-        factor: 0.01,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const Y: Signal = Signal {
-        name: "Y",
-        start: 48,
-        len: 16,
-        factor: 0.01,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const VX: Signal = Signal {
-        name: "VX",
-        start: 64,
-        len: 16,
-        factor: 0.01,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const VY: Signal = Signal {
-        name: "VY",
-        start: 80,
-        len: 16,
-        factor: 0.01,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const LENGTH: Signal = Signal {
-        name: "Length",
-        start: 96,
-        len: 8,
-        factor: 0.1,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const WIDTH: Signal = Signal {
-        name: "Width",
-        start: 104,
-        len: 8,
-        factor: 0.05,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const X_DEVIATION: Signal = Signal {
-        name: "XDeviation",
-        start: 112,
-        len: 8,
-        factor: 0.02,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const Y_DEVIATION: Signal = Signal {
-        name: "YDeviation",
-        start: 120,
-        len: 8,
-        factor: 0.02,
-        min: 0,
-        max: 255,
-    };
+    pub(crate) const INDEX: Signal = Signal::new("Index", 24, 5, 0..=31);
+    pub(crate) const CLASS: Signal = Signal::new("Class", 29, 3, 0..=7);
+    pub(crate) const X: Signal = Signal::new("X", 32, 16, -32768..=32767).in_steps_of(0.01);
+    pub(crate) const Y: Signal = Signal::new("Y", 48, 16, -32768..=32767).in_steps_of(0.01);
+    pub(crate) const VX: Signal = Signal::new("VX", 64, 16, -32768..=32767).in_steps_of(0.01);
+    pub(crate) const VY: Signal = Signal::new("VY", 80, 16, -32768..=32767).in_steps_of(0.01);
+    pub(crate) const LENGTH: Signal = Signal::new("Length", 96, 8, 0..=255).in_steps_of(0.1);
+    pub(crate) const WIDTH: Signal = Signal::new("Width", 104, 8, 0..=255).in_steps_of(0.05);
+    pub(crate) const X_DEVIATION: Signal =
+        Signal::new("XDeviation", 112, 8, 0..=255).in_steps_of(0.02);
+    pub(crate) const Y_DEVIATION: Signal =
+        Signal::new("YDeviation", 120, 8, 0..=255).in_steps_of(0.02);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::INDEX.put(data, i64::from(self.index));
-        Self::CLASS.put(data, self.class as i64);
-        Self::X.put_physical(data, self.x);
-        Self::Y.put_physical(data, self.y);
-        Self::VX.put_physical(data, self.vx);
-        Self::VY.put_physical(data, self.vy);
-        Self::LENGTH.put_physical(data, self.length);
-        Self::WIDTH.put_physical(data, self.width);
-        Self::X_DEVIATION.put_physical(data, self.x_deviation);
-        Self::Y_DEVIATION.put_physical(data, self.y_deviation);
-    }
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            index: Self::INDEX.get(data)? as u8,
-            class: Class::from_raw(Self::CLASS.get(data)?).ok_or(Self::CLASS.invalid())?,
-            x: Self::X.get_physical(data)?,
-            y: Self::Y.get_physical(data)?,
-            vx: Self::VX.get_physical(data)?,
-            vy: Self::VY.get_physical(data)?,
-            length: Self::LENGTH.get_physical(data)?,
-            width: Self::WIDTH.get_physical(data)?,
-            x_deviation: Self::X_DEVIATION.get_physical(data)?,
-            y_deviation: Self::Y_DEVIATION.get_physical(data)?,
-        })
-    }
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 10] {
-        [
-            ("Index", f64::from(self.index)),
-            ("Class", f64::from(self.class as u8)),
-            ("X", f64::from(self.x)),
-            ("Y", f64::from(self.y)),
-            ("VX", f64::from(self.vx)),
-            ("VY", f64::from(self.vy)),
-            ("Length", f64::from(self.length)),
-            ("Width", f64::from(self.width)),
-            ("XDeviation", f64::from(self.x_deviation)),
-            ("YDeviation", f64::from(self.y_deviation)),
-        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::INDEX, &mut self.index)?;
+        walk.field(&Self::CLASS, &mut self.class)?;
+        walk.field(&Self::X, &mut self.x)?;
+        walk.field(&Self::Y, &mut self.y)?;
+        walk.field(&Self::VX, &mut self.vx)?;
+        walk.field(&Self::VY, &mut self.vy)?;
+        walk.field(&Self::LENGTH, &mut self.length)?;
+        walk.field(&Self::WIDTH, &mut self.width)?;
+        walk.field(&Self::X_DEVIATION, &mut self.x_deviation)?;
+        walk.field(&Self::Y_DEVIATION, &mut self.y_deviation)?;
+        Ok(())
     }
 }
 
@@ -1235,335 +584,172 @@ impl CameraLanes {
     pub const IDS: [u16; 1] = [0x270];
     /// Id of the frame.
     pub const ID: u16 = 0x270;
-    /// Length of the frame, bytes.
-    pub const LEN: usize = 32;
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = 50;
 
-    pub(crate) const VALID: Signal = Signal {
-        name: "Valid",
-        start: 24,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const LEFT_EXISTS: Signal = Signal {
-        name: "LeftExists",
-        start: 25,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const RIGHT_EXISTS: Signal = Signal {
-        name: "RightExists",
-        start: 26,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const ENDS_DOMAIN: Signal = Signal {
-        name: "EndsDomain",
-        start: 27,
-        len: 1,
-        factor: 1.0,
-        min: 0,
-        max: 1,
-    };
-    pub(crate) const C0: Signal = Signal {
-        name: "C0",
-        start: 32,
-        len: 16,
-        factor: 0.001,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const C1: Signal = Signal {
-        name: "C1",
-        start: 48,
-        len: 16,
-        factor: 5e-5,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const C2: Signal = Signal {
-        name: "C2",
-        start: 64,
-        len: 16,
-        factor: 1e-6,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const C3: Signal = Signal {
-        name: "C3",
-        start: 80,
-        len: 16,
-        factor: 1e-8,
-        min: -32768,
-        max: 32767,
-    };
-    pub(crate) const VIEW_RANGE: Signal = Signal {
-        name: "ViewRange",
-        start: 96,
-        len: 8,
-        factor: 1.0,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const WIDTH: Signal = Signal {
-        name: "Width",
-        start: 104,
-        len: 8,
-        factor: 0.02,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const LEFT_WIDTH: Signal = Signal {
-        name: "LeftWidth",
-        start: 112,
-        len: 8,
-        factor: 0.02,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const RIGHT_WIDTH: Signal = Signal {
-        name: "RightWidth",
-        start: 120,
-        len: 8,
-        factor: 0.02,
-        min: 0,
-        max: 255,
-    };
-    pub(crate) const OWN_END: Signal = Signal {
-        name: "OwnEnd",
-        start: 128,
-        len: 16,
-        factor: 0.1,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const LEFT_END: Signal = Signal {
-        name: "LeftEnd",
-        start: 144,
-        len: 16,
-        factor: 0.1,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const RIGHT_END: Signal = Signal {
-        name: "RightEnd",
-        start: 160,
-        len: 16,
-        factor: 0.1,
-        min: 0,
-        max: 65535,
-    };
-    pub(crate) const SPEED_LIMIT: Signal = Signal {
-        name: "SpeedLimit",
-        start: 176,
-        len: 16,
-        factor: 0.01,
-        min: 0,
-        max: 65535,
-    };
+    pub(crate) const VALID: Signal = Signal::new("Valid", 24, 1, 0..=1);
+    pub(crate) const LEFT_EXISTS: Signal = Signal::new("LeftExists", 25, 1, 0..=1);
+    pub(crate) const RIGHT_EXISTS: Signal = Signal::new("RightExists", 26, 1, 0..=1);
+    pub(crate) const ENDS_DOMAIN: Signal = Signal::new("EndsDomain", 27, 1, 0..=1);
+    pub(crate) const C0: Signal = Signal::new("C0", 32, 16, -32768..=32767).in_steps_of(0.001);
+    pub(crate) const C1: Signal = Signal::new("C1", 48, 16, -32768..=32767).in_steps_of(5e-5);
+    pub(crate) const C2: Signal = Signal::new("C2", 64, 16, -32768..=32767).in_steps_of(1e-6);
+    pub(crate) const C3: Signal = Signal::new("C3", 80, 16, -32768..=32767).in_steps_of(1e-8);
+    pub(crate) const VIEW_RANGE: Signal = Signal::new("ViewRange", 96, 8, 0..=255);
+    pub(crate) const WIDTH: Signal = Signal::new("Width", 104, 8, 0..=255).in_steps_of(0.02);
+    pub(crate) const LEFT_WIDTH: Signal =
+        Signal::new("LeftWidth", 112, 8, 0..=255).in_steps_of(0.02);
+    pub(crate) const RIGHT_WIDTH: Signal =
+        Signal::new("RightWidth", 120, 8, 0..=255).in_steps_of(0.02);
+    pub(crate) const OWN_END: Signal = Signal::new("OwnEnd", 128, 16, 0..=65535).in_steps_of(0.1);
+    pub(crate) const LEFT_END: Signal = Signal::new("LeftEnd", 144, 16, 0..=65535).in_steps_of(0.1);
+    pub(crate) const RIGHT_END: Signal =
+        Signal::new("RightEnd", 160, 16, 0..=65535).in_steps_of(0.1);
+    pub(crate) const SPEED_LIMIT: Signal =
+        Signal::new("SpeedLimit", 176, 16, 0..=65535).in_steps_of(0.01);
 
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {
-        *data = [0; Self::LEN];
-        Self::VALID.put(data, i64::from(self.valid));
-        Self::LEFT_EXISTS.put(data, i64::from(self.left_exists));
-        Self::RIGHT_EXISTS.put(data, i64::from(self.right_exists));
-        Self::ENDS_DOMAIN.put(data, i64::from(self.ends_domain));
-        Self::C0.put_physical(data, self.c0);
-        Self::C1.put_physical(data, self.c1);
-        Self::C2.put_physical(data, self.c2);
-        Self::C3.put_physical(data, self.c3);
-        Self::VIEW_RANGE.put(data, i64::from(self.view_range));
-        Self::WIDTH.put_physical(data, self.width);
-        Self::LEFT_WIDTH.put_physical(data, self.left_width);
-        Self::RIGHT_WIDTH.put_physical(data, self.right_width);
-        Self::OWN_END.put_physical(data, self.own_end);
-        Self::LEFT_END.put_physical(data, self.left_end);
-        Self::RIGHT_END.put_physical(data, self.right_end);
-        Self::SPEED_LIMIT.put_physical(data, self.speed_limit);
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        walk.field(&Self::VALID, &mut self.valid)?;
+        walk.field(&Self::LEFT_EXISTS, &mut self.left_exists)?;
+        walk.field(&Self::RIGHT_EXISTS, &mut self.right_exists)?;
+        walk.field(&Self::ENDS_DOMAIN, &mut self.ends_domain)?;
+        walk.field(&Self::C0, &mut self.c0)?;
+        walk.field(&Self::C1, &mut self.c1)?;
+        walk.field(&Self::C2, &mut self.c2)?;
+        walk.field(&Self::C3, &mut self.c3)?;
+        walk.field(&Self::VIEW_RANGE, &mut self.view_range)?;
+        walk.field(&Self::WIDTH, &mut self.width)?;
+        walk.field(&Self::LEFT_WIDTH, &mut self.left_width)?;
+        walk.field(&Self::RIGHT_WIDTH, &mut self.right_width)?;
+        walk.field(&Self::OWN_END, &mut self.own_end)?;
+        walk.field(&Self::LEFT_END, &mut self.left_end)?;
+        walk.field(&Self::RIGHT_END, &mut self.right_end)?;
+        walk.field(&Self::SPEED_LIMIT, &mut self.speed_limit)?;
+        Ok(())
+    }
+}
+
+/// A frame of the vehicle bus with its values. `system` is 0 for A and 1 for B; a greater one
+/// saturates to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Message {
+    /// Vehicle control.
+    Control {
+        /// 0 = A, 1 = B.
+        system: u8,
+        /// The values.
+        control: Control,
+    },
+    /// The mastership term that the vehicle obeys.
+    GateEcho(GateEcho),
+    /// Redundancy state.
+    Status {
+        /// 0 = A, 1 = B.
+        system: u8,
+        /// The values.
+        status: Status,
+    },
+    /// Motion of the own vehicle from its chassis sensors.
+    EgoMotion(EgoMotion),
+    /// What the driver asks for.
+    DriverRequest(DriverRequest),
+    /// Begins the object list of one measurement.
+    SensorHeader(SensorId, SensorHeader),
+    /// One object.
+    SensorObject(SensorId, SensorObject),
+    /// Lanes ahead.
+    CameraLanes(CameraLanes),
+}
+
+impl Message {
+    /// Place of its frame in [`FRAMES`].
+    pub(crate) const fn index(&self) -> usize {
+        match self {
+            Self::Control { system, .. } => [0, 1][(*system != 0) as usize],
+            Self::GateEcho(_) => 2,
+            Self::Status { system, .. } => [3, 4][(*system != 0) as usize],
+            Self::EgoMotion(_) => 5,
+            Self::DriverRequest(_) => 6,
+            Self::SensorHeader(sensor, _) => [7, 9, 11, 13, 15, 17][sensor.index()],
+            Self::SensorObject(sensor, _) => [8, 10, 12, 14, 16, 18][sensor.index()],
+            Self::CameraLanes(_) => 19,
+        }
     }
 
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {
-        if data.len() != Self::LEN {
-            return Err(DecodeError::WrongLength);
-        }
-        Ok(Self {
-            valid: Self::VALID.get(data)? != 0,
-            left_exists: Self::LEFT_EXISTS.get(data)? != 0,
-            right_exists: Self::RIGHT_EXISTS.get(data)? != 0,
-            ends_domain: Self::ENDS_DOMAIN.get(data)? != 0,
-            c0: Self::C0.get_physical(data)?,
-            c1: Self::C1.get_physical(data)?,
-            c2: Self::C2.get_physical(data)?,
-            c3: Self::C3.get_physical(data)?,
-            view_range: Self::VIEW_RANGE.get(data)? as u8,
-            width: Self::WIDTH.get_physical(data)?,
-            left_width: Self::LEFT_WIDTH.get_physical(data)?,
-            right_width: Self::RIGHT_WIDTH.get_physical(data)?,
-            own_end: Self::OWN_END.get_physical(data)?,
-            left_end: Self::LEFT_END.get_physical(data)?,
-            right_end: Self::RIGHT_END.get_physical(data)?,
-            speed_limit: Self::SPEED_LIMIT.get_physical(data)?,
+    /// The message of the frame with this id, with default values.
+    pub(crate) fn blank(id: u16) -> Option<Self> {
+        Some(match id {
+            0x0A0 => Self::Control {
+                system: 0,
+                control: Control::default(),
+            },
+            0x0A1 => Self::Control {
+                system: 1,
+                control: Control::default(),
+            },
+            0x0A8 => Self::GateEcho(GateEcho::default()),
+            0x0B0 => Self::Status {
+                system: 0,
+                status: Status::default(),
+            },
+            0x0B1 => Self::Status {
+                system: 1,
+                status: Status::default(),
+            },
+            0x110 => Self::EgoMotion(EgoMotion::default()),
+            0x120 => Self::DriverRequest(DriverRequest::default()),
+            0x200 => Self::SensorHeader(SensorId::RadarFront, SensorHeader::default()),
+            0x210 => Self::SensorHeader(SensorId::RadarFrontLeft, SensorHeader::default()),
+            0x220 => Self::SensorHeader(SensorId::RadarFrontRight, SensorHeader::default()),
+            0x230 => Self::SensorHeader(SensorId::RadarRearLeft, SensorHeader::default()),
+            0x240 => Self::SensorHeader(SensorId::RadarRearRight, SensorHeader::default()),
+            0x250 => Self::SensorHeader(SensorId::CameraFront, SensorHeader::default()),
+            0x201 => Self::SensorObject(SensorId::RadarFront, SensorObject::default()),
+            0x211 => Self::SensorObject(SensorId::RadarFrontLeft, SensorObject::default()),
+            0x221 => Self::SensorObject(SensorId::RadarFrontRight, SensorObject::default()),
+            0x231 => Self::SensorObject(SensorId::RadarRearLeft, SensorObject::default()),
+            0x241 => Self::SensorObject(SensorId::RadarRearRight, SensorObject::default()),
+            0x251 => Self::SensorObject(SensorId::CameraFront, SensorObject::default()),
+            0x270 => Self::CameraLanes(CameraLanes::default()),
+            _ => return None,
         })
     }
 
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 16] {
-        [
-            ("Valid", f64::from(u8::from(self.valid))),
-            ("LeftExists", f64::from(u8::from(self.left_exists))),
-            ("RightExists", f64::from(u8::from(self.right_exists))),
-            ("EndsDomain", f64::from(u8::from(self.ends_domain))),
-            ("C0", f64::from(self.c0)),
-            ("C1", f64::from(self.c1)),
-            ("C2", f64::from(self.c2)),
-            ("C3", f64::from(self.c3)),
-            ("ViewRange", f64::from(self.view_range)),
-            ("Width", f64::from(self.width)),
-            ("LeftWidth", f64::from(self.left_width)),
-            ("RightWidth", f64::from(self.right_width)),
-            ("OwnEnd", f64::from(self.own_end)),
-            ("LeftEnd", f64::from(self.left_end)),
-            ("RightEnd", f64::from(self.right_end)),
-            ("SpeedLimit", f64::from(self.speed_limit)),
-        ]
+    pub(crate) fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+        match self {
+            Self::Control { system, control } => {
+                walk.implied(&Control::SYSTEM, *system)?;
+                control.walk(walk)
+            }
+            Self::GateEcho(gate_echo) => gate_echo.walk(walk),
+            Self::Status { status, .. } => status.walk(walk),
+            Self::EgoMotion(ego_motion) => ego_motion.walk(walk),
+            Self::DriverRequest(driver_request) => driver_request.walk(walk),
+            Self::SensorHeader(_, sensor_header) => sensor_header.walk(walk),
+            Self::SensorObject(_, sensor_object) => sensor_object.walk(walk),
+            Self::CameraLanes(camera_lanes) => camera_lanes.walk(walk),
+        }
     }
 }
 
 /// Every frame of the vehicle bus, in the order of the DBC, which is by id.
 pub const FRAMES: [FrameInfo; 20] = [
-    FrameInfo {
-        id: 0x0A0,
-        name: "ControlA",
-        len: 16,
-        cycle_ms: 10,
-    },
-    FrameInfo {
-        id: 0x0A1,
-        name: "ControlB",
-        len: 16,
-        cycle_ms: 10,
-    },
-    FrameInfo {
-        id: 0x0A8,
-        name: "GateEcho",
-        len: 16,
-        cycle_ms: 10,
-    },
-    FrameInfo {
-        id: 0x0B0,
-        name: "StatusA",
-        len: 16,
-        cycle_ms: 100,
-    },
-    FrameInfo {
-        id: 0x0B1,
-        name: "StatusB",
-        len: 16,
-        cycle_ms: 100,
-    },
-    FrameInfo {
-        id: 0x110,
-        name: "EgoMotion",
-        len: 16,
-        cycle_ms: 10,
-    },
-    FrameInfo {
-        id: 0x120,
-        name: "DriverRequest",
-        len: 8,
-        cycle_ms: 100,
-    },
-    FrameInfo {
-        id: 0x200,
-        name: "RadarFrontHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x201,
-        name: "RadarFrontObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x210,
-        name: "RadarFrontLeftHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x211,
-        name: "RadarFrontLeftObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x220,
-        name: "RadarFrontRightHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x221,
-        name: "RadarFrontRightObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x230,
-        name: "RadarRearLeftHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x231,
-        name: "RadarRearLeftObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x240,
-        name: "RadarRearRightHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x241,
-        name: "RadarRearRightObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x250,
-        name: "CameraFrontHeader",
-        len: 8,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x251,
-        name: "CameraFrontObject",
-        len: 16,
-        cycle_ms: 50,
-    },
-    FrameInfo {
-        id: 0x270,
-        name: "CameraLanes",
-        len: 32,
-        cycle_ms: 50,
-    },
+    FrameInfo::new(0x0A0, "ControlA", 16, 10),
+    FrameInfo::new(0x0A1, "ControlB", 16, 10),
+    FrameInfo::new(0x0A8, "GateEcho", 16, 10),
+    FrameInfo::new(0x0B0, "StatusA", 16, 100),
+    FrameInfo::new(0x0B1, "StatusB", 16, 100),
+    FrameInfo::new(0x110, "EgoMotion", 16, 10),
+    FrameInfo::new(0x120, "DriverRequest", 8, 100),
+    FrameInfo::new(0x200, "RadarFrontHeader", 8, 50),
+    FrameInfo::new(0x201, "RadarFrontObject", 16, 50),
+    FrameInfo::new(0x210, "RadarFrontLeftHeader", 8, 50),
+    FrameInfo::new(0x211, "RadarFrontLeftObject", 16, 50),
+    FrameInfo::new(0x220, "RadarFrontRightHeader", 8, 50),
+    FrameInfo::new(0x221, "RadarFrontRightObject", 16, 50),
+    FrameInfo::new(0x230, "RadarRearLeftHeader", 8, 50),
+    FrameInfo::new(0x231, "RadarRearLeftObject", 16, 50),
+    FrameInfo::new(0x240, "RadarRearRightHeader", 8, 50),
+    FrameInfo::new(0x241, "RadarRearRightObject", 16, 50),
+    FrameInfo::new(0x250, "CameraFrontHeader", 8, 50),
+    FrameInfo::new(0x251, "CameraFrontObject", 16, 50),
+    FrameInfo::new(0x270, "CameraLanes", 32, 50),
 ];

@@ -3,15 +3,15 @@
 use core::fmt;
 
 use crate::e2e::{Check, Checker};
-use crate::{DecodeError, Encoded, FRAMES, Message};
+use crate::{Encoded, FRAMES, FrameError, Message};
 
 /// Encodes messages with the next counter of their id.
 #[derive(Clone, Debug)]
-pub struct Transmitter {
+pub struct FrameTransmitter {
     next: [u8; FRAMES.len()],
 }
 
-impl Transmitter {
+impl FrameTransmitter {
     /// Every counter starts at 0.
     #[must_use]
     pub const fn new() -> Self {
@@ -23,16 +23,14 @@ impl Transmitter {
     /// The frame to send. Call this once for each frame that is really sent: the receiver counts a
     /// skipped number as a lost frame.
     pub fn encode(&mut self, message: &Message) -> Encoded {
-        let Some(index) = frame_index(message.id()) else {
-            return message.encode(0);
-        };
+        let index = message.index();
         let counter = self.next[index];
         self.next[index] = counter.wrapping_add(1);
         message.encode(counter)
     }
 }
 
-impl Default for Transmitter {
+impl Default for FrameTransmitter {
     fn default() -> Self {
         Self::new()
     }
@@ -44,7 +42,7 @@ pub enum ReceiveError {
     /// The end-to-end protection refuses the frame.
     Protection(Check),
     /// The frame cannot be decoded.
-    Decode(DecodeError),
+    Decode(FrameError),
 }
 
 impl fmt::Display for ReceiveError {
@@ -60,12 +58,12 @@ impl core::error::Error for ReceiveError {}
 
 /// Checks and decodes frames.
 #[derive(Clone, Debug)]
-pub struct Receiver {
+pub struct FrameReceiver {
     checkers: [Checker; FRAMES.len()],
     lost: u32,
 }
 
-impl Receiver {
+impl FrameReceiver {
     /// A receiver that has seen no frame.
     #[must_use]
     pub fn new() -> Self {
@@ -82,10 +80,12 @@ impl Receiver {
     /// bus), and [`ReceiveError::Protection`] for a frame that is damaged, repeated or out of
     /// sequence.
     pub fn receive(&mut self, id: u32, data: &[u8]) -> Result<Message, ReceiveError> {
-        let index = u16::try_from(id).ok().and_then(frame_index);
-        let index = index.ok_or(ReceiveError::Decode(DecodeError::UnknownId))?;
+        let index = FRAMES
+            .iter()
+            .position(|frame| u32::from(frame.id) == id)
+            .ok_or(ReceiveError::Decode(FrameError::UnknownId))?;
         if data.len() != FRAMES[index].len {
-            return Err(ReceiveError::Decode(DecodeError::WrongLength));
+            return Err(ReceiveError::Decode(FrameError::WrongLength));
         }
         let check = self.checkers[index].check(data);
         if !check.is_accepted() {
@@ -105,12 +105,8 @@ impl Receiver {
     }
 }
 
-impl Default for Receiver {
+impl Default for FrameReceiver {
     fn default() -> Self {
         Self::new()
     }
-}
-
-fn frame_index(id: u16) -> Option<usize> {
-    FRAMES.iter().position(|frame| frame.id == id)
 }

@@ -1,33 +1,29 @@
 //! CAN frames of the vehicle: the DBC's signals and their end-to-end protection (no_std).
 //!
-//! `dbc/tandem.dbc` is the single source of every frame; the build script makes the structs of
-//! [`dbc`] from it. [`Message`] is one frame with its values, [`Transmitter`] and [`Receiver`] add
+//! `dbc/tandem.dbc` is the single source of every frame; `cargo xtask dbc` makes enums, structs and
+//! [`Message`], one frame with its values, from it. [`FrameTransmitter`] and [`FrameReceiver`] add
 //! and check the end-to-end protection of [`e2e`], [`candump`] writes logs.
 //!
 //! ```
-//! use tandem_bus::{Control, Message, Receiver, Transmitter};
+//! use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};
 //!
 //! let control = Control { term: 2, steering_angle: 0.01, ..Control::default() };
 //! let message = Message::Control { system: 0, control };
-//! let frame = Transmitter::new().encode(&message);
-//! assert_eq!(Receiver::new().receive(u32::from(frame.id), frame.data()), Ok(message));
+//! let frame = FrameTransmitter::new().encode(&message);
+//! assert_eq!(FrameReceiver::new().receive(u32::from(frame.id), frame.data()), Ok(message));
 //! ```
 #![no_std]
 #![forbid(unsafe_code)]
 
 pub mod candump;
-pub mod dbc;
+mod dbc;
 pub mod e2e;
 mod endpoint;
 mod message;
 mod sensor;
 mod signal;
 
-pub use dbc::{
-    Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,
-    Route, SensorHeader, SensorObject, Status,
-};
-pub use endpoint::{ReceiveError, Receiver, Transmitter};
-pub use message::{Encoded, Message};
-pub use sensor::SensorId;
-pub use signal::{DecodeError, FrameInfo};
+pub use dbc::*;
+pub use endpoint::{FrameReceiver, FrameTransmitter, ReceiveError};
+pub use message::Encoded;
+pub use signal::{FrameError, FrameInfo};

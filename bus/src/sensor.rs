@@ -1,35 +1,8 @@
 //! The sensors on the bus: five radars and one camera. T-CHIP-4
 
-use crate::{SensorHeader, SensorObject};
-
-/// A sensor that sends object lists.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum SensorId {
-    /// Long range radar in front.
-    RadarFront,
-    /// Corner radar.
-    RadarFrontLeft,
-    /// Corner radar.
-    RadarFrontRight,
-    /// Corner radar.
-    RadarRearLeft,
-    /// Corner radar.
-    RadarRearRight,
-    /// Camera behind the windscreen.
-    CameraFront,
-}
+use crate::{SensorHeader, SensorId, SensorObject};
 
 impl SensorId {
-    /// Every sensor, in the order of [`SensorId::index`] and of the DBC.
-    pub const ALL: [Self; 6] = [
-        Self::RadarFront,
-        Self::RadarFrontLeft,
-        Self::RadarFrontRight,
-        Self::RadarRearLeft,
-        Self::RadarRearRight,
-        Self::CameraFront,
-    ];
-
     /// 0 ..= 5
     #[must_use]
     pub const fn index(self) -> usize {
@@ -46,19 +19,6 @@ impl SensorId {
     #[must_use]
     pub const fn object_id(self) -> u16 {
         SensorObject::IDS[self.index()]
-    }
-
-    /// Name of the sensor's node in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::RadarFront => "RadarFront",
-            Self::RadarFrontLeft => "RadarFrontLeft",
-            Self::RadarFrontRight => "RadarFrontRight",
-            Self::RadarRearLeft => "RadarRearLeft",
-            Self::RadarRearRight => "RadarRearRight",
-            Self::CameraFront => "CameraFront",
-        }
     }
 }
 

@@ -1,6 +1,8 @@
-//! One signal of a frame: where its bits are and what they mean.
+//! Where the bits of a signal are, and the one walk over a frame's signals that encodes, decodes or
+//! lists them.
 
 use core::fmt;
+use core::ops::RangeInclusive;
 
 /// The properties of every frame of the DBC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,9 +17,20 @@ pub struct FrameInfo {
     pub cycle_ms: u32,
 }
 
+impl FrameInfo {
+    pub(crate) const fn new(id: u16, name: &'static str, len: usize, cycle_ms: u32) -> Self {
+        Self {
+            id,
+            name,
+            len,
+            cycle_ms,
+        }
+    }
+}
+
 /// Why a frame could not be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DecodeError {
+pub enum FrameError {
     /// The DBC has no frame with this id.
     UnknownId,
     /// The frame is not as long as the DBC says.
@@ -27,7 +40,7 @@ pub enum DecodeError {
     InvalidSignal(&'static str),
 }
 
-impl fmt::Display for DecodeError {
+impl fmt::Display for FrameError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UnknownId => f.write_str("no frame of the vehicle bus has this id"),
@@ -37,28 +50,58 @@ impl fmt::Display for DecodeError {
     }
 }
 
-impl core::error::Error for DecodeError {}
+impl core::error::Error for FrameError {}
+
+/// Bytes of the longest frame of CAN FD.
+pub(crate) const MAX_LEN: usize = 64;
 
 /// A little endian (Intel) signal of up to 32 bits without offset; signed if `min` is negative.
+#[derive(Debug)]
 pub(crate) struct Signal {
-    pub(crate) name: &'static str,
+    name: &'static str,
     /// Position of the lowest bit; bit 0 is the lowest of byte 0.
-    pub(crate) start: usize,
+    start: usize,
     /// Bits, 1 ..= 32.
-    pub(crate) len: u32,
-    /// Physical value of one step.
-    pub(crate) factor: f32,
+    len: u32,
     /// Least raw value.
-    pub(crate) min: i64,
+    min: i64,
     /// Greatest raw value.
-    pub(crate) max: i64,
+    max: i64,
+    /// Physical value of one step.
+    factor: f32,
 }
 
 impl Signal {
-    /// The raw value. `data` must hold the signal's bits.
-    // With a signal that is known it is a few instructions.
+    /// A signal whose raw value is its physical one.
+    pub(crate) const fn new(
+        name: &'static str,
+        start: usize,
+        len: u32,
+        range: RangeInclusive<i64>,
+    ) -> Self {
+        Self {
+            name,
+            start,
+            len,
+            min: *range.start(),
+            max: *range.end(),
+            factor: 1.0,
+        }
+    }
+
+    /// The same signal with steps of this size.
+    pub(crate) const fn in_steps_of(self, factor: f32) -> Self {
+        Self { factor, ..self }
+    }
+
+    /// Greatest physical value.
+    pub(crate) const fn greatest(&self) -> f32 {
+        self.max as f32 * self.factor
+    }
+
+    // With a constant signal this is a few instructions.
     #[inline(always)]
-    pub(crate) fn get(&self, data: &[u8]) -> Result<i64, DecodeError> {
+    fn get(&self, data: &[u8; MAX_LEN]) -> Result<i64, FrameError> {
         let mut window = 0;
         for (i, byte) in data[self.bytes()].iter().enumerate() {
             window |= u64::from(*byte) << (8 * i);
@@ -77,14 +120,9 @@ impl Signal {
         }
     }
 
-    /// The physical value.
-    #[inline]
-    pub(crate) fn get_physical(&self, data: &[u8]) -> Result<f32, DecodeError> {
-        Ok(self.get(data)? as f32 * self.factor)
-    }
-
     /// Writes the raw value, saturated to the signal's range. The bits must be zero before.
-    pub(crate) fn put(&self, data: &mut [u8], raw: i64) {
+    #[inline(always)]
+    fn put(&self, data: &mut [u8; MAX_LEN], raw: i64) {
         let unsigned = raw.clamp(self.min, self.max) as u64 & self.mask();
         let window = unsigned << (self.start % 8);
         for (i, byte) in data[self.bytes()].iter_mut().enumerate() {
@@ -92,27 +130,151 @@ impl Signal {
         }
     }
 
-    /// Puts the physical value rounded to the nearest step; NaN as 0.
-    pub(crate) fn put_physical(&self, data: &mut [u8], value: f32) {
-        self.put(data, round(value / self.factor));
+    const fn invalid(&self) -> FrameError {
+        FrameError::InvalidSignal(self.name)
     }
 
-    /// The error that names this signal.
-    pub(crate) const fn invalid(&self) -> DecodeError {
-        DecodeError::InvalidSignal(self.name)
-    }
-
-    /// Greatest physical value.
-    pub(crate) const fn greatest(&self) -> f32 {
-        self.max as f32 * self.factor
-    }
-
-    fn bytes(&self) -> core::ops::RangeInclusive<usize> {
+    fn bytes(&self) -> RangeInclusive<usize> {
         self.start / 8..=(self.start + self.len as usize - 1) / 8
     }
 
     const fn mask(&self) -> u64 {
         (1 << self.len) - 1
+    }
+}
+
+/// A type of Rust that a signal carries.
+pub(crate) trait Field: Copy {
+    /// The raw value; it may be out of the signal's range.
+    fn to_raw(self, signal: &Signal) -> i64;
+
+    /// The value; `None` if the value table does not have it. `raw` is in the signal's range.
+    fn from_raw(signal: &Signal, raw: i64) -> Option<Self>;
+
+    /// The physical value.
+    fn physical(self) -> f64;
+}
+
+macro_rules! field_of_integer {
+    ($($integer:ty)*) => {$(
+        impl Field for $integer {
+            fn to_raw(self, _: &Signal) -> i64 {
+                i64::from(self)
+            }
+
+            fn from_raw(_: &Signal, raw: i64) -> Option<Self> {
+                // The signal is not wider than its type.
+                Some(raw as Self)
+            }
+
+            fn physical(self) -> f64 {
+                f64::from(self)
+            }
+        }
+    )*};
+}
+
+field_of_integer!(u8 u16 u32);
+
+impl Field for bool {
+    fn to_raw(self, _: &Signal) -> i64 {
+        i64::from(self)
+    }
+
+    fn from_raw(_: &Signal, raw: i64) -> Option<Self> {
+        Some(raw != 0)
+    }
+
+    fn physical(self) -> f64 {
+        f64::from(u8::from(self))
+    }
+}
+
+/// Rounded to the nearest step; NaN as 0.
+impl Field for f32 {
+    fn to_raw(self, signal: &Signal) -> i64 {
+        round(self / signal.factor)
+    }
+
+    fn from_raw(signal: &Signal, raw: i64) -> Option<Self> {
+        Some(raw as Self * signal.factor)
+    }
+
+    fn physical(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+/// An enum made from a value table.
+pub(crate) trait ValueTable: Copy + 'static {
+    /// Every value.
+    const VALUES: &'static [Self];
+
+    fn raw(self) -> u8;
+}
+
+impl<T: ValueTable> Field for T {
+    fn to_raw(self, _: &Signal) -> i64 {
+        i64::from(self.raw())
+    }
+
+    fn from_raw(_: &Signal, raw: i64) -> Option<Self> {
+        let mut values = T::VALUES.iter().copied();
+        values.find(|value| i64::from(value.raw()) == raw)
+    }
+
+    fn physical(self) -> f64 {
+        f64::from(self.raw())
+    }
+}
+
+/// What is done with each signal of a frame in turn.
+pub(crate) trait Walk {
+    /// A signal that is a field of the message.
+    fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError>;
+
+    /// A signal whose value follows from the frame's id.
+    fn implied(&mut self, signal: &Signal, raw: u8) -> Result<(), FrameError> {
+        let mut value = raw;
+        self.field(signal, &mut value)?;
+        if value == raw {
+            Ok(())
+        } else {
+            Err(signal.invalid())
+        }
+    }
+}
+
+/// Writes all signals into zeroed bytes. Never fails.
+pub(crate) struct Encode<'a>(pub(crate) &'a mut [u8; MAX_LEN]);
+
+impl Walk for Encode<'_> {
+    #[inline(always)]
+    fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError> {
+        signal.put(self.0, value.to_raw(signal));
+        Ok(())
+    }
+}
+
+/// Reads all signals.
+pub(crate) struct Decode<'a>(pub(crate) &'a [u8; MAX_LEN]);
+
+impl Walk for Decode<'_> {
+    #[inline(always)]
+    fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError> {
+        let raw = signal.get(self.0)?;
+        *value = F::from_raw(signal, raw).ok_or(signal.invalid())?;
+        Ok(())
+    }
+}
+
+/// Calls this with the name and the physical value of each signal. Never fails.
+pub(crate) struct List<C>(pub(crate) C);
+
+impl<C: FnMut(&'static str, f64)> Walk for List<C> {
+    fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError> {
+        (self.0)(signal.name, value.physical());
+        Ok(())
     }
 }
 
@@ -126,5 +288,47 @@ fn round(value: f32) -> i64 {
         whole.saturating_sub(1)
     } else {
         whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Signals of any place, length, range and step.
+    fn signal() -> impl Strategy<Value = Signal> {
+        let place = (24_usize..200, 1_u32..=32, any::<bool>());
+        (place, any::<(u32, u32)>(), 1e-8_f32..10.0).prop_map(
+            |((start, len, is_signed), (one, other), factor)| {
+                let lowest = if is_signed { -(1_i64 << (len - 1)) } else { 0 };
+                let within = |seed: u32| lowest + i64::from(seed) % (1 << len);
+                let (one, other) = (within(one), within(other));
+                let min = one.min(other).min(if is_signed { -1 } else { 0 });
+                Signal::new("Any", start, len, min..=one.max(other)).in_steps_of(factor)
+            },
+        )
+    }
+
+    proptest! {
+        /// Whatever value is written, the nearest one that the signal can hold is read; no other
+        /// bit of the frame changes.
+        #[test]
+        fn values_saturate_and_round(signal in signal(), value: f32, raw: i64) {
+            let mut data = [0; MAX_LEN];
+            signal.put(&mut data, raw);
+            prop_assert_eq!(signal.get(&data), Ok(raw.clamp(signal.min, signal.max)));
+            let ones: u32 = data.iter().map(|byte| byte.count_ones()).sum();
+            let own = (signal.get(&data).unwrap() as u64 & signal.mask()).count_ones();
+            prop_assert_eq!(ones, own);
+
+            let mut data = [0; MAX_LEN];
+            signal.put(&mut data, value.to_raw(&signal));
+            let steps = if value.is_nan() { 0.0 } else { f64::from(value / signal.factor) };
+            let nearest = steps.clamp(signal.min as f64, signal.max as f64);
+            let read = signal.get(&data).unwrap() as f64;
+            prop_assert!((read - nearest).abs() <= 0.5, "{value}: {read} for {nearest}");
+        }
     }
 }

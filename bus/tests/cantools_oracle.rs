@@ -11,8 +11,8 @@ use std::thread;
 
 use proptest::strategy::{Strategy as _, ValueTree as _};
 use proptest::test_runner::TestRunner;
-use tandem_bus::candump::{Id, Record};
-use tandem_bus::{Encoded, FRAMES, Message, Transmitter};
+use tandem_bus::candump::{Id, LoggedFrame};
+use tandem_bus::{Encoded, FRAMES, FrameTransmitter, Message};
 
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cantools_oracle.py");
@@ -63,7 +63,7 @@ fn python(arguments: &[&str], input: String) -> String {
 /// Messages with random values, protected with running counters; the same ones in each run.
 fn random_frames(count: usize) -> Vec<(Message, Encoded)> {
     let mut runner = TestRunner::deterministic();
-    let mut transmitter = Transmitter::new();
+    let mut transmitter = FrameTransmitter::new();
     let strategy = frames::message();
     (0..count)
         .map(|_| {
@@ -163,7 +163,7 @@ fn cantools_reads_our_logs() {
     let frames = random_frames(500);
     let mut log = String::new();
     for (i, (_, frame)) in frames.iter().enumerate() {
-        let record = Record {
+        let record = LoggedFrame {
             at_us: 1_436_509_052_249_713 + 10_007 * i as u64,
             interface: "vcan0",
             id: Id::Standard(frame.id),

@@ -1,7 +1,8 @@
-//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: structs for frame layouts, enums
-//! for value tables. `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
+//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: an enum for each value table, a
+//! struct for each frame layout, the enum of all messages and the table of all frames.
+//! `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
 //!
-//! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
+//! Frames with the same layout share a struct (see [`Layout`]). What the generated code calls
 //! stands in `src/signal.rs`. The generator fails at anything in the DBC that it does not know.
 
 use std::collections::BTreeMap;
@@ -13,12 +14,14 @@ use std::process::{Command, Stdio};
 use std::{env, fs};
 
 use can_dbc::{
-    AttributeValue, ByteOrder, Dbc, Message, MessageId, MultiplexIndicator, NumericValue, Signal,
-    ValDescription, ValueType,
+    AttributeValue, ByteOrder, Comment, Dbc, Message, MessageId, MultiplexIndicator, NumericValue,
+    Signal, ValDescription, ValueType,
 };
 
-/// Signals that the message layer fills and checks; they are no fields of the structs.
-const FRAMING: [&str; 3] = ["Crc", "Counter", "System"];
+/// Signals of the end-to-end protection: `src/e2e.rs` fills and checks them.
+const PROTECTION: [&str; 2] = ["Crc", "Counter"];
+/// The signal that repeats which system sends: it follows from the frame's id.
+const SYSTEM: &str = "System";
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -40,6 +43,41 @@ fn the_code_is_not_stale() -> Result<()> {
     Ok(())
 }
 
+/// A new message needs only its lines in the DBC: the generated code then has its struct, its value
+/// table, its variant in [`Message`](tandem_bus::Message) with encoding and decoding, and its row
+/// in the table of frames, which gives it its counters and its data id.
+#[test]
+fn one_more_message_needs_only_the_dbc() -> Result<()> {
+    let room = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = fs::read_to_string(room.join("dbc/tandem.dbc"))?;
+    let message = "BO_ 800 Weather: 8 Vehicle\n \
+        SG_ Crc : 0|16@1+ (1,0) [0|65535] \"\" SystemA\n \
+        SG_ Counter : 16|8@1+ (1,0) [0|255] \"\" SystemA\n \
+        SG_ Rain : 24|2@1+ (1,0) [0|3] \"\" SystemA\n \
+        SG_ OutsideTemperature : 32|16@1- (0.01,0) [-327.68|327.67] \"degC\" SystemA\n\n\
+        CM_ BO_ 800 \"The weather\";\nCM_ \"The vehicle bus";
+    let text = text.replacen("CM_ \"The vehicle bus", message, 1)
+        + "BA_ \"GenMsgCycleTime\" BO_ 800 1000;\nVAL_ 800 Rain 0 \"Dry\" 1 \"Wet\" ;\n";
+    let code = formatted(&generated(&text)?)?;
+    let frames = tandem_bus::FRAMES.len();
+    for line in [
+        "pub enum RainCode {",
+        "pub struct Weather {",
+        "    pub rain: RainCode,",
+        "    pub outside_temperature: f32,",
+        "        walk.field(&Self::RAIN, &mut self.rain)?;",
+        "    /// The weather.\n    Weather(Weather),",
+        &format!("            Self::Weather(_) => {frames},"),
+        "            0x320 => Self::Weather(Weather::default()),",
+        "            Self::Weather(weather) => weather.walk(walk),",
+        &format!("pub const FRAMES: [FrameInfo; {}] = [", frames + 1),
+        "    FrameInfo::new(0x320, \"Weather\", 8, 1000),",
+    ] {
+        assert!(code.contains(&format!("{line}\n")), "no {line:?}");
+    }
+    Ok(())
+}
+
 /// As `cargo fmt` would have it.
 fn formatted(code: &str) -> Result<String> {
     let mut rustfmt = Command::new("rustfmt")
@@ -55,47 +93,130 @@ fn formatted(code: &str) -> Result<String> {
 }
 
 fn generated(text: &str) -> Result<String> {
-    let dbc = Dbc::try_from(text).map_err(|e| format!("tandem.dbc: {e}"))?;
-
-    // Structs appear in the order in which their first message stands in the DBC.
-    let mut layouts: Vec<(String, Vec<&Message>)> = Vec::new();
+    let dbc = Dbc::try_from(text).map_err(|e| format!("the DBC: {e}"))?;
     for message in &dbc.messages {
         check_protection(message)?;
-        let name = layout_name(message);
-        match layouts.iter_mut().find(|(n, _)| *n == name) {
-            Some((_, messages)) => {
-                check_same_layout(messages[0], message)?;
-                messages.push(message);
-            }
-            None => layouts.push((name, vec![message])),
-        }
     }
+    let sensors = sensors(&dbc);
+    let layouts = layouts(&dbc, &sensors)?;
 
-    let mut out = "//! The structs, enums and ids of `dbc/tandem.dbc`. Made by `cargo xtask dbc`: not \
-                   to be edited.\n\nuse crate::DecodeError;\nuse crate::signal::{FrameInfo, Signal};\n\n"
-        .to_owned();
-    write_enums(&dbc, &mut out)?;
-    for (name, messages) in &layouts {
-        write_layout(&dbc, name, messages, &mut out)?;
+    let mut out =
+        "//! Enums, structs, messages and frames of `dbc/tandem.dbc`. Made by `cargo xtask \
+                   dbc`: not to be edited.\n\nuse crate::signal::{FrameError, FrameInfo, Signal, \
+                   ValueTable, Walk};\n\n"
+            .to_owned();
+    write_sensors(&dbc, &sensors, &mut out)?;
+    write_value_tables(&dbc, &mut out)?;
+    for layout in &layouts {
+        write_layout(&dbc, layout, &mut out)?;
     }
+    write_messages(&dbc, &layouts, &sensors, &mut out)?;
     write_frames(&dbc, &mut out)?;
     Ok(out)
 }
 
-/// The struct that codes a message: `ControlA` of `SystemA` → `Control`, `CameraFrontHeader` of
-/// `CameraFront` → `SensorHeader`, any other by its own name.
-fn layout_name(message: &Message) -> String {
-    let sender = message.transmitter.as_deref().unwrap_or_default();
-    if let Some(rest) = message.name.strip_prefix(sender) {
-        return format!("Sensor{rest}");
+/// Who sends the frames of a layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Senders {
+    /// One node sends one frame.
+    One,
+    /// Both systems, each under an id of its own.
+    Systems,
+    /// Every sensor, each under an id of its own.
+    Sensors,
+}
+
+/// The frames that share a struct: `ControlA` of `SystemA` and `ControlB` of `SystemB` are
+/// `Control`, the `<Sensor>Header` of all sensors are `SensorHeader`, and any other frame is alone.
+struct Layout<'a> {
+    name: String,
+    senders: Senders,
+    messages: Vec<&'a Message>,
+}
+
+impl Layout<'_> {
+    fn has_system(&self) -> bool {
+        let signals = &self.messages[0].signals;
+        signals.iter().any(|signal| signal.name == SYSTEM)
     }
-    match sender
-        .strip_prefix("System")
-        .and_then(|letter| message.name.strip_suffix(letter))
-    {
-        Some(base) => base.to_owned(),
-        None => message.name.clone(),
+
+    /// The pattern of a message of this layout, with these names for its parts.
+    fn pattern(&self, sender: &str, values: &str) -> String {
+        let name = &self.name;
+        let field = snake(name);
+        let part = |name: &str, value: &str| match value {
+            "_" => String::new(),
+            _ if name == value => format!("{name}, "),
+            _ => format!("{name}: {value}, "),
+        };
+        match self.senders {
+            Senders::One => format!("{name}({values})"),
+            Senders::Sensors => format!("{name}({sender}, {values})"),
+            Senders::Systems => {
+                let (system, values) = (part("system", sender), part(&field, values));
+                let rest = if system.is_empty() || values.is_empty() {
+                    ".."
+                } else {
+                    ""
+                };
+                format!("{name} {{ {system}{values}{rest} }}")
+            }
+        }
     }
+}
+
+fn node(message: &Message) -> &str {
+    message.transmitter.as_deref().unwrap_or_default()
+}
+
+/// The nodes that send object lists, in the order of the DBC.
+fn sensors(dbc: &Dbc) -> Vec<&str> {
+    let begins_list = |message: &&Message| message.name == format!("{}Header", node(message));
+    dbc.messages.iter().filter(begins_list).map(node).collect()
+}
+
+/// The layouts in the order in which their first frame stands in the DBC.
+fn layouts<'a>(dbc: &'a Dbc, sensors: &[&str]) -> Result<Vec<Layout<'a>>> {
+    let mut layouts: Vec<Layout<'a>> = Vec::new();
+    for message in &dbc.messages {
+        let of_system = node(message)
+            .strip_prefix("System")
+            .and_then(|letter| message.name.strip_suffix(letter));
+        let of_sensor = message.name.strip_prefix(node(message)).filter(|rest| {
+            let sends = |sensor: &&str| {
+                let name = format!("{sensor}{rest}");
+                dbc.messages.iter().any(|message| message.name == name)
+            };
+            !sensors.is_empty() && sensors.iter().all(sends)
+        });
+        let (name, senders) = match (of_system, of_sensor) {
+            (Some(base), _) => (base.to_owned(), Senders::Systems),
+            (None, Some(rest)) => (format!("Sensor{rest}"), Senders::Sensors),
+            (None, None) => (message.name.clone(), Senders::One),
+        };
+        match layouts.iter_mut().find(|layout| layout.name == name) {
+            Some(layout) => {
+                check_same_layout(layout.messages[0], message)?;
+                layout.messages.push(message);
+            }
+            None => layouts.push(Layout {
+                name,
+                senders,
+                messages: vec![message],
+            }),
+        }
+    }
+    for layout in &layouts {
+        let expected = match layout.senders {
+            Senders::One => 1,
+            Senders::Systems => 2,
+            Senders::Sensors => sensors.len(),
+        };
+        if layout.messages.len() != expected {
+            return Err(format!("{}: not one frame for each sender", layout.name).into());
+        }
+    }
+    Ok(layouts)
 }
 
 /// Checks that the signals of the end-to-end protection are where `src/e2e.rs` expects them.
@@ -127,8 +248,51 @@ fn check_same_layout(first: &Message, other: &Message) -> Result<()> {
     Ok(())
 }
 
-/// One enum per signal name with a value table; tables of the same name must be the same.
-fn write_enums(dbc: &Dbc, out: &mut String) -> Result<()> {
+fn write_sensors(dbc: &Dbc, sensors: &[&str], out: &mut String) -> Result<()> {
+    let mut variants = String::new();
+    for sensor in sensors {
+        let comment = dbc.comments.iter().find_map(|comment| match comment {
+            Comment::Node { name, comment } if name == sensor => Some(comment.as_str()),
+            _ => None,
+        });
+        let comment = comment.unwrap_or("Sensor");
+        writeln!(variants, "    /// {comment}.\n    {sensor},")?;
+    }
+    let names: String = sensors
+        .iter()
+        .map(|sensor| format!("            Self::{sensor} => \"{sensor}\",\n"))
+        .collect();
+    write!(
+        out,
+        r"/// A sensor that sends object lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SensorId {{
+{variants}}}
+
+impl SensorId {{
+    /// Every sensor, in the order of the DBC.
+    pub const ALL: [Self; {count}] = [{all}];
+
+    /// Name of the sensor's node in the DBC.
+    #[must_use]
+    pub const fn name(self) -> &'static str {{
+        match self {{
+{names}        }}
+    }}
+}}
+
+",
+        count = sensors.len(),
+        all = sensors
+            .iter()
+            .map(|sensor| format!("Self::{sensor}, "))
+            .collect::<String>(),
+    )?;
+    Ok(())
+}
+
+/// One enum for each signal name with a value table; tables of the same name must be the same.
+fn write_value_tables(dbc: &Dbc, out: &mut String) -> Result<()> {
     let mut tables: BTreeMap<&str, &[ValDescription]> = BTreeMap::new();
     for message in &dbc.messages {
         for signal in &message.signals {
@@ -141,45 +305,36 @@ fn write_enums(dbc: &Dbc, out: &mut String) -> Result<()> {
             }
         }
     }
-    for (name, table) in tables {
-        let lines = |line: &dyn Fn(&ValDescription) -> String| -> String {
-            table.iter().map(|value| line(value) + "\n").collect()
-        };
-        let first = table.first().map(|value| value.id);
-        let variants = lines(&|ValDescription { id, description }| {
-            let default = if Some(*id) == first {
-                "#[default] "
-            } else {
-                ""
-            };
-            format!("    /// Coded as {id}.\n    {default}{description} = {id},")
-        });
-        let all = lines(&|value| format!("        Self::{},", value.description));
-        let names = lines(&|ValDescription { description, .. }| {
-            format!("            Self::{description} => \"{description}\",")
-        });
+    for (signal, table) in tables {
+        let name = code_name(signal);
+        let mut variants = String::new();
+        let mut all = String::new();
+        for (index, ValDescription { id, description }) in table.iter().enumerate() {
+            let default = if index == 0 { "#[default] " } else { "" };
+            writeln!(
+                variants,
+                "    /// Coded as {id}.\n    {default}{description} = {id},"
+            )?;
+            write!(all, "Self::{description}, ")?;
+        }
         let count = table.len();
         write!(
             out,
-            r"/// Values of the signal `{name}`.
+            r"/// Values of the signal `{signal}`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum {name} {{
 {variants}}}
 
 impl {name} {{
     /// Every value, in the order of the DBC.
-    pub const ALL: [Self; {count}] = [
-{all}    ];
+    pub const ALL: [Self; {count}] = [{all}];
+}}
 
-    /// The value's name in the DBC.
-    #[must_use]
-    pub const fn name(self) -> &'static str {{
-        match self {{
-{names}        }}
-    }}
+impl ValueTable for {name} {{
+    const VALUES: &'static [Self] = &Self::ALL;
 
-    fn from_raw(raw: i64) -> Option<Self> {{
-        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    fn raw(self) -> u8 {{
+        self as u8
     }}
 }}
 
@@ -189,22 +344,24 @@ impl {name} {{
     Ok(())
 }
 
-fn write_layout(dbc: &Dbc, name: &str, messages: &[&Message], out: &mut String) -> Result<()> {
+/// The enum of a signal with a value table.
+fn code_name(signal: &str) -> String {
+    format!("{signal}Code")
+}
+
+fn write_layout(dbc: &Dbc, layout: &Layout<'_>, out: &mut String) -> Result<()> {
+    let Layout { name, messages, .. } = layout;
     let message = messages[0];
-    let fields: Vec<Field<'_>> = message
+    let fields: Vec<Field> = message
         .signals
         .iter()
-        .filter(|signal| !FRAMING.contains(&signal.name.as_str()))
+        .filter(|signal| !PROTECTION.contains(&&*signal.name) && signal.name != SYSTEM)
         .map(|signal| Field::of(dbc, message, signal))
         .collect::<Result<_>>()?;
-
-    let lines = |line: &dyn Fn(&Field<'_>) -> String| -> String {
+    let lines = |line: &dyn Fn(&Field) -> String| -> String {
         fields.iter().map(|field| line(field) + "\n").collect()
     };
-    let comment = dbc.message_comment(message.id).map(|comment| {
-        let comment = comment.replace(" of system A", "");
-        format!("/// {}.\n///\n", comment.trim_end_matches('.'))
-    });
+    let comment = comment(dbc, message).map(|comment| format!("/// {comment}.\n///\n"));
     let names: Vec<String> = messages.iter().map(|m| format!("`{}`", m.name)).collect();
     let ids: Vec<String> = messages
         .iter()
@@ -224,36 +381,10 @@ pub struct {name} {{
 impl {name} {{
     /// Ids of the frames with this layout, in the order of the DBC.
     pub const IDS: [u16; {count}] = [{ids}];
-{only_id}    /// Length of the frame, bytes.
-    pub const LEN: usize = {len};
-    /// Period of the frame, ms.
-    pub const CYCLE_MS: u32 = {cycle};
-
+{only_id}
 {signals}
-    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
-    /// range saturate, fractions round to nearest, NaN becomes 0.
-    pub fn encode(&self, data: &mut [u8; Self::LEN]) {{
-        *data = [0; Self::LEN];
-{puts}    }}
-
-    /// Reads the signals. The end-to-end protection is not checked.
-    ///
-    /// # Errors
-    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
-    /// that is out of the signal's range or not in its value table.
-    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {{
-        if data.len() != Self::LEN {{
-            return Err(DecodeError::WrongLength);
-        }}
-        Ok(Self {{
-{gets}        }})
-    }}
-
-    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
-    #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); {fields}] {{
-        [
-{values}        ]
+    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {{
+{steps}        Ok(())
     }}
 }}
 
@@ -262,17 +393,120 @@ impl {name} {{
         names = names.join(", "),
         members = lines(&|field| {
             let (doc, name) = (&field.doc, &field.name);
-            format!("    /// {doc}\n    pub {name}: {},", field.kind.rust())
+            format!("    /// {doc}\n    pub {name}: {},", field.rust)
         }),
         count = ids.len(),
         ids = ids.join(", "),
-        len = message.size,
-        cycle = cycle_ms(dbc, message.id)?,
         signals = signal_consts(message)?,
-        puts = lines(&|field| format!("        Self::{};", field.put())),
-        gets = lines(&|field| format!("            {}: {},", field.name, field.get())),
-        fields = fields.len(),
-        values = lines(&|field| format!("            {},", field.value())),
+        steps = lines(&|Field { signal, name, .. }| {
+            format!("        walk.field(&Self::{signal}, &mut self.{name})?;")
+        }),
+    )?;
+    Ok(())
+}
+
+/// The comment of a message, for all frames with its layout.
+fn comment(dbc: &Dbc, message: &Message) -> Option<String> {
+    let comment = dbc.message_comment(message.id)?;
+    let comment = comment.replace(" of system A", "");
+    Some(comment.trim_end_matches('.').to_owned())
+}
+
+/// The enum of all messages.
+fn write_messages(
+    dbc: &Dbc,
+    layouts: &[Layout<'_>],
+    sensors: &[&str],
+    out: &mut String,
+) -> Result<()> {
+    let place = |message: &Message| dbc.messages.iter().position(|one| one.id == message.id);
+    let (mut variants, mut indices) = (String::new(), String::new());
+    let (mut blanks, mut walks) = (String::new(), String::new());
+    for layout in layouts {
+        let Layout { name, messages, .. } = layout;
+        let comment = comment(dbc, messages[0]).unwrap_or_default();
+        let comment = comment.split(['.', ';', ':']).next().unwrap_or_default();
+        let variant = match layout.senders {
+            Senders::One => format!("{name}({name})"),
+            Senders::Sensors => format!("{name}(SensorId, {name})"),
+            Senders::Systems => format!(
+                "{name} {{ /// 0 = A, 1 = B.\n system: u8, /// The values.\n {}: {name} }}",
+                snake(name)
+            ),
+        };
+        writeln!(variants, "    /// {comment}.\n    {variant},")?;
+
+        let places: Vec<String> = messages
+            .iter()
+            .map(|message| Ok(place(message).ok_or("a place")?.to_string()))
+            .collect::<Result<_>>()?;
+        let (sender, index) = match layout.senders {
+            Senders::One => ("_", places[0].clone()),
+            Senders::Sensors => ("sensor", format!("[{}][sensor.index()]", places.join(", "))),
+            Senders::Systems => (
+                "system",
+                format!("[{}][(*system != 0) as usize]", places.join(", ")),
+            ),
+        };
+        writeln!(
+            indices,
+            "            Self::{} => {index},",
+            layout.pattern(sender, "_")
+        )?;
+
+        for (number, message) in messages.iter().enumerate() {
+            let sender = match layout.senders {
+                Senders::One => String::new(),
+                Senders::Sensors => format!("SensorId::{}", sensors[number]),
+                Senders::Systems => number.to_string(),
+            };
+            let blank = layout.pattern(&sender, &format!("{name}::default()"));
+            writeln!(
+                blanks,
+                "            {} => Self::{blank},",
+                standard_id(message)?
+            )?;
+        }
+
+        let sender = if layout.has_system() { "system" } else { "_" };
+        let pattern = layout.pattern(sender, &snake(name));
+        let walk = format!("{}.walk(walk)", snake(name));
+        let walk = if layout.has_system() {
+            format!("{{ walk.implied(&{name}::SYSTEM, *system)?; {walk} }}")
+        } else {
+            walk
+        };
+        writeln!(walks, "            Self::{pattern} => {walk},")?;
+    }
+    write!(
+        out,
+        r"/// A frame of the vehicle bus with its values. `system` is 0 for A and 1 for B; a greater one
+/// saturates to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Message {{
+{variants}}}
+
+impl Message {{
+    /// Place of its frame in [`FRAMES`].
+    pub(crate) const fn index(&self) -> usize {{
+        match self {{
+{indices}        }}
+    }}
+
+    /// The message of the frame with this id, with default values.
+    pub(crate) fn blank(id: u16) -> Option<Self> {{
+        Some(match id {{
+{blanks}            _ => return None,
+        }})
+    }}
+
+    pub(crate) fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {{
+        match self {{
+{walks}        }}
+    }}
+}}
+
+"
     )?;
     Ok(())
 }
@@ -289,126 +523,70 @@ fn write_frames(dbc: &Dbc, out: &mut String) -> Result<()> {
         let (id, cycle) = (standard_id(message)?, cycle_ms(dbc, message.id)?);
         writeln!(
             out,
-            "    FrameInfo {{ id: {id}, name: \"{name}\", len: {size}, cycle_ms: {cycle} }},"
+            "    FrameInfo::new({id}, \"{name}\", {size}, {cycle}),"
         )?;
     }
     writeln!(out, "];")?;
     Ok(())
 }
 
-/// How a signal appears in Rust.
-enum Kind<'a> {
-    /// One bit.
-    Flag,
-    /// Unsigned with factor 1: the Rust type.
-    Integer(&'static str),
-    /// With a value table: the enum.
-    Table(&'a str),
-    /// Scaled: a physical value as `f32`.
-    Physical,
-}
-
-impl Kind<'_> {
-    fn rust(&self) -> &str {
-        match self {
-            Self::Flag => "bool",
-            Self::Integer(name) => name,
-            Self::Table(name) => name,
-            Self::Physical => "f32",
-        }
-    }
-}
-
 /// A signal as a field of its struct.
-struct Field<'a> {
+struct Field {
     name: String,
     doc: String,
-    kind: Kind<'a>,
-    signal: &'a Signal,
+    /// Its type.
+    rust: String,
+    /// Its constant.
+    signal: String,
 }
 
-impl<'a> Field<'a> {
-    fn of(dbc: &Dbc, message: &Message, signal: &'a Signal) -> Result<Self> {
-        let kind = if dbc
-            .value_descriptions_for_signal(message.id, &signal.name)
-            .is_some()
-        {
-            Kind::Table(&signal.name)
-        } else if signal.factor != 1.0 || signal.value_type == ValueType::Signed {
-            if signal.size > 24 {
-                return Err(format!("{}: an f32 has only 24 bits", signal.name).into());
-            }
-            Kind::Physical
-        } else {
-            match signal.size {
-                1 => Kind::Flag,
-                2..=8 => Kind::Integer("u8"),
-                9..=16 => Kind::Integer("u16"),
-                _ => Kind::Integer("u32"),
-            }
-        };
-        let comment = dbc.signal_comment(message.id, &signal.name);
-        let mut doc = comment.map_or(format!("Signal `{}`", signal.name), str::to_owned) + ".";
+impl Field {
+    fn of(dbc: &Dbc, message: &Message, signal: &Signal) -> Result<Self> {
         let Signal {
+            name,
             min,
             max,
             factor,
             unit,
             ..
         } = signal;
-        match kind {
-            Kind::Flag | Kind::Table(_) => {}
-            Kind::Integer(_) => write!(doc, " {min} ..= {max} {unit}")?,
-            Kind::Physical => write!(doc, " {min} ..= {max} {unit} in steps of {factor}")?,
-        }
-        Ok(Self {
-            name: snake(&signal.name),
-            doc,
-            kind,
-            signal,
-        })
-    }
-
-    /// Writes the field into `data`.
-    fn put(&self) -> String {
-        let (constant, name) = (shouted(&self.signal.name), &self.name);
-        match self.kind {
-            Kind::Physical => format!("{constant}.put_physical(data, self.{name})"),
-            Kind::Table(_) => format!("{constant}.put(data, self.{name} as i64)"),
-            Kind::Flag | Kind::Integer(_) => {
-                format!("{constant}.put(data, i64::from(self.{name}))")
+        let comment = dbc.signal_comment(message.id, name);
+        let mut doc = comment.map_or(format!("Signal `{name}`"), str::to_owned) + ".";
+        let has_table = dbc
+            .value_descriptions_for_signal(message.id, name)
+            .is_some();
+        let rust = if has_table {
+            code_name(name)
+        } else if *factor != 1.0 || signal.value_type == ValueType::Signed {
+            if signal.size > 24 {
+                return Err(format!("{name}: an f32 has only 24 bits").into());
             }
-        }
-    }
-
-    /// Reads the field from `data`.
-    fn get(&self) -> String {
-        let signal = format!("Self::{}", shouted(&self.signal.name));
-        match self.kind {
-            Kind::Physical => format!("{signal}.get_physical(data)?"),
-            Kind::Flag => format!("{signal}.get(data)? != 0"),
-            Kind::Integer(rust) => format!("{signal}.get(data)? as {rust}"),
-            Kind::Table(rust) => {
-                format!("{rust}::from_raw({signal}.get(data)?).ok_or({signal}.invalid())?")
+            write!(doc, " {min} ..= {max} {unit} in steps of {factor}")?;
+            "f32".to_owned()
+        } else {
+            if signal.size > 1 {
+                write!(doc, " {min} ..= {max} {unit}")?;
             }
-        }
-    }
-
-    /// The field by its name in the DBC, as a number.
-    fn value(&self) -> String {
-        let name = &self.name;
-        let number = match self.kind {
-            Kind::Physical | Kind::Integer(_) => format!("f64::from(self.{name})"),
-            Kind::Flag => format!("f64::from(u8::from(self.{name}))"),
-            Kind::Table(_) => format!("f64::from(self.{name} as u8)"),
+            let rust = match signal.size {
+                1 => "bool",
+                2..=8 => "u8",
+                9..=16 => "u16",
+                _ => "u32",
+            };
+            rust.to_owned()
         };
-        format!("(\"{}\", {number})", self.signal.name)
+        Ok(Self {
+            name: snake(name),
+            doc,
+            rust,
+            signal: shouted(name),
+        })
     }
 }
 
 /// The constants of all signals that are coded.
 fn signal_consts(message: &Message) -> Result<String> {
-    let coded = |signal: &&Signal| !["Crc", "Counter"].contains(&&*signal.name);
+    let coded = |signal: &&Signal| !PROTECTION.contains(&&*signal.name);
     let line = |signal| {
         let constant = signal_const(message, signal)?;
         Ok(format!("    pub(crate) const {constant}\n"))
@@ -446,9 +624,13 @@ fn signal_const(message: &Message, signal: &Signal) -> Result<String> {
         return Err(format!("{name}: {size} bits do not hold its range").into());
     }
     let name_of_constant = shouted(name);
+    let steps = match *factor {
+        1.0 => String::new(),
+        factor => format!(".in_steps_of({factor:?})"),
+    };
     Ok(format!(
-        "{name_of_constant}: Signal = Signal {{ name: \"{name}\", start: {start_bit}, \
-         len: {size}, factor: {factor:?}, min: {min}, max: {max} }};"
+        "{name_of_constant}: Signal = Signal::new(\"{name}\", {start_bit}, {size}, \
+         {min}..={max}){steps};"
     ))
 }
 

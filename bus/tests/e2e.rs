@@ -5,7 +5,8 @@ use crc::{CRC_16_IBM_3740, Crc};
 use proptest::prelude::*;
 use tandem_bus::e2e::{Check, Checker, HEADER_LEN, MAX_DELTA_COUNTER, protect};
 use tandem_bus::{
-    Control, DecodeError, DriverRequest, FRAMES, Message, ReceiveError, Receiver, Transmitter,
+    Control, DriverRequest, FRAMES, FrameError, FrameReceiver, FrameTransmitter, Message,
+    ReceiveError,
 };
 
 const ID: u16 = 0x0A0;
@@ -125,7 +126,7 @@ fn only_new_and_intact_frames_are_accepted() {
 /// Counters are kept per id and wrap around; lost frames are counted.
 #[test]
 fn transmitter_and_receiver_agree_per_id() {
-    let (mut transmitter, mut receiver) = (Transmitter::new(), Receiver::new());
+    let (mut transmitter, mut receiver) = (FrameTransmitter::new(), FrameReceiver::new());
     let a = Message::Control {
         system: 0,
         control: Control::default(),
@@ -153,7 +154,7 @@ fn transmitter_and_receiver_agree_per_id() {
 /// Frames that must not be used are told apart by reason.
 #[test]
 fn receiver_says_why_it_refuses() {
-    let (mut transmitter, mut receiver) = (Transmitter::new(), Receiver::new());
+    let (mut transmitter, mut receiver) = (FrameTransmitter::new(), FrameReceiver::new());
     let frame = transmitter.encode(&Message::DriverRequest(DriverRequest::default()));
     let id = u32::from(frame.id);
     assert!(receiver.receive(id, frame.data()).is_ok());
@@ -163,12 +164,12 @@ fn receiver_says_why_it_refuses() {
     );
     assert_eq!(
         receiver.receive(id, &frame.data()[1..]),
-        Err(ReceiveError::Decode(DecodeError::WrongLength))
+        Err(ReceiveError::Decode(FrameError::WrongLength))
     );
     for unknown in [0x123, 0x1_0000 + id] {
         assert_eq!(
             receiver.receive(unknown, frame.data()),
-            Err(ReceiveError::Decode(DecodeError::UnknownId))
+            Err(ReceiveError::Decode(FrameError::UnknownId))
         );
     }
 }
@@ -201,6 +202,6 @@ proptest! {
         data in prop::collection::vec(any::<u8>(), 0..80),
     ) {
         let _ = Checker::new(id).check(&data);
-        let _ = Receiver::new().receive(u32::from(id), &data);
+        let _ = FrameReceiver::new().receive(u32::from(id), &data);
     }
 }

@@ -1,7 +1,7 @@
 //! A made-up run for the tests of the figures and of the report.
 
 use tandem_board::{CoreId, SystemId};
-use tandem_bus::{Mode, Role};
+use tandem_bus::{ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_record::RunLog;
 use tandem_record::log::{DriveFigures, Header, Lane, Other, RoadPiece, Sample, VehicleRecord};
@@ -147,11 +147,11 @@ fn add_samples(log: &mut RunLog, end_ns: u64) {
 }
 
 /// What drives at a time: the system, its term and its mode.
-const fn master(at_ns: u64, middle_ns: u64) -> (SystemId, u32, Mode) {
+const fn master(at_ns: u64, middle_ns: u64) -> (SystemId, u32, ModeCode) {
     if at_ns < middle_ns {
-        (SystemId::A, 2, Mode::L3)
+        (SystemId::A, 2, ModeCode::L3)
     } else {
-        (SystemId::B, 3, Mode::DegradedL2)
+        (SystemId::B, 3, ModeCode::DegradedL2)
     }
 }
 
@@ -167,7 +167,7 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     };
     let (generation, cause) = (1, 0);
     let started = Event::Started { generation, cause };
-    let role = |role: Role, mode: Mode, term| Event::Role {
+    let role = |role: RoleCode, mode: ModeCode, term| Event::Role {
         role: role as u8,
         mode: mode as u8,
         term,
@@ -180,11 +180,11 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     };
     add(START_NS - 300_000_000, SystemId::A, started);
     add(START_NS - 290_000_000, SystemId::B, started);
-    let [first, second] = [Role::Master, Role::Standby].map(|of| role(of, Mode::L3, 2));
+    let [first, second] = [RoleCode::Master, RoleCode::Standby].map(|of| role(of, ModeCode::L3, 2));
     add(START_NS - 20_000_000, SystemId::A, first);
     add(START_NS - 19_000_000, SystemId::B, second);
     add(middle_ns + 620_000, SystemId::B, took);
-    let degraded = role(Role::Master, Mode::DegradedL2, 3);
+    let degraded = role(RoleCode::Master, ModeCode::DegradedL2, 3);
     add(middle_ns + 630_000, SystemId::B, degraded);
     for cycle_ns in (START_NS..end_ns).step_by(50_000_000) {
         let latency_ns = ((14.0 + 3.0 * noise.next()) * 1e6) as u32;
@@ -216,8 +216,8 @@ fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
         let (driving, _, mode) = master(at_ns, middle_ns);
         for system in SystemId::ALL {
             let (role, mode) = match system == driving {
-                true => (Role::Master, mode),
-                false => (Role::Standby, Mode::L3),
+                true => (RoleCode::Master, mode),
+                false => (RoleCode::Standby, ModeCode::L3),
             };
             // A is dead from the middle on.
             if system == driving || driving == SystemId::A {

@@ -14,7 +14,7 @@ use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, Heard, RETRY, read_can};
 use tandem_board::{Board, Can, CoreId, Duration, Instant};
-use tandem_bus::Receiver;
+use tandem_bus::FrameReceiver;
 use tandem_shm::mailbox::{Ring, Sender};
 use tandem_shm::newest::{Reader, Writer};
 
@@ -52,7 +52,7 @@ struct Begun {
 pub struct Core1<'b, B: Board> {
     board: &'b B,
     attached: Option<Attached<'b>>,
-    frames: Receiver,
+    frames: FrameReceiver,
     perception: Perception,
     /// When the next round of the sensors is expected to be complete.
     expected: Instant,
@@ -78,7 +78,7 @@ impl<'b, B: Board> Core1<'b, B> {
         Self {
             board,
             attached: None,
-            frames: Receiver::new(),
+            frames: FrameReceiver::new(),
             perception: Perception::new(),
             expected: start + PERIOD,
             begun: None,

@@ -99,7 +99,7 @@ enum Heard {
 /// that more may wait.
 fn read_can<B: Board>(
     board: &B,
-    receiver: &mut tandem_bus::Receiver,
+    receiver: &mut tandem_bus::FrameReceiver,
     left: &mut u32,
 ) -> Option<(Instant, Heard)> {
     while *left > 0 {

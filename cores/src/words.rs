@@ -5,8 +5,8 @@
 
 use crate::driving::knowledge::{Knowledge, KnownObject, Line, PLAN_POINTS, Plan};
 use crate::driving::types::{
-    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass, Route,
-    Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
+    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass,
+    RouteCode, Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -216,7 +216,7 @@ impl Payload for Scene {
         let set_speed = option(take)?;
         let route_and_gap = take();
         let route = route_and_gap & 0xFF;
-        let route = *Route::ALL.get(route as usize).ok_or(Corrupt)?;
+        let route = *RouteCode::ALL.get(route as usize).ok_or(Corrupt)?;
         let near_gap = flag(&mut || route_and_gap >> 8)?;
         let lane_offset = f32::from_bits(take());
         let count = take() as usize;
@@ -419,7 +419,7 @@ mod tests {
             },
             lanes: Some(lanes),
             set_speed: Some(30.0),
-            route: Route::Right,
+            route: RouteCode::Right,
             near_gap: true,
             lane_offset: -0.3,
             objects: Vec::from_slice(&[Object::truck(); 3]).unwrap(),

@@ -3,7 +3,7 @@
 
 use tandem_board::{Duration, Instant};
 use tandem_bus::{
-    CameraLanes, Class, DriverRequest, EgoMotion, Message, Route, SensorHeader, SensorId,
+    CameraLanes, ClassCode, DriverRequest, EgoMotion, Message, RouteCode, SensorHeader, SensorId,
     SensorObject,
 };
 use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX_AGE};
@@ -91,7 +91,7 @@ fn seen(x: f32, y: f32, vx: f32, vy: f32) -> SensorObject {
         y,
         vx,
         vy,
-        class: Class::Unknown,
+        class: ClassCode::Unknown,
         length: 4.5,
         width: 1.8,
         x_deviation: 0.2,
@@ -107,7 +107,7 @@ fn two_sensors_confirm_one_object_at_once() {
     let mut feed = Feed::new(20.0);
     let radar = [seen(40.0, 0.2, -5.0, 0.0)];
     let camera = [SensorObject {
-        class: Class::Truck,
+        class: ClassCode::Truck,
         ..seen(40.5, 0.1, -5.2, 0.0)
     }];
     let both: [(SensorId, &[SensorObject]); 2] = [
@@ -216,7 +216,7 @@ fn the_drivers_request_is_passed_on() {
     for engage in [true, false] {
         let request = DriverRequest {
             overrides: false,
-            route: Route::Left,
+            route: RouteCode::Left,
             near_gap: engage,
             engage,
             set_speed: 30.0,
@@ -225,7 +225,7 @@ fn the_drivers_request_is_passed_on() {
         feed.perception
             .on_message(feed.now, &Message::DriverRequest(request));
         let scene = feed.cycle(&[], true);
-        assert_eq!((scene.route, scene.near_gap), (Route::Left, engage));
+        assert_eq!((scene.route, scene.near_gap), (RouteCode::Left, engage));
         assert_eq!(scene.lane_offset, -0.3);
         let set = scene.set_speed;
         assert_eq!(set.is_some_and(|set| (set - 30.0).abs() < 0.01), engage);
@@ -251,7 +251,7 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
         },
         lanes: Some(lanes()),
         set_speed: Some(30.0),
-        route: Route::Free,
+        route: RouteCode::Free,
         near_gap: false,
         lane_offset: 0.0,
         objects: objects.iter().copied().collect(),
@@ -581,7 +581,7 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
         let object = SensorObject {
             x: truth(measured_ms),
             vx: closing,
-            class: Class::Car,
+            class: ClassCode::Car,
             length: 4.5,
             width: 1.8,
             x_deviation: 0.1,
@@ -617,12 +617,12 @@ fn the_route_leads_to_its_lane_when_there_is_room() {
     let slow = object(75.0, 0.0, 21.0);
     let beside = object(1.0, 3.5, 25.0);
     for (route, objects, expected) in [
-        (Route::Free, vec![], Maneuver::Follow),
-        (Route::Left, vec![], Maneuver::ChangeLeft),
-        (Route::Left, vec![beside], Maneuver::Follow),
-        (Route::Right, vec![], Maneuver::Follow),
-        (Route::Free, vec![slow], Maneuver::ChangeLeft),
-        (Route::Keep, vec![slow], Maneuver::Follow),
+        (RouteCode::Free, vec![], Maneuver::Follow),
+        (RouteCode::Left, vec![], Maneuver::ChangeLeft),
+        (RouteCode::Left, vec![beside], Maneuver::Follow),
+        (RouteCode::Right, vec![], Maneuver::Follow),
+        (RouteCode::Free, vec![slow], Maneuver::ChangeLeft),
+        (RouteCode::Keep, vec![slow], Maneuver::Follow),
     ] {
         let mut planner = Planner::new();
         let mut last = Maneuver::Follow;

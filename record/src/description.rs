@@ -1,7 +1,7 @@
 //! Events in words, for people.
 
 use tandem_board::{CanErrors, CanState, ResetCause, SupplyEvent};
-use tandem_bus::{Mode, SensorId};
+use tandem_bus::{ModeCode, SensorId};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
@@ -33,7 +33,7 @@ pub fn core_event(event: Event) -> Option<String> {
             format!("starts, incarnation {generation}: {cause}")
         }
         Event::Role { role, mode, term } => {
-            let full = mode == Mode::L3 as u8;
+            let full = mode == ModeCode::L3 as u8;
             let state = State::of_codes(role, mode)?.name();
             format!("is {state}{}, term {term}", if full { ", L3" } else { "" })
         }

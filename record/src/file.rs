@@ -33,7 +33,7 @@ const VERDICTS: [Verdict; 6] = [
 #[must_use]
 pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> String {
     let frame = &logged.frame;
-    let record = candump::Record {
+    let record = candump::LoggedFrame {
         at_us: epoch_us + logged.at.as_ns() / 1_000,
         interface: INTERFACE,
         id: match frame.id() {
@@ -278,13 +278,13 @@ impl<R: io::Read> ReadArray for R {
 mod tests {
     use super::*;
     use crate::RunLog;
-    use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+    use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 
     fn entries() -> Vec<Entry> {
-        let mut transmitter = Transmitter::new();
+        let mut transmitter = FrameTransmitter::new();
         let control = Control {
-            role: Role::Master,
-            mode: Mode::L3,
+            role: RoleCode::Master,
+            mode: ModeCode::L3,
             term: 3,
             ..Control::default()
         };

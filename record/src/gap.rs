@@ -321,7 +321,7 @@ mod tests {
     use super::*;
     use crate::log::Sample;
     use crate::takeovers;
-    use tandem_bus::Mode;
+    use tandem_bus::ModeCode;
 
     const A: SystemId = SystemId::A;
     const B: SystemId = SystemId::B;
@@ -338,7 +338,7 @@ mod tests {
             sent_ns: at_ms * 1_000_000,
             system,
             term: 2 + system.index() as u32,
-            mode: Mode::L3,
+            mode: ModeCode::L3,
             age_ns: None,
             verdict,
         }

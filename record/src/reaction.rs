@@ -62,7 +62,7 @@ mod tests {
     use super::*;
     use crate::run_log::ControlFrame;
     use tandem_board::SystemId;
-    use tandem_bus::Mode;
+    use tandem_bus::ModeCode;
     use tandem_vehicle::Verdict;
 
     const MS: u64 = 1_000_000;
@@ -87,7 +87,7 @@ mod tests {
                 sent_ns,
                 system: SystemId::A,
                 term: 2,
-                mode: Mode::L3,
+                mode: ModeCode::L3,
                 // Rounded as in the frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
                 verdict: Verdict::Accepted,

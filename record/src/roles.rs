@@ -1,7 +1,7 @@
 //! The role of each system over time, from every entry of the log that shows it.
 
 use tandem_board::{CoreId, SystemId};
-use tandem_bus::{Mode, Role};
+use tandem_bus::{ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_vehicle::Verdict;
 
@@ -58,20 +58,20 @@ impl State {
     /// As [`State::of`], from the codes of a trace record; `None` if there is no such code.
     #[must_use]
     pub fn of_codes(role: u8, mode: u8) -> Option<Self> {
-        let role = Role::ALL.get(usize::from(role))?;
-        Some(Self::of(*role, *Mode::ALL.get(usize::from(mode))?))
+        let role = RoleCode::ALL.get(usize::from(role))?;
+        Some(Self::of(*role, *ModeCode::ALL.get(usize::from(mode))?))
     }
 
     /// The state that a role and a function make.
     #[must_use]
-    pub const fn of(role: Role, mode: Mode) -> Self {
+    pub const fn of(role: RoleCode, mode: ModeCode) -> Self {
         match (role, mode) {
-            (Role::Starting, _) => Self::Starting,
-            (Role::Standby, _) => Self::Standby,
-            (Role::Suspended, _) => Self::Suspended,
-            (Role::Master, Mode::DegradedL2) => Self::Degraded,
-            (Role::Master, Mode::SafeStop) => Self::SafeStop,
-            (Role::Master, Mode::L3 | Mode::None) => Self::Master,
+            (RoleCode::Starting, _) => Self::Starting,
+            (RoleCode::Standby, _) => Self::Standby,
+            (RoleCode::Suspended, _) => Self::Suspended,
+            (RoleCode::Master, ModeCode::DegradedL2) => Self::Degraded,
+            (RoleCode::Master, ModeCode::SafeStop) => Self::SafeStop,
+            (RoleCode::Master, ModeCode::L3 | ModeCode::None) => Self::Master,
         }
     }
 }
@@ -141,7 +141,7 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
     let mut seen: Vec<(u64, State)> = status
         .map(|status| (status.at_ns, State::of(status.role, status.mode)))
         .collect();
-    seen.extend(control.map(|frame| (frame.at_ns, State::of(Role::Master, frame.mode))));
+    seen.extend(control.map(|frame| (frame.at_ns, State::of(RoleCode::Master, frame.mode))));
     let off = log
         .power
         .iter()
@@ -180,10 +180,10 @@ mod tests {
                 });
             };
             if tenth < 20 {
-                say(SystemId::A, Role::Master, Mode::L3);
-                say(SystemId::B, Role::Standby, Mode::L3);
+                say(SystemId::A, RoleCode::Master, ModeCode::L3);
+                say(SystemId::B, RoleCode::Standby, ModeCode::L3);
             } else {
-                say(SystemId::B, Role::Master, Mode::DegradedL2);
+                say(SystemId::B, RoleCode::Master, ModeCode::DegradedL2);
             }
         }
         log.power.push(PowerChange {

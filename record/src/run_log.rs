@@ -1,7 +1,7 @@
 //! A recording in memory: all entries of one run, sorted by kind.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId, Traced};
-use tandem_bus::{Message, Mode, Role};
+use tandem_bus::{Message, ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_vehicle::mastership::Mastership;
 use tandem_vehicle::{LoggedFrame, Verdict};
@@ -42,7 +42,7 @@ pub struct ControlFrame {
     /// The mastership that the sender claims; 0 if the frame is invalid.
     pub term: u32,
     /// The function that made it.
-    pub mode: Mode,
+    pub mode: ModeCode,
     /// Age of the oldest measurement behind it when it was sent, ns; `None` if there is none.
     pub age_ns: Option<u64>,
     /// The vehicle's verdict on it.
@@ -57,9 +57,9 @@ pub struct StatusFrame {
     /// Its sender.
     pub system: SystemId,
     /// The sender's role.
-    pub role: Role,
+    pub role: RoleCode,
     /// The sender's function.
-    pub mode: Mode,
+    pub mode: ModeCode,
 }
 
 /// An event of a core. The events of its scheduler are only in [`RunLog::trace`].
@@ -168,7 +168,7 @@ impl RunLog {
                     let age_ns = age_ms.map(|ms| (ms * 1e6) as u64);
                     (control.mode, control.term, age_ns)
                 }
-                _ => (Mode::None, 0, None),
+                _ => (ModeCode::None, 0, None),
             };
             self.control
                 .extend(frame.controller().map(|system| ControlFrame {

@@ -2,7 +2,7 @@
 //! whether the old master had failed.
 
 use tandem_board::{CoreId, SystemId};
-use tandem_bus::Role;
+use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::Verdict;
@@ -169,7 +169,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
     match (before, after) {
         (Some(before), Some(after)) => {
             ms_between(before.at_ns, after.at_ns) < STATUS_NOT_SILENT_MS
-                && matches!(after.role, Role::Master | Role::Standby)
+                && matches!(after.role, RoleCode::Master | RoleCode::Standby)
                 && !restarted(after.at_ns)
         }
         _ => false,
@@ -180,7 +180,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
 mod tests {
     use super::*;
     use crate::run_log::StatusFrame;
-    use tandem_bus::Mode;
+    use tandem_bus::ModeCode;
     use tandem_cores::task_table::TaskCode;
 
     const A: SystemId = SystemId::A;
@@ -193,7 +193,7 @@ mod tests {
             sent_ns: at_ns,
             system,
             term,
-            mode: Mode::L3,
+            mode: ModeCode::L3,
             age_ns: None,
             verdict: Verdict::Accepted,
         }
@@ -280,8 +280,8 @@ mod tests {
         let mut log = log(frames.to_vec());
         assert!(takeovers(&log)[0].is_false);
         let given_up = Event::Role {
-            role: Role::Standby as u8,
-            mode: Mode::None as u8,
+            role: RoleCode::Standby as u8,
+            mode: ModeCode::None as u8,
             term: 3,
         };
         let thawed = Event::Phase {
@@ -313,8 +313,8 @@ mod tests {
         let status = |at_ms: u64| StatusFrame {
             at_ns: at_ms * 1_000_000,
             system: A,
-            role: Role::Standby,
-            mode: Mode::None,
+            role: RoleCode::Standby,
+            mode: ModeCode::None,
         };
         let mut log = log(vec![frame(0, A, 2), frame(10, B, 3)]);
         log.status = vec![status(0), status(100)];

@@ -19,7 +19,7 @@
 //! more has waited on its way, however valid it is. A frame that tells no time is not dated.
 
 use tandem_bus::e2e::{Check, Checker};
-use tandem_bus::{Control, GateEcho, Message, Mode, Role};
+use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
 
 use crate::mastership::Mastership;
 
@@ -222,7 +222,7 @@ impl Gate {
         if !check.is_accepted() || control.term & 1 != system as u32 {
             return (Verdict::Invalid, None);
         }
-        if control.role != Role::Master {
+        if control.role != RoleCode::Master {
             return (Verdict::NotMaster, Some(control));
         }
         if control.term < self.highest_term {
@@ -233,7 +233,7 @@ impl Gate {
             self.refused = self.refused.wrapping_add(1);
             return (Verdict::Stale, Some(control));
         }
-        let rests_on_data = matches!(control.mode, Mode::L3 | Mode::DegradedL2);
+        let rests_on_data = matches!(control.mode, ModeCode::L3 | ModeCode::DegradedL2);
         if rests_on_data && control.command_age > COMMAND_MAX_AGE_MS {
             return (Verdict::Stale, Some(control));
         }
@@ -356,14 +356,14 @@ impl Default for Gate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tandem_bus::Transmitter;
+    use tandem_bus::FrameTransmitter;
 
     const MS: u64 = 1_000_000;
 
-    struct Sender(Transmitter);
+    struct Sender(FrameTransmitter);
 
     impl Sender {
-        fn frame(&mut self, system: u8, term: u32, role: Role) -> (u32, Vec<u8>) {
+        fn frame(&mut self, system: u8, term: u32, role: RoleCode) -> (u32, Vec<u8>) {
             let control = Control {
                 role,
                 term,
@@ -376,9 +376,9 @@ mod tests {
 
     /// Sends master frames of (time in ms, system, term) and returns the verdicts.
     fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Verdict> {
-        let mut sender = Sender(Transmitter::new());
+        let mut sender = Sender(FrameTransmitter::new());
         let judged = frames.iter().map(|(at, system, term)| {
-            let (id, data) = sender.frame(*system, *term, Role::Master);
+            let (id, data) = sender.frame(*system, *term, RoleCode::Master);
             gate.on_frame(at * MS, id, &data)
         });
         judged.map(|it| it.unwrap().acceptance.verdict).collect()
@@ -431,7 +431,7 @@ mod tests {
             [35, 36, 124, 125].map(|at| gate.is_overdue(at * MS)),
             [false, true, true, false]
         );
-        let (id, damaged) = Sender(Transmitter::new()).frame(1, 9, Role::Master);
+        let (id, damaged) = Sender(FrameTransmitter::new()).frame(1, 9, RoleCode::Master);
         gate.on_frame(33 * MS, id, &damaged[1..]);
         assert_eq!(gate.echo(33 * MS).term, 3);
     }
@@ -439,7 +439,7 @@ mod tests {
     /// The verdict on a frame of A that asks for this at this time, ms.
     fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Verdict {
         let control = Control {
-            role: Role::Master,
+            role: RoleCode::Master,
             term: 2,
             ..control
         };
@@ -454,10 +454,10 @@ mod tests {
     /// and wrap around are none; nor is one that was set.
     #[test]
     fn frames_of_a_growing_queue_are_refused() {
-        let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+        let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));
         let mut verdict = |at: u64, sent_at: u64| {
             let control = Control {
-                mode: Mode::L3,
+                mode: ModeCode::L3,
                 command_age: 30.0,
                 sent_at: sent_at as u16,
                 ..Control::default()
@@ -490,13 +490,13 @@ mod tests {
     fn commands_that_rest_on_old_data_are_refused() {
         use Verdict::{Accepted, Stale};
         let table = [
-            (Mode::L3, 1_999.0, Accepted),
-            (Mode::L3, 2_001.0, Stale),
-            (Mode::DegradedL2, 2_001.0, Stale),
-            (Mode::SafeStop, 6553.5, Accepted),
+            (ModeCode::L3, 1_999.0, Accepted),
+            (ModeCode::L3, 2_001.0, Stale),
+            (ModeCode::DegradedL2, 2_001.0, Stale),
+            (ModeCode::SafeStop, 6553.5, Accepted),
         ];
         for (mode, command_age, expected) in table {
-            let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+            let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));
             let control = Control {
                 mode,
                 command_age,
@@ -526,7 +526,7 @@ mod tests {
             (25.0, (0.0, 3.9), (0.0, 4.1), Implausible),
         ];
         for (speed, before, after, expected) in table {
-            let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+            let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));
             gate.set_speed(speed);
             let of = |(steering_angle, acceleration)| Control {
                 steering_angle,
@@ -550,8 +550,8 @@ mod tests {
     #[test]
     fn only_whole_frames_of_a_master_act() {
         let mut gate = Gate::new();
-        let mut sender = Sender(Transmitter::new());
-        let (id, good) = sender.frame(0, 2, Role::Master);
+        let mut sender = Sender(FrameTransmitter::new());
+        let (id, good) = sender.frame(0, 2, RoleCode::Master);
         for byte in 0..good.len() {
             let mut bad = good.clone();
             bad[byte] ^= 0x10;
@@ -564,9 +564,9 @@ mod tests {
         let of_b = gate.on_frame(1, id + 1, &good);
         assert_eq!(acts(of_b), Some(false), "the id of the other system");
         assert_eq!(gate.on_frame(1, id + 2, &good), None, "no control frame");
-        let (id, standby) = sender.frame(0, 2, Role::Standby);
+        let (id, standby) = sender.frame(0, 2, RoleCode::Standby);
         assert_eq!(acts(gate.on_frame(2, id, &standby)), Some(false));
-        let (id, wrong_parity) = sender.frame(0, 3, Role::Master);
+        let (id, wrong_parity) = sender.frame(0, 3, RoleCode::Master);
         assert_eq!(acts(gate.on_frame(3, id, &wrong_parity)), Some(false));
         assert_eq!(gate.counts().accepted, 1);
         assert_eq!(gate.counts().not_master, 1);

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use tandem_bus::Route;
+use tandem_bus::RouteCode;
 
 use crate::commonroad::Goal;
 use crate::geometry::Vec2;
@@ -34,7 +34,7 @@ const PASSED: f64 = 2.0;
 /// What the driver asks for on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Advice {
-    pub(crate) route: Route,
+    pub(crate) route: RouteCode,
     /// m/s
     pub(crate) set_speed: f64,
     /// The shorter distance to the vehicle ahead: there is an appointment to keep.
@@ -68,7 +68,7 @@ impl Navigation {
     /// What the driver asks for here. `reached`: a goal has been reached.
     pub(crate) fn advice(&self, road: &Road, here: &Here, reached: bool) -> Advice {
         let free = Advice {
-            route: Route::Free,
+            route: RouteCode::Free,
             set_speed: self.set_speed,
             near_gap: false,
             lane_offset: 0.0,
@@ -95,9 +95,13 @@ impl Navigation {
         });
         found.map_or(free, |(route, from, to, offset)| Advice {
             route,
-            set_speed: self.speed(goal, here.time_s, from, to, route == Route::Keep),
+            set_speed: self.speed(goal, here.time_s, from, to, route == RouteCode::Keep),
             near_gap: goal.time.is_some(),
-            lane_offset: if route == Route::Keep { offset } else { 0.0 },
+            lane_offset: if route == RouteCode::Keep {
+                offset
+            } else {
+                0.0
+            },
         })
     }
 
@@ -145,7 +149,7 @@ fn lanes_beside<'a>(
     road: &'a Road,
     here: &Here,
     ahead: f64,
-) -> impl Iterator<Item = (Route, LaneId, f64)> + use<'a> {
+) -> impl Iterator<Item = (RouteCode, LaneId, f64)> + use<'a> {
     let Here {
         lane,
         place,
@@ -157,21 +161,21 @@ fn lanes_beside<'a>(
     } else {
         position
     };
-    let aside = move |route: Route| {
+    let aside = move |route: RouteCode| {
         let mut at = (lane, place.s + ahead);
         (0..LANES_ASIDE).map_while(move |_| {
             let section = road.lane(at.0).at(at.1);
             let next = match route {
-                Route::Left => section.left,
+                RouteCode::Left => section.left,
                 _ => section.right,
             }?;
             at = (next, road.lane(next).project(position).s);
             Some((route, at.0, at.1 - ahead))
         })
     };
-    std::iter::once((Route::Keep, lane, place.s))
-        .chain(aside(Route::Left))
-        .chain(aside(Route::Right))
+    std::iter::once((RouteCode::Keep, lane, place.s))
+        .chain(aside(RouteCode::Left))
+        .chain(aside(RouteCode::Right))
 }
 
 #[cfg(test)]
@@ -211,23 +215,23 @@ mod tests {
             (there.is_some(), 3.5 * side)
         });
         for (exists, d, route) in [
-            (true, 0.4, Route::Keep),
-            (left.0, left.1, Route::Left),
-            (right.0, right.1, Route::Right),
+            (true, 0.4, RouteCode::Keep),
+            (left.0, left.1, RouteCode::Left),
+            (right.0, right.1, RouteCode::Right),
         ] {
             if exists {
                 let there = advice(goal(200.0, d, time), 0.0, false);
                 assert_eq!(there.route, route, "{d}");
-                let expected = if route == Route::Keep { 22.7 } else { 25.0 };
+                let expected = if route == RouteCode::Keep { 22.7 } else { 25.0 };
                 assert!((there.set_speed - expected).abs() < 0.2, "{there:?}");
-                let aside = if route == Route::Keep { d } else { 0.0 };
+                let aside = if route == RouteCode::Keep { d } else { 0.0 };
                 assert!((there.lane_offset - aside).abs() < 0.01, "{there:?}");
                 assert!(there.near_gap, "there is a time to keep");
             }
         }
         assert!(left.0 || right.0, "the scenario has lanes beside");
         let free = Advice {
-            route: Route::Free,
+            route: RouteCode::Free,
             set_speed: 30.0,
             near_gap: false,
             lane_offset: 0.0,
@@ -245,7 +249,7 @@ mod tests {
         }
         // In time without a hurry: the driver's own speed.
         let early = advice(goal(200.0, 0.0, Some((0.0, 12.0))), 0.0, false);
-        assert_eq!((early.route, early.set_speed), (Route::Keep, 30.0));
+        assert_eq!((early.route, early.set_speed), (RouteCode::Keep, 30.0));
     }
 
     /// A lane that opens on the way is seen in time, and a range of speeds is entered in time: from
@@ -287,7 +291,7 @@ mod tests {
             Navigation::new(Arc::new([goal]), 20.0).advice(&road, &here, false)
         };
         let right = advice(330.0, -3.5, None, 10.0);
-        assert_eq!(right.route, Route::Right);
+        assert_eq!(right.route, RouteCode::Right);
         assert!((right.set_speed - 18.0).abs() < 0.5, "{right:?}");
         let slow = Some((0.0, 3.0));
         for (opens_s, range, expected) in [

@@ -3,7 +3,7 @@
 use std::iter;
 use std::sync::Arc;
 
-use tandem_bus::{self as bus, Message, SensorHeader, SensorId, Transmitter};
+use tandem_bus::{self as bus, FrameTransmitter, Message, SensorHeader, SensorId};
 
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
 use crate::commonroad::Class;
@@ -151,7 +151,7 @@ pub struct World {
     /// It is on a lane of the other direction.
     wrong_way: bool,
     meter: Meter,
-    transmitter: Transmitter,
+    transmitter: FrameTransmitter,
     snapshot: Snapshot,
     /// Time of the next tick; `None` before the first call.
     next_ns: Option<u64>,
@@ -196,7 +196,7 @@ impl World {
             gate: Gate::new(),
             lane_width: 0.0,
             wrong_way: false,
-            transmitter: Transmitter::new(),
+            transmitter: FrameTransmitter::new(),
             set_speed: scenario.set_speed,
             navigation: Navigation::new(Arc::clone(&scenario.goals), scenario.set_speed),
             driver: Driver::default(),
@@ -237,8 +237,8 @@ impl World {
             self.driver
                 .on_request(self.snapshot.time_s, control.takeover_request);
             self.snapshot.accepted = Some(judged.acceptance);
-            self.by_hand = control.mode == bus::Mode::None;
-            let stops = control.mode == bus::Mode::SafeStop;
+            self.by_hand = control.mode == bus::ModeCode::None;
+            let stops = control.mode == bus::ModeCode::SafeStop;
             self.meter
                 .function(self.snapshot.time_s, control.takeover_request, stops);
             if self.by_hand {

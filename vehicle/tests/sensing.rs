@@ -5,7 +5,7 @@
 use std::f64::consts::PI;
 use std::fmt::Write;
 
-use tandem_bus::{CameraLanes, Class, Message, Receiver, SensorId, SensorObject};
+use tandem_bus::{CameraLanes, ClassCode, FrameReceiver, Message, SensorId, SensorObject};
 use tandem_vehicle::{Config, Scenario, World};
 
 /// The ego's speed, m/s.
@@ -62,7 +62,7 @@ fn measure(
     cycles: u64,
 ) -> (Vec<Vec<SensorObject>>, Vec<CameraLanes>) {
     let mut world = World::new(scenario, Config { seed: 3 });
-    let mut receiver = Receiver::new();
+    let mut receiver = FrameReceiver::new();
     let (mut lists, mut lanes) = (Vec::new(), Vec::new());
     for ms in 0..cycles * 50 {
         world.step(
@@ -187,9 +187,9 @@ fn errors_are_as_announced() {
             "{sensor:?} {vx} {vy}"
         );
         let expected = if sensor == SensorId::CameraFront {
-            Class::Car
+            ClassCode::Car
         } else {
-            Class::Unknown
+            ClassCode::Unknown
         };
         assert!(objects.iter().all(|o| o.class == expected));
         assert!(lists.len() > objects.len(), "some are missed");

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
+use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_vehicle::{Config, Scenario, Snapshot, Verdict, World};
 
 const MS: u64 = 1_000_000;
@@ -11,8 +11,8 @@ const MS: u64 = 1_000_000;
 struct Run {
     world: World,
     now_ms: u64,
-    transmitter: Transmitter,
-    receiver: Receiver,
+    transmitter: FrameTransmitter,
+    receiver: FrameReceiver,
     received: Vec<(u64, Message)>,
 }
 
@@ -22,15 +22,15 @@ impl Run {
         Self {
             world: World::new(&scenario, Config { seed }),
             now_ms: 5_000,
-            transmitter: Transmitter::new(),
-            receiver: Receiver::new(),
+            transmitter: FrameTransmitter::new(),
+            receiver: FrameReceiver::new(),
             received: Vec::new(),
         }
     }
 
     /// Sends a control frame; what becomes of it.
     fn send(&mut self, system: u8, term: u32, acceleration: f32, steering_angle: f32) -> Verdict {
-        let (role, mode) = (Role::Master, Mode::L3);
+        let (role, mode) = (RoleCode::Master, ModeCode::L3);
         let control = Control {
             role,
             mode,

@@ -4,7 +4,7 @@
 use std::hint::black_box;
 use std::process::ExitCode;
 
-use tandem_bus::{Control, Message, Receiver as Checked, Transmitter};
+use tandem_bus::{Control, FrameReceiver as Checked, FrameTransmitter, Message};
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::mailbox::{TaskId, TaskTable};
 use tandem_shm::sync::{AtomicU32, spin};
@@ -110,7 +110,7 @@ fn case(name: &str) -> Option<Box<dyn FnMut()>> {
             })
         }
         "control-frame" => {
-            let (mut from, mut to) = (Transmitter::new(), Checked::new());
+            let (mut from, mut to) = (FrameTransmitter::new(), Checked::new());
             let control = Control::default();
             Box::new(move || {
                 let system = 0;

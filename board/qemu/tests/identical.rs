@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use tandem_board::{CanFrame, CanId, Received};
-use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_golden::{Functions, instant, play};
 use tandem_peripherals::codec::{BusFrame, Sender};
 use tandem_vehicle::{Config, LocalBus, Scenario, World};
@@ -26,7 +26,7 @@ const LENGTH_AT: u32 = 0x8090_0004;
 fn record(scenario: &str) -> Vec<u32> {
     let mut world = World::new(&Scenario::load(scenario).unwrap(), Config { seed: 3 });
     let mut functions = Functions::new();
-    let mut transmitter = Transmitter::new();
+    let mut transmitter = FrameTransmitter::new();
     let mut recording = vec![];
     let mut bus = LocalBus::new(instant(0));
     for ms in 0..DRIVE_MS {
@@ -47,8 +47,8 @@ fn record(scenario: &str) -> Vec<u32> {
         }
         if let Some(command) = functions.tick(ms) {
             let control = Control {
-                role: Role::Master,
-                mode: Mode::L3,
+                role: RoleCode::Master,
+                mode: ModeCode::L3,
                 term: 2,
                 steering_angle: command.steering_angle,
                 acceleration: command.acceleration,

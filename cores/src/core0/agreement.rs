@@ -8,7 +8,7 @@
 use crate::driving::types::Command;
 use crate::driving::vehicle::WHEELBASE_M;
 use tandem_board::{Duration, Instant};
-pub(super) use tandem_bus::Agreement as Stage;
+pub(super) use tandem_bus::AgreementCode as Stage;
 use tandem_redundancy::Phase;
 
 /// Both systems have run the same functions for this long before they are compared: a system that

@@ -3,24 +3,24 @@
 use super::drive::Output;
 use crate::driving::function::{Driver, State};
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
-use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Message, Status, Transmitter};
+use tandem_bus::{Control, DriverRequest, Encoded, FrameTransmitter, GateEcho, Message, Status};
 use tandem_redundancy::{ControlFrame, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
-const fn bus_role(role: Role) -> tandem_bus::Role {
+const fn bus_role(role: Role) -> tandem_bus::RoleCode {
     match role {
-        Role::Starting => tandem_bus::Role::Starting,
-        Role::Master => tandem_bus::Role::Master,
-        Role::Standby => tandem_bus::Role::Standby,
-        Role::Suspended => tandem_bus::Role::Suspended,
+        Role::Starting => tandem_bus::RoleCode::Starting,
+        Role::Master => tandem_bus::RoleCode::Master,
+        Role::Standby => tandem_bus::RoleCode::Standby,
+        Role::Suspended => tandem_bus::RoleCode::Suspended,
     }
 }
 
-pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::Mode {
+pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::ModeCode {
     match mode {
-        Mode::None => tandem_bus::Mode::None,
-        Mode::L3 => tandem_bus::Mode::L3,
-        Mode::DegradedL2 => tandem_bus::Mode::DegradedL2,
-        Mode::SafeStop => tandem_bus::Mode::SafeStop,
+        Mode::None => tandem_bus::ModeCode::None,
+        Mode::L3 => tandem_bus::ModeCode::L3,
+        Mode::DegradedL2 => tandem_bus::ModeCode::DegradedL2,
+        Mode::SafeStop => tandem_bus::ModeCode::SafeStop,
     }
 }
 
@@ -52,7 +52,7 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
         cpsys_failure: state.cpsys_failure,
         line1_silent,
         line2_silent,
-        agreement: tandem_bus::Agreement::Agreed,
+        agreement: tandem_bus::AgreementCode::Agreed,
         failure_mode: state.failure_mode.code(),
         term: redundancy.highest_term().bits(),
         abn_resets: u16::try_from(state.abn_resets).unwrap_or(u16::MAX),
@@ -63,7 +63,11 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
 }
 
 /// Encodes and sends; whether the controller took the frame.
-pub(super) fn send<B: Board>(board: &B, transmitter: &mut Transmitter, message: &Message) -> bool {
+pub(super) fn send<B: Board>(
+    board: &B,
+    transmitter: &mut FrameTransmitter,
+    message: &Message,
+) -> bool {
     send_encoded(board, &transmitter.encode(message))
 }
 

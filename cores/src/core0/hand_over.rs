@@ -236,7 +236,7 @@ impl Taker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, Route, Scene};
+    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, RouteCode, Scene};
     use std::vec::Vec;
 
     fn at(ms: u64) -> Instant {
@@ -261,7 +261,7 @@ mod tests {
             ego,
             lanes: Some(lanes),
             set_speed: None,
-            route: Route::Free,
+            route: RouteCode::Free,
             near_gap: false,
             lane_offset: 0.0,
             objects: (0..objects).map(|_| Object::truck()).collect(),

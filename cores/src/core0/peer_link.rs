@@ -6,14 +6,14 @@
 
 use super::agreement::Stage;
 use crate::driving::types::Command;
-use tandem_bus::Mode;
+use tandem_bus::ModeCode;
 use tandem_bus::e2e::{Checker, protect};
 
 /// What this system would command, and whether it agrees with the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Opinion {
     /// The function that gave it; none while the opinion does not count yet.
-    pub(super) mode: Mode,
+    pub(super) mode: ModeCode,
     pub(super) stage: Stage,
     pub(super) command: Command,
 }
@@ -48,7 +48,7 @@ impl Opinion {
         let mode = code(words[1] & 0xFF)?;
         let stage = code(words[1] >> 8)?;
         Some(Self {
-            mode: Mode::ALL.into_iter().find(|one| *one as u8 == mode)?,
+            mode: ModeCode::ALL.into_iter().find(|one| *one as u8 == mode)?,
             stage: Stage::ALL.into_iter().find(|one| *one as u8 == stage)?,
             command: Command {
                 steering_angle: number(words[2])?,
@@ -105,7 +105,7 @@ mod tests {
 
     fn opinion() -> Opinion {
         Opinion {
-            mode: Mode::L3,
+            mode: ModeCode::L3,
             stage: Stage::Disagreed,
             command: Command {
                 steering_angle: -0.02,

@@ -21,7 +21,7 @@ use heapless::Deque;
 use tandem_board::{
     Board, Can, Duration, Instant, Lines, Link, OutputDiagnosis, ResetRequest, Supply, SystemId,
 };
-use tandem_bus::{Message, Transmitter};
+use tandem_bus::{FrameTransmitter, Message};
 use tandem_redundancy::{
     Action, Actions, ControlFrame, FailureMode, Input, LinkReport, Loaded, Mode, Phase, Redundancy,
     Snapshot, StateStore, Term,
@@ -79,8 +79,8 @@ pub struct Shared<'b, B: Board> {
     pub(super) config: Config,
     pub(super) system: SystemId,
     started: Instant,
-    receiver: tandem_bus::Receiver,
-    pub(super) transmitter: Transmitter,
+    receiver: tandem_bus::FrameReceiver,
+    pub(super) transmitter: FrameTransmitter,
     /// Valid frames received on CAN from third parties; wraps around.
     can_frames: u32,
     floods: Floods,
@@ -101,7 +101,7 @@ pub struct Shared<'b, B: Board> {
     pub(super) handed_over: Option<Release>,
     pub(super) inbox: Inbox,
     /// The other system's command since the last control cycle, and the function that gave it.
-    pub(super) heard: Option<(Command, tandem_bus::Mode)>,
+    pub(super) heard: Option<(Command, tandem_bus::ModeCode)>,
     /// The last of these, and when it was compared.
     other: Option<(Instant, Command)>,
     pub(super) agreement: Agreement,
@@ -154,8 +154,8 @@ impl<'b, B: Board> Shared<'b, B> {
             config,
             system: identity.system,
             started,
-            receiver: tandem_bus::Receiver::new(),
-            transmitter: Transmitter::new(),
+            receiver: tandem_bus::FrameReceiver::new(),
+            transmitter: FrameTransmitter::new(),
             can_frames: 0,
             floods: Floods::new(started),
             store,

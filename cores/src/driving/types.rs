@@ -6,7 +6,7 @@
 
 use heapless::Vec;
 use tandem_board::Instant;
-pub use tandem_bus::Route;
+pub use tandem_bus::RouteCode;
 
 /// How many objects a scene holds; the nearest ones stay.
 pub const MAX_OBJECTS: usize = 24;
@@ -182,7 +182,7 @@ pub struct Scene {
     /// Speed that the driver has set, m/s; `None` if automated driving is not asked for.
     pub set_speed: Option<f32>,
     /// Where the driver's route leads.
-    pub route: Route,
+    pub route: RouteCode,
     /// The driver asks for the shorter of the two distances to the vehicle ahead.
     pub near_gap: bool,
     /// Where in the lane the driver wants to be, m from its centre, left positive.

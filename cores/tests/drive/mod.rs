@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use tandem_board::{CanFrame, CanId, Duration, Instant};
-use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
+use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_cores::driving::control::MotionControl;
 use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::knowledge::Knowledge;
@@ -30,7 +30,7 @@ pub(crate) enum Function {
 
 /// One system with its functions.
 pub(crate) struct System {
-    receiver: Receiver,
+    receiver: FrameReceiver,
     pub(crate) perception: Perception,
     planner: Planner,
     control: MotionControl,
@@ -48,7 +48,7 @@ pub(crate) struct System {
 impl System {
     pub(crate) fn new() -> Self {
         Self {
-            receiver: Receiver::new(),
+            receiver: FrameReceiver::new(),
             perception: Perception::new(),
             planner: Planner::new(),
             control: MotionControl::new(),
@@ -142,7 +142,7 @@ pub(crate) struct Drive {
     pub(crate) produced: Option<Function>,
     /// Sensors whose frames are lost, by their ids.
     pub(crate) lost: Vec<u16>,
-    transmitter: Transmitter,
+    transmitter: FrameTransmitter,
     /// The largest changes of consecutive commands: steering rad, acceleration m/s².
     pub(crate) largest_step: Command,
     last: Option<Command>,
@@ -159,7 +159,7 @@ impl Drive {
             function: Function::L3,
             produced: None,
             lost: Vec::new(),
-            transmitter: Transmitter::new(),
+            transmitter: FrameTransmitter::new(),
             largest_step: Command::default(),
             last: None,
         }
@@ -221,11 +221,11 @@ impl Drive {
         self.produced = Some(function);
         let term = 2 * (1 + self.master as u32) + self.master as u32;
         let control = Control {
-            role: Role::Master,
+            role: RoleCode::Master,
             mode: if function == Function::L3 {
-                Mode::L3
+                ModeCode::L3
             } else {
-                Mode::DegradedL2
+                ModeCode::DegradedL2
             },
             term,
             steering_angle: command.steering_angle,

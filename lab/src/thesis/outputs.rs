@@ -5,7 +5,7 @@
 //! of the other rises when the other has found the failure and taken over.
 
 use tandem_board::{CoreId, SystemId};
-use tandem_bus::Role;
+use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
 use tandem_page::chart::{WIDTH, plain, round_ticks};
 use tandem_page::svg::{Anchor, Color, Stroke, Svg};
@@ -45,7 +45,7 @@ fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
         .filter(|event| event.system == system && event.core == CoreId::CONTROL);
     of_system
         .filter(|event| event.at_ns >= from_ns)
-        .find(|event| matches!(event.event, Event::Role { role, .. } if role == Role::Master as u8))
+        .find(|event| matches!(event.event, Event::Role { role, .. } if role == RoleCode::Master as u8))
         .map(|event| event.at_ns)
 }
 
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn responses_are_the_times_between_the_edges() {
-        let role = |at_ms: u64, system, role: Role| CoreEvent {
+        let role = |at_ms: u64, system, role: RoleCode| CoreEvent {
             at_ns: at_ms * 1_000_000,
             system,
             core: CoreId::CONTROL,
@@ -174,11 +174,11 @@ mod tests {
         };
         let mut log = RunLog {
             events: vec![
-                role(1_000, SystemId::A, Role::Master),
-                role(1_001, SystemId::B, Role::Standby),
-                role(4_002, SystemId::B, Role::Master),
-                role(6_000, SystemId::A, Role::Standby),
-                role(9_005, SystemId::A, Role::Master),
+                role(1_000, SystemId::A, RoleCode::Master),
+                role(1_001, SystemId::B, RoleCode::Standby),
+                role(4_002, SystemId::B, RoleCode::Master),
+                role(6_000, SystemId::A, RoleCode::Standby),
+                role(9_005, SystemId::A, RoleCode::Master),
             ],
             ..RunLog::default()
         };

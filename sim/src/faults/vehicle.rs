@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, VehicleBus as _};
 use tandem_board_sim::WorldTick;
-use tandem_bus::{EgoMotion, Message, Mode, Transmitter};
+use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
 use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
@@ -43,7 +43,7 @@ enum Outside {
 /// A gate without a vehicle, which tells of a constant speed.
 struct Alone {
     gate: Gate,
-    transmitter: Transmitter,
+    transmitter: FrameTransmitter,
     /// When the frame arrived of which the last echo told, ns.
     echoed: Option<u64>,
 }
@@ -60,7 +60,7 @@ impl Vehicle {
         } else {
             Outside::Gate(Box::new(Alone {
                 gate: Gate::new(),
-                transmitter: Transmitter::new(),
+                transmitter: FrameTransmitter::new(),
                 echoed: None,
             }))
         };
@@ -94,7 +94,7 @@ impl Vehicle {
             CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
             CanId::Extended(_) => None,
         });
-        matches!(message, Some(Message::Control { control, .. }) if control.mode == Mode::SafeStop)
+        matches!(message, Some(Message::Control { control, .. }) if control.mode == ModeCode::SafeStop)
     }
 
     /// Every frame so far, if the cores' events are kept.
@@ -198,7 +198,7 @@ pub(super) fn another_command(frame: &CanFrame) -> CanFrame {
     };
     // Plausible for the gate: it does not jump.
     control.steering_angle += 0.001;
-    let encoded = Transmitter::new().encode(&Message::Control { system, control });
+    let encoded = FrameTransmitter::new().encode(&Message::Control { system, control });
     let mut data = encoded.data().to_vec();
     tandem_bus::e2e::protect(id, frame.data()[2], &mut data);
     frame_of(frame.id(), &data)

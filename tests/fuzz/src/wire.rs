@@ -2,7 +2,7 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use tandem_board::{CanFrame, CanId, FlashStatus, Instant, SystemId};
-use tandem_bus::{DecodeError, FRAMES, Message, Receiver, Transmitter, e2e};
+use tandem_bus::{FRAMES, FrameError, FrameReceiver, FrameTransmitter, Message, e2e};
 use tandem_record::{Entry, RunLog, file, takeovers};
 use tandem_redundancy::{FlashOp, Geometry, LinkReport, Loaded, StateStore, SystemState};
 use tandem_vehicle::world_loop::LoggedFrame;
@@ -84,15 +84,15 @@ pub(crate) fn message(bytes: &[u8]) -> bool {
     let mut data = data.to_vec();
     // A node that sends nonsense; noise on the wire nearly never gets past the checksum.
     e2e::protect(id, *counter, &mut data);
-    let mut receiver = Receiver::new();
+    let mut receiver = FrameReceiver::new();
     let Ok(message) = receiver.receive(id.into(), &data) else {
         return false;
     };
-    let encoded = Transmitter::new().encode(&message);
+    let encoded = FrameTransmitter::new().encode(&message);
     assert_eq!(encoded.id, id);
     let again = Message::decode(id.into(), encoded.data());
-    let twice = again.map(|message| Transmitter::new().encode(&message));
-    let twice: Result<Vec<u8>, DecodeError> = twice.map(|it| it.data().to_vec());
+    let twice = again.map(|message| FrameTransmitter::new().encode(&message));
+    let twice: Result<Vec<u8>, FrameError> = twice.map(|it| it.data().to_vec());
     assert_eq!(twice.as_deref(), Ok(encoded.data()), "{message:?}");
     true
 }

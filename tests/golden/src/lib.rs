@@ -8,7 +8,7 @@
 #![forbid(unsafe_code)]
 
 use tandem_board::{CanId, Duration, Instant};
-use tandem_bus::{Message, Receiver};
+use tandem_bus::{FrameReceiver, Message};
 use tandem_cores::driving::control::MotionControl;
 use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::perception::{Perception, ego_of};
@@ -65,7 +65,7 @@ pub struct Digest {
 
 /// One system's functions, driven by the clock of what they hear.
 pub struct Functions {
-    receiver: Receiver,
+    receiver: FrameReceiver,
     perception: Perception,
     planner: Planner,
     control: MotionControl,
@@ -87,7 +87,7 @@ impl Functions {
     #[must_use]
     pub fn new() -> Self {
         Self {
-            receiver: Receiver::new(),
+            receiver: FrameReceiver::new(),
             perception: Perception::new(),
             planner: Planner::new(),
             control: MotionControl::new(),

@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::rc::Rc;
 use tandem_board::{Board, CoreId, Duration, Instant, SystemId};
 use tandem_board_sim::{Poller, SimBoard};
-use tandem_bus::Mode;
+use tandem_bus::ModeCode;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -107,7 +107,7 @@ fn no_poll_of_any_core_allocates() {
     drive.pair.kill_core(SystemId::B, CoreId::PLANNING);
     drive.run_for(S(3));
 
-    let l2 = |frame: &&ControlFrame| frame.mode == Mode::DegradedL2;
+    let l2 = |frame: &&ControlFrame| frame.mode == ModeCode::DegradedL2;
     let frames = drive.seen.borrow().log.accepted().filter(l2).count();
     assert!(frames > 100, "{frames} frames of the L2 functions");
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::rc::Rc;
 use tandem_board::{Board, CoreId, Duration, SystemId};
-use tandem_bus::{Message, Mode, SensorId};
+use tandem_bus::{Message, ModeCode, SensorId};
 use tandem_cores::driving::function::{DEGRADED_LIMIT, END_LIMIT, TAKEOVER_LIMIT};
 use tandem_cores::trace::Event;
 use tandem_sim::drive::{Drive, poller};
@@ -13,10 +13,10 @@ use tandem_vehicle::{Habit, Scenario, World};
 use crate::S;
 
 /// The functions that the vehicle obeyed, each with its first scenario time, s.
-fn functions(drive: &Drive) -> Vec<(Mode, f64)> {
+fn functions(drive: &Drive) -> Vec<(ModeCode, f64)> {
     let seen = drive.seen.borrow();
     let start_ns = seen.log.accepted().next().map_or(0, |frame| frame.at_ns);
-    let mut functions: Vec<(Mode, f64)> = vec![];
+    let mut functions: Vec<(ModeCode, f64)> = vec![];
     for frame in seen.log.accepted() {
         if functions.last().is_none_or(|(mode, _)| *mode != frame.mode) {
             functions.push((frame.mode, (frame.at_ns - start_ns) as f64 * 1e-9));
@@ -25,7 +25,7 @@ fn functions(drive: &Drive) -> Vec<(Mode, f64)> {
     functions
 }
 
-fn modes(drive: &Drive) -> Vec<Mode> {
+fn modes(drive: &Drive) -> Vec<ModeCode> {
     functions(drive).into_iter().map(|(mode, _)| mode).collect()
 }
 
@@ -49,7 +49,7 @@ fn degraded_mode_ends_at_standstill_when_no_driver_answers() {
         Duration::from_us(END_LIMIT.as_us() - DEGRADED_LIMIT.as_us() - TAKEOVER_LIMIT.as_us());
     drive.run_for(left);
     assert!(speed(&drive) < 0.1, "{}", speed(&drive));
-    let expected = [Mode::L3, Mode::DegradedL2, Mode::SafeStop];
+    let expected = [ModeCode::L3, ModeCode::DegradedL2, ModeCode::SafeStop];
     assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
     assert_eq!(drive.collisions(), 0);
     assert!(drive.gap_max() < Duration::from_ms(20));
@@ -65,7 +65,7 @@ fn degraded_mode_ends_with_a_driver_who_answers() {
     drive.run_for(S(5));
     drive.pair.power_off(SystemId::A);
     drive.run_for(DEGRADED_LIMIT + TAKEOVER_LIMIT + S(5));
-    let expected = [Mode::L3, Mode::DegradedL2, Mode::None];
+    let expected = [ModeCode::L3, ModeCode::DegradedL2, ModeCode::None];
     assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
     let seen = drive.seen.borrow();
     let now = seen.world.snapshot();
@@ -87,7 +87,7 @@ fn a_driver_overrides_and_engages_again() {
     let functions = functions(&drive);
     assert_eq!(
         modes(&drive),
-        [Mode::L3, Mode::None, Mode::L3],
+        [ModeCode::L3, ModeCode::None, ModeCode::L3],
         "{functions:?}"
     );
     // The driver's frame comes every 100 ms.
@@ -149,7 +149,7 @@ fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
     assert!(asked > 2.0, "not before the end is in sight: {asked}");
     assert!(now.speed < 0.1 && now.pose.position.x < 448.0, "{now:?}");
     assert!(metrics.outside_domain_s == 0.0 && metrics.deceleration_max < 4.0);
-    let expected = [Mode::L3, Mode::SafeStop];
+    let expected = [ModeCode::L3, ModeCode::SafeStop];
     assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
 }
 
@@ -186,9 +186,10 @@ fn a_sensor_that_is_lost_or_late_is_a_takeover_request() {
     for kind in ["lost", "late"] {
         let back = with_sensor(&format!("radar-front-left:{kind}:5-10"));
         let gone = with_sensor(&format!("radar-front-left:{kind}:5-60"));
-        for ((mut drive, asks), expected) in
-            [(back, &[Mode::L3][..]), (gone, &[Mode::L3, Mode::SafeStop])]
-        {
+        for ((mut drive, asks), expected) in [
+            (back, &[ModeCode::L3][..]),
+            (gone, &[ModeCode::L3, ModeCode::SafeStop]),
+        ] {
             // The scenario's time begins with the first control frame.
             drive.run_for(S(6));
             assert!(asks.get(), "it asks");

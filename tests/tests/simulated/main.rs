@@ -19,7 +19,7 @@ mod terms;
 mod wrong;
 
 use tandem_board::{CoreId, Duration, HardwareFault, Instant, RoleLamp, SystemId};
-use tandem_bus::{Control, Mode, Role, Transmitter};
+use tandem_bus::{Control, FrameTransmitter, ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_record::gap::both_transmitted_ms;
 use tandem_record::run_log::ControlFrame;
@@ -123,11 +123,11 @@ fn a_second_transmitter_is_found_although_the_vehicle_fences_it_off() {
         let term = drive.seen.borrow().log.accepted().last().map(|f| f.term);
         let term = term.expect("A drives");
         assert_eq!((drive.both_transmitted_ms(), term & 1), (0.0, 0));
-        let mut transmitter = Transmitter::new();
+        let mut transmitter = FrameTransmitter::new();
         for _ in 0..20 {
             let control = Control {
-                role: Role::Master,
-                mode: Mode::L3,
+                role: RoleCode::Master,
+                mode: ModeCode::L3,
                 term: if above { term + 1 } else { term - 1 },
                 ..Control::default()
             };

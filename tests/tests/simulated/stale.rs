@@ -1,7 +1,7 @@
 //! Control frames that come late, in the name of a system that no longer drives, or many at once.
 
 use tandem_board::{CanFrame, CanId, CoreId, Duration, SystemId};
-use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_redundancy::Term;
 use tandem_sim::drive::Drive;
 
@@ -27,7 +27,7 @@ fn sent_by(drive: &mut Drive, system: SystemId) -> Vec<Control> {
         .collect()
 }
 
-pub(crate) fn forge(drive: &Drive, transmitter: &mut Transmitter, control: Control) {
+pub(crate) fn forge(drive: &Drive, transmitter: &mut FrameTransmitter, control: Control) {
     // The lowest bit of a term tells whose it is.
     let system = (control.term & 1) as u8;
     let message = Message::Control { system, control };
@@ -47,7 +47,7 @@ fn a_stale_control_frame_does_not_jerk_the_new_master() {
     drive.pair.power_off(SystemId::A);
     drive.run_for(MS(2_000));
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
-    let mut transmitter = Transmitter::new();
+    let mut transmitter = FrameTransmitter::new();
     let mut steering = vec![];
     for _ in 0..20 {
         forge(
@@ -84,13 +84,13 @@ fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
     drive.run_for(MS(10_000));
     let first = *sent_in(&mut drive, SystemId::A).last().expect("A drives");
     let mut term = Term::from_bits(first.term);
-    let mut transmitter = Transmitter::new();
+    let mut transmitter = FrameTransmitter::new();
     drive.pair.freeze_core(SystemId::B, CoreId::CONTROL, MS(12));
     for _ in 0..16 {
         term = term.above(1, SystemId::A).expect("terms are left");
         let control = Control {
-            role: Role::Master,
-            mode: Mode::L3,
+            role: RoleCode::Master,
+            mode: ModeCode::L3,
             term: term.bits(),
             ..first
         };

@@ -1,7 +1,7 @@
 //! The vehicle's echo: what a system learns from it about terms that it missed.
 
 use tandem_board::{CanFrame, CanId, Duration, SystemId};
-use tandem_bus::{Control, Message, Role, Transmitter};
+use tandem_bus::{Control, FrameTransmitter, Message, RoleCode};
 use tandem_sim::drive::Drive;
 use tandem_vehicle::gate::Acceptance;
 
@@ -55,11 +55,11 @@ fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
     assert!(obeys(&drive, SystemId::B));
 
     let control = Control {
-        role: Role::Master,
+        role: RoleCode::Master,
         term: before.term + 41,
         ..Control::default()
     };
-    let frame = Transmitter::new().encode(&Message::Control { system: 0, control });
+    let frame = FrameTransmitter::new().encode(&Message::Control { system: 0, control });
     let frame = CanFrame::new(CanId::Standard(frame.id), true, frame.data()).expect("of the DBC");
     drive.seen.borrow_mut().forged.push(frame);
     drive.run_for(ms(100));

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use tandem_board::{Board, CanFrame, CoreId, Duration, Instant, SystemId};
 use tandem_board_sim::{Config as BoardConfig, Poller, SimBoard};
-use tandem_bus::{Message, Mode};
+use tandem_bus::{Message, ModeCode};
 use tandem_cores::Config;
 use tandem_cores::trace::Event;
 use tandem_sim::drive::{Drive, poller};
@@ -188,7 +188,7 @@ fn a_disagreement_without_a_known_cause_stops_the_vehicle() {
         assert!(aside < limit_m, "{what}: {aside} m");
         assert!(seen.world.snapshot().speed < 0.1, "{what}: stands");
         let control = seen.log.control.last().expect("control frames");
-        assert_eq!(control.mode, Mode::SafeStop, "{what}");
+        assert_eq!(control.mode, ModeCode::SafeStop, "{what}");
         drop(seen);
         assert_eq!(drive.masters(), [SystemId::A], "{what}: no system left");
     }

@@ -129,13 +129,13 @@ impl Sensors {
 }
 
 /// The bus's name for a class.
-fn bus_class(class: Class) -> tandem_bus::Class {
+fn bus_class(class: Class) -> tandem_bus::ClassCode {
     match class {
-        Class::Unknown => tandem_bus::Class::Unknown,
-        Class::Car => tandem_bus::Class::Car,
-        Class::Truck => tandem_bus::Class::Truck,
-        Class::Motorcycle => tandem_bus::Class::Motorcycle,
-        Class::Pedestrian => tandem_bus::Class::Pedestrian,
-        Class::Static => tandem_bus::Class::Static,
+        Class::Unknown => tandem_bus::ClassCode::Unknown,
+        Class::Car => tandem_bus::ClassCode::Car,
+        Class::Truck => tandem_bus::ClassCode::Truck,
+        Class::Motorcycle => tandem_bus::ClassCode::Motorcycle,
+        Class::Pedestrian => tandem_bus::ClassCode::Pedestrian,
+        Class::Static => tandem_bus::ClassCode::Static,
     }
 }

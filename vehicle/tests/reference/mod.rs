@@ -1,6 +1,6 @@
 //! A reference driver with perfect knowledge: proves that a scenario can be driven at all.
 
-use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::traffic::{Driver, Leader};
 use tandem_vehicle::{LaneId, Snapshot, World};
@@ -26,7 +26,7 @@ pub(crate) enum Manner {
 /// Follows the leader by the Intelligent Driver Model and the lane by pure pursuit (Coulter 1992).
 pub(crate) struct ReferenceDriver {
     manner: Manner,
-    transmitter: Transmitter,
+    transmitter: FrameTransmitter,
     lane: Option<LaneId>,
     /// When the lane was chosen, s.
     chosen_s: f64,
@@ -36,7 +36,7 @@ impl ReferenceDriver {
     pub(crate) fn new(manner: Manner) -> Self {
         Self {
             manner,
-            transmitter: Transmitter::new(),
+            transmitter: FrameTransmitter::new(),
             lane: None,
             chosen_s: 0.0,
         }
@@ -48,8 +48,12 @@ impl ReferenceDriver {
         let target = self.choose_lane(world);
         let silent = self.manner == Manner::Absent && now.running;
         let control = Control {
-            role: if silent { Role::Standby } else { Role::Master },
-            mode: Mode::L3,
+            role: if silent {
+                RoleCode::Standby
+            } else {
+                RoleCode::Master
+            },
+            mode: ModeCode::L3,
             term: 2,
             steering_angle: steering(world, now, target) as f32,
             acceleration: self.acceleration(world, target) as f32,

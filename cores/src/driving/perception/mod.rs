@@ -21,7 +21,7 @@ use tandem_bus::{CameraLanes, DriverRequest, EgoMotion, Message, SensorId, Senso
 use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
 use super::odometry::{Odometry, motion};
-use super::types::{Ego, Object, Route, Scene};
+use super::types::{Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
 use lane::LaneFilter;
 use lists::Lists;
@@ -88,7 +88,7 @@ impl Perception {
                 ego: Ego::default(),
                 lanes: None,
                 set_speed: None,
-                route: Route::Free,
+                route: RouteCode::Free,
                 near_gap: false,
                 lane_offset: 0.0,
                 objects: Vec::new(),
@@ -96,7 +96,8 @@ impl Perception {
         }
     }
 
-    /// Takes a frame in that was on the bus at `now`. Frames of the systems themselves are ignored.
+    /// Takes in a frame that was on the bus at `now`. Ignores frames that no sensor, chassis or
+    /// driver sends.
     ///
     /// Lists count as measured when their sensor says; lanes, which say nothing, when their frame
     /// was on the bus.
@@ -107,7 +108,7 @@ impl Perception {
             Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
             Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
             Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
-            Message::Control { .. } | Message::Status { .. } | Message::GateEcho(_) => {}
+            _ => {}
         }
     }
 

@@ -1,6 +1,6 @@
 //! One tracked object: filters of both axes, what kind it is, and how sure it is that it exists.
 
-use tandem_bus::{Class, SensorId, SensorObject};
+use tandem_bus::{ClassCode, SensorId, SensorObject};
 
 use super::kalman::{Axis, Innovation, Measured, Motion, Settled, Span};
 use crate::driving::knowledge::Known;
@@ -53,7 +53,7 @@ const BESIDE_COAST_S: f32 = 2.0;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Detection {
     sensor: SensorId,
-    class: Class,
+    class: ClassCode,
     x: Measured,
     y: Measured,
     length: f32,
@@ -293,7 +293,7 @@ impl Track {
         self.confirmed |= self.told
             || self.hits >= CONFIRMING_HITS
             || self.sensors.count_ones() >= CONFIRMING_SENSORS;
-        if detection.class != Class::Unknown {
+        if detection.class != ClassCode::Unknown {
             self.class = kind(detection.class);
         }
         if detection.length > 0.3 {
@@ -345,13 +345,13 @@ const fn max_of(a: u8, b: u8) -> u8 {
     if a > b { a } else { b }
 }
 
-fn kind(class: Class) -> ObjectClass {
+fn kind(class: ClassCode) -> ObjectClass {
     match class {
-        Class::Car => ObjectClass::Car,
-        Class::Truck => ObjectClass::Truck,
-        Class::Motorcycle => ObjectClass::Motorcycle,
-        Class::Pedestrian => ObjectClass::Pedestrian,
-        Class::Static => ObjectClass::Static,
+        ClassCode::Car => ObjectClass::Car,
+        ClassCode::Truck => ObjectClass::Truck,
+        ClassCode::Motorcycle => ObjectClass::Motorcycle,
+        ClassCode::Pedestrian => ObjectClass::Pedestrian,
+        ClassCode::Static => ObjectClass::Static,
         _ => ObjectClass::Unknown,
     }
 }

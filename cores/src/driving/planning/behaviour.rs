@@ -8,7 +8,7 @@
 use super::prediction::Predicted;
 use crate::driving::idm::{self, Driver, Leader};
 use crate::driving::math::{abs, lerp, max, min};
-use crate::driving::types::{Lanes, Memory, Route};
+use crate::driving::types::{Lanes, Memory, RouteCode};
 use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
 /// Gain in acceleration from which on a change is made, m/s².
@@ -107,7 +107,7 @@ pub(crate) struct Situation<'a> {
     /// Own offset from the own lane's centre, m.
     pub(crate) offset: f32,
     /// Where the driver's route leads.
-    pub(crate) route: Route,
+    pub(crate) route: RouteCode,
 }
 
 /// The task of planning.
@@ -340,9 +340,9 @@ impl Situation<'_> {
         let soon = max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M);
         if end > soon {
             let side = match self.route {
-                Route::Left => Side::Left,
-                Route::Right => Side::Right,
-                Route::Free | Route::Keep => return None,
+                RouteCode::Left => Side::Left,
+                RouteCode::Right => Side::Right,
+                RouteCode::Free | RouteCode::Keep => return None,
             };
             let (centre, other) = side.lane(self.lanes)?;
             return (other > soon).then_some((side, centre));
@@ -466,7 +466,7 @@ impl Situation<'_> {
             let braking = lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near);
             return side == forced && self.is_possible(centre, braking, lerp(0.4, 0.3, near));
         }
-        if end < max(LANE_WORTH_S * self.speed, 400.0) || self.route == Route::Keep {
+        if end < max(LANE_WORTH_S * self.speed, 400.0) || self.route == RouteCode::Keep {
             return false;
         }
         let (leader, follower) = self.neighbours(centre);

@@ -17,7 +17,7 @@ use tandem_board::{
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::memory::strap;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log};
-use tandem_bus::{Control, Message, Receiver, Transmitter};
+use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};
 use tandem_redundancy::{
     Action, Actions, Config, ControlFrame, Event, Input, LinkReport, Loaded, Mode, Redundancy,
     Role, Snapshot, Takeover, Term,
@@ -67,8 +67,8 @@ fn main(own: usize) -> ! {
 struct Core<'b> {
     board: &'b An521Board,
     machine: Redundancy,
-    transmitter: Transmitter,
-    receiver: Receiver,
+    transmitter: FrameTransmitter,
+    receiver: FrameReceiver,
     next_frame: Instant,
     takeover: Option<Takeover>,
     /// When the newest control frame of the other system was on the bus.
@@ -83,8 +83,8 @@ impl<'b> Core<'b> {
         Self {
             board,
             machine,
-            transmitter: Transmitter::new(),
-            receiver: Receiver::new(),
+            transmitter: FrameTransmitter::new(),
+            receiver: FrameReceiver::new(),
             next_frame: now,
             takeover: None,
             heard_at: None,
@@ -154,14 +154,14 @@ impl<'b> Core<'b> {
 
     fn send_control(&mut self) {
         let driven = if self.machine.mode() == Mode::L3 {
-            tandem_bus::Mode::L3
+            tandem_bus::ModeCode::L3
         } else {
-            tandem_bus::Mode::DegradedL2
+            tandem_bus::ModeCode::DegradedL2
         };
         let message = Message::Control {
             system: self.board.identity().system.index() as u8,
             control: Control {
-                role: tandem_bus::Role::Master,
+                role: tandem_bus::RoleCode::Master,
                 mode: driven,
                 takeover_request: false,
                 term: self.machine.term().bits(),
