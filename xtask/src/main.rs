@@ -8,6 +8,7 @@ mod figures;
 mod firmware;
 mod instructions;
 mod mutants;
+mod names;
 mod requirements;
 mod rooms;
 mod rta;
@@ -58,7 +59,7 @@ enum Task {
     /// Run all tests of the workspace, with cargo-nextest if it is installed
     Test,
     /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
-    /// allowed
+    /// allowed, names that two things share
     Tidy,
     /// List the requirements and the tests that name them
     Requirements {

@@ -13,38 +13,84 @@ const FIRMWARE: &str = "firmware-port";
 /// What a target of a package is if its modules are product code.
 const PRODUCT: [&str; 4] = ["lib", "bin", "staticlib", "proc-macro"];
 
-/// Finds circles of dependency between the modules of a folder, in all crates.
-pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
-    let mut findings = Vec::new();
-    for workspace in [root, &root.join(FIRMWARE)] {
-        for target in packages(workspace)?.into_iter().flat_map(|it| it.targets) {
-            if !target
-                .kind
-                .iter()
-                .any(|kind| PRODUCT.contains(&kind.as_str()))
-            {
-                continue;
+/// The product code of both workspaces.
+pub(crate) struct Rooms(Vec<Room>);
+
+/// A library or a program.
+struct Room {
+    package: String,
+    /// The file of its root, below the repository's.
+    file: String,
+    tree: Tree,
+}
+
+impl Rooms {
+    pub(crate) fn read(root: &Path) -> Result<Self> {
+        let mut rooms = Vec::new();
+        for workspace in [root, &root.join(FIRMWARE)] {
+            for package in packages(workspace)? {
+                for target in package.targets {
+                    if !target
+                        .kind
+                        .iter()
+                        .any(|kind| PRODUCT.contains(&kind.as_str()))
+                    {
+                        continue;
+                    }
+                    let mut tree = Tree::default();
+                    tree.read(Vec::new(), &target.src_path, true)?;
+                    let file = target.src_path.strip_prefix(root);
+                    let file = file.unwrap_or(&target.src_path).display().to_string();
+                    let package = package.name.clone();
+                    rooms.push(Room {
+                        package,
+                        file,
+                        tree,
+                    });
+                }
             }
-            let mut tree = Tree::default();
-            tree.read(Vec::new(), &target.src_path, true)?;
-            let file = target.src_path.strip_prefix(root);
-            let file = file.unwrap_or(&target.src_path).display().to_string();
+        }
+        Ok(Self(rooms))
+    }
+
+    /// Finds circles of dependency between the modules of a folder.
+    pub(crate) fn circles(&self) -> Vec<String> {
+        let mut findings = Vec::new();
+        for Room { file, tree, .. } in &self.0 {
             for (folder, circle) in tree.circles() {
-                let is_known = |known: &&(&str, &str, &[&str])| {
+                let is_known = |known: &(&str, &str, &[&str])| {
                     let mut circle = circle.iter();
                     known.0 == file
                         && known.1 == folder
                         && circle.all(|it| known.2.contains(&it.as_str()))
                 };
-                if !KNOWN.iter().any(|known| is_known(&known)) {
+                if !KNOWN.iter().any(is_known) {
                     findings.push(format!(
                         "{file}: modules of crate::{folder} use each other: {circle:?}"
                     ));
                 }
             }
         }
+        findings
     }
-    Ok(findings)
+
+    /// The packages of the product with a public type of each name.
+    pub(crate) fn public_types(&self) -> BTreeMap<String, BTreeSet<String>> {
+        let mut types = BTreeMap::<String, BTreeSet<String>>::new();
+        let product = self
+            .0
+            .iter()
+            .filter(|room| !room.file.starts_with("tests/"));
+        for Room { package, tree, .. } in product {
+            for name in tree.0.values().flat_map(|module| &module.types) {
+                types
+                    .entry(name.clone())
+                    .or_default()
+                    .insert(package.clone());
+            }
+        }
+        types
+    }
 }
 
 /// What begins an item with a name.
@@ -59,6 +105,8 @@ const ITEMS: [&str; 9] = [
     "static",
     "macro_rules",
 ];
+/// What begins the name of a type.
+const TYPES: [&str; 5] = ["struct", "enum", "union", "trait", "type"];
 /// Circles that are known: a file of a crate's root, a folder, and the modules. The list shrinks to
 /// nothing.
 const KNOWN: &[(&str, &str, &[&str])] = &[
@@ -116,6 +164,8 @@ struct Module {
     children: BTreeSet<String>,
     /// Names of the items that the module defines.
     items: BTreeSet<String>,
+    /// Those of its types that are public.
+    types: BTreeSet<String>,
     /// All paths in the code, as written; also the items of `use` declarations.
     paths: BTreeSet<Names>,
     /// What `use` declarations bring into the module, by its name there: `*` for all of a module.
@@ -164,7 +214,9 @@ impl Tree {
             let TokenTree::Ident(word) = word else {
                 continue;
             };
-            if word == "mod" {
+            if word == "pub" && TYPES.iter().any(|kind| name.to_string() == *kind) {
+                module.types.insert(behind.to_string());
+            } else if word == "mod" {
                 let name = name.to_string();
                 let child = [&at[..], std::slice::from_ref(&name)].concat();
                 module.children.insert(name);

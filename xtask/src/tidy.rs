@@ -1,5 +1,7 @@
 //! The house rules that a program can check.
 
+use crate::rooms::{Rooms, packages};
+use crate::names;
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -125,17 +127,19 @@ const MAX_COLUMNS: usize = 100;
 /// Checks everything, prints every finding, and fails if there is one.
 pub(crate) fn run(root: &Path) -> Result<()> {
     let mut findings = dependencies(root)?;
-    findings.extend(crate::rooms::findings(root)?);
-    findings.extend(crate::failure_modes::findings(root, &rust_files(root)?)?);
-    for file in rust_files(root)? {
+    let files = rust_files(root)?;
+    findings.extend(crate::failure_modes::findings(root, &files)?);
+    let mut places = Vec::new();
+    for file in files {
         let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
-        let place = file
-            .strip_prefix(root)
-            .unwrap_or(&file)
-            .display()
-            .to_string();
+        let place = file.strip_prefix(root).unwrap_or(&file);
+        let place = place.display().to_string();
         findings.extend(file_findings(&place, &text));
+        places.push(place);
     }
+    let rooms = Rooms::read(root)?;
+    findings.extend(rooms.circles());
+    findings.extend(names::findings(root, &rooms.public_types(), &places)?);
     findings.iter().for_each(|finding| println!("{finding}"));
     if !findings.is_empty() {
         bail!("{} findings", findings.len());
@@ -146,7 +150,7 @@ pub(crate) fn run(root: &Path) -> Result<()> {
 
 fn dependencies(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
-    for package in crate::rooms::packages(root)? {
+    for package in packages(root)? {
         let name = package.name.as_str();
         let ours = MAY_DEPEND_ON.iter().find(|(owner, _)| *owner == name);
         if ours.is_none() && !ON_TOP.contains(&name) {
