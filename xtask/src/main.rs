@@ -12,6 +12,7 @@ mod names;
 mod requirements;
 mod rooms;
 mod rta;
+mod sizes;
 mod task_tables;
 mod tidy;
 mod toolchain;
@@ -59,8 +60,12 @@ enum Task {
     /// Run all tests of the workspace, with cargo-nextest if it is installed
     Test,
     /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
-    /// allowed, names that two things share
-    Tidy,
+    /// allowed, names that two things share, the lines of each room
+    Tidy {
+        /// Make the lines that each room has the table in docs/rooms.md
+        #[arg(long)]
+        save: bool,
+    },
     /// List the requirements and the tests that name them
     Requirements {
         /// Exit with an error if no test names one of these requirements: all whose id begins with
@@ -265,7 +270,7 @@ fn execute() -> Result<()> {
         .context("xtask has no parent")?;
     match Arguments::parse().task {
         Task::Test => test(root),
-        Task::Tidy => tidy::run(root),
+        Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),
         Task::Broken { name, check } => broken::run(root, &name, check),
         Task::BareMetal => bare_metal(root),

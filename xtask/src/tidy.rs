@@ -1,7 +1,7 @@
 //! The house rules that a program can check.
 
 use crate::rooms::{Rooms, packages};
-use crate::names;
+use crate::{names, sizes};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -125,8 +125,11 @@ const MAX_LINES: usize = 800;
 const MAX_COLUMNS: usize = 100;
 
 /// Checks everything, prints every finding, and fails if there is one.
-pub(crate) fn run(root: &Path) -> Result<()> {
-    let mut findings = dependencies(root)?;
+///
+/// With `save` the table of the rooms' sizes becomes what they are.
+pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
+    let mut findings = sizes::findings(root, save)?;
+    findings.extend(dependencies(root)?);
     let files = rust_files(root)?;
     findings.extend(crate::failure_modes::findings(root, &files)?);
     let mut places = Vec::new();
