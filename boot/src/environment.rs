@@ -12,6 +12,7 @@ use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, Slot};
 use crate::page::{CRC_32, word};
 use embedded_storage::nor_flash::NorFlash;
+use strum::{FromRepr, VariantArray};
 
 const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 const MAGIC: [u8; 4] = *b"TENV";
@@ -39,7 +40,8 @@ pub struct Trial {
 
 /// How far an update of the bootloader itself is. Each state is left by a write of the
 /// environment, and what is done in it may be done again from its beginning. U-4
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromRepr, VariantArray)]
+#[repr(u8)]
 pub enum LoaderUpdate {
     /// There is none.
     #[default]
@@ -56,18 +58,6 @@ pub enum LoaderUpdate {
     Sealing,
     /// The new one has failed. Next: copy the backup to the primary bank, sealed.
     Restoring,
-}
-
-impl LoaderUpdate {
-    const ALL: [Self; 7] = [
-        Self::Idle,
-        Self::Staged,
-        Self::Installing,
-        Self::Trial,
-        Self::TrialExecuted,
-        Self::Sealing,
-        Self::Restoring,
-    ];
 }
 
 /// The content of the boot environment.
@@ -116,22 +106,20 @@ impl Environment {
 
     fn decode(bytes: &[u8; RECORD_BYTES]) -> Option<(Self, u32)> {
         let word = |at: usize| word(bytes, at);
-        let slot = |byte: u8| Slot::ALL.into_iter().find(|slot| *slot as u8 == byte);
         let trial = Trial {
             selection: Selection {
-                application: slot(bytes[10]),
-                configuration: slot(bytes[11]),
+                application: Slot::from_repr(bytes[10]),
+                configuration: Slot::from_repr(bytes[11]),
             },
             executed: bytes[12] == 2,
         };
-        let loader = |state: &LoaderUpdate| *state as u8 == bytes[13];
         let environment = Self {
             active: Selection {
-                application: slot(bytes[8]),
-                configuration: slot(bytes[9]),
+                application: Slot::from_repr(bytes[8]),
+                configuration: Slot::from_repr(bytes[9]),
             },
             trial: (bytes[12] > 0).then_some(trial),
-            loader: LoaderUpdate::ALL.into_iter().find(loader)?,
+            loader: LoaderUpdate::from_repr(bytes[13])?,
             versions: [word(16), word(20), word(24)],
             lowest_key: bytes[14],
         };
@@ -291,7 +279,7 @@ mod tests {
         fn what_is_encoded_is_decoded(
             active in slots(),
             trial in prop::option::of((slots(), any::<bool>())),
-            loader in prop::sample::select(&LoaderUpdate::ALL[..]),
+            loader in prop::sample::select(LoaderUpdate::VARIANTS),
             versions: [u32; 3],
             lowest_key: u8,
             sequence: u32,

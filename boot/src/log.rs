@@ -6,11 +6,12 @@ use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};
 use crate::page::{CRC_32, ERASED, Page, word};
 use embedded_storage::nor_flash::NorFlash;
+use strum::FromRepr;
 
 const MAGIC: [u8; 2] = *b"LG";
 
 /// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
 pub enum LogEvent {
     /// A download was verified and is on trial. Value: the new version.
@@ -35,22 +36,6 @@ pub enum LogEvent {
     LoaderApproved,
     /// The bootloader was restored from its backup.
     LoaderRestored,
-}
-
-impl LogEvent {
-    const ALL: [Self; 11] = [
-        Self::Downloaded,
-        Self::DownloadRefused,
-        Self::Approved,
-        Self::RolledBack,
-        Self::SlotDamaged,
-        Self::StartedUntrusted,
-        Self::RefusedUntrusted,
-        Self::EnvironmentRebuilt,
-        Self::LoaderInstalled,
-        Self::LoaderApproved,
-        Self::LoaderRestored,
-    ];
 }
 
 /// One entry.
@@ -78,10 +63,9 @@ impl LogEntry {
 
     fn decode(page: &Page) -> Option<Self> {
         let word = |at: usize| word(page, at);
-        let event = LogEvent::ALL.into_iter();
         let entry = Self {
             sequence: word(4),
-            event: event.into_iter().find(|event| *event as u8 == page[2])?,
+            event: LogEvent::from_repr(page[2])?,
             value: word(8),
         };
         (entry.encode() == *page).then_some(entry)

@@ -1,6 +1,7 @@
 //! The map of the program flash: 27 logical sectors, and which region owns them. T-BOOT-6, U-2
 
 use core::ops::Range;
+use strum::FromRepr;
 
 /// Bytes of the program flash.
 pub const FLASH_BYTES: u32 = 0x20_0000;
@@ -52,7 +53,8 @@ pub const fn offset_of(address: u32) -> Option<u32> {
 }
 
 /// One of two equal places for an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
+#[repr(u8)]
 pub enum Slot {
     /// The first.
     A,
@@ -84,7 +86,8 @@ pub enum Bank {
 }
 
 /// What an image is. Each kind has its own place and its own way of updating. U-5
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
+#[repr(u8)]
 pub enum ImageKind {
     /// What the three cores run.
     Application,
@@ -92,11 +95,6 @@ pub enum ImageKind {
     Configuration,
     /// The bootloader itself.
     Bootloader,
-}
-
-impl ImageKind {
-    /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Application, Self::Configuration, Self::Bootloader];
 }
 
 /// Where a downloaded image is written.

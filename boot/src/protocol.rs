@@ -2,6 +2,7 @@
 //!
 //! All values are little endian. `docs/boot.md` has the same as tables, for the author of a host.
 
+use strum::{FromRepr, VariantArray};
 use tandem_board::{CanFrame, CanId, SystemId};
 
 /// Frames from the bootloader to the host.
@@ -20,8 +21,8 @@ const OFFER: u8 = 1;
 const GO_BACK: u8 = 2;
 
 /// Why a download was refused. Nothing that boots has changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
+#[repr(u32)]
 pub enum Refusal {
     /// An address outside the flash, or in a sector that no image owns.
     Address = 1,
@@ -57,28 +58,6 @@ pub enum Refusal {
     Record,
     /// The flash does not take it.
     Flash,
-}
-
-impl Refusal {
-    const ALL: [Self; 17] = [
-        Self::Address,
-        Self::Protected,
-        Self::SlotInUse,
-        Self::NoManifest,
-        Self::BadManifest,
-        Self::Untrusted,
-        Self::Downgrade,
-        Self::Gap,
-        Self::Overlap,
-        Self::Order,
-        Self::Unannounced,
-        Self::Count,
-        Self::Incomplete,
-        Self::Digest,
-        Self::Entry,
-        Self::Record,
-        Self::Flash,
-    ];
 }
 
 /// What the bootloader says.
@@ -143,10 +122,7 @@ impl Answer {
             _ if value == CONNECTED => Some(Self::Connected),
             ACCEPTED => Some(Self::Accepted { records: high }),
             RESEND => Some(Self::Resend { record: high }),
-            REFUSED => {
-                let refusal = Refusal::ALL.into_iter().find(|code| *code as u32 == high)?;
-                Some(Self::Refused(refusal))
-            }
+            REFUSED => Refusal::from_repr(high).map(Self::Refused),
             _ => match low.to_le_bytes() {
                 [EXTENSION, records, application, configuration] => Some(Self::Window {
                     records,
@@ -270,7 +246,7 @@ mod tests {
     /// T-BOOT-3: all frames, there and back.
     #[test]
     fn what_is_encoded_is_decoded() {
-        let refused = Refusal::ALL.map(Answer::Refused);
+        let refused = Refusal::VARIANTS.iter().copied().map(Answer::Refused);
         let answers = [
             Answer::Connected,
             Answer::Accepted { records: 9 },

@@ -38,14 +38,14 @@ pub const TANDEM_MODE_DEGRADED_L2: u32 = 2;
 pub const TANDEM_MODE_SAFE_STOP: u32 = 3;
 
 const _: () = {
-    assert!(Role::Starting.code() as u32 == TANDEM_ROLE_STARTING);
-    assert!(Role::Master.code() as u32 == TANDEM_ROLE_MASTER);
-    assert!(Role::Standby.code() as u32 == TANDEM_ROLE_STANDBY);
-    assert!(Role::Suspended.code() as u32 == TANDEM_ROLE_SUSPENDED);
-    assert!(Mode::None.code() as u32 == TANDEM_MODE_NONE);
-    assert!(Mode::L3.code() as u32 == TANDEM_MODE_L3);
-    assert!(Mode::DegradedL2.code() as u32 == TANDEM_MODE_DEGRADED_L2);
-    assert!(Mode::SafeStop.code() as u32 == TANDEM_MODE_SAFE_STOP);
+    assert!(Role::Starting as u32 == TANDEM_ROLE_STARTING);
+    assert!(Role::Master as u32 == TANDEM_ROLE_MASTER);
+    assert!(Role::Standby as u32 == TANDEM_ROLE_STANDBY);
+    assert!(Role::Suspended as u32 == TANDEM_ROLE_SUSPENDED);
+    assert!(Mode::None as u32 == TANDEM_MODE_NONE);
+    assert!(Mode::L3 as u32 == TANDEM_MODE_L3);
+    assert!(Mode::DegradedL2 as u32 == TANDEM_MODE_DEGRADED_L2);
+    assert!(Mode::SafeStop as u32 == TANDEM_MODE_SAFE_STOP);
 };
 
 /// No edge.
@@ -226,12 +226,12 @@ impl From<Actions> for TandemActions {
 
 fn role(number: u32) -> Result<Role, S> {
     let code = u8::try_from(number).ok();
-    code.and_then(Role::from_code).ok_or(S::OutOfRange)
+    code.and_then(Role::from_repr).ok_or(S::OutOfRange)
 }
 
 fn mode(number: u32) -> Result<Mode, S> {
     let code = u8::try_from(number).ok();
-    code.and_then(Mode::from_code).ok_or(S::OutOfRange)
+    code.and_then(Mode::from_repr).ok_or(S::OutOfRange)
 }
 
 impl TandemControlFrame {
@@ -259,8 +259,8 @@ impl TandemReport {
 impl From<PeerReport> for TandemReport {
     fn from(report: PeerReport) -> Self {
         Self {
-            role: report.role.code().into(),
-            mode: report.mode.code().into(),
+            role: report.role as u32,
+            mode: report.mode as u32,
             term: report.term.bits(),
             can_alive: report.can_alive.into(),
         }
@@ -480,15 +480,14 @@ pub unsafe extern "C" fn tandem_redundancy_may_transmit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) -> u32 {
     // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }
-        .map_or(TANDEM_ROLE_STARTING, |machine| machine.role().code().into())
+    unsafe { cell::get(machine) }.map_or(TANDEM_ROLE_STARTING, |machine| machine.role() as u32)
 }
 
 /// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) -> u32 {
     // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }.map_or(TANDEM_MODE_NONE, |machine| machine.mode().code().into())
+    unsafe { cell::get(machine) }.map_or(TANDEM_MODE_NONE, |machine| machine.mode() as u32)
 }
 
 /// The term for control frames; meaningful while the system drives. Any context.

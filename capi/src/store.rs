@@ -66,16 +66,16 @@ pub const TANDEM_FAILURE_CAN_BUS_OFF: u32 = 10;
 
 const _: () = {
     use FailureMode as F;
-    assert!(F::AbnormalResets.code() as u32 == TANDEM_FAILURE_ABNORMAL_RESETS);
-    assert!(F::CanOpenCircuit.code() as u32 == TANDEM_FAILURE_CAN_OPEN_CIRCUIT);
-    assert!(F::IoModule.code() as u32 == TANDEM_FAILURE_IO_MODULE);
-    assert!(F::PerceptionCore.code() as u32 == TANDEM_FAILURE_PERCEPTION_CORE);
-    assert!(F::PlanningCore.code() as u32 == TANDEM_FAILURE_PLANNING_CORE);
-    assert!(F::Deadline.code() as u32 == TANDEM_FAILURE_DEADLINE);
-    assert!(F::TermsExhausted.code() as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
-    assert!(F::WrongCommand.code() as u32 == TANDEM_FAILURE_WRONG_COMMAND);
-    assert!(F::Clock.code() as u32 == TANDEM_FAILURE_CLOCK);
-    assert!(F::CanBusOff.code() as u32 == TANDEM_FAILURE_CAN_BUS_OFF);
+    assert!(F::AbnormalResets as u32 == TANDEM_FAILURE_ABNORMAL_RESETS);
+    assert!(F::CanOpenCircuit as u32 == TANDEM_FAILURE_CAN_OPEN_CIRCUIT);
+    assert!(F::IoModule as u32 == TANDEM_FAILURE_IO_MODULE);
+    assert!(F::PerceptionCore as u32 == TANDEM_FAILURE_PERCEPTION_CORE);
+    assert!(F::PlanningCore as u32 == TANDEM_FAILURE_PLANNING_CORE);
+    assert!(F::Deadline as u32 == TANDEM_FAILURE_DEADLINE);
+    assert!(F::TermsExhausted as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
+    assert!(F::WrongCommand as u32 == TANDEM_FAILURE_WRONG_COMMAND);
+    assert!(F::Clock as u32 == TANDEM_FAILURE_CLOCK);
+    assert!(F::CanBusOff as u32 == TANDEM_FAILURE_CAN_BUS_OFF);
 };
 
 /// A state was found in the flash.
@@ -144,7 +144,7 @@ impl TandemState {
         Self {
             is_master: state.is_master as u32,
             sys_failure: state.sys_failure as u32,
-            failure_mode: state.failure_mode.code() as u32,
+            failure_mode: state.failure_mode as u32,
             cpsys_failure: state.cpsys_failure as u32,
             abn_resets: state.abn_resets,
             total_resets: state.total_resets,

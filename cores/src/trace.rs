@@ -430,8 +430,6 @@ impl Event {
     #[must_use]
     pub fn decode([first, x, y, z]: TraceRecord) -> Option<Self> {
         let [kind, a, b, c] = first.to_le_bytes();
-        let phase = |code: u8| Phase::ALL.get(usize::from(code)).copied();
-        let evidence = |code: u8| Evidence::ALL.get(usize::from(code)).copied();
         Some(match kind {
             1 => Self::Started {
                 generation: x,
@@ -443,12 +441,12 @@ impl Event {
                 term: x,
             },
             3 => Self::Phase {
-                from: phase(a)?,
-                to: phase(b)?,
-                on: evidence(c)?,
+                from: Phase::from_repr(a)?,
+                to: Phase::from_repr(b)?,
+                on: Evidence::from_repr(c)?,
             },
             4 => Self::TookOver {
-                cause: evidence(a)?,
+                cause: Evidence::from_repr(a)?,
                 since_heartbeat_us: x,
                 since_control_us: y,
                 term: z,

@@ -3,7 +3,7 @@
 
 mod hear;
 #[cfg(test)]
-mod table;
+mod tests;
 
 use crate::driving::{Driving, Thawed};
 use crate::input::{Polls, Seen};

@@ -1,9 +1,10 @@
 //! Phases of a system, evidence, and the transition table between them.
 
+use strum::{FromRepr, VariantArray};
 use tandem_board::RoleLamp;
 
 /// The role as encoded in control and status frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Role {
     /// Not yet in a role.
@@ -16,25 +17,8 @@ pub enum Role {
     Suspended = 3,
 }
 
-impl Role {
-    /// All roles, in the order of their codes.
-    pub const ALL: [Self; 4] = [Self::Starting, Self::Master, Self::Standby, Self::Suspended];
-
-    /// The number in the frames.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// The inverse of [`Role::code`].
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.get(usize::from(code)).copied()
-    }
-}
-
 /// The driving function that a system runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Mode {
     /// None.
@@ -47,25 +31,8 @@ pub enum Mode {
     SafeStop = 3,
 }
 
-impl Mode {
-    /// All modes, in the order of their codes.
-    pub const ALL: [Self; 4] = [Self::None, Self::L3, Self::DegradedL2, Self::SafeStop];
-
-    /// The number in the frames.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// The inverse of [`Mode::code`].
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.get(usize::from(code)).copied()
-    }
-}
-
 /// The state of the machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Phase {
     /// Start protocol, or listening for a running master. Output closed, no heartbeats.
@@ -86,17 +53,6 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// All phases.
-    pub const ALL: [Self; 7] = [
-        Self::Starting,
-        Self::Standby,
-        Self::Master,
-        Self::DegradedMaster,
-        Self::Thawed,
-        Self::Resetting,
-        Self::Suspended,
-    ];
-
     /// Whether the output is open.
     #[must_use]
     pub const fn is_driving(self) -> bool {
@@ -141,7 +97,7 @@ impl Phase {
 }
 
 /// The evidence of a poll. The order is that of the table in the docs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Evidence {
     /// A sync edge arrived: the other system leads.
@@ -187,29 +143,4 @@ pub enum Evidence {
     /// Nothing was heard of the system whose sync edge this one followed: the edge was a
     /// disturbance, and the start continues.
     SyncStray = 18,
-}
-
-impl Evidence {
-    /// All kinds of evidence.
-    pub const ALL: [Self; 19] = [
-        Self::SyncHeard,
-        Self::PeerRuns,
-        Self::HandshakeDone,
-        Self::NobodyThere,
-        Self::PeerOff,
-        Self::PeerSilent,
-        Self::BeatsSilent,
-        Self::MasterMute,
-        Self::HigherTerm,
-        Self::BeatsBack,
-        Self::PeerStable,
-        Self::Stalled,
-        Self::ListenOver,
-        Self::FaultReset,
-        Self::FaultStop,
-        Self::FaultSuspend,
-        Self::StandbyMute,
-        Self::MasterResigns,
-        Self::SyncStray,
-    ];
 }

@@ -42,8 +42,8 @@ impl LinkReport {
     pub fn to_words(&self) -> [u32; Self::WORDS] {
         let report = &self.report;
         let head = Self::MAGIC
-            | u32::from(report.role.code())
-            | u32::from(report.mode.code()) << 4
+            | u32::from(report.role as u8)
+            | u32::from(report.mode as u8) << 4
             | u32::from(report.can_alive) << 8
             | u32::from(self.start & Self::STARTS) << 9;
         let content = [head, report.term.bits(), self.sent_us];
@@ -69,8 +69,8 @@ impl LinkReport {
             return None;
         }
         let report = PeerReport {
-            role: Role::from_code((head & 0xF) as u8)?,
-            mode: Mode::from_code((head >> 4 & 0xF) as u8)?,
+            role: Role::from_repr((head & 0xF) as u8)?,
+            mode: Mode::from_repr((head >> 4 & 0xF) as u8)?,
             term: Term::from_bits(term),
             can_alive: head & 0x100 != 0,
         };
@@ -86,11 +86,12 @@ impl LinkReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use strum::VariantArray as _;
 
     #[test]
     fn reports_round_trip() {
-        for role in Role::ALL {
-            for mode in Mode::ALL {
+        for &role in Role::VARIANTS {
+            for &mode in Mode::VARIANTS {
                 for can_alive in [false, true] {
                     let report = PeerReport {
                         role,

@@ -2,6 +2,7 @@
 
 use crate::Term;
 use crc::{CRC_32_ISO_HDLC, Crc};
+use strum::{FromRepr, VariantArray};
 use tandem_board::SystemId;
 
 pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
@@ -10,7 +11,7 @@ const MAGIC: u32 = u32::from_le_bytes(*b"TSS1");
 
 /// The fault that a system found in itself. Its number is stored in flash and sent in the status
 /// frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum FailureMode {
     /// No fault.
@@ -42,35 +43,14 @@ pub enum FailureMode {
 }
 
 impl FailureMode {
-    /// All modes, for tables.
-    pub const ALL: [Self; 12] = [
-        Self::None,
-        Self::AbnormalResets,
-        Self::CanOpenCircuit,
-        Self::IoModule,
-        Self::PerceptionCore,
-        Self::PlanningCore,
-        Self::Deadline,
-        Self::TermsExhausted,
-        Self::WrongCommand,
-        Self::Clock,
-        Self::CanBusOff,
-        Self::Unknown,
-    ];
+    /// All modes, in the order of their numbers.
+    pub const ALL: &'static [Self] = Self::VARIANTS;
 
-    /// The number in flash and in the status frame.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// The inverse of [`FailureMode::code`]; unknown numbers are [`FailureMode::Unknown`].
+    /// The mode with this number in flash or in the status frame; [`FailureMode::Unknown`] for a number
+    /// that this software does not know.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
-        Self::ALL
-            .into_iter()
-            .find(|mode| mode.code() == code)
-            .unwrap_or(Self::Unknown)
+        Self::from_repr(code).unwrap_or(Self::Unknown)
     }
 
     /// Whether a reset may cure it, so that the system returns as standby instead of suspending.
@@ -159,7 +139,7 @@ impl SystemState {
         bytes[8] = u8::from(self.is_master)
             | u8::from(self.sys_failure) << 1
             | u8::from(self.cpsys_failure) << 2;
-        bytes[9] = self.failure_mode.code();
+        bytes[9] = self.failure_mode as u8;
         bytes[10] = self.abn_in_a_row;
         bytes[11] = self.wrong_in_a_row;
         bytes[12..16].copy_from_slice(&self.abn_resets.to_le_bytes());
@@ -293,8 +273,8 @@ mod tests {
 
     #[test]
     fn failure_modes_have_their_own_codes() {
-        for mode in FailureMode::ALL {
-            assert_eq!(FailureMode::from_code(mode.code()), mode);
+        for &mode in FailureMode::ALL {
+            assert_eq!(FailureMode::from_code(mode as u8), mode);
         }
         assert_eq!(FailureMode::from_code(99), FailureMode::Unknown);
     }

@@ -13,6 +13,7 @@ use std::path::PathBuf;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Mutex;
 use std::thread;
+use strum::VariantArray as _;
 use tandem_boot::{Launch, Slot};
 use tandem_boot_host::SimulatedFlash;
 use tandem_boot_host::Tear;
@@ -55,8 +56,9 @@ fn main() -> Result<ExitCode> {
     // The parts of a scenario are as long as those of another: the processors stay busy.
     let parts = |scenario| (0..PARTS).map(move |part| (scenario, part));
     let jobs = Mutex::new(
-        CutScenario::ALL
-            .into_iter()
+        CutScenario::VARIANTS
+            .iter()
+            .copied()
             .flat_map(parts)
             .collect::<Vec<_>>(),
     );
@@ -128,13 +130,15 @@ fn sweep_scenario(
 ) -> Result<Swept> {
     let stage = Stage::new(scenario, defect);
     let program = std::env::current_exe()?;
-    let number = CutScenario::ALL
-        .iter()
-        .position(|one| *one == scenario)
-        .unwrap_or(0) as u64;
     sweep(&stage, ticks, |flash, step| {
         let (tick, tear) = step.cut.unwrap_or((u64::MAX, Tear::Clean));
-        let life = [number, step.acts.into(), step.seed, tick, tear as u64];
+        let life = [
+            scenario as u64,
+            step.acts.into(),
+            step.seed,
+            tick,
+            tear as u64,
+        ];
         let mut command = Command::new(&program);
         command
             .arg("--life")
@@ -166,10 +170,8 @@ fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
     let [scenario, acts, seed, tick, tear] = life else {
         bail!("five numbers");
     };
-    let scenario = CutScenario::ALL
-        .get(*scenario as usize)
-        .context("which scenario?")?;
-    let tear = Tear::ALL.get(*tear as usize).context("which tear?")?;
+    let scenario = CutScenario::from_repr(*scenario as usize).context("which scenario?")?;
+    let tear = Tear::VARIANTS.get(*tear as usize).context("which tear?")?;
     let mut input = Vec::new();
     std::io::stdin().read_to_end(&mut input)?;
     let (length, rest) = input.split_first_chunk::<4>().context("no length")?;
@@ -182,7 +184,7 @@ fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
         seed: *seed,
         cut: (*tick != u64::MAX).then_some((*tick, *tear)),
     };
-    let lived = live((*scenario, defect), &lines, flash, step);
+    let lived = live((scenario, defect), &lines, flash, step);
     let (outcome, ticks, flash) = lived.context("no flash")?;
     std::io::stdout().write_all(&encode(&outcome, ticks, &flash))?;
     Ok(())
@@ -206,14 +208,13 @@ fn encode(outcome: &LifeOutcome, ticks: u64, flash: &SimulatedFlash) -> Vec<u8> 
 fn decode(bytes: &[u8]) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
     let ([kind, application, configuration], rest) = bytes.split_first_chunk()?;
     let (ticks, flash) = rest.split_first_chunk()?;
-    let slot = |number: u8| Slot::ALL.into_iter().find(|slot| *slot as u8 == number);
     let end = match kind {
         0 => End::PowerLost,
         1 => End::Waiting,
         2 => End::Brick,
         _ => End::Running(Launch {
-            application: slot(*application)?,
-            configuration: slot(*configuration),
+            application: Slot::from_repr(*application)?,
+            configuration: Slot::from_repr(*configuration),
             version: 0,
             entries: [None; 3],
         }),

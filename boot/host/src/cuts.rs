@@ -6,10 +6,11 @@
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
+use strum::{FromRepr, VariantArray};
 use tandem_boot::{Bank, FlashRegion, ImageTarget, Slot, rom_choice};
 
 /// What happens while power is lost.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 pub enum CutScenario {
     /// A download to the free slot, trial, approval.
     Application,
@@ -27,20 +28,6 @@ pub enum CutScenario {
     LostEnvironment,
     /// A file that is refused at its end.
     RefusedFile,
-}
-
-impl CutScenario {
-    /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::Application,
-        Self::Both,
-        Self::Rollback,
-        Self::Bootloader,
-        Self::CrashingBootloader,
-        Self::DamagedBootloader,
-        Self::LostEnvironment,
-        Self::RefusedFile,
-    ];
 }
 
 /// A defect for which the sweep must find bricks.
@@ -293,7 +280,7 @@ pub fn sweep<E>(
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     for tick in (which.from..ticks).step_by(which.every as usize) {
         // 33 moments an operation, five ways of being torn: each meets each, at any step.
-        let tear = Tear::ALL[(tick * 7 / 3 % 5) as usize];
+        let tear = Tear::VARIANTS[(tick * 7 / 3 % 5) as usize];
         let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
         let torn = torn.save();
         let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
@@ -307,7 +294,10 @@ pub fn sweep<E>(
             continue;
         }
         // Another start of the same torn flash, cut too: weak bits may fall otherwise.
-        let (second_tick, second) = (tick * 101 % recovery, Tear::ALL[(tick / 5 % 5) as usize]);
+        let (second_tick, second) = (
+            tick * 101 % recovery,
+            Tear::VARIANTS[(tick / 5 % 5) as usize],
+        );
         let cut = Some((second_tick, second));
         let (_, _, torn) = live(&torn, step(false, tick + 2, cut))?;
         let (outcome, _, mut flash) = live(&torn.save(), step(false, tick + 3, None))?;

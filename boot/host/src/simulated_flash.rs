@@ -10,6 +10,7 @@ use embedded_storage::nor_flash::{
 use rand::{Rng, RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use std::ops::Range;
+use strum::{FromRepr, VariantArray};
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
 
 type Page = [u8; PAGE_BYTES];
@@ -20,7 +21,7 @@ pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
 pub const ERASE_TICKS: u64 = 33;
 
 /// How the bits of an interrupted operation read afterwards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Tear {
     /// They keep their old value: bytes change one after the other.
@@ -34,17 +35,6 @@ pub enum Tear {
     /// In one life the whole sector reads as if the operation had ended, in another as if it had
     /// not begun: the luck that misleads most.
     Mimic,
-}
-
-impl Tear {
-    /// All of them.
-    pub const ALL: [Self; 5] = [
-        Self::Clean,
-        Self::Noise,
-        Self::Flicker,
-        Self::PerLife,
-        Self::Mimic,
-    ];
 }
 
 /// One page that is not erased. A weak bit is 1 in `weak`, and 0 in `bits`.
@@ -335,7 +325,7 @@ impl SimulatedFlash {
             let cell = Cell {
                 bits: *bits,
                 weak: *weak,
-                tear: Tear::ALL.into_iter().find(|kind| [*kind as u8] == tear)?,
+                tear: Tear::from_repr(*tear.first()?)?,
             };
             flash.cells.insert(u32::from_le_bytes(*index), cell);
         }
@@ -439,7 +429,7 @@ mod tests {
     /// U-5: power is lost at each byte, and what was before and after it is as it should be.
     #[test]
     fn a_torn_page_is_torn_where_power_was_lost() {
-        for tear in Tear::ALL {
+        for &tear in Tear::VARIANTS {
             for cut in 0..PROGRAM_TICKS {
                 let mut flash = SimulatedFlash::new();
                 flash.write(0, &[0x11; 32]).unwrap();

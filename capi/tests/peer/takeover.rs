@@ -38,8 +38,8 @@ fn words(twin: &mut Redundancy, actions: Option<Actions>, now: Instant) -> [u32;
         }
         words[16] = actions.events().count() as u32;
     }
-    words[12] = twin.role().code().into();
-    words[13] = twin.mode().code().into();
+    words[12] = twin.role() as u32;
+    words[13] = twin.mode() as u32;
     words[14] = twin.term().bits();
     words[15] = twin.may_transmit(now).into();
     words
@@ -114,8 +114,8 @@ impl InC {
         let details = [
             frame.system.index() as u32,
             frame.term.bits(),
-            frame.role.code().into(),
-            frame.mode.code().into(),
+            frame.role as u32,
+            frame.mode as u32,
         ];
         self.on(now, CONTROL_FRAME, &details, Input::ControlFrame(frame))
     }

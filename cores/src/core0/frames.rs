@@ -53,7 +53,7 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
         line1_silent,
         line2_silent,
         agreement: tandem_bus::AgreementCode::Agreed,
-        failure_mode: state.failure_mode.code(),
+        failure_mode: state.failure_mode as u8,
         term: redundancy.highest_term().bits(),
         abn_resets: u16::try_from(state.abn_resets).unwrap_or(u16::MAX),
         total_resets: u16::try_from(state.total_resets).unwrap_or(u16::MAX),
@@ -82,8 +82,8 @@ pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame>
     Some(ControlFrame {
         system: SystemId::from_index(usize::from(from))?,
         term: Term::from_bits(control.term),
-        role: Role::from_code(control.role as u8)?,
-        mode: Mode::from_code(control.mode as u8)?,
+        role: Role::from_repr(control.role as u8)?,
+        mode: Mode::from_repr(control.mode as u8)?,
     })
 }
 
@@ -107,8 +107,8 @@ pub(super) fn heard_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
 /// A status frame of the other system. That it was heard at all shows that its CAN is alive.
 pub(super) fn heard_status(status: &Status) -> Option<PeerReport> {
     Some(PeerReport {
-        role: Role::from_code(status.role as u8)?,
-        mode: Mode::from_code(status.mode as u8)?,
+        role: Role::from_repr(status.role as u8)?,
+        mode: Mode::from_repr(status.mode as u8)?,
         term: Term::from_bits(status.term),
         can_alive: true,
     })

@@ -640,8 +640,8 @@ impl<'b, B: Board> Shared<'b, B> {
         self.shown = Some((phase, mode, term));
         self.board.supply().show_role(phase.lamp());
         self.trace(Event::Role {
-            role: phase.role().code(),
-            mode: mode.code(),
+            role: phase.role() as u8,
+            mode: mode as u8,
             term,
         });
     }

@@ -58,7 +58,7 @@ fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> 
 /// to its flash. A mode without a source does not compile here.
 #[test]
 fn each_failure_mode_has_a_source() {
-    for mode in FailureMode::ALL {
+    for &mode in FailureMode::ALL {
         let source: fn() -> Drive = match mode {
             // No faults: the second is what a later version would write.
             FailureMode::None | FailureMode::Unknown => continue,

@@ -145,8 +145,8 @@ impl<'b> Core<'b> {
             Ok(Message::Control { system, control }) => Some(ControlFrame {
                 system: SystemId::from_index(system.into())?,
                 term: Term::from_bits(control.term),
-                role: Role::from_code(control.role as u8)?,
-                mode: Mode::from_code(control.mode as u8)?,
+                role: Role::from_repr(control.role as u8)?,
+                mode: Mode::from_repr(control.mode as u8)?,
             }),
             _ => None,
         }

@@ -12,6 +12,7 @@ use std::fmt::Write;
 use std::format;
 use std::string::{String, ToString};
 use std::vec::Vec;
+use strum::VariantArray as _;
 use tandem_board::Duration;
 
 const CONFIG: Config = Config::rt();
@@ -124,8 +125,8 @@ fn follow(phase: Phase, evidence: Evidence, peer_failed: bool) -> Cell {
 
 /// Every cell of the table, with the flag clear and set.
 fn cells() -> impl Iterator<Item = (Phase, Evidence, [Cell; 2])> {
-    Phase::ALL.into_iter().flat_map(|phase| {
-        Evidence::ALL.into_iter().map(move |evidence| {
+    Phase::VARIANTS.iter().copied().flat_map(|phase| {
+        Evidence::VARIANTS.iter().copied().map(move |evidence| {
             let cells = [false, true].map(|failed| follow(phase, evidence, failed));
             (phase, evidence, cells)
         })
@@ -175,14 +176,14 @@ fn text(cells: &[Cell; 2]) -> String {
 
 fn transitions() -> String {
     let mut page = String::from("| evidence |");
-    for phase in Phase::ALL {
+    for &phase in Phase::VARIANTS {
         write!(page, " {phase:?} |").unwrap();
     }
     page.push_str("\n|---|");
-    page.push_str(&"---|".repeat(Phase::ALL.len()));
-    for evidence in Evidence::ALL {
+    page.push_str(&"---|".repeat(Phase::VARIANTS.len()));
+    for &evidence in Evidence::VARIANTS {
         write!(page, "\n| {evidence:?} |").unwrap();
-        for phase in Phase::ALL {
+        for &phase in Phase::VARIANTS {
             let cells = [false, true].map(|failed| follow(phase, evidence, failed));
             write!(page, " {} |", text(&cells)).unwrap();
         }
@@ -201,7 +202,7 @@ fn phases() -> String {
         "| phase | output open | heartbeats | role in frames | mode | master in record \
          | flag in record | asks for |\n|---|---|---|---|---|---|---|---|\n",
     );
-    for phase in Phase::ALL {
+    for &phase in Phase::VARIANTS {
         let mut bench = Bench::of(phase);
         let open = bench.machine.may_transmit(bench.now);
         let (machine, state) = (&bench.machine, bench.machine.state());
@@ -387,8 +388,8 @@ fn every_input() -> Vec<Input> {
             age,
             sent: Some((term.bits() as u8, Duration::from_ms(1))),
         }));
-        for role in Role::ALL {
-            for mode in Mode::ALL {
+        for &role in Role::VARIANTS {
+            for &mode in Mode::VARIANTS {
                 for system in SystemId::ALL {
                     let frame = ControlFrame {
                         system,
@@ -417,7 +418,7 @@ fn every_input() -> Vec<Input> {
             }
         }
     }
-    inputs.extend(FailureMode::ALL.map(Input::OwnFault));
+    inputs.extend(FailureMode::ALL.iter().copied().map(Input::OwnFault));
     inputs
 }
 
@@ -426,7 +427,7 @@ fn every_input() -> Vec<Input> {
 /// has more actions than the list holds.
 #[test]
 fn every_input_in_every_phase() {
-    for phase in Phase::ALL {
+    for &phase in Phase::VARIANTS {
         for input in every_input() {
             for stall in [
                 Duration::ZERO,
