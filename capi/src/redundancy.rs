@@ -6,8 +6,8 @@ use crate::status::{TandemStatus, TandemStatus as S, status};
 use crate::store::{TandemLoaded, TandemState, failure_mode, system_id};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, ControlFrame, Event, Input, LinkReport, Mode, ObeyedTerm, PeerReport,
-    Redundancy, Role, Snapshot, Term,
+    Action, Actions, ControlHeader, Input, LineSnapshot, LinkReport, Mode, ObeyedTerm, PeerReport,
+    Redundancy, RedundancyEvent, Role, Term,
 };
 
 /// Power came on.
@@ -187,7 +187,7 @@ impl TandemActions {
         }
     }
 
-    fn record(&mut self, event: Event) {
+    fn record(&mut self, event: RedundancyEvent) {
         if let Some(place) = self.events.get_mut(self.event_count as usize) {
             *place = event.to_words();
             self.event_count += 1;
@@ -235,8 +235,8 @@ fn mode(number: u32) -> Result<Mode, S> {
 }
 
 impl TandemControlFrame {
-    fn checked(&self) -> Result<ControlFrame, S> {
-        Ok(ControlFrame {
+    fn checked(&self) -> Result<ControlHeader, S> {
+        Ok(ControlHeader {
             system: system_id(self.system)?,
             term: Term::from_bits(self.term),
             role: role(self.role)?,
@@ -350,7 +350,7 @@ pub unsafe extern "C" fn tandem_redundancy_poll(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = |seen: TandemSnapshot| {
-        Ok(Input::Poll(Snapshot {
+        Ok(Input::Poll(LineSnapshot {
             handshakes: seen.handshakes,
             syncs: seen.syncs,
             beats: seen.beats,

@@ -298,9 +298,9 @@ pub enum Event {
     },
 }
 
-impl From<tandem_redundancy::Event> for Event {
-    fn from(event: tandem_redundancy::Event) -> Self {
-        use tandem_redundancy::Event as E;
+impl From<tandem_redundancy::RedundancyEvent> for Event {
+    fn from(event: tandem_redundancy::RedundancyEvent) -> Self {
+        use tandem_redundancy::RedundancyEvent as E;
         let us = |span: Duration| u32::try_from(span.as_us()).unwrap_or(u32::MAX);
         match event {
             E::Phase { from, to, on } => Self::Phase { from, to, on },

@@ -39,7 +39,7 @@ pub enum Action {
     /// has no effect.
     Reset(ResetRequest),
     /// Write this event to the trace.
-    Record(Event),
+    Record(RedundancyEvent),
 }
 
 /// A takeover, for the record.
@@ -59,7 +59,7 @@ pub struct Takeover {
 /// Whose clock is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Clock {
+pub enum ClockOwner {
     /// This system's: it differs from both others alike.
     Own = 0,
     /// The other system's.
@@ -70,7 +70,7 @@ pub enum Clock {
 
 /// An event for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum RedundancyEvent {
     /// The phase changed.
     Phase {
         /// The old phase.
@@ -108,10 +108,10 @@ pub enum Event {
     /// No edge ever arrived on the start line, although the other system runs: the line is cut.
     StartLineSilent,
     /// This clock has drifted away from the two others.
-    ClockWrong(Clock),
+    ClockWrong(ClockOwner),
 }
 
-impl Event {
+impl RedundancyEvent {
     /// Kind and two details, for a trace record.
     #[must_use]
     pub fn to_words(&self) -> [u32; 3] {
@@ -172,7 +172,7 @@ impl Actions {
         }
     }
 
-    pub(crate) fn record(&mut self, event: Event) {
+    pub(crate) fn record(&mut self, event: RedundancyEvent) {
         if self.events().count() < Self::EVENTS {
             self.push(Action::Record(event));
         }
@@ -189,7 +189,7 @@ impl Actions {
     }
 
     /// The events among them.
-    pub fn events(&self) -> impl Iterator<Item = Event> + '_ {
+    pub fn events(&self) -> impl Iterator<Item = RedundancyEvent> + '_ {
         self.iter().filter_map(|action| match action {
             Action::Record(event) => Some(event),
             _ => None,
@@ -200,7 +200,7 @@ impl Actions {
     #[must_use]
     pub fn takeover(&self) -> Option<Takeover> {
         self.events().find_map(|event| match event {
-            Event::Takeover(takeover) => Some(takeover),
+            RedundancyEvent::Takeover(takeover) => Some(takeover),
             _ => None,
         })
     }
@@ -221,7 +221,7 @@ impl Actions {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Event as E;
+    use RedundancyEvent as E;
 
     /// The words of each event are as firmware in C and old traces know them.
     #[test]
@@ -255,7 +255,7 @@ mod tests {
             (E::StateLost, [11, 0, 0]),
             (E::LevelBroken(false), [12, 0, 0]),
             (E::StartLineSilent, [13, 0, 0]),
-            (E::ClockWrong(Clock::Vehicle), [14, 2, 0]),
+            (E::ClockWrong(ClockOwner::Vehicle), [14, 2, 0]),
         ] {
             assert_eq!(event.to_words(), words);
         }
@@ -266,7 +266,7 @@ mod tests {
     fn actions_are_listed_once_and_events_leave_room() {
         let mut actions = Actions::none();
         for line in 0..20 {
-            actions.record(Event::LineSilent(line));
+            actions.record(RedundancyEvent::LineSilent(line));
             actions.push(Action::Transmit);
         }
         assert_eq!(actions.events().count(), Actions::EVENTS);

@@ -6,7 +6,7 @@ use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 /// The state of the lines and the CAN receiver at one moment. Counts run and wrap around; their
 /// first value does not matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Snapshot {
+pub struct LineSnapshot {
     /// Rising edges on [`Line::Start`].
     pub handshakes: u32,
     /// Falling edges on [`Line::Start`].
@@ -19,7 +19,7 @@ pub struct Snapshot {
     pub can_frames: u32,
 }
 
-impl Snapshot {
+impl LineSnapshot {
     /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
     /// valid frames received on CAN from third parties.
     ///
@@ -40,7 +40,7 @@ impl Snapshot {
 
 /// A control frame that passed its end-to-end protection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ControlFrame {
+pub struct ControlHeader {
     /// The system that the frame names as its sender.
     pub system: SystemId,
     /// Its mastership term.
@@ -68,9 +68,9 @@ pub struct ObeyedTerm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
     /// The periodic poll of the lines; also immediately when an edge or the power level interrupts.
-    Poll(Snapshot),
+    Poll(LineSnapshot),
     /// A control frame was received on CAN.
-    ControlFrame(ControlFrame),
+    ControlFrame(ControlHeader),
     /// A status frame of the other system was received on CAN.
     StatusFrame(PeerReport),
     /// A report of the other system was received over the link.
@@ -78,7 +78,7 @@ pub enum Input {
     /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
     /// were lost, or its sender has restarted. The vehicle may have accepted it, so only its term
     /// is used.
-    StaleFrame(ControlFrame),
+    StaleFrame(ControlHeader),
     /// The vehicle reported which term it obeys, as it does every control period.
     VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
@@ -112,7 +112,7 @@ impl Seen {
 /// Takes differences between two snapshots.
 #[derive(Clone, Debug)]
 pub(crate) struct Polls {
-    last: Option<Snapshot>,
+    last: Option<LineSnapshot>,
     at: Instant,
 }
 
@@ -129,7 +129,7 @@ impl Polls {
         self.at
     }
 
-    pub(crate) fn take(&mut self, now: Instant, snapshot: &Snapshot) -> Seen {
+    pub(crate) fn take(&mut self, now: Instant, snapshot: &LineSnapshot) -> Seen {
         let since_last = self.last.map(|_| now.since(self.at));
         let last = self.last.replace(*snapshot).unwrap_or(*snapshot);
         self.at = now;
@@ -152,7 +152,7 @@ mod tests {
     /// reference.
     #[test]
     fn differences_across_the_wrap_around() {
-        let first = Snapshot {
+        let first = LineSnapshot {
             handshakes: u32::MAX,
             syncs: u32::MAX - 1,
             beats: [u32::MAX - 5, u32::MAX],
@@ -163,7 +163,7 @@ mod tests {
         let seen = polls.take(Instant::from_ns(7), &first);
         assert_eq!((seen.handshakes, seen.syncs, seen.beats), (0, 0, [0; 2]));
         assert_eq!((seen.can_frames, seen.since_last), (0, None));
-        let next = Snapshot {
+        let next = LineSnapshot {
             handshakes: 1,
             syncs: u32::MAX,
             beats: [0, 3],

@@ -8,7 +8,7 @@
 //! One cycle of core 0:
 //!
 //! 1. hand every received control frame, status frame and link report to [`Redundancy::on`];
-//! 2. take a [`Snapshot`] of the lines and hand it over as [`Input::Poll`];
+//! 2. take a [`LineSnapshot`] of the lines and hand it over as [`Input::Poll`];
 //! 3. carry out each [`Action`]; call again no later than [`Actions::deadline`];
 //! 4. ask [`Redundancy::may_transmit`] right before each control frame.
 #![no_std]
@@ -34,13 +34,13 @@ mod term;
 mod transition;
 mod witness;
 
-pub use action::{Action, Actions, Clock, Event, Takeover};
+pub use action::{Action, Actions, ClockOwner, RedundancyEvent, Takeover};
 pub use budget::Budget;
 pub use config::Config;
-pub use input::{ControlFrame, Input, ObeyedTerm, Snapshot};
+pub use input::{ControlHeader, Input, LineSnapshot, ObeyedTerm};
 pub use machine::Redundancy;
 pub use phase::{Evidence, Mode, Phase, Role};
 pub use report::{LinkReport, PeerReport};
-pub use state::{DecodeError, FailureMode, SystemState};
+pub use state::{FailureMode, StateDecodeError, SystemState};
 pub use store::{FlashOp, Geometry, Loaded, StateStore};
 pub use term::Term;

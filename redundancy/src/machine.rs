@@ -13,8 +13,8 @@ use crate::starting::Starting;
 use crate::transition::{Effect, rule};
 use crate::witness::{BeatSender, Witnesses};
 use crate::{
-    Action, Actions, Config, Event, Evidence, FailureMode, Input, LinkReport, Loaded, Mode,
-    PeerReport, Phase, Role, Snapshot, SystemState, Takeover, Term,
+    Action, Actions, Config, Evidence, FailureMode, Input, LineSnapshot, LinkReport, Loaded, Mode,
+    PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
@@ -160,7 +160,7 @@ impl Redundancy {
     pub fn on(&mut self, now: Instant, input: Input) -> Actions {
         let mut actions = Actions::none();
         if core::mem::take(&mut self.untold_loss) {
-            actions.record(Event::StateLost);
+            actions.record(RedundancyEvent::StateLost);
         }
         match input {
             Input::Poll(snapshot) => self.poll(now, &snapshot, &mut actions),
@@ -339,7 +339,7 @@ impl Redundancy {
         }
     }
 
-    fn poll(&mut self, now: Instant, snapshot: &Snapshot, actions: &mut Actions) {
+    fn poll(&mut self, now: Instant, snapshot: &LineSnapshot, actions: &mut Actions) {
         let seen = self.polls.take(now, snapshot);
         let late = seen
             .since_last
@@ -493,7 +493,7 @@ impl Redundancy {
             Effect::FollowStart => actions.push(Action::AlignControl),
             Effect::MarkPeerFailed => self.set_peer_failed(now, true, actions),
             Effect::MarkPeerRecovered => self.set_peer_failed(now, false, actions),
-            Effect::TellLinesSplit => actions.record(Event::LinesSplit),
+            Effect::TellLinesSplit => actions.record(RedundancyEvent::LinesSplit),
         }
     }
 
@@ -503,7 +503,7 @@ impl Redundancy {
         }
         if self.state.cpsys_failure != failed {
             self.state.cpsys_failure = failed;
-            actions.record(Event::PeerFailed(failed));
+            actions.record(RedundancyEvent::PeerFailed(failed));
         }
     }
 
@@ -516,7 +516,7 @@ impl Redundancy {
             return;
         };
         let left = core::mem::replace(&mut self.phase, entered);
-        actions.record(Event::Phase { from, to, on });
+        actions.record(RedundancyEvent::Phase { from, to, on });
         match (from.is_driving(), to.is_driving()) {
             (true, false) => actions.push(Action::DiscardUnsent),
             (false, true) => actions.push(Action::Transmit),
@@ -529,7 +529,7 @@ impl Redundancy {
             self.beats.stop();
         }
         if let (PhaseState::Standby(standby), true) = (&left, to.is_driving()) {
-            actions.record(Event::Takeover(Takeover {
+            actions.record(RedundancyEvent::Takeover(Takeover {
                 cause: on,
                 since_heartbeat: self.witnesses.beats.silent_for(now),
                 since_control: now.since(standby.last_control()),
@@ -631,7 +631,7 @@ impl Redundancy {
         let alive_for = self.witnesses.beats.alive_for(now);
         if !self.start_line_tested && alive_for >= self.config.recover_after {
             self.start_line_tested = true;
-            actions.record(Event::StartLineSilent);
+            actions.record(RedundancyEvent::StartLineSilent);
         }
     }
 

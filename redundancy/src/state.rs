@@ -102,7 +102,7 @@ pub struct SystemState {
 
 /// Why bytes from the flash are not a valid state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DecodeError {
+pub enum StateDecodeError {
     /// All ones: erased flash.
     Blank,
     /// Anything else that is not a whole record of this layout.
@@ -153,18 +153,18 @@ impl SystemState {
     /// The state and its sequence number, from a record.
     ///
     /// # Errors
-    /// [`DecodeError::Blank`] for erased flash, [`DecodeError::Invalid`] for everything else that
+    /// [`StateDecodeError::Blank`] for erased flash, [`StateDecodeError::Invalid`] for everything else that
     /// is not a record that [`SystemState::encode`] can have written.
-    pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), DecodeError> {
+    pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), StateDecodeError> {
         if bytes.iter().all(|&byte| byte == 0xFF) {
-            return Err(DecodeError::Blank);
+            return Err(StateDecodeError::Blank);
         }
         let word = |at: usize| {
             u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
         };
         let reserved_zero = bytes[8] & !0b111 == 0 && word(24) == 0;
         if word(0) != MAGIC || word(28) != CRC.checksum(&bytes[..28]) || !reserved_zero {
-            return Err(DecodeError::Invalid);
+            return Err(StateDecodeError::Invalid);
         }
         let state = Self {
             is_master: bytes[8] & 1 != 0,
@@ -228,7 +228,7 @@ mod tests {
             for bit in bits {
                 bytes[bit / 8] ^= 1 << (bit % 8);
             }
-            prop_assert_eq!(SystemState::decode(&bytes), Err(DecodeError::Invalid));
+            prop_assert_eq!(SystemState::decode(&bytes), Err(StateDecodeError::Invalid));
         }
     }
 
@@ -253,8 +253,14 @@ mod tests {
 
     #[test]
     fn erased_flash_is_blank() {
-        assert_eq!(SystemState::decode(&[0xFF; 32]), Err(DecodeError::Blank));
-        assert_eq!(SystemState::decode(&[0; 32]), Err(DecodeError::Invalid));
+        assert_eq!(
+            SystemState::decode(&[0xFF; 32]),
+            Err(StateDecodeError::Blank)
+        );
+        assert_eq!(
+            SystemState::decode(&[0; 32]),
+            Err(StateDecodeError::Invalid)
+        );
     }
 
     /// T-RED-1: a whole record with a bit that this layout does not use is of another layout.
@@ -267,7 +273,7 @@ mod tests {
             let crc = CRC.checksum(&bytes[..28]);
             bytes[28..].copy_from_slice(&crc.to_le_bytes());
             let decoded = SystemState::decode(&bytes);
-            assert_eq!(decoded, Err(DecodeError::Invalid), "byte {byte}");
+            assert_eq!(decoded, Err(StateDecodeError::Invalid), "byte {byte}");
         }
     }
 

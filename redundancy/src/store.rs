@@ -5,7 +5,7 @@
 //! becomes the active one. No operation touches the newest record, so a loss of power at any moment
 //! leaves it readable: afterwards the old state or the new one is read.
 
-use crate::{DecodeError, SystemState};
+use crate::{StateDecodeError, SystemState};
 use tandem_board::{FlashError, FlashStatus};
 
 const SLOT: u32 = SystemState::BYTES as u32;
@@ -254,9 +254,9 @@ fn scan(
         let mut bytes = [0; SystemState::BYTES];
         let decoded = match read(geometry.offset(sector, slot), &mut bytes) {
             Ok(()) => SystemState::decode(&bytes),
-            Err(_) => Err(DecodeError::Invalid),
+            Err(_) => Err(StateDecodeError::Invalid),
         };
-        if decoded == Err(DecodeError::Blank) {
+        if decoded == Err(StateDecodeError::Blank) {
             continue;
         }
         found.free = slot + 1;

@@ -2,8 +2,8 @@
 
 use tandem_board::{Duration, Instant, ResetCause, SystemId};
 use tandem_redundancy::{
-    Config, ControlFrame, Input, LinkReport, Loaded, Mode, PeerReport, Phase, Redundancy, Role,
-    Snapshot, SystemState, Term,
+    Config, ControlHeader, Input, LineSnapshot, LinkReport, Loaded, Mode, PeerReport, Phase,
+    Redundancy, Role, SystemState, Term,
 };
 
 const MASTER: PeerReport = PeerReport {
@@ -16,7 +16,7 @@ const MASTER: PeerReport = PeerReport {
 /// A standby that polls every millisecond.
 struct Standby {
     machine: Redundancy,
-    snapshot: Snapshot,
+    snapshot: LineSnapshot,
     now: Instant,
 }
 
@@ -28,7 +28,7 @@ impl Standby {
         let power_on = ResetCause::PowerOn;
         let mut standby = Self {
             machine: Redundancy::new(Config::rt(), SystemId::B, power_on, loaded, now),
-            snapshot: Snapshot {
+            snapshot: LineSnapshot {
                 handshakes: 0,
                 syncs: 0,
                 beats: [0; 2],
@@ -40,7 +40,7 @@ impl Standby {
         standby.poll(0);
         standby.snapshot.syncs += 1;
         for _ in 0..40 {
-            let frame = ControlFrame {
+            let frame = ControlHeader {
                 system: SystemId::A,
                 term: MASTER.term,
                 role: MASTER.role,

@@ -320,7 +320,7 @@ fn a_medium_that_always_fails_is_given_up() {
 
 /// One event in the life of a store.
 #[derive(Clone, Copy, Debug)]
-enum Event {
+enum RedundancyEvent {
     Request,
     Poll,
     /// A poll whose operation is not started.
@@ -346,7 +346,7 @@ struct Life {
 
 impl ReferenceStateMachine for Life {
     type State = Self;
-    type Transition = Event;
+    type Transition = RedundancyEvent;
 
     fn init_state() -> BoxedStrategy<Self> {
         let new = Self {
@@ -357,30 +357,30 @@ impl ReferenceStateMachine for Life {
         Just(new).boxed()
     }
 
-    fn transitions(_: &Self) -> BoxedStrategy<Event> {
+    fn transitions(_: &Self) -> BoxedStrategy<RedundancyEvent> {
         let torn = || (0..=128_usize, prop::sample::select(&TORN[..]));
         prop_oneof![
-            3 => Just(Event::Request),
-            6 => Just(Event::Poll),
-            1 => Just(Event::Refuse),
-            5 => Just(Event::Finish),
-            2 => torn().prop_map(|(cut, torn)| Event::Fail(cut, torn)),
-            1 => torn().prop_map(|(cut, torn)| Event::Lose(cut, torn)),
+            3 => Just(RedundancyEvent::Request),
+            6 => Just(RedundancyEvent::Poll),
+            1 => Just(RedundancyEvent::Refuse),
+            5 => Just(RedundancyEvent::Finish),
+            2 => torn().prop_map(|(cut, torn)| RedundancyEvent::Fail(cut, torn)),
+            1 => torn().prop_map(|(cut, torn)| RedundancyEvent::Lose(cut, torn)),
         ]
         .boxed()
     }
 
     /// At most three failures in a row: a medium that is not broken.
-    fn preconditions(life: &Self, event: &Event) -> bool {
-        !matches!(event, Event::Fail(..)) || life.failures < 3
+    fn preconditions(life: &Self, event: &RedundancyEvent) -> bool {
+        !matches!(event, RedundancyEvent::Fail(..)) || life.failures < 3
     }
 
-    fn apply(mut life: Self, event: &Event) -> Self {
+    fn apply(mut life: Self, event: &RedundancyEvent) -> Self {
         match event {
-            Event::Request => (life.requests, life.requested) = (life.requests + 1, true),
-            Event::Fail(..) => life.failures += 1,
-            Event::Lose(..) => (life.requested, life.failures) = (false, 0),
-            Event::Finish | Event::Poll | Event::Refuse => {}
+            RedundancyEvent::Request => (life.requests, life.requested) = (life.requests + 1, true),
+            RedundancyEvent::Fail(..) => life.failures += 1,
+            RedundancyEvent::Lose(..) => (life.requested, life.failures) = (false, 0),
+            RedundancyEvent::Finish | RedundancyEvent::Poll | RedundancyEvent::Refuse => {}
         }
         life
     }
@@ -438,25 +438,25 @@ impl StateMachineTest for Machine {
         }
     }
 
-    fn apply(mut it: Self, life: &Life, event: Event) -> Self {
+    fn apply(mut it: Self, life: &Life, event: RedundancyEvent) -> Self {
         match event {
-            Event::Request => it.store.request(state(life.requests)),
-            Event::Poll | Event::Refuse if it.running.is_some() => {
+            RedundancyEvent::Request => it.store.request(state(life.requests)),
+            RedundancyEvent::Poll | RedundancyEvent::Refuse if it.running.is_some() => {
                 assert_eq!(it.store.poll(FlashStatus::Busy), None);
             }
-            Event::Poll => it.running = it.poll(),
-            Event::Refuse => {
+            RedundancyEvent::Poll => it.running = it.poll(),
+            RedundancyEvent::Refuse => {
                 if it.poll().is_some() {
                     it.store.refused();
                 }
             }
-            Event::Finish => {
+            RedundancyEvent::Finish => {
                 if let Some(op) = it.running.take() {
                     it.flash.apply(&op);
                 }
             }
-            Event::Fail(cut, torn) => it.end(cut, torn),
-            Event::Lose(cut, torn) => {
+            RedundancyEvent::Fail(cut, torn) => it.end(cut, torn),
+            RedundancyEvent::Lose(cut, torn) => {
                 it.end(cut, torn);
                 (it.store, it.status) = (it.flash.load().0, FlashStatus::Idle);
                 let found = read(&it.flash);

@@ -3,7 +3,7 @@
 use crate::lmu::{ANSWER_WORDS, Bench, Order};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Input, Loaded, Redundancy, Role, Snapshot,
+    Action, Actions, Config, ControlHeader, Input, LineSnapshot, Loaded, Redundancy, Role,
 };
 
 const INIT: u32 = 0;
@@ -45,7 +45,7 @@ fn words(twin: &mut Redundancy, actions: Option<Actions>, now: Instant) -> [u32;
     words
 }
 
-const QUIET: Snapshot = Snapshot {
+const QUIET: LineSnapshot = LineSnapshot {
     handshakes: 0,
     syncs: 0,
     beats: [0; 2],
@@ -54,7 +54,7 @@ const QUIET: Snapshot = Snapshot {
 };
 
 /// What the edges of one system do to the counts that the other sees.
-fn act(actions: &Actions, seen: &mut Snapshot) {
+fn act(actions: &Actions, seen: &mut LineSnapshot) {
     for action in actions.iter() {
         match action {
             Action::SendEdge(Line::Start, Edge::Rising) => seen.handshakes += 1,
@@ -96,7 +96,7 @@ impl InC {
         actions
     }
 
-    fn poll(&mut self, now: Instant, seen: Snapshot) -> Actions {
+    fn poll(&mut self, now: Instant, seen: LineSnapshot) -> Actions {
         let [one, two] = seen.beats;
         let powered = seen.peer_powered.into();
         let details = [
@@ -110,7 +110,7 @@ impl InC {
         self.on(now, POLL, &details, Input::Poll(seen))
     }
 
-    fn hear(&mut self, now: Instant, frame: ControlFrame) -> Actions {
+    fn hear(&mut self, now: Instant, frame: ControlHeader) -> Actions {
         let details = [
             frame.system.index() as u32,
             frame.term.bits(),
@@ -148,7 +148,7 @@ fn system_b_in_c_takes_over() {
             act(&a.on(now, Input::Poll(to_a)), &mut to_b);
             if cycle % 10 == 0 && a.may_transmit(now) {
                 to_b.can_frames += 1;
-                let frame = ControlFrame {
+                let frame = ControlHeader {
                     system: SystemId::A,
                     term: a.term(),
                     role: a.role(),

@@ -4,7 +4,7 @@ use super::drive::Output;
 use crate::driving::function::{Driver, State};
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
 use tandem_bus::{Control, DriverRequest, Encoded, FrameTransmitter, GateEcho, Message, Status};
-use tandem_redundancy::{ControlFrame, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
+use tandem_redundancy::{ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
 const fn bus_role(role: Role) -> tandem_bus::RoleCode {
     match role {
@@ -78,8 +78,8 @@ pub(super) fn send_encoded<B: Board>(board: &B, encoded: &Encoded) -> bool {
 }
 
 /// A control frame of the other system, as the redundancy takes it.
-pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame> {
-    Some(ControlFrame {
+pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlHeader> {
+    Some(ControlHeader {
         system: SystemId::from_index(usize::from(from))?,
         term: Term::from_bits(control.term),
         role: Role::from_repr(control.role as u8)?,

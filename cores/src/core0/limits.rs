@@ -6,7 +6,7 @@
 
 use crate::trace::{Event, FloodSource};
 use tandem_board::{Duration, Instant};
-use tandem_redundancy::Snapshot;
+use tandem_redundancy::LineSnapshot;
 
 /// Frames that one poll takes from the CAN receiver. A bus of 1 Mbit/s carries at most 20 frames
 /// in a millisecond, so one poll also empties what has arrived while the core was held up for 3 ms.
@@ -96,7 +96,7 @@ pub(super) struct Floods {
     since: Instant,
     sources: [Excess; FloodSource::ALL.len()],
     /// Counts of the last poll and when it was.
-    lines: Option<(Instant, Snapshot)>,
+    lines: Option<(Instant, LineSnapshot)>,
     /// Running counts of the last poll.
     can_overruns: u32,
     doorbells: u32,
@@ -140,7 +140,7 @@ impl Floods {
     }
 
     /// Compares the counts of the lines with those of the last poll.
-    pub(super) fn lines(&mut self, now: Instant, counts: &Snapshot) {
+    pub(super) fn lines(&mut self, now: Instant, counts: &LineSnapshot) {
         let Some((at, last)) = self.lines.replace((now, *counts)) else {
             return;
         };
@@ -218,8 +218,8 @@ mod tests {
         assert!(!throttle.interrupt(at_us(6_200), true));
     }
 
-    fn snapshot(edges: u32) -> Snapshot {
-        Snapshot {
+    fn snapshot(edges: u32) -> LineSnapshot {
+        LineSnapshot {
             handshakes: 0,
             syncs: 0,
             beats: [edges, edges / 2],

@@ -23,8 +23,8 @@ use tandem_board::{
 };
 use tandem_bus::{FrameTransmitter, Message};
 use tandem_redundancy::{
-    Action, Actions, ControlFrame, FailureMode, Input, LinkReport, Loaded, Mode, Phase, Redundancy,
-    Snapshot, StateStore, Term,
+    Action, Actions, ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Loaded, Mode,
+    Phase, Redundancy, StateStore, Term,
 };
 use tandem_shm::newest::Writer;
 
@@ -489,7 +489,7 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Whether this frame of the other system, which was told to the redundancy, is of the one that
     /// drives.
-    fn is_of_master(&self, frame: ControlFrame) -> bool {
+    fn is_of_master(&self, frame: ControlHeader) -> bool {
         self.redundancy.as_ref().is_none_or(|redundancy| {
             !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
         })
@@ -528,7 +528,7 @@ impl<'b, B: Board> Shared<'b, B> {
     pub(super) fn poll_redundancy(&mut self) -> TaskSet {
         let lines = self.board.lines();
         let received = |line, edge| lines.received(line, edge);
-        let snapshot = Snapshot::new(received, lines.peer_powered(), self.can_frames);
+        let snapshot = LineSnapshot::new(received, lines.peer_powered(), self.can_frames);
         self.floods.lines(self.board.now(), &snapshot);
         let Some(redundancy) = &mut self.redundancy else {
             self.start_redundancy();

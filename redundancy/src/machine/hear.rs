@@ -3,14 +3,14 @@
 use super::{PhaseState, Redundancy};
 use crate::witness::GateVerdict;
 use crate::{
-    Actions, Clock, ControlFrame, Event, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
-    Phase, Role, Term,
+    Actions, ClockOwner, ControlHeader, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
+    Phase, RedundancyEvent, Role, Term,
 };
 use tandem_board::{Duration, Instant};
 
 impl Redundancy {
     /// Whether a correct peer can have sent this.
-    fn is_of_peer(&self, frame: ControlFrame) -> bool {
+    fn is_of_peer(&self, frame: ControlHeader) -> bool {
         let peer = self.system.peer();
         frame.system == peer && frame.term.system() == peer && frame.role == Role::Master
     }
@@ -18,11 +18,11 @@ impl Redundancy {
     pub(super) fn control_frame(
         &mut self,
         now: Instant,
-        frame: ControlFrame,
+        frame: ControlHeader,
         actions: &mut Actions,
     ) {
         if !self.is_of_peer(frame) {
-            actions.record(Event::Implausible);
+            actions.record(RedundancyEvent::Implausible);
             return;
         }
         self.witnesses.on_life(&self.config, now, actions);
@@ -34,7 +34,7 @@ impl Redundancy {
             // The vehicle refuses it, so it drives nothing.
             if self.stale_told != frame.term {
                 self.stale_told = frame.term;
-                actions.record(Event::StaleTerm(frame.term));
+                actions.record(RedundancyEvent::StaleTerm(frame.term));
             }
             return;
         }
@@ -79,8 +79,8 @@ impl Redundancy {
     /// is leaves: each of its limits is wrong by as much.
     fn judge_clocks(&mut self, now: Instant, actions: &mut Actions) {
         if let Some(clock) = self.witnesses.clocks.judge(now) {
-            actions.record(Event::ClockWrong(clock));
-            if clock == Clock::Own {
+            actions.record(RedundancyEvent::ClockWrong(clock));
+            if clock == ClockOwner::Own {
                 self.own_fault(now, FailureMode::Clock, actions);
             }
         }
@@ -120,9 +120,14 @@ impl Redundancy {
     }
 
     /// A control frame with a right CRC and a wrong counter.
-    pub(super) fn stale_frame(&mut self, now: Instant, frame: ControlFrame, actions: &mut Actions) {
+    pub(super) fn stale_frame(
+        &mut self,
+        now: Instant,
+        frame: ControlHeader,
+        actions: &mut Actions,
+    ) {
         if !self.is_of_peer(frame) {
-            actions.record(Event::Implausible);
+            actions.record(RedundancyEvent::Implausible);
             return;
         }
         self.term_known = true;
@@ -179,7 +184,7 @@ impl Redundancy {
                 if let Some(driving) = self.phase.driving() {
                     driving.raise(term);
                 }
-                actions.record(Event::TermRaised(term));
+                actions.record(RedundancyEvent::TermRaised(term));
             }
             Err(_) => self.own_fault(now, FailureMode::TermsExhausted, actions),
         }

@@ -6,7 +6,7 @@
 mod page;
 
 use super::*;
-use crate::{ControlFrame, ObeyedTerm};
+use crate::{ControlHeader, ObeyedTerm};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::format;
@@ -20,7 +20,7 @@ const CONFIG: Config = Config::rt();
 /// A machine of system A and the state of its lines.
 struct Bench {
     machine: Redundancy,
-    snapshot: Snapshot,
+    snapshot: LineSnapshot,
     now: Instant,
 }
 
@@ -30,7 +30,7 @@ impl Bench {
         let loaded = Loaded::State(SystemState::factory(SystemId::A));
         let mut bench = Self {
             machine: Redundancy::new(CONFIG, SystemId::A, ResetCause::PowerOn, loaded, now),
-            snapshot: Snapshot {
+            snapshot: LineSnapshot {
                 handshakes: 0,
                 syncs: 0,
                 beats: [0; 2],
@@ -145,9 +145,9 @@ impl Cell {
                 Action::Transmit => "transmit",
                 Action::DiscardUnsent => "discard",
                 Action::AlignControl => "align",
-                Action::Record(Event::PeerFailed(true)) => "set flag",
-                Action::Record(Event::PeerFailed(false)) => "clear flag",
-                Action::Record(Event::LinesSplit) => "tell",
+                Action::Record(RedundancyEvent::PeerFailed(true)) => "set flag",
+                Action::Record(RedundancyEvent::PeerFailed(false)) => "clear flag",
+                Action::Record(RedundancyEvent::LinesSplit) => "tell",
                 Action::Record(_) => continue,
                 Action::Persist(_) => "persist",
                 Action::Reset(_) => "reset",
@@ -298,7 +298,7 @@ fn faults_and_higher_terms_work_in_every_phase() {
         for cell in cells {
             let told = cell.actions.events().any(|event| {
                 event
-                    == Event::Phase {
+                    == RedundancyEvent::Phase {
                         from,
                         to: cell.to,
                         on,
@@ -330,7 +330,7 @@ fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
     bench.fails(FailureMode::IoModule);
     let _ = bench.poll();
     assert_eq!(bench.machine.phase(), Phase::Standby);
-    let frame = ControlFrame {
+    let frame = ControlHeader {
         system: SystemId::B,
         term: Term::from_bits(33),
         role: Role::Master,
@@ -367,14 +367,14 @@ fn every_input() -> Vec<Input> {
     let mut inputs = Vec::from([Input::HandOver]);
     for peer_powered in [false, true] {
         for new in [0, 1, u32::MAX] {
-            inputs.push(Input::Poll(Snapshot {
+            inputs.push(Input::Poll(LineSnapshot {
                 handshakes: new,
                 syncs: new / 2,
                 beats: [new, new.wrapping_mul(3)],
                 peer_powered,
                 can_frames: new,
             }));
-            inputs.push(Input::Poll(Snapshot {
+            inputs.push(Input::Poll(LineSnapshot {
                 peer_powered,
                 syncs: new,
                 ..quiet
@@ -391,7 +391,7 @@ fn every_input() -> Vec<Input> {
         for &role in Role::VARIANTS {
             for &mode in Mode::VARIANTS {
                 for system in SystemId::ALL {
-                    let frame = ControlFrame {
+                    let frame = ControlHeader {
                         system,
                         term,
                         role,
@@ -452,7 +452,7 @@ fn check_step(machine: &mut Redundancy, now: Instant, input: Input) {
     let to = machine.phase();
     let mut told = from;
     for event in actions.events() {
-        if let Event::Phase { from, to, .. } = event {
+        if let RedundancyEvent::Phase { from, to, .. } = event {
             assert_eq!(from, told, "{what}");
             told = to;
         }

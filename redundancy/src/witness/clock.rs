@@ -6,7 +6,7 @@
 //! the difference, and the largest one of some time is the offset. A stall of any of the three is
 //! no drift.
 
-use crate::Clock;
+use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
 
 /// A clock that has drifted by more than this beyond what is permitted is wrong, µs. Half of what
@@ -92,7 +92,7 @@ pub(crate) struct Clocks {
     vehicle_us: u32,
     vehicle_ms: u8,
     /// What the comparison says, and since when.
-    found: Option<(Clock, Instant)>,
+    found: Option<(ClockOwner, Instant)>,
     is_told: bool,
 }
 
@@ -139,7 +139,7 @@ impl Clocks {
     }
 
     /// Whose clock is wrong, once for each; nothing if there are not three clocks to compare.
-    pub(crate) fn judge(&mut self, now: Instant) -> Option<Clock> {
+    pub(crate) fn judge(&mut self, now: Instant) -> Option<ClockOwner> {
         let fresh = |offset: &Option<Offset>| {
             let heard = |it: &Offset| now.since(it.heard) <= WINDOW;
             offset.filter(heard).map(|it| it.drifted)
@@ -148,10 +148,10 @@ impl Clocks {
         let clock = match (vehicle.abs() > WRONG_US, peer.abs() > WRONG_US) {
             // Both others have drifted the same way, and about as far.
             (true, true) if (vehicle - peer).abs() <= vehicle.abs().max(peer.abs()) / 2 => {
-                Some(Clock::Own)
+                Some(ClockOwner::Own)
             }
-            (true, false) if peer.abs() <= WRONG_US / 2 => Some(Clock::Vehicle),
-            (false, true) if vehicle.abs() <= WRONG_US / 2 => Some(Clock::Peer),
+            (true, false) if peer.abs() <= WRONG_US / 2 => Some(ClockOwner::Vehicle),
+            (false, true) if vehicle.abs() <= WRONG_US / 2 => Some(ClockOwner::Peer),
             _ => None,
         };
         if self.found.map(|(before, _)| before) != clock {
@@ -160,7 +160,7 @@ impl Clocks {
         }
         // The offsets are known one after the other.
         let (clock, since) = self.found?;
-        let holds = clock == Clock::Own || now.since(since) >= WINDOW.times(2);
+        let holds = clock == ClockOwner::Own || now.since(since) >= WINDOW.times(2);
         (holds && !core::mem::replace(&mut self.is_told, true)).then_some(clock)
     }
 }
@@ -184,13 +184,13 @@ mod tests {
             (0, 0, None),
             (5, -5, None),
             (100, -100, None),
-            (100, 80, Some(Clock::Own)),
-            (100, 100, Some(Clock::Own)),
-            (-100, -100, Some(Clock::Own)),
-            (100, 0, Some(Clock::Peer)),
-            (-100, 0, Some(Clock::Peer)),
-            (0, 100, Some(Clock::Vehicle)),
-            (0, -100, Some(Clock::Vehicle)),
+            (100, 80, Some(ClockOwner::Own)),
+            (100, 100, Some(ClockOwner::Own)),
+            (-100, -100, Some(ClockOwner::Own)),
+            (100, 0, Some(ClockOwner::Peer)),
+            (-100, 0, Some(ClockOwner::Peer)),
+            (0, 100, Some(ClockOwner::Vehicle)),
+            (0, -100, Some(ClockOwner::Vehicle)),
         ] {
             let mut clocks = Clocks::default();
             // Hundredths of a percent.
@@ -229,7 +229,7 @@ mod tests {
             let ahead = if ms >= 200 { 40 } else { 0 };
             clocks.on_vehicle(at(ms + ahead), ms as u8);
             let _late = clocks.on_peer(at(ms + ahead), START_US + ms * 1_000);
-            clocks.judge(at(ms + ahead)) == Some(Clock::Own)
+            clocks.judge(at(ms + ahead)) == Some(ClockOwner::Own)
         });
         assert_eq!(found, Some(300));
     }

@@ -8,7 +8,7 @@ mod level;
 mod reports;
 
 use crate::input::Seen;
-use crate::{Actions, Config, Event, LinkReport};
+use crate::{Actions, Config, LinkReport, RedundancyEvent};
 use can::CanWatch;
 use clock::Clocks;
 use gate::Gate;
@@ -68,8 +68,8 @@ impl Witnesses {
     ) {
         for (line, change) in (1..).zip(self.beats.update(now, seen.beats)) {
             match change {
-                Some(LineChange::Silent) => actions.record(Event::LineSilent(line)),
-                Some(LineChange::Back) => actions.record(Event::LineBack(line)),
+                Some(LineChange::Silent) => actions.record(RedundancyEvent::LineSilent(line)),
+                Some(LineChange::Back) => actions.record(RedundancyEvent::LineBack(line)),
                 None => {}
             }
         }
@@ -79,14 +79,14 @@ impl Witnesses {
             .level
             .update(config, now, seen.peer_powered, beats, beats_alive);
         if let Some(broken) = broken {
-            actions.record(Event::LevelBroken(broken));
+            actions.record(RedundancyEvent::LevelBroken(broken));
         }
         self.forgiven &= !beats;
         self.can
             .update(now, seen.can_frames, config.witness_limit());
         let silent = self.can_is_silent(config, now);
         if self.can.is_news(silent) {
-            actions.record(Event::CanSilent(silent));
+            actions.record(RedundancyEvent::CanSilent(silent));
         }
     }
 
@@ -113,7 +113,7 @@ impl Witnesses {
     /// The other system showed life at `at`, on CAN or over the link.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant, actions: &mut Actions) {
         if self.level.on_life(config, at) {
-            actions.record(Event::LevelBroken(true));
+            actions.record(RedundancyEvent::LevelBroken(true));
         }
         self.forgiven = false;
     }
@@ -121,7 +121,7 @@ impl Witnesses {
     /// The other system drives in a new term.
     pub(crate) fn on_drive(&mut self, actions: &mut Actions) {
         if self.level.on_drive() {
-            actions.record(Event::LevelBroken(true));
+            actions.record(RedundancyEvent::LevelBroken(true));
         }
     }
 

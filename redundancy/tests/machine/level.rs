@@ -2,7 +2,7 @@
 
 use super::{Bench, CONFIG, sound};
 use tandem_board::SystemId;
-use tandem_redundancy::{Actions, Event, Phase, Role, Term};
+use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
 /// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
 /// shows the other to live is broken: it is told once, and not believed until it was high for long
@@ -20,8 +20,8 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
         }
         bench.snapshot.peer_powered = false;
         let mut events = Vec::new();
-        let told = |events: &mut Vec<Event>, actions: Actions| {
-            let broken = |it: &Event| matches!(it, Event::LevelBroken(_));
+        let told = |events: &mut Vec<RedundancyEvent>, actions: Actions| {
+            let broken = |it: &RedundancyEvent| matches!(it, RedundancyEvent::LevelBroken(_));
             events.extend(actions.events().filter(broken));
         };
         for _ in 0..15 {
@@ -46,7 +46,10 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
             told(&mut events, bench.poll());
             back_after = back_after.or((events.len() == 2).then_some(ms));
         }
-        let expected = [Event::LevelBroken(true), Event::LevelBroken(false)];
+        let expected = [
+            RedundancyEvent::LevelBroken(true),
+            RedundancyEvent::LevelBroken(false),
+        ];
         assert_eq!(events, expected, "sign {sign}");
         assert_eq!(back_after, Some(recover_ms), "sign {sign}");
     }
@@ -65,7 +68,7 @@ fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
             bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(beat));
             told.extend(bench.poll().events());
         }
-        let is_told = told.contains(&Event::LevelBroken(true));
+        let is_told = told.contains(&RedundancyEvent::LevelBroken(true));
         assert_eq!(is_told, expected, "after {polls} polls");
     }
 }
@@ -79,8 +82,8 @@ fn a_takeover_contradicts_a_low_level_at_once() {
         bench.snapshot.peer_powered = powered;
         let _ = bench.poll();
         let term = bench.machine.term().above(1, SystemId::B).unwrap();
-        let told: Vec<Event> = bench.control(term.bits()).events().collect();
-        let broken = told.contains(&Event::LevelBroken(true));
+        let told: Vec<RedundancyEvent> = bench.control(term.bits()).events().collect();
+        let broken = told.contains(&RedundancyEvent::LevelBroken(true));
         assert_eq!(broken, !powered, "{told:?}");
     }
 }

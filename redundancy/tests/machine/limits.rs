@@ -3,8 +3,8 @@
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, Instant, SystemId};
 use tandem_redundancy::{
-    Action, Clock, Config, Event, Evidence, FailureMode, Input, LinkReport, Mode, ObeyedTerm,
-    PeerReport, Phase, Role, SystemState, Takeover, Term,
+    Action, ClockOwner, Config, Evidence, FailureMode, Input, LinkReport, Mode, ObeyedTerm,
+    PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
 /// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
@@ -33,7 +33,10 @@ fn a_standby_polls_when_a_limit_ends() {
             assert!(actions.deadline() > bench.now);
             bench.now = actions.deadline();
             actions = bench.on(Input::Poll(bench.snapshot));
-            if actions.events().any(|it| it == Event::LineSilent(1)) {
+            if actions
+                .events()
+                .any(|it| it == RedundancyEvent::LineSilent(1))
+            {
                 line_silent.get_or_insert(bench.now.since(last));
             }
         }
@@ -172,7 +175,7 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
         );
         let last_heard = bench.now;
         let mut told = Vec::new();
-        let silent = |it: &Event| matches!(it, Event::CanSilent(_));
+        let silent = |it: &RedundancyEvent| matches!(it, RedundancyEvent::CanSilent(_));
         while bench.machine.mode() != Mode::SafeStop {
             let _ = bench.linked(sound(Role::Standby, Term::NONE));
             bench.now += CONFIG.poll_interval;
@@ -189,7 +192,13 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
         bench.snapshot.beats[0] += 1;
         told.extend(bench.poll().events().filter(silent));
         assert_eq!(bench.machine.mode(), Mode::DegradedL2);
-        assert_eq!(told, [Event::CanSilent(true), Event::CanSilent(false)]);
+        assert_eq!(
+            told,
+            [
+                RedundancyEvent::CanSilent(true),
+                RedundancyEvent::CanSilent(false)
+            ]
+        );
     }
 }
 
@@ -407,7 +416,7 @@ fn cut_lines_are_told_once() {
         for _ in 0..30 {
             let _ = bench.control(16);
             bench.snapshot.beats[0] += u32::from(!cut);
-            let split = |it: &Event| *it == Event::LinesSplit;
+            let split = |it: &RedundancyEvent| *it == RedundancyEvent::LinesSplit;
             times += bench.poll().events().filter(split).count();
         }
         told.push(times);
@@ -450,11 +459,11 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
         (15, 40, None),
         (20, 40, None),
         (40, 20, None),
-        (40, 9, Some(Clock::Peer)),
-        (9, 40, Some(Clock::Vehicle)),
-        (40, 40, Some(Clock::Own)),
-        (40, 0, Some(Clock::Peer)),
-        (0, 40, Some(Clock::Vehicle)),
+        (40, 9, Some(ClockOwner::Peer)),
+        (9, 40, Some(ClockOwner::Vehicle)),
+        (40, 40, Some(ClockOwner::Own)),
+        (40, 0, Some(ClockOwner::Peer)),
+        (0, 40, Some(ClockOwner::Vehicle)),
     ] {
         let mut bench = Bench::master();
         let mut told = Vec::new();
@@ -475,14 +484,14 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
             };
             for input in [Input::LinkReport(report), Input::VehicleTerm(obeyed)] {
                 told.extend(bench.on(input).events().filter_map(|event| match event {
-                    Event::ClockWrong(clock) => Some(clock),
+                    RedundancyEvent::ClockWrong(clock) => Some(clock),
                     _ => None,
                 }));
             }
         }
         assert_eq!(told, Vec::from_iter(expected), "{peer_ms} {vehicle_ms} ms");
         let stops = bench.machine.mode() == Mode::SafeStop;
-        assert_eq!(stops, expected == Some(Clock::Own), "{expected:?}");
+        assert_eq!(stops, expected == Some(ClockOwner::Own), "{expected:?}");
     }
 }
 

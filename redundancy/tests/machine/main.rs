@@ -8,12 +8,12 @@ mod limits;
 
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, LinkReport, Loaded, Mode,
-    ObeyedTerm, PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Term,
+    Action, Actions, Config, ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Loaded,
+    Mode, ObeyedTerm, PeerReport, Phase, Redundancy, RedundancyEvent, Role, SystemState, Term,
 };
 
 const CONFIG: Config = Config::rt();
-const QUIET: Snapshot = Snapshot {
+const QUIET: LineSnapshot = LineSnapshot {
     handshakes: 0,
     syncs: 0,
     beats: [0; 2],
@@ -39,7 +39,7 @@ fn persisted(actions: &Actions) -> Option<SystemState> {
 
 struct Bench {
     machine: Redundancy,
-    snapshot: Snapshot,
+    snapshot: LineSnapshot,
     now: Instant,
 }
 
@@ -158,7 +158,7 @@ impl Bench {
     /// A control frame of the system that the term belongs to.
     fn control(&mut self, term: u32) -> Actions {
         let term = Term::from_bits(term);
-        self.on(Input::ControlFrame(ControlFrame {
+        self.on(Input::ControlFrame(ControlHeader {
             system: term.system(),
             term,
             role: Role::Master,
@@ -193,7 +193,7 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
             let actions = bench.poll();
             let silent = actions
                 .events()
-                .find(|it| matches!(it, Event::LineSilent(_)));
+                .find(|it| matches!(it, RedundancyEvent::LineSilent(_)));
             if silent.is_some() {
                 break bench.now.since(resumed);
             }
@@ -349,11 +349,16 @@ fn lines_that_are_cut_from_the_start_are_told() {
         let mut told = Vec::new();
         for _ in 0..3_000 {
             bench.snapshot.beats[1] += 1;
-            let lines = |it: &Event| matches!(it, Event::StartLineSilent | Event::LineSilent(_));
+            let lines = |it: &RedundancyEvent| {
+                matches!(
+                    it,
+                    RedundancyEvent::StartLineSilent | RedundancyEvent::LineSilent(_)
+                )
+            };
             told.extend(bench.poll().events().filter(lines));
         }
-        let start_line = (handshakes + syncs == 0).then_some(Event::StartLineSilent);
-        let expected: Vec<_> = [Event::LineSilent(1)]
+        let start_line = (handshakes + syncs == 0).then_some(RedundancyEvent::StartLineSilent);
+        let expected: Vec<_> = [RedundancyEvent::LineSilent(1)]
             .into_iter()
             .chain(start_line)
             .collect();
@@ -444,28 +449,28 @@ fn the_last_system_goes_on_after_a_stall() {
 fn implausible_frames_are_ignored() {
     let mut bench = Bench::master();
     let term = Term::from_bits(1_000_001);
-    let good = ControlFrame {
+    let good = ControlHeader {
         system: SystemId::B,
         term,
         role: Role::Master,
         mode: Mode::L3,
     };
     for frame in [
-        ControlFrame {
+        ControlHeader {
             system: SystemId::A,
             ..good
         },
-        ControlFrame {
+        ControlHeader {
             term: Term::from_bits(1_000_000),
             ..good
         },
-        ControlFrame {
+        ControlHeader {
             role: Role::Standby,
             ..good
         },
     ] {
         let actions = bench.on(Input::ControlFrame(frame));
-        assert!(actions.events().eq([Event::Implausible]));
+        assert!(actions.events().eq([RedundancyEvent::Implausible]));
         assert_eq!(bench.machine.phase(), Phase::Master);
         assert!(bench.machine.highest_term() < term);
     }
@@ -484,7 +489,7 @@ fn frames_of_a_lower_term_do_not_count() {
     let _ = bench.control(100);
     let told = (0..4).map(|_| {
         bench.run_with_beats(10);
-        let stale = Event::StaleTerm(Term::from_bits(16));
+        let stale = RedundancyEvent::StaleTerm(Term::from_bits(16));
         bench
             .control(16)
             .events()
@@ -511,7 +516,7 @@ fn a_refused_master_takes_a_higher_term_or_follows() {
             );
             actions = bench.obeyed(term, age_ms);
         }
-        let raised = Event::TermRaised(bench.machine.term());
+        let raised = RedundancyEvent::TermRaised(bench.machine.term());
         if follows {
             assert_eq!(bench.machine.phase(), Phase::Standby);
             assert!(actions.contains(Action::DiscardUnsent));
@@ -611,7 +616,7 @@ fn the_first_term_is_far_above_what_may_be_old() {
 #[test]
 fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
     let stale = |term: u32| {
-        Input::StaleFrame(ControlFrame {
+        Input::StaleFrame(ControlHeader {
             system: Term::from_bits(term).system(),
             term: Term::from_bits(term),
             role: Role::Master,
@@ -718,7 +723,7 @@ fn one_line_silent() {
         bench.snapshot.beats[1] += 1;
         events.extend(bench.poll().events());
     }
-    assert_eq!(events, [Event::LineSilent(1)]);
+    assert_eq!(events, [RedundancyEvent::LineSilent(1)]);
     assert_eq!(bench.machine.lines_silent(), [true, false]);
     assert_eq!(bench.machine.phase(), Phase::Master);
     let (sent, [line_1, line_2]) = bench.machine.heartbeat_counts();
@@ -736,13 +741,13 @@ fn lines_in_and_out() {
         (Line::Heartbeat1, Edge::Falling) => 11,
         (Line::Heartbeat2, _) => 20,
     };
-    let expected = Snapshot {
+    let expected = LineSnapshot {
         handshakes: 1,
         syncs: 2,
         beats: [10, 40],
         ..QUIET
     };
-    assert_eq!(Snapshot::new(received, true, 0), expected);
+    assert_eq!(LineSnapshot::new(received, true, 0), expected);
 
     let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
     let _ = bench.poll();

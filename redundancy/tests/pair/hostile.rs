@@ -4,7 +4,7 @@
 use crate::model::{Pair, us};
 use tandem_board::ResetCause;
 use tandem_board::SystemId::{self, A, B};
-use tandem_redundancy::{Config, Event, FailureMode, Mode, Phase};
+use tandem_redundancy::{Config, FailureMode, Mode, Phase, RedundancyEvent};
 
 const PROFILES: [Config; 2] = [Config::rt(), Config::desktop()];
 /// Time on the bus, at most, and the grid of the model.
@@ -264,8 +264,8 @@ fn a_level_line_that_flaps_is_broken_and_nothing_else() {
                 let programs: u32 = pair.systems.iter().map(|system| system.programs).sum();
                 assert!(programs <= 10, "{what}: {programs}");
                 for id in of {
-                    let told = |&&(_, at, event): &&(u64, SystemId, Event)| {
-                        at == id.peer() && event == Event::LevelBroken(true)
+                    let told = |&&(_, at, event): &&(u64, SystemId, RedundancyEvent)| {
+                        at == id.peer() && event == RedundancyEvent::LevelBroken(true)
                     };
                     let told = pair.events.iter().filter(told).count();
                     let lasts = period_us / 2 > us(config.level_limit()) + 1_000;

@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, LinkReport, Loaded,
-    ObeyedTerm, PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Takeover, Term,
+    Action, Actions, Config, ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Loaded,
+    ObeyedTerm, PeerReport, Phase, Redundancy, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
 pub(crate) const STEP_US: u64 = 100;
@@ -31,7 +31,7 @@ pub(crate) struct Cuts {
 
 #[derive(Clone, Copy, Debug)]
 enum Frame {
-    Control(ControlFrame),
+    Control(ControlHeader),
     Status(PeerReport),
     Vehicle,
     VehicleTerm(ObeyedTerm),
@@ -97,7 +97,7 @@ pub(crate) struct Pair {
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
-    pub(crate) events: Vec<(u64, SystemId, Event)>,
+    pub(crate) events: Vec<(u64, SystemId, RedundancyEvent)>,
     pub(crate) synchronised: Vec<(u64, SystemId)>,
     /// Time in which both outputs were open and both systems connected to the bus, at present and
     /// the longest.
@@ -264,7 +264,7 @@ impl Pair {
     /// Takeovers since `from_us`.
     pub(crate) fn takeovers(&self, from_us: u64) -> Vec<(u64, SystemId, Takeover)> {
         let takeover = |&(at, id, event)| match event {
-            Event::Takeover(takeover) if at >= from_us => Some((at, id, takeover)),
+            RedundancyEvent::Takeover(takeover) if at >= from_us => Some((at, id, takeover)),
             _ => None,
         };
         self.events.iter().filter_map(takeover).collect()
@@ -418,7 +418,7 @@ impl Pair {
         inputs.extend(faults.copied().map(Input::OwnFault));
         let edges = system.edges;
         let both = |line: Line| edges[line.index()][0].wrapping_add(edges[line.index()][1]);
-        inputs.push(Input::Poll(Snapshot {
+        inputs.push(Input::Poll(LineSnapshot {
             handshakes: edges[Line::Start.index()][0],
             syncs: edges[Line::Start.index()][1],
             beats: [both(Line::Heartbeat1), both(Line::Heartbeat2)],
@@ -504,7 +504,7 @@ impl Pair {
         };
         system.next_control = now + self.config.control_period.as_us();
         let at = Instant::from_ns((now + system.origin_us) * 1_000);
-        let control = machine.may_transmit(at).then(|| ControlFrame {
+        let control = machine.may_transmit(at).then(|| ControlHeader {
             system: id,
             term: machine.term(),
             role: machine.role(),
@@ -563,7 +563,7 @@ impl Pair {
     }
 
     /// Fencing: no term below the highest accepted one.
-    fn vehicle_hears(&mut self, frame: ControlFrame) {
+    fn vehicle_hears(&mut self, frame: ControlHeader) {
         assert_eq!(frame.role, Role::Master);
         let seen = Seen {
             at_us: self.now_us,

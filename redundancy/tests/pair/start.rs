@@ -3,7 +3,7 @@
 use crate::model::{Pair, RESET_US, STEP_US, us};
 use tandem_board::SystemId::{self, A, B};
 use tandem_board::{Edge, Line};
-use tandem_redundancy::{Config, Event, Mode, Phase, SystemState};
+use tandem_redundancy::{Config, Mode, Phase, RedundancyEvent, SystemState};
 
 const PROFILES: [Config; 2] = [Config::rt(), Config::desktop()];
 
@@ -152,7 +152,7 @@ fn contradicting_records_lead_to_one_master() {
                         let told = pair
                             .events
                             .iter()
-                            .any(|(.., event)| *event == Event::StateLost);
+                            .any(|(.., event)| *event == RedundancyEvent::StateLost);
                         assert_eq!(told, lost != [false; 2]);
                         if claims == [true, true] || lost != [false; 2] {
                             continue;

@@ -19,8 +19,8 @@ use tandem_board_mps2_an521::memory::strap;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log};
 use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, Input, LinkReport, Loaded, Mode, Redundancy,
-    Role, Snapshot, Takeover, Term,
+    Action, Actions, Config, ControlHeader, RedundancyEvent, Input, LinkReport, Loaded, Mode, Redundancy,
+    Role, LineSnapshot, Takeover, Term,
 };
 
 entry!(main);
@@ -112,7 +112,7 @@ impl<'b> Core<'b> {
         let lines = self.board.lines();
         let received = |line, edge| lines.received(line, edge);
         // There are no third parties on this bus.
-        let snapshot = Snapshot::new(received, lines.peer_powered(), 0);
+        let snapshot = LineSnapshot::new(received, lines.peer_powered(), 0);
         let actions = self.machine.on(now, Input::Poll(snapshot));
         self.carry_out(&actions);
         // Each poll, a millisecond: as often as a chip's profile says. A processor that hangs does
@@ -137,12 +137,12 @@ impl<'b> Core<'b> {
     }
 
     /// A control frame of the other system that passed its protection.
-    fn heard(&mut self, frame: &CanFrame) -> Option<ControlFrame> {
+    fn heard(&mut self, frame: &CanFrame) -> Option<ControlHeader> {
         let CanId::Standard(id) = frame.id() else {
             return None;
         };
         match self.receiver.receive(id.into(), frame.data()) {
-            Ok(Message::Control { system, control }) => Some(ControlFrame {
+            Ok(Message::Control { system, control }) => Some(ControlHeader {
                 system: SystemId::from_index(system.into())?,
                 term: Term::from_bits(control.term),
                 role: Role::from_repr(control.role as u8)?,
@@ -188,7 +188,7 @@ impl<'b> Core<'b> {
                 // These processors have no flash and no supply.
                 Action::Persist(_) | Action::Reset(_) => {}
                 Action::Record(event) => {
-                    if let Event::Takeover(takeover) = event {
+                    if let RedundancyEvent::Takeover(takeover) = event {
                         self.takeover.get_or_insert(takeover);
                     }
                 }
