@@ -1,6 +1,6 @@
 //! What is measured, by name. The floor comes first in its group.
 
-use crate::harness::{Batch, Plan};
+use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;
 use crate::peers::{iceoryx2, kernel, mutex, polling};
@@ -14,7 +14,7 @@ use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
 
 /// What is compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
-pub enum Group {
+pub enum Comparison {
     /// 4 bytes one way; the receiver polls on a CPU of its own.
     Spin,
     /// 4 bytes one way; the receiver sleeps in the kernel until it is woken, on a CPU of its own.
@@ -35,7 +35,7 @@ pub enum Group {
     Noise,
 }
 
-impl Group {
+impl Comparison {
     /// As it stands in names and on the command line.
     #[must_use]
     pub fn name(self) -> String {
@@ -45,13 +45,13 @@ impl Group {
 }
 
 /// Runs one batch of a case. Both ends of the group `one-cpu` get the same CPU in the plan.
-pub type Run = fn(&Plan) -> io::Result<Batch>;
+pub type Run = fn(&BatchPlan) -> io::Result<Batch>;
 
 /// One way of doing what its group compares.
 #[derive(Clone, Copy)]
-pub struct Case {
+pub struct Candidate {
     /// What it is compared with.
-    pub group: Group,
+    pub group: Comparison,
     /// Name within the group; `floor` is what the others are compared with.
     pub name: &'static str,
     /// What it is, for the table.
@@ -63,7 +63,7 @@ pub struct Case {
     run: Run,
 }
 
-impl Case {
+impl Candidate {
     /// Group and case, as `spin/tandem`.
     #[must_use]
     pub fn full_name(&self) -> String {
@@ -74,9 +74,9 @@ impl Case {
     ///
     /// # Errors
     /// If the case cannot be measured.
-    pub fn run_batch(&self, plan: &Plan) -> io::Result<Batch> {
+    pub fn run_batch(&self, plan: &BatchPlan) -> io::Result<Batch> {
         match self.group {
-            Group::OneCpu => (self.run)(&Plan {
+            Comparison::OneCpu => (self.run)(&BatchPlan {
                 cpus: [plan.cpus[0]; 2],
                 ..*plan
             }),
@@ -92,7 +92,11 @@ impl Case {
 }
 
 /// Cases of a group with the same number of rounds: name, what it is, how to run it.
-type Cases = (Group, usize, &'static [(&'static str, &'static str, Run)]);
+type Cases = (
+    Comparison,
+    usize,
+    &'static [(&'static str, &'static str, Run)],
+);
 
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
@@ -118,7 +122,7 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
 
 #[rustfmt::skip]
 const CASES: &[Cases] = &[
-    (Group::Spin, 20_000, &[
+    (Comparison::Spin, 20_000, &[
         ("floor", "a cache line between two processes", floor::cache_line),
         ("tandem", "mailbox signal with its value, running handler", |p| sync::<1>(p, Spin, Signal)),
         ("tandem-channel", "newest-value channel, mailbox signal, running handler",
@@ -135,9 +139,9 @@ const CASES: &[Cases] = &[
         ("rtrb", "ring buffer between threads", polling::rtrb),
         ("triple-buffer", "newest value between threads", polling::triple_buffer),
     ]),
-    (Group::Sleep, 250, SLEEPERS),
-    (Group::OneCpu, 500, SLEEPERS),
-    (Group::Size, 10_000, &[
+    (Comparison::Sleep, 250, SLEEPERS),
+    (Comparison::OneCpu, 500, SLEEPERS),
+    (Comparison::Size, 10_000, &[
         ("floor", "a cache line between two processes",
             |p| Ok(floor::cache_line(p)?.without_facts())),
         ("tandem-4B", "each word written to a newest-value channel, signalled, read in place",
@@ -151,20 +155,20 @@ const CASES: &[Cases] = &[
         ("iceoryx2-1KiB", "the same", |p| iceoryx2::size(p, KIB)),
         ("iceoryx2-4KiB", "the same", |p| iceoryx2::size(p, 4 * KIB)),
     ]),
-    (Group::Size, 60, &[
+    (Comparison::Size, 60, &[
         ("tandem-1MiB", "the same", in_place::<{ MIB / 4 }>),
         ("iceoryx2-1MiB", "the same", |p| iceoryx2::size(p, MIB)),
     ]),
-    (Group::Size, 8, &[
+    (Comparison::Size, 8, &[
         ("tandem-16MiB", "the same", in_place::<{ 4 * MIB }>),
         ("iceoryx2-16MiB", "the same", |p| iceoryx2::size(p, 16 * MIB)),
     ]),
-    (Group::Throughput, 400, &[
+    (Comparison::Throughput, 400, &[
         ("floor", "8 bytes each, by full cache lines", floor::full_lines),
         ("fifo-8B", "FIFO between processes", |p| fifo::<2, 512, 1>(p, 4096)),
         ("rtrb-8B", "ring buffer between threads", polling::rtrb_stream),
     ]),
-    (Group::Throughput, 200, &[
+    (Comparison::Throughput, 200, &[
         ("fifo-64B", "FIFO, copied in and out", |p| fifo::<16, 256, 1>(p, 4096)),
         ("fifo-4KiB", "FIFO, copied in and out", |p| fifo::<1024, 32, 1>(p, 64)),
         ("broadcast-1-to-2", "time per message that a receiver got; the two share a CPU",
@@ -172,18 +176,18 @@ const CASES: &[Cases] = &[
         ("fifo-2-to-1", "two FIFOs polled by one; two senders share a CPU",
             |p| fifo::<2, 512, 2>(p, 4096)),
     ]),
-    (Group::Throughput, 20, &[
+    (Comparison::Throughput, 20, &[
         ("pipe-8B", "one write, one read each", kernel::pipe_stream),
         ("iceoryx2-8B", "publish-subscribe that waits when full", iceoryx2::stream),
     ]),
-    (Group::Lock, 10_000, &[
+    (Comparison::Lock, 10_000, &[
         ("floor", "CAS and release store", floor::lock),
         ("free", "taken and given back", lock::free),
         ("pthread", "mutex shared by processes, free", |p| mutex::free(p, Death::Fatal)),
         ("pthread-robust", "robust mutex, free", |p| mutex::free(p, Death::Robust)),
     ]),
     // Microseconds of contention: many of the scheduler's turns.
-    (Group::Lock, 40_000, &[
+    (Comparison::Lock, 40_000, &[
         ("contended-2-floor", "one word, no turns: from wanting to having it, two CPUs",
             |p| floor::contended_word(p, 2)),
         ("contended-3-floor", "the same by three processes on two CPUs",
@@ -200,19 +204,19 @@ const CASES: &[Cases] = &[
             |p| mutex::under_contention(p, 2, Death::Robust)),
     ]),
     // Deaths of an owner.
-    (Group::Lock, 20, &[
+    (Comparison::Lock, 20, &[
         ("recovery", "from the kill of the owner to the guard", lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",
             mutex::recovery),
     ]),
-    (Group::Rate, 400, &[
+    (Comparison::Rate, 400, &[
         ("floor", "futex on a shared word, 10 kHz", floor::futex_at_rate),
         ("tandem", "asleep between messages, 10 kHz", |p| tandem::at_rate(p, Sleep)),
         ("tandem-spin", "spinning, 10 kHz", |p| tandem::at_rate(p, Spin)),
         ("iceoryx2-event", "event with default settings, 10 kHz", iceoryx2::event_at_rate),
     ]),
     // Each tick takes a millisecond.
-    (Group::Rtos, 100, &[
+    (Comparison::Rtos, 100, &[
         ("tick-floor", "clock_nanosleep to each ms", rtos::tick_floor),
         ("tick", "a task that delays until each tick", rtos::tick),
         ("tick-posix-port", "the same, FreeRTOS's POSIX port", |p| rtos::posix_port(p, "tick")),
@@ -221,22 +225,22 @@ const CASES: &[Cases] = &[
         ("switch-from-interrupt-posix-port", "the same, FreeRTOS's POSIX port",
             |p| rtos::posix_port(p, "interrupt")),
     ]),
-    (Group::Rtos, 20_000, &[("switch", "yield to another task", rtos::switch)]),
-    (Group::Rtos, 2000, &[
+    (Comparison::Rtos, 20_000, &[("switch", "yield to another task", rtos::switch)]),
+    (Comparison::Rtos, 2000, &[
         ("switch-posix-port", "the same, FreeRTOS's POSIX port",
             |p| rtos::posix_port(p, "switch")),
     ]),
-    (Group::Noise, 400, &[
+    (Comparison::Noise, 400, &[
         ("cpu0", "near CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[0])),
         ("cpu1", "far CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[1])),
     ]),
-    (Group::Noise, 60, &[("timer", "how late a sleep of 500 us ends", noise::timer)]),
+    (Comparison::Noise, 60, &[("timer", "how late a sleep of 500 us ends", noise::timer)]),
 ];
 
 /// All cases in the order in which they are shown.
-pub fn all() -> impl Iterator<Item = Case> {
+pub fn all() -> impl Iterator<Item = Candidate> {
     CASES.iter().flat_map(|(group, rounds, cases)| {
-        cases.iter().map(|(name, what, run)| Case {
+        cases.iter().map(|(name, what, run)| Candidate {
             group: *group,
             name,
             what,

@@ -1,6 +1,6 @@
 //! `tandem bench`: its arguments, and what it writes.
 
-use crate::cases::{self, Case, Group};
+use crate::cases::{self, Candidate, Comparison};
 use crate::compare;
 use crate::load::Load;
 use crate::measure::{self, Measurement};
@@ -81,7 +81,7 @@ pub struct BenchArgs {
 
     /// Which groups to measure [default: all]
     #[arg(value_enum, value_name = "GROUP")]
-    pub groups: Vec<Group>,
+    pub groups: Vec<Comparison>,
 }
 
 /// What `tandem bench` can do besides measuring.
@@ -113,12 +113,12 @@ pub struct CompareArgs {
 
     /// Which groups to compare [default: all]
     #[arg(value_enum, value_name = "GROUP")]
-    pub groups: Vec<Group>,
+    pub groups: Vec<Comparison>,
 }
 
 /// Why there are no figures, and the exit status for it.
 #[derive(Debug)]
-pub struct Failure {
+pub struct NoFigures {
     /// 1; or 2 if the command line, an input or the machine did not permit it and nothing was
     /// started; or 130 after Ctrl-C.
     pub status: u8,
@@ -126,28 +126,28 @@ pub struct Failure {
     pub why: anyhow::Error,
 }
 
-impl<E: Into<anyhow::Error>> From<E> for Failure {
+impl<E: Into<anyhow::Error>> From<E> for NoFigures {
     fn from(error: E) -> Self {
         let why = error.into();
         Self { status: 1, why }
     }
 }
 
-fn usage(error: impl Into<anyhow::Error>) -> Failure {
+fn usage(error: impl Into<anyhow::Error>) -> NoFigures {
     let why = error.into();
-    Failure { status: 2, why }
+    NoFigures { status: 2, why }
 }
 
 /// What goes to stdout, and what there is to say besides, with the exit status for it.
-pub type Outcome = (String, Option<(String, u8)>);
+pub type Printed = (String, Option<(String, u8)>);
 
 /// Does what the arguments ask for.
 ///
 /// To be called before the process has threads.
 ///
 /// # Errors
-/// [`Failure`]; nothing is written then, unless it says so.
-pub fn bench(args: &BenchArgs) -> Result<Outcome, Failure> {
+/// [`NoFigures`]; nothing is written then, unless it says so.
+pub fn bench(args: &BenchArgs) -> Result<Printed, NoFigures> {
     match &args.command {
         Some(BenchCommand::Compare(args)) => compare(args),
         None => run(args),
@@ -156,7 +156,7 @@ pub fn bench(args: &BenchArgs) -> Result<Outcome, Failure> {
 
 /// Measures, and writes what `args` asks for. Ctrl-C ends the measurement early; what was measured
 /// so far is written all the same.
-fn run(args: &BenchArgs) -> Result<Outcome, Failure> {
+fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
     let files = [("--json", &args.json), ("--html", &args.html)];
     let files = files.map(|(option, path)| (option, path.as_deref()));
     let [json, html] = OutputFile::check_all(files).map_err(usage)?;
@@ -232,10 +232,10 @@ fn ends(asked: &[usize]) -> anyhow::Result<[usize; 2]> {
     }
 }
 
-fn nothing(results: &Results) -> Failure {
+fn nothing(results: &Results) -> NoFigures {
     if results.interrupted {
         let why = anyhow!("interrupted before anything was measured; nothing was written");
-        return Failure { status: 130, why };
+        return NoFigures { status: 130, why };
     }
     let skipped = results.skipped.iter();
     let why = skipped.map(|case| format!("{}: {}", case.name, case.why));
@@ -248,7 +248,7 @@ fn measure(
     args: &BenchArgs,
     cpus: [usize; 2],
 ) -> Vec<Measurement> {
-    let wanted = |case: &Case| args.groups.is_empty() || args.groups.contains(&case.group);
+    let wanted = |case: &Candidate| args.groups.is_empty() || args.groups.contains(&case.group);
     let span = match args.seconds {
         Some(seconds) => measure::Span::of_seconds(seconds),
         None if args.quick => measure::QUICK,
@@ -281,7 +281,7 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// Measures with the program before the change and with this one in turn, and compares.
-fn compare(args: &CompareArgs) -> Result<Outcome, Failure> {
+fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
     let file = args.json.as_deref();
     let to_stdout = file.is_some_and(|path| path.as_os_str() == "-");
     let file = file.filter(|_| !to_stdout);

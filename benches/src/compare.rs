@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 use std::io::{BufReader, Seek as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use tandem_page::format::{Unit, median};
+use tandem_page::format::{TimeUnit, median};
 
 /// First field of the comparison's JSON.
 const COMPARE_SCHEMA: &str = "tandem-bench-compare/2";
@@ -33,7 +33,7 @@ pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
 /// What became of a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub(crate) enum Verdict {
+pub(crate) enum Trend {
     Faster,
     Slower,
     /// Nothing that could not be noise.
@@ -51,7 +51,7 @@ pub(crate) struct Change {
     pub(crate) change: f64,
     /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
     pub(crate) p: f64,
-    pub(crate) verdict: Verdict,
+    pub(crate) verdict: Trend,
 }
 
 /// One case in both builds.
@@ -120,7 +120,7 @@ pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
         "no case was measured in all runs: the machine was too busy, or the builds share none"
     );
     judge(&mut cases);
-    let names = |are_peers, verdicts: &[Verdict]| {
+    let names = |are_peers, verdicts: &[Trend]| {
         let has = |case: &&Compared| {
             let found = [case.p50.verdict, case.p99.verdict];
             case.is_peer == are_peers && found.iter().any(|of| verdicts.contains(of))
@@ -131,9 +131,9 @@ pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
     Ok(Comparison {
         schema: COMPARE_SCHEMA,
         pairs: pairs.len(),
-        slower: names(false, &[Verdict::Slower]),
-        faster: names(false, &[Verdict::Faster]),
-        peers_changed: names(true, &[Verdict::Slower, Verdict::Faster]),
+        slower: names(false, &[Trend::Slower]),
+        faster: names(false, &[Trend::Faster]),
+        peers_changed: names(true, &[Trend::Slower, Trend::Faster]),
         cases,
     })
 }
@@ -166,7 +166,7 @@ fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
             new_ns,
             change: median(&differences).unwrap_or(0.0).exp_m1(),
             p: chance(&differences),
-            verdict: Verdict::NoChange,
+            verdict: Trend::NoChange,
         })
     };
     Some(Compared {
@@ -214,9 +214,9 @@ fn judge(cases: &mut [Compared]) {
                 change.p = largest;
                 let is_real = change.p <= ALPHA;
                 change.verdict = match change.change.ln_1p() {
-                    by if is_real && by > SMALLEST_CHANGE.ln_1p() => Verdict::Slower,
-                    by if is_real && by < -SMALLEST_CHANGE.ln_1p() => Verdict::Faster,
-                    _ => Verdict::NoChange,
+                    by if is_real && by > SMALLEST_CHANGE.ln_1p() => Trend::Slower,
+                    by if is_real && by < -SMALLEST_CHANGE.ln_1p() => Trend::Faster,
+                    _ => Trend::NoChange,
                 };
             }
         }
@@ -230,7 +230,7 @@ impl Comparison {
         let mut text = String::new();
         for cases in self.cases.chunk_by(|a, b| group(a) == group(b)) {
             let times: Vec<f64> = cases.iter().map(|case| case.p50.old_ns).collect();
-            let unit = Unit::of(&times);
+            let unit = TimeUnit::of(&times);
             let head = format!("{} ({})", group(&cases[0]), unit.name());
             // Writing to a string cannot fail.
             let _ = writeln!(
@@ -246,9 +246,9 @@ impl Comparison {
                 ] {
                     let verdict = match of.verdict {
                         _ if case.is_floor => "(the machine)",
-                        Verdict::Faster => "FASTER",
-                        Verdict::Slower => "SLOWER",
-                        Verdict::NoChange => "no change",
+                        Trend::Faster => "FASTER",
+                        Trend::Slower => "SLOWER",
+                        Trend::NoChange => "no change",
                     };
                     let show = |ns| columns::bracketed(unit.show(ns), is_chance);
                     let (old, new) = (show(of.old_ns), show(of.new_ns));
@@ -364,7 +364,7 @@ mod tests {
         assert!(found.faster.is_empty() && found.peers_changed.is_empty());
         assert!((0.03..0.2).contains(&found.cases[1].p50.change));
         let floor = &found.cases[0];
-        assert!(floor.is_floor && floor.p50.p == 1.0 && floor.p50.verdict == Verdict::NoChange);
+        assert!(floor.is_floor && floor.p50.p == 1.0 && floor.p50.verdict == Trend::NoChange);
         let table = found.table();
         assert!(table.contains("SLOWER") && table.contains("slower: spin/tandem, "));
         let faster = compare(&pairs(&mut random, 12, 0.8)).unwrap();

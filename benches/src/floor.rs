@@ -1,9 +1,9 @@
 //! The floors: what the hardware and the kernel alone need.
 
-use crate::harness::{Batch, End, Plan, between_processes, give_way, polled, repeated};
+use crate::harness::{Batch, BatchPlan, End, between_processes, give_way, polled, repeated};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::open_loop::at_fixed_rate;
-use crate::shared::{LINE, Shared};
+use crate::shared::{LINE, SharedPage};
 use crate::stream::{Stream, from_processes};
 use std::hint::{black_box, spin_loop};
 use std::io;
@@ -11,7 +11,7 @@ use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 
 /// One-way time of a cache line between two CPUs that spin on the value itself.
-pub(crate) fn cache_line(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
     between_processes(plan, |shared, ways| {
         let [out, inward] = ways.map(|way| shared.line(2 * way));
         let mut last = 0;
@@ -27,7 +27,7 @@ pub(crate) fn cache_line(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The same two lines; the receiver sleeps in the kernel until the word changes.
-fn futex_ends(shared: &Shared, ways: [usize; 2]) -> impl End + use<> {
+fn futex_ends(shared: &SharedPage, ways: [usize; 2]) -> impl End + use<> {
     let [out, inward] = ways.map(|way| shared.line(2 * way));
     let mut last = 0;
     let send = |stamp| {
@@ -51,12 +51,12 @@ fn futex_ends(shared: &Shared, ways: [usize; 2]) -> impl End + use<> {
 }
 
 /// One-way time of a futex wake to a sleeping process.
-pub(crate) fn futex(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn futex(plan: &BatchPlan) -> io::Result<Batch> {
     between_processes(plan, futex_ends)
 }
 
 /// The same at a fixed rate.
-pub(crate) fn futex_at_rate(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn futex_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
     at_fixed_rate(plan, futex_ends)
 }
 
@@ -66,8 +66,8 @@ const LINES: u32 = 64;
 /// The floor of throughput: a ring whose cache lines are handed over one by one, full. Eight
 /// messages of 8 bytes fill a line; only then the producer says so. That is what the lines
 /// themselves cost; it delays each message until its line is full, so it is no channel to use.
-pub(crate) fn full_lines(plan: &Plan) -> io::Result<Batch> {
-    let shared = Shared::with_case_words((2 + LINES as usize) * LINE)?;
+pub(crate) fn full_lines(plan: &BatchPlan) -> io::Result<Batch> {
+    let shared = SharedPage::with_case_words((2 + LINES as usize) * LINE)?;
     // The producer's count of lines, the consumer's, and the lines.
     let (made, taken) = (shared.line(0), shared.line(1));
     let lines = &shared.case()[2 * LINE..];
@@ -129,8 +129,8 @@ pub(crate) const CHUNK: usize = 64;
 
 /// A compare-and-swap that takes a free word and a store that gives it back: the least a lock
 /// does.
-pub(crate) fn lock(plan: &Plan) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn lock(plan: &BatchPlan) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     let word = shared.line(0);
     repeated(plan, &shared, CHUNK, || {
         || {
@@ -167,7 +167,7 @@ impl Exclusion for Word {
 }
 
 /// One word that several processes want: no turns, so the one that leaves is often the next inside.
-pub(crate) fn contended_word(plan: &Plan, processes: usize) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn contended_word(plan: &BatchPlan, processes: usize) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     contended(plan, &shared, processes, |_| Word(shared.line(0)))
 }

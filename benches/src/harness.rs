@@ -6,9 +6,9 @@
 //! nothing else.
 
 use crate::clock::{ticks, to_ps, to_ps_spread};
-use crate::shared::{CPU_NS, Log, Shared};
+use crate::shared::{CPU_NS, Log, SharedPage};
 use crate::system_calls::count;
-use crate::worker::{Part, Role, perform, pin};
+use crate::worker::{BatchPart, PartContext, perform, pin};
 use std::hint::spin_loop;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -16,7 +16,7 @@ use tandem_board_host::UnsupervisedSystem;
 
 /// What a batch is to do.
 #[derive(Clone, Copy, Debug)]
-pub struct Plan {
+pub struct BatchPlan {
     /// Round trips, or what a case calls a round, that count.
     pub rounds: usize,
     /// Rounds before them that do not.
@@ -49,7 +49,7 @@ pub struct Batch {
 impl Batch {
     /// What the parts of a batch of `messages` messages have written down: samples from track 0,
     /// round trips from track 1, and CPU time.
-    pub(crate) fn collect(shared: &Shared, parts: usize, messages: usize) -> Self {
+    pub(crate) fn collect(shared: &SharedPage, parts: usize, messages: usize) -> Self {
         let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
         let all = |track| {
             let samples = logs.iter().flat_map(move |log| log.samples(track));
@@ -120,10 +120,10 @@ pub(crate) fn polled<T>(mut look: impl FnMut() -> Option<T>) -> T {
 /// One process by itself on this CPU.
 pub(crate) fn alone(
     cpu: usize,
-    shared: &Shared,
-    run: impl FnOnce(&mut Role<'_>),
+    shared: &SharedPage,
+    run: impl FnOnce(&mut PartContext<'_>),
 ) -> io::Result<()> {
-    let part = Part::on(cpu, |role| {
+    let part = BatchPart::on(cpu, |role| {
         run(role);
         Ok(())
     });
@@ -133,8 +133,8 @@ pub(crate) fn alone(
 /// Times an operation that one process does by itself on the near CPU: each round is a chunk of
 /// `chunk` operations, so that the clock's own time does not count. The sample is the mean of one.
 pub(crate) fn repeated<F: FnMut()>(
-    plan: &Plan,
-    shared: &Shared,
+    plan: &BatchPlan,
+    shared: &SharedPage,
     chunk: usize,
     prepare: impl FnOnce() -> F,
 ) -> io::Result<Batch> {
@@ -182,7 +182,7 @@ const SEND_AT: usize = 2;
 /// The last sends, of which the median counts.
 const SENDS: usize = 255;
 
-fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
+fn near_end(end: &mut impl End, plan: &BatchPlan, role: &mut PartContext<'_>) {
     let mut sends = [0; SENDS];
     for round in 0..plan.warm_up + plan.rounds {
         if round == plan.warm_up {
@@ -203,7 +203,7 @@ fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
     role.log.note(SEND_AT, f64::from(median(sends)));
 }
 
-fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
+fn far_end(end: &mut impl End, plan: &BatchPlan, role: &mut PartContext<'_>) {
     for round in 0..plan.warm_up + plan.rounds {
         if round == plan.warm_up {
             role.begin();
@@ -221,8 +221,8 @@ fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
 /// Passes a stamp to and fro between two processes, whose ends are of one kind: the near one writes
 /// by way 0 and reads from way 1.
 pub(crate) fn between_processes<E: End>(
-    plan: &Plan,
-    end: impl Fn(&Shared, [usize; 2]) -> E,
+    plan: &BatchPlan,
+    end: impl Fn(&SharedPage, [usize; 2]) -> E,
 ) -> io::Result<Batch> {
     between_unlike(
         plan,
@@ -236,14 +236,14 @@ pub(crate) fn between_processes<E: End>(
 /// Each end is made in a process of its own, which lives for this batch only: it inherits nothing
 /// from earlier batches but what the caller had opened before.
 pub(crate) fn between_unlike<N: End, F: End>(
-    plan: &Plan,
-    near: impl FnOnce(&Shared) -> N,
-    far: impl FnOnce(&Shared) -> F,
+    plan: &BatchPlan,
+    near: impl FnOnce(&SharedPage) -> N,
+    far: impl FnOnce(&SharedPage) -> F,
 ) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+    let shared = SharedPage::new()?;
     // Counting takes ten rounds: not where it would take longer than the measurement.
     let is_counted = plan.rounds > 10;
-    let near = Part::on(plan.cpus[0], |role| {
+    let near = BatchPart::on(plan.cpus[0], |role| {
         let mut end = near(role.shared);
         role.shared.meet(2);
         near_end(&mut end, plan, role);
@@ -252,7 +252,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
         }
         Ok(())
     });
-    let far = Part::on(plan.cpus[1], |role| {
+    let far = BatchPart::on(plan.cpus[1], |role| {
         let mut end = far(role.shared);
         role.shared.meet(2);
         far_end(&mut end, plan, role);
@@ -273,7 +273,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
 }
 
 /// What both ends of a ping-pong have written down, with the sender's own cost and each direction.
-fn there_and_back(plan: &Plan, shared: &Shared) -> Batch {
+fn there_and_back(plan: &BatchPlan, shared: &SharedPage) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
         to_ps(median(&mut ways)) as f64 / 1e3
@@ -314,7 +314,7 @@ fn let_wait(pid: u32) {
 
 /// Counts the system calls of sends to a far end that waits as it does in the timed rounds, then of
 /// sends to one that is awake and busy with something else.
-fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
+fn count_calls(end: &mut impl End, role: &mut PartContext<'_>) {
     let flag = &role.shared.flag;
     // Acquire pairs with the Release in `be_counted`.
     while flag.load(Ordering::Acquire) == 0 {
@@ -347,7 +347,7 @@ fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
 }
 
 /// The far end of [`count_calls`].
-fn be_counted(end: &mut impl End, role: &Role<'_>) {
+fn be_counted(end: &mut impl End, role: &PartContext<'_>) {
     // Release pairs with the Acquire in `count_calls`.
     role.shared
         .flag
@@ -365,11 +365,11 @@ fn be_counted(end: &mut impl End, role: &Role<'_>) {
 
 /// Passes a stamp to and fro between two threads of one process, for peers that only work there.
 pub(crate) fn between_threads<E: End + Send>(
-    plan: &Plan,
+    plan: &BatchPlan,
     [mut near, mut far]: [E; 2],
 ) -> io::Result<Batch> {
-    let near = |role: &mut Role<'_>| near_end(&mut near, plan, role);
-    let far = |role: &mut Role<'_>| far_end(&mut far, plan, role);
+    let near = |role: &mut PartContext<'_>| near_end(&mut near, plan, role);
+    let far = |role: &mut PartContext<'_>| far_end(&mut far, plan, role);
     let shared = in_threads(plan.cpus, near, far)?;
     Ok(there_and_back(plan, &shared))
 }
@@ -377,11 +377,11 @@ pub(crate) fn between_threads<E: End + Send>(
 /// Two threads of one process: parts 0 and 1, on these CPUs.
 pub(crate) fn in_threads(
     cpus: [usize; 2],
-    first: impl FnOnce(&mut Role<'_>),
-    second: impl FnOnce(&mut Role<'_>) + Send,
-) -> io::Result<Shared> {
-    let shared = Shared::new()?;
-    let part = Part::on(cpus[0], |role| {
+    first: impl FnOnce(&mut PartContext<'_>),
+    second: impl FnOnce(&mut PartContext<'_>) + Send,
+) -> io::Result<SharedPage> {
+    let shared = SharedPage::new()?;
+    let part = BatchPart::on(cpus[0], |role| {
         let mut beside = role.beside(1);
         std::thread::scope(|scope| {
             scope.spawn(|| {

@@ -1,9 +1,9 @@
 //! The cases in turn, batch by batch, in a new order in each turn: each sees the same of the
 //! machine's moods.
 
-use crate::cases::Case;
-use crate::harness::{Batch, Plan, median};
-use crate::machine::stolen_ms;
+use crate::cases::Candidate;
+use crate::hardware::stolen_ms;
+use crate::harness::{Batch, BatchPlan, median};
 use crate::shared::draw;
 use hdrhistogram::Histogram;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +12,7 @@ use tandem_board_host::UnsupervisedSystem;
 
 /// What was measured of one case so far.
 pub(crate) struct Measurement {
-    pub(crate) case: Case,
+    pub(crate) case: Candidate,
     /// All samples, in picoseconds.
     pub(crate) times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
@@ -31,7 +31,7 @@ pub(crate) struct Measurement {
 
 impl Measurement {
     /// Nothing yet.
-    pub(crate) fn new(case: Case) -> Self {
+    pub(crate) fn new(case: Candidate) -> Self {
         let histogram = || Histogram::new(3).expect("3 digits are allowed");
         Self {
             case,
@@ -122,10 +122,10 @@ pub(crate) fn was_interrupted() -> bool {
 /// To be called while the process has one thread.
 pub(crate) fn run(
     system: &'static UnsupervisedSystem,
-    cases: impl IntoIterator<Item = Case>,
+    cases: impl IntoIterator<Item = Candidate>,
     cpus: [usize; 2],
     span: Span,
-    mut progress: impl FnMut(f64, &Case),
+    mut progress: impl FnMut(f64, &Candidate),
 ) -> Vec<Measurement> {
     // SAFETY: the handler only stores to an atomic.
     unsafe {
@@ -168,7 +168,7 @@ fn order(count: usize) -> Vec<usize> {
 
 fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
     let case = measurement.case;
-    let plan = Plan {
+    let plan = BatchPlan {
         rounds: case.rounds,
         // At least each slot of a channel of two is touched.
         warm_up: (case.rounds / 10).max(2),

@@ -1,9 +1,9 @@
 //! Several processes that want a lock all the time: how long each waits, and how fair it is.
 
 use crate::clock::{from_ns, ticks, to_ps};
-use crate::harness::{Batch, Plan, give_way};
-use crate::shared::Shared;
-use crate::worker::{Child, Part, Role, perform};
+use crate::harness::{Batch, BatchPlan, give_way};
+use crate::shared::SharedPage;
+use crate::worker::{BatchPart, Child, PartContext, perform};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -20,15 +20,15 @@ pub trait Exclusion {
 /// # Errors
 /// If the processes or the shared memory cannot be had, an end failed, or two were inside.
 pub fn contended<E: Exclusion>(
-    plan: &Plan,
-    shared: &Shared,
+    plan: &BatchPlan,
+    shared: &SharedPage,
     processes: usize,
     enter: impl Fn(usize) -> E,
 ) -> io::Result<Batch> {
     let span = from_ns(1_000 * plan.rounds as u64);
     let enter = &enter;
     let part = |core: usize| {
-        Part::on(plan.cpus[core % 2], move |role: &mut Role<'_>| {
+        BatchPart::on(plan.cpus[core % 2], move |role: &mut PartContext<'_>| {
             let mut exclusion = enter(core);
             let word = &role.shared.guarded;
             role.shared.meet(processes as u32);
@@ -75,8 +75,8 @@ pub fn contended<E: Exclusion>(
 /// ended, and what `take` makes takes the lock, gives it back, and says whether its last owner had
 /// died.
 pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
-    plan: &Plan,
-    shared: &Shared,
+    plan: &BatchPlan,
+    shared: &SharedPage,
     own: impl Fn(u32) -> E,
     bury: impl Fn(u32),
     take: impl FnOnce() -> F,
@@ -88,7 +88,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
         }
     };
     let deaths = (plan.warm_up + plan.rounds) as u32;
-    let supervisor = Part::on(plan.cpus[0], |role| {
+    let supervisor = BatchPart::on(plan.cpus[0], |role| {
         role.shared.meet(2);
         for death in 1..=deaths {
             let owner = Child::start(plan.cpus[0], || {
@@ -111,7 +111,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
         }
         Ok(())
     });
-    let taker = Part::on(plan.cpus[1], |role| {
+    let taker = BatchPart::on(plan.cpus[1], |role| {
         let mut take = take();
         role.shared.meet(2);
         for death in 1..=deaths {

@@ -1,8 +1,8 @@
 //! What the machine does by itself: the pauses of a program that only reads the clock.
 
 use crate::clock::{from_ns, monotonic_ns, ps_per_tick, sleep_until, step_ticks, ticks, to_ps};
-use crate::harness::{Batch, Plan, alone};
-use crate::shared::Shared;
+use crate::harness::{Batch, BatchPlan, alone};
+use crate::shared::SharedPage;
 use std::io;
 
 /// Windows of the spin; each gives one sample.
@@ -13,8 +13,8 @@ const GAP_NS: u64 = 1_000;
 /// Reads the clock again and again on this CPU. Two readings that lie far apart had something
 /// between them: an interrupt, another process, the hypervisor. A sample is the longest pause
 /// within 100 us; all pauses above 1 us are counted.
-pub(crate) fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn gaps(plan: &BatchPlan, cpu: usize) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     alone(cpu, &shared, |role| {
         let (window, limit) = (from_ns(WINDOW_NS), from_ns(GAP_NS));
         let (mut count, mut longest_of_all, mut lost, mut spanned) = (0u32, 0, 0u64, 0u64);
@@ -50,9 +50,9 @@ pub(crate) fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
 }
 
 /// Sleeps until a point in time 500 us ahead, again and again. A sample is how late the sleep ends.
-pub(crate) fn timer(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn timer(plan: &BatchPlan) -> io::Result<Batch> {
     const PERIOD_NS: u64 = 500_000;
-    let shared = Shared::new()?;
+    let shared = SharedPage::new()?;
     alone(plan.cpus[0], &shared, |role| {
         for _ in 0..plan.rounds {
             let due = monotonic_ns() + PERIOD_NS;

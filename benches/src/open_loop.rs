@@ -7,9 +7,9 @@
 //! arrived when it or a newer one has.
 
 use crate::clock::{from_ns, ticks, to_ps};
-use crate::harness::{Batch, End, Plan};
-use crate::shared::Shared;
-use crate::worker::{Part, perform};
+use crate::harness::{Batch, BatchPlan, End};
+use crate::shared::SharedPage;
+use crate::worker::{BatchPart, perform};
 use std::hint::spin_loop;
 use std::io;
 
@@ -19,13 +19,13 @@ const PERIOD_NS: u64 = 100_000;
 /// Sends as many messages as the plan has rounds, one each [`PERIOD_NS`]. The sender spins until
 /// each is due, on a CPU of its own; CPU time is the receiver's alone.
 pub(crate) fn at_fixed_rate<E: End>(
-    plan: &Plan,
-    end: impl Fn(&Shared, [usize; 2]) -> E,
+    plan: &BatchPlan,
+    end: impl Fn(&SharedPage, [usize; 2]) -> E,
 ) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+    let shared = SharedPage::new()?;
     let period = from_ns(PERIOD_NS);
     let messages = (plan.warm_up + plan.rounds) as u32;
-    let sender = Part::on(plan.cpus[0], |role| {
+    let sender = BatchPart::on(plan.cpus[0], |role| {
         let mut end = end(role.shared, [0, 1]);
         role.shared.meet(2);
         let begin = ticks().wrapping_add(period);
@@ -41,7 +41,7 @@ pub(crate) fn at_fixed_rate<E: End>(
         }
         Ok(())
     });
-    let receiver = Part::on(plan.cpus[1], |role| {
+    let receiver = BatchPart::on(plan.cpus[1], |role| {
         let mut end = end(role.shared, [1, 0]);
         role.shared.meet(2);
         role.begin();

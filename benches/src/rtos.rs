@@ -6,9 +6,9 @@
 //! (`peers/freertos_posix`), which does what the functions here do.
 
 use crate::clock;
-use crate::harness::{Batch, Plan};
-use crate::shared::Shared;
-use crate::worker::{Part, ask_for_fifo, perform};
+use crate::harness::{Batch, BatchPlan};
+use crate::shared::SharedPage;
+use crate::worker::{BatchPart, ask_for_fifo, perform};
 use rustix::fs::{MemfdFlags, memfd_create};
 use std::fs::File;
 use std::io::{self, Read, Seek, Write};
@@ -44,12 +44,12 @@ static STAMP: AtomicU32 = AtomicU32::new(0);
 
 /// Runs `body` in a process of its own and returns the samples that it leaves.
 fn in_process(
-    plan: &Plan,
+    plan: &BatchPlan,
     in_ps: fn(u32) -> u64,
     body: impl FnOnce(Samples) -> io::Result<()>,
 ) -> io::Result<Batch> {
-    let shared = Shared::with_case_words(1 + plan.warm_up + plan.rounds)?;
-    let part = Part::on(plan.cpus[0], |role| {
+    let shared = SharedPage::with_case_words(1 + plan.warm_up + plan.rounds)?;
+    let part = BatchPart::on(plan.cpus[0], |role| {
         ask_for_fifo();
         body(Samples(role.shared.case()))
     });
@@ -74,19 +74,19 @@ fn of_ns(ns: u32) -> u64 {
 ///   sleeping, so that its ticks drift and have no absolute time;
 /// - `switch`: from one task to another by a yield;
 /// - `interrupt`: from the interrupt of the tick to the task that it wakes.
-pub(crate) fn posix_port(plan: &Plan, what: &str) -> io::Result<Batch> {
+pub(crate) fn posix_port(plan: &BatchPlan, what: &str) -> io::Result<Batch> {
     let in_ps = if what == "tick" { of_ns } else { clock::to_ps };
     let memory = || memfd_create("freertos-posix", MemfdFlags::CLOEXEC).map(File::from);
     let (mut program, mut output) = (memory()?, memory()?);
     program.write_all(POSIX_PORT)?;
     let rounds = (plan.warm_up + plan.rounds).to_string();
-    let part = Part::on(plan.cpus[0], |_| {
+    let part = BatchPart::on(plan.cpus[0], |_| {
         ask_for_fifo();
         let mut command = Command::new(format!("/proc/self/fd/{}", program.as_raw_fd()));
         command.args([what, &rounds]).stdin(Stdio::null());
         Err(command.stdout(output.try_clone()?).exec())
     });
-    perform(&Shared::new()?, vec![part])?;
+    perform(&SharedPage::new()?, vec![part])?;
     let mut bytes = vec![];
     output.rewind()?;
     output.read_to_end(&mut bytes)?;
@@ -98,7 +98,7 @@ pub(crate) fn posix_port(plan: &Plan, what: &str) -> io::Result<Batch> {
 }
 
 /// How late a bare `clock_nanosleep` to each absolute millisecond returns.
-pub(crate) fn tick_floor(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn tick_floor(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, of_ns, |samples| {
         let mut due = clock::monotonic_ns();
         loop {
@@ -137,13 +137,13 @@ fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
 }
 
 /// How late a task of ours wakes that delays until each tick, from the tick's absolute time.
-pub(crate) fn tick(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn tick(plan: &BatchPlan) -> io::Result<Batch> {
     let late = |wake: Ticks| (host::elapsed_ns() - u64::from(wake.0) * TICK_NS) as u32;
     in_process(plan, of_ns, |samples| each_tick(samples, late))
 }
 
 /// From the interrupt of the tick to the task that it wakes; the idle task is interrupted.
-pub(crate) fn switch_from_interrupt(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn switch_from_interrupt(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         host::observe_ticks(Some(|_| STAMP.store(clock::ticks(), Relaxed)));
         each_tick(samples, |_| {
@@ -153,7 +153,7 @@ pub(crate) fn switch_from_interrupt(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// From the call of a yield in one task to its end in the other.
-pub(crate) fn switch(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn switch(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         let yielder = move |ctx: &TaskContext| {
             loop {

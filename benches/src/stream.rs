@@ -5,9 +5,9 @@
 //! missing or out of order, so that nothing can be fast by losing messages.
 
 use crate::clock::ticks;
-use crate::harness::{Batch, Plan, give_way, in_threads};
-use crate::shared::Shared;
-use crate::worker::{Part, Role, perform};
+use crate::harness::{Batch, BatchPlan, give_way, in_threads};
+use crate::shared::SharedPage;
+use crate::worker::{BatchPart, PartContext, perform};
 use std::hint::spin_loop;
 use std::io;
 
@@ -21,11 +21,11 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    fn messages(&self, plan: &Plan) -> usize {
+    fn messages(&self, plan: &BatchPlan) -> usize {
         (plan.warm_up + plan.rounds) * self.chunk
     }
 
-    fn batch(&self, plan: &Plan, shared: &Shared, parts: usize) -> Batch {
+    fn batch(&self, plan: &BatchPlan, shared: &SharedPage, parts: usize) -> Batch {
         Batch::collect(shared, parts, plan.rounds)
             .per_operation(self.chunk)
             .carrying(self.payload_bytes as u64)
@@ -33,7 +33,12 @@ impl Stream {
 }
 
 /// Sends messages by their numbers; `send` returns `false` if there is no room now.
-fn pour(mut send: impl FnMut(u32) -> bool, messages: usize, role: &mut Role<'_>, pause: fn()) {
+fn pour(
+    mut send: impl FnMut(u32) -> bool,
+    messages: usize,
+    role: &mut PartContext<'_>,
+    pause: fn(),
+) {
     role.begin();
     for k in 0..messages as u32 {
         while !send(k) {
@@ -46,10 +51,10 @@ fn pour(mut send: impl FnMut(u32) -> bool, messages: usize, role: &mut Role<'_>,
 /// Receives all messages of the plan, from one source after the other when one has none. It
 /// receives in one place, which the compiler then inlines: a call took as long as a message.
 fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
-    plan: &Plan,
+    plan: &BatchPlan,
     chunk: usize,
     mut sources: [R; WAYS],
-    role: &mut Role<'_>,
+    role: &mut PartContext<'_>,
 ) {
     let (mut next, mut from) = ([0u32; WAYS], 0);
     for round in 0..plan.warm_up + plan.rounds {
@@ -80,8 +85,8 @@ fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
 /// messages. `sender` makes what sends a message of this number, or returns `false` if there is no
 /// room now; `receiver` makes what returns the number of the next message, if there is one.
 pub(crate) fn from_processes<S, R, const WAYS: usize>(
-    plan: &Plan,
-    shared: &Shared,
+    plan: &BatchPlan,
+    shared: &SharedPage,
     stream: Stream,
     sender: impl Fn(usize) -> S,
     receiver: impl Fn(usize) -> R,
@@ -93,15 +98,15 @@ where
     let (sender, count) = (&sender, WAYS as u32 + 1);
     let pause = if WAYS == 1 { spin_loop } else { give_way };
     let part = |way| {
-        Part::on(plan.cpus[0], move |role: &mut Role<'_>| {
+        BatchPart::on(plan.cpus[0], move |role: &mut PartContext<'_>| {
             let send = sender(way);
             role.shared.meet(count);
             pour(send, stream.messages(plan) / WAYS, role, pause);
             Ok(())
         })
     };
-    let mut parts: Vec<Part<'_>> = (0..WAYS).map(part).collect();
-    parts.push(Part::on(plan.cpus[1], |role| {
+    let mut parts: Vec<BatchPart<'_>> = (0..WAYS).map(part).collect();
+    parts.push(BatchPart::on(plan.cpus[1], |role| {
         let sources: [R; WAYS] = std::array::from_fn(receiver);
         role.shared.meet(count);
         drain(plan, stream.chunk, sources, role);
@@ -113,13 +118,13 @@ where
 
 /// From one thread to another of the same process.
 pub(crate) fn between_threads(
-    plan: &Plan,
+    plan: &BatchPlan,
     stream: Stream,
     (send, receive): (impl FnMut(u32) -> bool + Send, impl FnMut() -> Option<u32>),
 ) -> io::Result<Batch> {
     let [near, far] = plan.cpus;
-    let receiver = |role: &mut Role<'_>| drain(plan, stream.chunk, [receive], role);
-    let sender = |role: &mut Role<'_>| pour(send, stream.messages(plan), role, spin_loop);
+    let receiver = |role: &mut PartContext<'_>| drain(plan, stream.chunk, [receive], role);
+    let sender = |role: &mut PartContext<'_>| pour(send, stream.messages(plan), role, spin_loop);
     let shared = in_threads([far, near], receiver, sender)?;
     Ok(stream.batch(plan, &shared, 2))
 }

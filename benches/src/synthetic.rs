@@ -1,6 +1,6 @@
 //! Results made up for tests.
 
-use crate::machine::Machine;
+use crate::hardware::Machine;
 use crate::result::{Results, Row, SCHEMA};
 
 /// A row with this median; the tail rises by a half per nine.

@@ -4,7 +4,7 @@ use crate::columns::{self, Column};
 use crate::provider::{Headline, Provider};
 use crate::result::{Results, Row};
 use std::fmt::Write as _;
-use tandem_page::format::{self, Unit};
+use tandem_page::format::{self, TimeUnit};
 
 /// The narrowest terminal that the tables are made for, in columns.
 pub(crate) const NARROWEST: usize = 80;
@@ -80,7 +80,7 @@ impl Results {
 
 fn group_table(group: &str, rows: &[Row], width: usize) -> String {
     let medians: Vec<f64> = rows.iter().map(|row| row.p50_ns).collect();
-    let unit = Unit::of(&medians);
+    let unit = TimeUnit::of(&medians);
     let head = format!("{group} ({})", unit.name());
     let names = rows.iter().map(|row| row.case().len() + 2);
     let names = names.chain([head.chars().count(), 22]).max().unwrap_or(22);
@@ -205,7 +205,7 @@ mod tests {
         let row = &mut run.results[0];
         row.samples = 5_000;
         row.facts.insert("naive p99.9, ns".to_owned(), 5.0);
-        let tail = Unit::Ns.show(row.p99_9_ns);
+        let tail = TimeUnit::Ns.show(row.p99_9_ns);
         let table = run.table(120);
         assert!(table.contains(&format!(" ({tail})")) && table.contains("(naive p99.9: 5.00 ns)"));
     }

@@ -12,12 +12,12 @@ use std::io;
 use std::ops::RangeInclusive;
 use std::process::ExitCode;
 use std::time::Duration;
-use tandem_benches::cases::{self, Case, Group};
-use tandem_benches::harness::Plan;
+use tandem_benches::cases::{self, Candidate, Comparison};
+use tandem_benches::harness::BatchPlan;
 use tandem_benches::mutual_exclusion::{Exclusion, contended};
-use tandem_benches::shared::Shared;
+use tandem_benches::shared::SharedPage;
 use tandem_benches::system_calls::count;
-use tandem_benches::worker::{Part, perform, perform_within};
+use tandem_benches::worker::{BatchPart, perform, perform_within};
 use tandem_board_host::{UnsupervisedSystem, isolation};
 use tandem_rtos::host::TaskAllocator;
 
@@ -79,7 +79,7 @@ fn main() -> ExitCode {
     libtest_mimic::run(&args, trials).exit_code()
 }
 
-fn run(case: &Case) {
+fn run(case: &Candidate) {
     let name = case.full_name();
     let place = isolation::enter().unwrap();
     let system: &'static UnsupervisedSystem =
@@ -87,7 +87,7 @@ fn run(case: &Case) {
     let cpus = core_affinity::get_core_ids().unwrap();
     // Each word of a payload is written and read.
     let most_rounds = if name.ends_with("MiB") { 3 } else { 20 };
-    let plan = Plan {
+    let plan = BatchPlan {
         rounds: case.rounds.min(most_rounds),
         warm_up: 2,
         cpus: [cpus[0].id, cpus[cpus.len() - 1].id],
@@ -101,7 +101,7 @@ fn run(case: &Case) {
         batch.samples_ps.iter().sum::<u64>() > 0,
         "{name} took no time"
     );
-    let at_fixed_times = case.group == Group::Rate;
+    let at_fixed_times = case.group == Comparison::Rate;
     assert_eq!(!batch.naive_ps.is_empty(), at_fixed_times, "{name}");
     let facts: HashMap<_, _> = batch.facts.into_iter().collect();
     for (fact, value) in &facts {
@@ -127,33 +127,33 @@ fn sleep_for_ever() -> ! {
 }
 
 fn a_part_that_fails_ends_the_others() {
-    let shared = Shared::new().unwrap();
+    let shared = SharedPage::new().unwrap();
     let parts = vec![
-        Part::on(0, |_| sleep_for_ever()),
-        Part::on(0, |_| Err(io::Error::other("no line"))),
+        BatchPart::on(0, |_| sleep_for_ever()),
+        BatchPart::on(0, |_| Err(io::Error::other("no line"))),
     ];
     let error = perform(&shared, parts).unwrap_err();
     assert_eq!(error.to_string(), "no line");
 }
 
 fn a_part_that_panics_says_so() {
-    let shared = Shared::new().unwrap();
-    let parts = vec![Part::on(0, |_| panic!("cannot start: {}", 7))];
+    let shared = SharedPage::new().unwrap();
+    let parts = vec![BatchPart::on(0, |_| panic!("cannot start: {}", 7))];
     let error = perform(&shared, parts).unwrap_err();
     assert_eq!(error.to_string(), "cannot start: 7");
 }
 
 fn a_dead_end_ends() {
-    let shared = Shared::new().unwrap();
-    let parts = vec![Part::on(0, |_| sleep_for_ever())];
+    let shared = SharedPage::new().unwrap();
+    let parts = vec![BatchPart::on(0, |_| sleep_for_ever())];
     let error = perform_within(Duration::from_millis(50), &shared, parts).unwrap_err();
     assert_eq!(error.kind(), io::ErrorKind::TimedOut);
 }
 
 /// In a process of its own: the counter is the process's.
 fn calls_are_counted_and_made() {
-    let shared = Shared::new().unwrap();
-    let part = Part::on(0, |role| {
+    let shared = SharedPage::new().unwrap();
+    let part = BatchPart::on(0, |role| {
         let none = count(|| drop(std::hint::black_box(vec![1u8, 2, 3])));
         let mut parents = [0; 3];
         let some = count(|| {
@@ -180,13 +180,13 @@ impl Exclusion for Absent {
 
 /// The guarded word finds out whether the lock works.
 fn stays_that_get_lost_are_noticed() {
-    let plan = Plan {
+    let plan = BatchPlan {
         rounds: 100,
         warm_up: 0,
         cpus: [0, 0],
         system: None,
     };
-    let shared = Shared::new().unwrap();
+    let shared = SharedPage::new().unwrap();
     let error = contended(&plan, &shared, 2, |_| Absent).unwrap_err();
     assert_eq!(error.to_string(), "two were inside at once");
 }

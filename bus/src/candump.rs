@@ -19,7 +19,7 @@ pub enum Id {
 
 /// One logged data frame. [`fmt::Display`] writes its line, without a line feed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LoggedFrame<'a> {
+pub struct CandumpFrame<'a> {
     /// When it was on the bus, µs since 1970.
     pub at_us: u64,
     /// Name of the bus; no white space.
@@ -32,7 +32,7 @@ pub struct LoggedFrame<'a> {
     pub data: &'a [u8],
 }
 
-impl fmt::Display for LoggedFrame<'_> {
+impl fmt::Display for CandumpFrame<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (seconds, micros) = (self.at_us / 1_000_000, self.at_us % 1_000_000);
         write!(f, "({seconds:010}.{micros:06}) {} ", self.interface)?;
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn writes_what_candump_writes() {
-        let fd = LoggedFrame {
+        let fd = CandumpFrame {
             at_us: 1_436_509_052_249_713,
             interface: "vcan0",
             id: Id::Standard(0x0A0),
@@ -66,7 +66,7 @@ mod tests {
         };
         let line = "(1436509052.249713) vcan0 0A0##11A2BC3";
         assert_eq!(fd.to_string(), line);
-        let classic = LoggedFrame {
+        let classic = CandumpFrame {
             at_us: 12_000_345,
             interface: "can1",
             id: Id::Extended(0x0CFF_0127),

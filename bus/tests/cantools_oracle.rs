@@ -11,7 +11,7 @@ use std::thread;
 
 use proptest::strategy::{Strategy as _, ValueTree as _};
 use proptest::test_runner::TestRunner;
-use tandem_bus::candump::{Id, LoggedFrame};
+use tandem_bus::candump::{CandumpFrame, Id};
 use tandem_bus::{Encoded, FRAMES, FrameTransmitter, Message};
 
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
@@ -163,7 +163,7 @@ fn cantools_reads_our_logs() {
     let frames = random_frames(500);
     let mut log = String::new();
     for (i, (_, frame)) in frames.iter().enumerate() {
-        let record = LoggedFrame {
+        let record = CandumpFrame {
             at_us: 1_436_509_052_249_713 + 10_007 * i as u64,
             interface: "vcan0",
             id: Id::Standard(frame.id),

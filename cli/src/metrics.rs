@@ -8,7 +8,7 @@ use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::run_log::{Stall, Stood};
 use tandem_record::{RunLog, Takeover, ms_between, start, takeovers};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 use crate::percentiles::Spans;
 use crate::stall_watch::Seen;
@@ -376,9 +376,9 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         duration_asked_s: log.header.duration_s,
         complete: log.end_ns.is_some(),
         drive: log.figures.clone(),
-        control_frames: count(Verdict::Accepted),
-        fenced_frames: count(Verdict::Fenced),
-        invalid_frames: count(Verdict::Invalid),
+        control_frames: count(Ruling::Accepted),
+        fenced_frames: count(Ruling::Fenced),
+        invalid_frames: count(Ruling::Invalid),
         first_control_ms: first_control_ms(log),
         control_gap_max_ms: control_gap_max_ms(log),
         control_period_p50_ms: period.percentile_ms(50.0),

@@ -262,7 +262,7 @@ impl News {
         let at_ns = frame.at.as_ns();
         self.roles.at_ns = self.roles.at_ns.max(at_ns);
         match (frame.verdict, frame.message()) {
-            (Some(tandem_vehicle::Verdict::Accepted), Some(Message::Control { control, .. })) => {
+            (Some(tandem_vehicle::Ruling::Accepted), Some(Message::Control { control, .. })) => {
                 let Some(system) = frame.controller() else {
                     return;
                 };

@@ -7,7 +7,7 @@ use tandem_record::RunLog;
 use tandem_record::log::{DriveFigures, Header, Lane, Other, RoadPiece, Sample, VehicleRecord};
 use tandem_record::run_log::{ControlFrame, CoreEvent, StatusFrame};
 use tandem_redundancy::Evidence;
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 /// The clock at the start of the world.
 const START_NS: u64 = 1_700_000_000;
@@ -206,7 +206,7 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             term,
             mode,
             age_ns: None,
-            verdict: Verdict::Accepted,
+            verdict: Ruling::Accepted,
         });
     }
 }

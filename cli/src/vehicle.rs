@@ -7,7 +7,7 @@ use tandem_board::{Instant, Pass, RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
-use tandem_vehicle::{Config, Habit, LoggedFrame, Scenario, Snapshot, World};
+use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig, WorldSnapshot};
 
 use crate::files::RunFiles;
 use crate::live::Live;
@@ -106,7 +106,7 @@ where
             duration_s: run.duration_s,
             epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
         }));
-        let mut world = World::new(scenario, Config { seed: run.seed });
+        let mut world = World::new(scenario, WorldConfig { seed: run.seed });
         world.set_driver(Habit {
             overrides_s: run.overrides_s,
             answers_after_s: run.answers_after_s,
@@ -290,7 +290,7 @@ where
         }
     }
 
-    fn state(&self, now_ns: u64, snapshot: &Snapshot) -> Sample {
+    fn state(&self, now_ns: u64, snapshot: &WorldSnapshot) -> Sample {
         let gap = Some(snapshot.gap).filter(|gap| gap.is_finite());
         Sample {
             at_ns: now_ns,

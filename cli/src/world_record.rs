@@ -3,7 +3,7 @@
 use tandem_record::log::{Comfort, DriveFigures, Lane, Other};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
-use tandem_vehicle::{Metrics, VehicleSnapshot};
+use tandem_vehicle::{VehicleSnapshot, WorldMetrics};
 
 /// The road is recorded from this far behind to this far ahead of the vehicle, m.
 const ROAD_BACK_M: f64 = 100.0;
@@ -13,7 +13,7 @@ const ROAD_STEP_M: f64 = 4.0;
 const ROAD_ASIDE_M: f64 = 30.0;
 
 /// The vehicle's own figures.
-pub(crate) fn figures(metrics: &Metrics) -> DriveFigures {
+pub(crate) fn figures(metrics: &WorldMetrics) -> DriveFigures {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     DriveFigures {
         collisions: metrics.collisions,
@@ -58,7 +58,7 @@ pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
 /// The lanes around a point.
 pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
     let count = ((ROAD_BACK_M + ROAD_AHEAD_M) / ROAD_STEP_M) as u32;
-    let around = |lane: &tandem_vehicle::road::Lane| {
+    let around = |lane: &tandem_vehicle::road::RoadLane| {
         let place = lane.project(near);
         let mut borders = Lane::default();
         let stations =

@@ -182,7 +182,7 @@ pub struct Series {
 
 /// A filled polygon.
 #[derive(Clone, Debug)]
-pub struct Shape {
+pub struct Polygon {
     /// Its colour.
     pub color: Color,
     /// Its corners.
@@ -199,7 +199,7 @@ pub struct Chart {
     /// Vertical axis.
     pub y: Axis,
     /// Shapes below the series.
-    pub shapes: Vec<Shape>,
+    pub shapes: Vec<Polygon>,
     /// The series.
     pub series: Vec<Series>,
     /// Vertical marks over the whole height: takeovers.

@@ -12,7 +12,7 @@ pub fn median(values: &[f64]) -> Option<f64> {
 
 /// The unit in which a group of times is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
+pub enum TimeUnit {
     /// Nanoseconds.
     Ns,
     /// Microseconds.
@@ -21,7 +21,7 @@ pub enum Unit {
     Ms,
 }
 
-impl Unit {
+impl TimeUnit {
     /// The unit that suits these times, in ns: chosen by their median.
     #[must_use]
     pub fn of(times_ns: &[f64]) -> Self {
@@ -157,11 +157,11 @@ mod tests {
 
     #[test]
     fn a_group_has_one_unit() {
-        assert_eq!(Unit::of(&[80.0, 90.0, 5e6]), Unit::Ns);
-        assert_eq!(Unit::of(&[21e3, 25e3]), Unit::Us);
-        assert_eq!(Unit::of(&[]), Unit::Ns);
-        assert_eq!(Unit::Us.show(21_345.0), "21.3");
-        assert_eq!(Unit::Ns.show(36_003_906.0), "36.0 ms");
+        assert_eq!(TimeUnit::of(&[80.0, 90.0, 5e6]), TimeUnit::Ns);
+        assert_eq!(TimeUnit::of(&[21e3, 25e3]), TimeUnit::Us);
+        assert_eq!(TimeUnit::of(&[]), TimeUnit::Ns);
+        assert_eq!(TimeUnit::Us.show(21_345.0), "21.3");
+        assert_eq!(TimeUnit::Ns.show(36_003_906.0), "36.0 ms");
     }
 
     #[test]

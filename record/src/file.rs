@@ -11,7 +11,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use tandem_board::{CanFrame, CanId, CoreId, Instant, SupplyEvent, SystemId, Traced};
 use tandem_bus::candump;
-use tandem_vehicle::{LoggedFrame, Verdict};
+use tandem_vehicle::{LoggedFrame, Ruling};
 
 use crate::log::VehicleRecord;
 
@@ -19,13 +19,13 @@ use crate::log::VehicleRecord;
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
-const VERDICTS: [Verdict; 6] = [
-    Verdict::Accepted,
-    Verdict::Fenced,
-    Verdict::NotMaster,
-    Verdict::Invalid,
-    Verdict::Stale,
-    Verdict::Implausible,
+const VERDICTS: [Ruling; 6] = [
+    Ruling::Accepted,
+    Ruling::Fenced,
+    Ruling::NotMaster,
+    Ruling::Invalid,
+    Ruling::Stale,
+    Ruling::Implausible,
 ];
 
 /// The line of a frame in a CAN log, without a line feed; `epoch_us` is the time of day at the
@@ -33,7 +33,7 @@ const VERDICTS: [Verdict; 6] = [
 #[must_use]
 pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> String {
     let frame = &logged.frame;
-    let record = candump::LoggedFrame {
+    let record = candump::CandumpFrame {
         at_us: epoch_us + logged.at.as_ns() / 1_000,
         interface: INTERFACE,
         id: match frame.id() {
@@ -248,7 +248,7 @@ pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()
 
 /// The number of a verdict in a recording, from 1; 0 for none.
 #[must_use]
-pub fn verdict_code(verdict: Option<Verdict>) -> u8 {
+pub fn verdict_code(verdict: Option<Ruling>) -> u8 {
     let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
     verdict.and_then(judged).map_or(0, |place| place as u8 + 1)
 }
@@ -297,7 +297,7 @@ mod tests {
                 at,
                 sent: Instant::from_ns(5),
                 frame,
-                verdict: Some(Verdict::Fenced),
+                verdict: Some(Ruling::Fenced),
             }),
             Entry::Supply(at, SystemId::B, SupplyEvent::Suspended),
         ];
@@ -344,7 +344,7 @@ mod tests {
         assert_eq!((log.start_ns, log.trace.len()), (Some(7), 6));
         let control = log.control[0];
         assert_eq!((control.system, control.term), (SystemId::B, 3));
-        assert_eq!((control.sent_ns, control.verdict), (5, Verdict::Fenced));
+        assert_eq!((control.sent_ns, control.verdict), (5, Ruling::Fenced));
         let one = written(&[Entry::Trace(log.trace[0])]);
         assert_eq!(one.len() as u64, TRACE_BYTES);
     }

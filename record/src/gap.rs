@@ -4,7 +4,7 @@
 use tandem_board::{CoreId, Duration, ResetCause, SystemId};
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Config, Evidence, Phase};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 use tandem_vehicle::gate::MAX_DELAY_MS;
 use tandem_vehicle::mastership::Mastership;
 
@@ -245,7 +245,7 @@ fn stalled_ms(stalls: &[Stall], [from_ns, to_ns]: [u64; 2], patience_ns: u64) ->
 #[must_use]
 pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     let claims =
-        |frame: &&ControlFrame| !matches!(frame.verdict, Verdict::NotMaster | Verdict::Invalid);
+        |frame: &&ControlFrame| !matches!(frame.verdict, Ruling::NotMaster | Ruling::Invalid);
     let mut sent: Vec<(u64, SystemId)> = log
         .control
         .iter()
@@ -298,7 +298,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
     let stale = log
         .control
         .iter()
-        .filter(|frame| frame.verdict == Verdict::Stale)
+        .filter(|frame| frame.verdict == Ruling::Stale)
         .filter(|frame| !was_held_up(frame, stalls));
     stale.filter(follows).count()
 }
@@ -332,7 +332,7 @@ mod tests {
         limits: Config::rt(),
     };
 
-    fn frame(at_ms: u64, system: SystemId, verdict: Verdict) -> ControlFrame {
+    fn frame(at_ms: u64, system: SystemId, verdict: Ruling) -> ControlFrame {
         ControlFrame {
             at_ns: at_ms * 1_000_000,
             sent_ns: at_ms * 1_000_000,
@@ -346,8 +346,7 @@ mod tests {
 
     /// Accepted frames of (time in ms, system).
     fn log(frames: &[(u64, SystemId)], end_ms: u64) -> RunLog {
-        let accepted =
-            |(at_ms, system): &(u64, SystemId)| frame(*at_ms, *system, Verdict::Accepted);
+        let accepted = |(at_ms, system): &(u64, SystemId)| frame(*at_ms, *system, Ruling::Accepted);
         RunLog {
             control: frames.iter().map(accepted).collect(),
             start_ns: Some(0),
@@ -518,7 +517,7 @@ mod tests {
                 .step_by(10)
                 .map(move |at| frame(at, system, verdict))
         };
-        let (accepted, fenced) = (Verdict::Accepted, Verdict::Fenced);
+        let (accepted, fenced) = (Ruling::Accepted, Ruling::Fenced);
         let master: Vec<_> = row(A, accepted, 0, 1_000).collect();
         assert_eq!(both(&master), 0.0);
         // A standby that chatters, and one frame of it.
@@ -540,7 +539,7 @@ mod tests {
             row(A, accepted, 313, 500).collect(),
         ];
         assert_eq!(both(&clean.concat()), 0.0);
-        let said = [master, row(B, Verdict::NotMaster, 5, 500).collect()].concat();
+        let said = [master, row(B, Ruling::NotMaster, 5, 500).collect()].concat();
         assert_eq!(both(&said), 0.0);
     }
 
@@ -572,7 +571,7 @@ mod tests {
     fn stale_frames_count_after_a_takeover() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
         for at_ms in [5, 30, 900, 2_000] {
-            log.control.push(frame(at_ms, B, Verdict::Stale));
+            log.control.push(frame(at_ms, B, Ruling::Stale));
         }
         assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
     }
@@ -581,7 +580,7 @@ mod tests {
     #[test]
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
-        log.control.push(frame(900, B, Verdict::Stale));
+        log.control.push(frame(900, B, Ruling::Stale));
         let cpu = |from_ms, to_ms| stall(Stood::Cpu(0), from_ms, to_ms);
         let count = |log: &RunLog, stalls: &[Stall]| stale_frames(log, &takeovers(log), stalls);
         for (stalls, stale) in [

@@ -63,7 +63,7 @@ mod tests {
     use crate::run_log::ControlFrame;
     use tandem_board::SystemId;
     use tandem_bus::ModeCode;
-    use tandem_vehicle::Verdict;
+    use tandem_vehicle::Ruling;
 
     const MS: u64 = 1_000_000;
 
@@ -90,7 +90,7 @@ mod tests {
                 mode: ModeCode::L3,
                 // Rounded as in the frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
-                verdict: Verdict::Accepted,
+                verdict: Ruling::Accepted,
             });
         }
         log
@@ -137,7 +137,7 @@ mod tests {
         let mut silent = log(20);
         for (index, frame) in silent.control.iter_mut().enumerate() {
             match index % 2 {
-                0 => frame.verdict = Verdict::Fenced,
+                0 => frame.verdict = Ruling::Fenced,
                 _ => frame.age_ns = None,
             }
         }

@@ -3,7 +3,7 @@
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::{ModeCode, RoleCode};
 use tandem_cores::trace::Event;
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 use crate::RunLog;
 
@@ -133,7 +133,7 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
     let control = log
         .control
         .iter()
-        .filter(|frame| frame.system == system && frame.verdict != Verdict::Invalid);
+        .filter(|frame| frame.system == system && frame.verdict != Ruling::Invalid);
     let events = log
         .events
         .iter()

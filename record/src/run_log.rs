@@ -4,7 +4,7 @@ use tandem_board::{CoreId, SupplyEvent, SystemId, Traced};
 use tandem_bus::{Message, ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_vehicle::mastership::Mastership;
-use tandem_vehicle::{LoggedFrame, Verdict};
+use tandem_vehicle::{LoggedFrame, Ruling};
 
 use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
@@ -46,7 +46,7 @@ pub struct ControlFrame {
     /// Age of the oldest measurement behind it when it was sent, ns; `None` if there is none.
     pub age_ns: Option<u64>,
     /// The vehicle's verdict on it.
-    pub verdict: Verdict,
+    pub verdict: Ruling,
 }
 
 /// A status frame.
@@ -163,7 +163,7 @@ impl RunLog {
         let message = frame.message();
         if let Some(verdict) = frame.verdict {
             let (mode, term, age_ns) = match message {
-                Some(Message::Control { control, .. }) if verdict != Verdict::Invalid => {
+                Some(Message::Control { control, .. }) if verdict != Ruling::Invalid => {
                     let age_ms = Some(f64::from(control.command_age)).filter(|ms| *ms < NO_AGE_MS);
                     let age_ns = age_ms.map(|ms| (ms * 1e6) as u64);
                     (control.mode, control.term, age_ns)
@@ -253,7 +253,7 @@ impl RunLog {
     pub fn accepted(&self) -> impl Iterator<Item = &ControlFrame> {
         self.control
             .iter()
-            .filter(|frame| frame.verdict == Verdict::Accepted)
+            .filter(|frame| frame.verdict == Ruling::Accepted)
     }
 
     /// Gaps, changes and two masters, from the frames that the vehicle obeyed.

@@ -5,7 +5,7 @@ use tandem_board::{CoreId, SystemId};
 use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 use crate::run_log::{ControlFrame, CoreEvent};
 use crate::{RunLog, ms_between};
@@ -150,7 +150,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
     let next_frame = log.control.iter().find(|frame| {
         frame.system == last.system
             && frame.at_ns > last.at_ns
-            && matches!(frame.verdict, Verdict::Accepted | Verdict::Fenced)
+            && matches!(frame.verdict, Ruling::Accepted | Ruling::Fenced)
             && frame.term <= last.term
     });
     if let Some(frame) = next_frame
@@ -195,13 +195,13 @@ mod tests {
             term,
             mode: ModeCode::L3,
             age_ns: None,
-            verdict: Verdict::Accepted,
+            verdict: Ruling::Accepted,
         }
     }
 
     fn fenced(at_ms: u64, system: SystemId, term: u32) -> ControlFrame {
         ControlFrame {
-            verdict: Verdict::Fenced,
+            verdict: Ruling::Fenced,
             ..frame(at_ms, system, term)
         }
     }

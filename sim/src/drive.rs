@@ -103,7 +103,7 @@ impl Drive {
         core: impl FnMut(&SimBoard) -> Poller + 'static,
     ) -> Self {
         let scenario = Scenario::load(scenario).expect("an embedded scenario");
-        let world = World::new(&scenario, tandem_vehicle::Config { seed });
+        let world = World::new(&scenario, tandem_vehicle::WorldConfig { seed });
         let seen = Rc::new(RefCell::new(Seen {
             world,
             log: RunLog::default(),

@@ -14,7 +14,7 @@ use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
-use tandem_vehicle::{Scenario, Verdict, World};
+use tandem_vehicle::{Ruling, Scenario, World};
 
 /// A case that takes longer hangs.
 const PATIENCE: Span = Span::from_secs(60);
@@ -89,7 +89,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
             let scenario = Scenario::load("free-lane").expect("an embedded scenario");
             let mut script = Script {
                 port: HostVehiclePort::attach(&args).expect("a run"),
-                world: World::new(&scenario, tandem_vehicle::Config { seed: 1 }),
+                world: World::new(&scenario, tandem_vehicle::WorldConfig { seed: 1 }),
                 folder: args.common.extra[1].clone().into(),
                 traced: vec![],
                 accepted: vec![],
@@ -151,7 +151,7 @@ impl Script {
         } = self;
         let due = port.tick().expect("the clock");
         world.run_period(due, port, &mut |frame| {
-            if frame.verdict == Some(Verdict::Accepted) {
+            if frame.verdict == Some(Ruling::Accepted) {
                 accepted.extend(frame.controller().map(|system| (frame.at, system)));
             }
         });

@@ -1,6 +1,6 @@
 //! Steering and powertrain between a request and the plant: delay, first-order lag, limits.
 
-use crate::plant::{Input, Parameters, State};
+use crate::plant::{Parameters, PlantInput, PlantState};
 
 /// Time constants of an actuator.
 struct Response {
@@ -65,7 +65,7 @@ impl Actuators {
 
     /// What acts on the plant in the next millisecond.
     #[must_use]
-    pub fn step(&mut self, request: Request, state: &State, p: &Parameters) -> Input {
+    pub fn step(&mut self, request: Request, state: &PlantState, p: &Parameters) -> PlantInput {
         self.next = (self.next + 1) % Self::RING;
         self.past[self.next] = Request {
             steering_angle: request
@@ -83,7 +83,7 @@ impl Actuators {
         // The brake holds a standing vehicle; there is no reverse gear.
         let holds = state.speed <= 0.0 && self.acceleration <= 0.0;
         let acceleration = if holds { 0.0 } else { self.acceleration };
-        Input {
+        PlantInput {
             steering_rate,
             acceleration,
         }
@@ -98,9 +98,9 @@ mod tests {
     #[test]
     fn a_request_takes_effect_after_delay_and_lag() {
         let mut actuators = Actuators::settled(Request::default());
-        let mut state = State {
+        let mut state = PlantState {
             speed: 20.0,
-            ..State::default()
+            ..PlantState::default()
         };
         let request = Request {
             steering_angle: 0.01,

@@ -6,7 +6,7 @@
 //!
 //! **Limits.** A file is an input, and no input may cost more than seconds and some 100 MB: each
 //! limit below is far above every published scenario. What can be left out without a lie is left
-//! out with a warning ([`Map::warnings`]); the rest of the file is used.
+//! out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -119,7 +119,7 @@ pub struct Obstacle {
 
 /// The content of a file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Map {
+pub struct RoadMap {
     /// `benchmarkID`
     pub name: String,
     /// At least one.
@@ -147,7 +147,7 @@ struct Shape {
 ///
 /// # Errors
 /// Names the file, the line, the element, and what to do.
-pub fn parse(text: &str, file: &str) -> Result<Map, ScenarioError> {
+pub fn parse(text: &str, file: &str) -> Result<RoadMap, ScenarioError> {
     let refused = |line, problem: String| ScenarioError::Xml {
         file: file.to_owned(),
         line,
@@ -212,7 +212,7 @@ struct Reader<'a, 'input> {
 type Element<'a, 'input> = Node<'a, 'input>;
 
 impl<'a, 'input> Reader<'a, 'input> {
-    fn map(&self) -> Result<Map, ScenarioError> {
+    fn map(&self) -> Result<RoadMap, ScenarioError> {
         let root = self.document.root_element();
         if root.tag_name().name() != "commonRoad" {
             return Err(self.error(
@@ -282,7 +282,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             .attribute("benchmarkID")
             .unwrap_or(self.file)
             .to_owned();
-        Ok(Map {
+        Ok(RoadMap {
             name,
             lanelets,
             obstacles,

@@ -78,9 +78,9 @@ pub(crate) fn by_hand(road: &Road, now: &View, set_speed: f64) -> Request {
     let ahead = lane.at(now.station + AIM.0 + AIM.1 * now.speed);
     let aim = now.pose.to_local(ahead.centre);
     let wheelbase = BMW_320I.front_axle + BMW_320I.rear_axle;
-    let driver = traffic::Driver {
+    let driver = traffic::IdmParameters {
         desired_speed: set_speed,
-        ..traffic::Driver::CAR
+        ..traffic::IdmParameters::CAR
     };
     Request {
         steering_angle: (2.0 * wheelbase * aim.y / aim.dot(aim).max(1.0)).atan(),

@@ -60,7 +60,7 @@ const WHEELBASE: f32 = 2.578_9;
 
 /// The verdict on a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Ruling {
     /// It acts.
     Accepted,
     /// Its term is lower than one seen before.
@@ -85,7 +85,7 @@ pub struct Acceptance {
     /// The frame's term; 0 if it is invalid.
     pub term: u32,
     /// The verdict on it.
-    pub verdict: Verdict,
+    pub verdict: Ruling,
 }
 
 /// Counts of control frames.
@@ -174,7 +174,7 @@ impl Gate {
             verdict,
         };
         match verdict {
-            Verdict::Accepted => {
+            Ruling::Accepted => {
                 if let Some(Control {
                     steering_angle,
                     acceleration,
@@ -186,25 +186,25 @@ impl Gate {
                 }
                 self.accept(acceptance);
             }
-            Verdict::Fenced => self.counts.fenced += 1,
-            Verdict::NotMaster => self.counts.not_master += 1,
-            Verdict::Invalid => self.counts.invalid += 1,
-            Verdict::Stale => self.counts.stale += 1,
-            Verdict::Implausible => {
+            Ruling::Fenced => self.counts.fenced += 1,
+            Ruling::NotMaster => self.counts.not_master += 1,
+            Ruling::Invalid => self.counts.invalid += 1,
+            Ruling::Stale => self.counts.stale += 1,
+            Ruling::Implausible => {
                 self.counts.implausible += 1;
                 self.refused = self.refused.wrapping_add(1);
             }
         }
         Some(Judged {
             acceptance,
-            command: control.filter(|_| verdict == Verdict::Accepted),
+            command: control.filter(|_| verdict == Ruling::Accepted),
         })
     }
 
-    fn judge(&mut self, now_ns: u64, system: usize, data: &[u8]) -> (Verdict, Option<Control>) {
+    fn judge(&mut self, now_ns: u64, system: usize, data: &[u8]) -> (Ruling, Option<Control>) {
         let mut check = self.checkers[system].check(data);
         if check == Check::CrcError {
-            return (Verdict::Invalid, None);
+            return (Ruling::Invalid, None);
         }
         let silence = self.last_ns[system].map(|last| now_ns.saturating_sub(last));
         self.last_ns[system] = Some(now_ns);
@@ -217,30 +217,30 @@ impl Gate {
         }
         let message = Message::decode(u32::from(Control::IDS[system]), data);
         let Ok(Message::Control { control, .. }) = message else {
-            return (Verdict::Invalid, None);
+            return (Ruling::Invalid, None);
         };
         if !check.is_accepted() || control.term & 1 != system as u32 {
-            return (Verdict::Invalid, None);
+            return (Ruling::Invalid, None);
         }
         if control.role != RoleCode::Master {
-            return (Verdict::NotMaster, Some(control));
+            return (Ruling::NotMaster, Some(control));
         }
         if control.term < self.highest_term {
-            return (Verdict::Fenced, Some(control));
+            return (Ruling::Fenced, Some(control));
         }
         let delay_ms = self.delay_ms(now_ns, system, control.sent_at);
         if delay_ms > MAX_DELAY_MS {
             self.refused = self.refused.wrapping_add(1);
-            return (Verdict::Stale, Some(control));
+            return (Ruling::Stale, Some(control));
         }
         let rests_on_data = matches!(control.mode, ModeCode::L3 | ModeCode::DegradedL2);
         if rests_on_data && control.command_age > COMMAND_MAX_AGE_MS {
-            return (Verdict::Stale, Some(control));
+            return (Ruling::Stale, Some(control));
         }
         if !self.is_plausible(now_ns, &control) {
-            return (Verdict::Implausible, Some(control));
+            return (Ruling::Implausible, Some(control));
         }
-        (Verdict::Accepted, Some(control))
+        (Ruling::Accepted, Some(control))
     }
 
     /// How much longer this frame was on its way than the fastest one of its system, ms.
@@ -375,7 +375,7 @@ mod tests {
     }
 
     /// Sends master frames of (time in ms, system, term) and returns the verdicts.
-    fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Verdict> {
+    fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Ruling> {
         let mut sender = Sender(FrameTransmitter::new());
         let judged = frames.iter().map(|(at, system, term)| {
             let (id, data) = sender.frame(*system, *term, RoleCode::Master);
@@ -387,7 +387,7 @@ mod tests {
     /// T-CHIP-7: after a takeover no frame of the former master acts, not one.
     #[test]
     fn a_higher_term_fences_the_former_master() {
-        use Verdict::{Accepted, Fenced};
+        use Ruling::{Accepted, Fenced};
         let mut gate = Gate::new();
         let frames = [
             (0, 0, 2),
@@ -437,7 +437,7 @@ mod tests {
     }
 
     /// The verdict on a frame of A that asks for this at this time, ms.
-    fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Verdict {
+    fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Ruling {
         let control = Control {
             role: RoleCode::Master,
             term: 2,
@@ -467,12 +467,12 @@ mod tests {
         // Its clock is 65 s ahead, and slower.
         let made = |at: u64| 65_000 + at - at / 2_000;
         for at in (0..200_000).step_by(10) {
-            assert_eq!(verdict(at, made(at)), Verdict::Accepted, "{at} ms");
+            assert_eq!(verdict(at, made(at)), Ruling::Accepted, "{at} ms");
         }
         // In each second the queue grows by 100 ms.
         for at in (200_000..201_000).step_by(10) {
             let delay = (at - 200_000) / 10;
-            let is_stale = verdict(at, made(at) - delay) == Verdict::Stale;
+            let is_stale = verdict(at, made(at) - delay) == Ruling::Stale;
             // The drift of the clocks may hide 1 ms.
             assert!(
                 delay.abs_diff(41) <= 1 || is_stale == (delay > 41),
@@ -480,15 +480,15 @@ mod tests {
             );
         }
         let set = |at: u64| made(at) - 30_000;
-        assert_eq!(verdict(201_000, set(201_000)), Verdict::Accepted);
-        assert_eq!(verdict(201_010, set(201_010)), Verdict::Accepted);
-        assert_eq!(verdict(201_020, set(201_020) - 50), Verdict::Stale);
+        assert_eq!(verdict(201_000, set(201_000)), Ruling::Accepted);
+        assert_eq!(verdict(201_010, set(201_010)), Ruling::Accepted);
+        assert_eq!(verdict(201_020, set(201_020) - 50), Ruling::Stale);
     }
 
     /// T-RED-9: the age of the data that a command rests on is limited, unless it rests on none.
     #[test]
     fn commands_that_rest_on_old_data_are_refused() {
-        use Verdict::{Accepted, Stale};
+        use Ruling::{Accepted, Stale};
         let table = [
             (ModeCode::L3, 1_999.0, Accepted),
             (ModeCode::L3, 2_001.0, Stale),
@@ -511,7 +511,7 @@ mod tests {
     /// that changes as fast as the controllers do does.
     #[test]
     fn commands_out_of_range_and_rate_are_refused() {
-        use Verdict::{Accepted, Implausible};
+        use Ruling::{Accepted, Implausible};
         // Speed; the command before, and 10 ms later.
         let table = [
             (0.0, (0.0, 0.0), (0.004, 0.45), Accepted),
@@ -542,7 +542,7 @@ mod tests {
     /// Whether a control frame acts; `None` if it is none.
     fn acts(judged: Option<Judged>) -> Option<bool> {
         let judged = judged?;
-        let accepted = judged.acceptance.verdict == Verdict::Accepted;
+        let accepted = judged.acceptance.verdict == Ruling::Accepted;
         assert_eq!(judged.command.is_some(), accepted);
         Some(accepted)
     }
@@ -580,10 +580,10 @@ mod tests {
             frames.push((n * 10, 0, 2));
         }
         verdicts(&mut gate, &frames);
-        assert_eq!(verdicts(&mut gate, &[(2_000, 0, 4)]), [Verdict::Accepted]);
+        assert_eq!(verdicts(&mut gate, &[(2_000, 0, 4)]), [Ruling::Accepted]);
         assert_eq!(
             verdicts(&mut gate, &[(2_010, 0, 4)]),
-            [Verdict::Invalid],
+            [Ruling::Invalid],
             "no silence before"
         );
     }

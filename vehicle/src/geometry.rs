@@ -134,8 +134,8 @@ pub struct Pose {
 impl Pose {
     /// This pose as a frame for many points.
     #[must_use]
-    pub fn frame(self) -> Frame {
-        Frame {
+    pub fn frame(self) -> LocalFrame {
+        LocalFrame {
             position: self.position,
             forward: Vec2::from_angle(self.yaw),
         }
@@ -170,12 +170,12 @@ impl Pose {
 
 /// A pose with the sine and the cosine of its heading: for many points in one frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Frame {
+pub struct LocalFrame {
     position: Vec2,
     forward: Vec2,
 }
 
-impl Frame {
+impl LocalFrame {
     /// A frame with the same heading at another place.
     pub(crate) const fn moved(self, position: Vec2) -> Self {
         Self { position, ..self }

@@ -42,10 +42,10 @@ pub mod world_loop;
 
 pub use driver::Habit;
 pub use error::ScenarioError;
-pub use gate::{Acceptance, FrameCounts, Verdict};
-pub use metrics::Metrics;
+pub use gate::{Acceptance, FrameCounts, Ruling};
+pub use metrics::WorldMetrics;
 pub use road::LaneId;
 pub use scenario::Scenario;
 pub use sensors::SensorFault;
-pub use world::{Config, Snapshot, VehicleSnapshot, World};
+pub use world::{VehicleSnapshot, World, WorldConfig, WorldSnapshot};
 pub use world_loop::{LocalBus, LoggedFrame};

@@ -6,7 +6,7 @@ use crate::commonroad::{Goal, Nearest};
 use crate::emergency::EMERGENCY_BRAKING;
 use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
-use crate::traffic::{Participant, Vehicle};
+use crate::traffic::{Participant, RoadUser};
 
 /// A collision with the same vehicle counts again after so much time apart, s.
 const COLLISION_APART_S: f64 = 1.0;
@@ -44,7 +44,7 @@ const JERK_MAX_SPAN_MS: usize = 100;
 
 /// Figures of a run so far. Time runs only while the world does.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Metrics {
+pub struct WorldMetrics {
     /// Distinct collisions: the ego's rectangle overlapped another vehicle's.
     pub collisions: u32,
     /// Those of them that the ego caused: it was neither hit while it stood, nor from behind, nor
@@ -114,7 +114,7 @@ pub struct Metrics {
     pub distance_m: f64,
 }
 
-impl Default for Metrics {
+impl Default for WorldMetrics {
     /// Those of a drive that has not begun.
     fn default() -> Self {
         Self {
@@ -214,7 +214,7 @@ pub(crate) struct Sample {
 /// Collects the figures.
 #[derive(Debug)]
 pub(crate) struct Meter {
-    metrics: Metrics,
+    metrics: WorldMetrics,
     /// When the ego last overlapped each vehicle.
     last_overlap: Vec<Option<f64>>,
     goals: Arc<[Goal]>,
@@ -244,7 +244,7 @@ struct Excursion {
 impl Meter {
     pub(crate) fn new(vehicles: usize, goals: Arc<[Goal]>) -> Self {
         Self {
-            metrics: Metrics::default(),
+            metrics: WorldMetrics::default(),
             last_overlap: vec![None; vehicles],
             excursion: Excursion {
                 since: 0.0,
@@ -335,7 +335,7 @@ impl Meter {
         time_s: f64,
         ego: &Participant,
         keeps_lane: bool,
-        vehicles: &[Vehicle],
+        vehicles: &[RoadUser],
     ) -> bool {
         let mut collides = false;
         for (vehicle, last) in vehicles.iter().zip(&mut self.last_overlap) {
@@ -441,7 +441,7 @@ impl Meter {
     }
 
     /// The figures so far.
-    pub(crate) fn metrics(&self) -> Metrics {
+    pub(crate) fn metrics(&self) -> WorldMetrics {
         let total: u64 = self.jerks.iter().map(|count| u64::from(*count)).sum();
         let mut left = total - total * 99 / 100;
         let bin = self.jerks.iter().rposition(|count| {
@@ -454,7 +454,7 @@ impl Meter {
         } else {
             self.excursion.largest
         };
-        Metrics {
+        WorldMetrics {
             jerk_p99,
             lateral_error_max_m: self.metrics.lateral_error_max_m.max(open),
             ..self.metrics
@@ -587,7 +587,7 @@ mod tests {
     }
 
     /// Feeds (offset, lane) every 100 ms, each for 100 steps of a millisecond.
-    fn lateral(samples: &[(f64, usize)]) -> Metrics {
+    fn lateral(samples: &[(f64, usize)]) -> WorldMetrics {
         let mut meter = Meter::new(0, Arc::new([]));
         for (index, (offset, lane)) in samples.iter().enumerate() {
             for ms in 0..100 {

@@ -66,7 +66,7 @@ pub const BMW_320I: Parameters = Parameters {
 
 /// State of the single-track model.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct State {
+pub struct PlantState {
     /// Centre of gravity, m.
     pub x: f64,
     /// Centre of gravity, m.
@@ -85,17 +85,17 @@ pub struct State {
 
 /// The inputs of the plant, held for one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Input {
+pub struct PlantInput {
     /// Rate of the road wheel angle, rad/s.
     pub steering_rate: f64,
     /// Longitudinal acceleration, m/s².
     pub acceleration: f64,
 }
 
-impl Input {
+impl PlantInput {
     /// The nearest input that the vehicle can follow in this state.
     #[must_use]
-    pub fn limited(self, state: &State, p: &Parameters) -> Self {
+    pub fn limited(self, state: &PlantState, p: &Parameters) -> Self {
         let at_stop = |angle: f64| angle >= p.steering_max;
         let (rate, angle) = (self.steering_rate, state.steering_angle);
         let blocked = (at_stop(angle) && rate >= 0.0) || (at_stop(-angle) && rate <= 0.0);
@@ -121,7 +121,7 @@ impl Input {
 }
 
 /// The state's derivative by time.
-fn derivative(state: &State, input: Input, p: &Parameters) -> State {
+fn derivative(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantState {
     let u = input.limited(state, p);
     if state.speed.abs() < KINEMATIC_BELOW {
         kinematic(state, u, p)
@@ -131,7 +131,7 @@ fn derivative(state: &State, input: Input, p: &Parameters) -> State {
 }
 
 /// Single-track with tyre slip; load transfer by the longitudinal acceleration.
-fn dynamic(state: &State, u: Input, p: &Parameters) -> State {
+fn dynamic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
     let (lf, lr, v) = (p.front_axle, p.rear_axle, state.speed);
     let wheelbase = lf + lr;
     let front = p.stiffness * (GRAVITY * lr - u.acceleration * p.height);
@@ -139,7 +139,7 @@ fn dynamic(state: &State, u: Input, p: &Parameters) -> State {
     let (angle, rate, slip) = (state.steering_angle, state.yaw_rate, state.slip_angle);
     let yaw_gain = p.friction * p.mass / (p.inertia * wheelbase);
     let slip_gain = p.friction / (v * wheelbase);
-    State {
+    PlantState {
         x: v * (slip + state.yaw).cos(),
         y: v * (slip + state.yaw).sin(),
         steering_angle: u.steering_rate,
@@ -156,7 +156,7 @@ fn dynamic(state: &State, u: Input, p: &Parameters) -> State {
 }
 
 /// Rolling without slip, referred to the centre of gravity.
-fn kinematic(state: &State, u: Input, p: &Parameters) -> State {
+fn kinematic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
     let wheelbase = p.front_axle + p.rear_axle;
     let share = p.rear_axle / wheelbase;
     let (tan, cos) = (state.steering_angle.tan(), state.steering_angle.cos());
@@ -165,7 +165,7 @@ fn kinematic(state: &State, u: Input, p: &Parameters) -> State {
     // By the chain rule from `rolling_slip` and from yaw rate = v cos(slip) tan(angle) / wheelbase.
     let slip_rate = share * u.steering_rate / (cos * cos * (1.0 + (tan * share).powi(2)));
     let (slip_sin, slip_cos) = state.slip_angle.sin_cos();
-    State {
+    PlantState {
         x: v * (rolling_slip + state.yaw).cos(),
         y: v * (rolling_slip + state.yaw).sin(),
         steering_angle: u.steering_rate,
@@ -178,7 +178,7 @@ fn kinematic(state: &State, u: Input, p: &Parameters) -> State {
     }
 }
 
-impl State {
+impl PlantState {
     /// `self + rate * dt`, component by component.
     fn advanced(&self, rate: &Self, dt: f64) -> Self {
         Self {
@@ -206,7 +206,7 @@ impl State {
     ///
     /// At 1 ms it is stable down to [`KINEMATIC_BELOW`], where the tyres' time constant is 0.46 ms.
     #[must_use]
-    pub fn stepped(&self, input: Input, dt: f64, p: &Parameters) -> Self {
+    pub fn stepped(&self, input: PlantInput, dt: f64, p: &Parameters) -> Self {
         let k1 = derivative(self, input, p);
         let k2 = derivative(&self.advanced(&k1, dt / 2.0), input, p);
         let k3 = derivative(&self.advanced(&k2, dt / 2.0), input, p);
@@ -223,7 +223,7 @@ mod tests {
     use super::*;
 
     /// Largest distance of a component between the two states, in the order pose, motion.
-    fn distance(a: &State, b: &State) -> (f64, f64) {
+    fn distance(a: &PlantState, b: &PlantState) -> (f64, f64) {
         let pose = [a.x - b.x, a.y - b.y];
         let motion = [
             a.steering_angle - b.steering_angle,
@@ -247,13 +247,13 @@ mod tests {
     #[test]
     fn step_responses_agree_with_commonroad_vehicle_models() {
         let text = include_str!("../fixtures/plant/step_responses.csv");
-        let mut state = State::default();
+        let mut state = PlantState::default();
         let mut cases = 0;
         let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
         for row in rows {
             let (case, values) = row.split_once(',').unwrap();
             let v: Vec<f64> = values.split(',').map(|v| v.parse().unwrap()).collect();
-            let expected = State {
+            let expected = PlantState {
                 x: v[3],
                 y: v[4],
                 steering_angle: v[5],
@@ -266,7 +266,7 @@ mod tests {
                 (state, cases) = (expected, cases + 1);
                 continue;
             }
-            let input = Input {
+            let input = PlantInput {
                 steering_rate: v[1],
                 acceleration: v[2],
             };
@@ -288,13 +288,13 @@ mod tests {
 
     #[test]
     fn steering_stops_at_its_end() {
-        let mut state = State {
+        let mut state = PlantState {
             speed: 1.0,
-            ..State::default()
+            ..PlantState::default()
         };
         for _ in 0..5_000 {
             state = state.stepped(
-                Input {
+                PlantInput {
                     steering_rate: 1.0,
                     acceleration: 0.0,
                 },

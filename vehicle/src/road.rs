@@ -68,7 +68,7 @@ pub struct Section {
 
 /// A lane: a smooth centre line and what stands beside it.
 #[derive(Clone, Debug)]
-pub struct Lane {
+pub struct RoadLane {
     /// Ids of its lanelets in the file, in driving direction.
     pub lanelets: Vec<i64>,
     /// Where it begins, if it does so while others were there before.
@@ -84,7 +84,7 @@ pub struct Lane {
     exits: Vec<(f64, Exit)>,
 }
 
-impl Lane {
+impl RoadLane {
     /// The lane at arc length `s`; extrapolated straight outside of the map.
     #[must_use]
     pub fn at(&self, s: f64) -> Section {
@@ -99,7 +99,7 @@ impl Lane {
         }
     }
 
-    /// The neighbours to the left and to the right at `s`, as [`Lane::at`] has them.
+    /// The neighbours to the left and to the right at `s`, as [`RoadLane::at`] has them.
     pub(crate) fn beside(&self, s: f64) -> [Option<LaneId>; 2] {
         let (a, b, t, _) = self.around(s);
         let section = nearer(a, b, t);
@@ -114,12 +114,12 @@ impl Lane {
         (&self.sections[index], &self.sections[next], t, beyond)
     }
 
-    /// Point and direction of the centre line at `s`, as [`Lane::at`] has them.
+    /// Point and direction of the centre line at `s`, as [`RoadLane::at`] has them.
     pub(crate) fn line_at(&self, s: f64) -> Point {
         self.line.at(s)
     }
 
-    /// The width at `s`, as [`Lane::at`] has it, m.
+    /// The width at `s`, as [`RoadLane::at`] has it, m.
     pub(crate) fn width_at(&self, s: f64) -> f64 {
         let (a, b, t, _) = self.around(s);
         width(a, b, t)
@@ -130,7 +130,7 @@ impl Lane {
         self.width_max
     }
 
-    /// The curvature at `s`, as [`Lane::at`] has it, 1/m.
+    /// The curvature at `s`, as [`RoadLane::at`] has it, 1/m.
     pub(crate) fn curvature_at(&self, s: f64) -> f64 {
         let (a, b, t, beyond) = self.around(s);
         curvature(a, b, t, beyond)
@@ -169,12 +169,12 @@ impl Lane {
         self.foot(point, self.line.sample(point))
     }
 
-    /// As [`Lane::project_near`].
+    /// As [`RoadLane::project_near`].
     pub(crate) fn foot_near(&self, point: Vec2, near: f64) -> Foot {
         self.foot(point, self.sample_near(point, self.sample_at(near)))
     }
 
-    /// The sample from which [`Lane::project_near`] walks.
+    /// The sample from which [`RoadLane::project_near`] walks.
     pub(crate) fn sample_at(&self, near: f64) -> usize {
         self.line.sample_at(near)
     }
@@ -189,7 +189,7 @@ impl Lane {
         self.line.foot(point, sample)
     }
 
-    /// Bounds of [`Lane::foot`].
+    /// Bounds of [`RoadLane::foot`].
     pub(crate) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
         self.line.rough(point, sample)
     }
@@ -204,7 +204,7 @@ impl Lane {
 /// All lanes; at least one.
 #[derive(Clone, Debug)]
 pub struct Road {
-    lanes: Vec<Lane>,
+    lanes: Vec<RoadLane>,
 }
 
 impl Road {
@@ -226,7 +226,7 @@ impl Road {
         let headings = chain::run_out_headings(&lines);
         let by_id = chain::lanes_by_id(lanelets, &chains);
         let lane_of = |id: Option<i64>| id.and_then(|id| by_id.get(&id)).map(|lane| LaneId(*lane));
-        let mut lanes: Vec<Lane> = chains
+        let mut lanes: Vec<RoadLane> = chains
             .iter()
             .zip(&lines)
             .zip(&headings)
@@ -242,7 +242,7 @@ impl Road {
 
     /// All lanes, in the order of their ids.
     #[must_use]
-    pub fn lanes(&self) -> &[Lane] {
+    pub fn lanes(&self) -> &[RoadLane] {
         &self.lanes
     }
 
@@ -251,7 +251,7 @@ impl Road {
     /// # Panics
     /// If the id is another road's.
     #[must_use]
-    pub fn lane(&self, id: LaneId) -> &Lane {
+    pub fn lane(&self, id: LaneId) -> &RoadLane {
         &self.lanes[id.0]
     }
 
@@ -321,7 +321,7 @@ impl Road {
     #[must_use]
     pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let (nearest, place) = self.locate(point, yaw);
-        let cost = |lane: &Lane, place: Frenet| {
+        let cost = |lane: &RoadLane, place: Frenet| {
             let turn = wrap_angle(lane.at(place.s).heading - yaw).abs();
             place.d.abs() + HEADING_WEIGHT * turn
         };
@@ -374,7 +374,7 @@ fn lane(
     raw: &CentreLine,
     run_out: f64,
     lane_of: &impl Fn(Option<i64>) -> Option<LaneId>,
-) -> Lane {
+) -> RoadLane {
     let mut points = Vec::with_capacity(raw.points.len() + 2);
     let first = raw.points[0];
     points.push(first - Vec2::from_angle(raw.first_heading()) * RUN_OUT);
@@ -411,7 +411,7 @@ fn lane(
         .collect();
     let start = nearest_station(&centres, first);
     let end = nearest_station(&centres, raw.points[raw.points.len() - 1]);
-    Lane {
+    RoadLane {
         lanelets: chain
             .pieces
             .iter()
@@ -435,7 +435,7 @@ fn nearest_station(centres: &[Vec2], point: Vec2) -> f64 {
 }
 
 /// Beyond the map neighbours are found by distance: files often name none at the rim.
-fn join_beyond_the_map(lanes: &mut [Lane]) {
+fn join_beyond_the_map(lanes: &mut [RoadLane]) {
     let last: Vec<(Section, bool)> = lanes
         .iter()
         .map(|l| (l.sections[l.sections.len() - 1], l.end.is_none()))

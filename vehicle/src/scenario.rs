@@ -4,11 +4,11 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::commonroad::{self, Goal, Map, Obstacle};
+use crate::commonroad::{self, Goal, Obstacle, RoadMap};
 use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
-use crate::road::{Frenet, Lane, ROAD_MAX, Road, domain};
+use crate::road::{Frenet, ROAD_MAX, Road, RoadLane, domain};
 use crate::traffic::recording::Track;
 
 /// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
@@ -90,7 +90,7 @@ impl Scenario {
     pub fn load(name_or_path: &str) -> Result<Self, ScenarioError> {
         if let Some((name, _, text)) = EMBEDDED.iter().find(|(name, ..)| *name == name_or_path) {
             let file = format!("embedded scenario {name}");
-            let map = Map {
+            let map = RoadMap {
                 name: (*name).to_owned(),
                 ..commonroad::parse(text, &file)?
             };
@@ -131,7 +131,7 @@ impl Scenario {
         Self::new(commonroad::parse(text, file)?, file.to_owned())
     }
 
-    fn new(map: Map, file: String) -> Result<Self, ScenarioError> {
+    fn new(map: RoadMap, file: String) -> Result<Self, ScenarioError> {
         let road = Road::new(&map.lanelets).map_err(|length| ScenarioError::TooLong {
             file,
             length_km: length / 1e3,
@@ -250,7 +250,7 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
 }
 
 /// Why no braking keeps the ego, at this place of its lane with this speed, from the obstacle.
-fn too_near(lane: &Lane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Option<String> {
+fn too_near(lane: &RoadLane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Option<String> {
     let footprint = footprint_at_start(obstacle);
     if footprint.length <= 0.0 {
         return None;

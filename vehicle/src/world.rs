@@ -11,7 +11,7 @@ use crate::driver::{self, Driver, Habit, View};
 use crate::emergency;
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
-use crate::metrics::{HARD_BRAKING, Meter, Metrics, NOTED_BRAKING, Sample};
+use crate::metrics::{HARD_BRAKING, Meter, NOTED_BRAKING, Sample, WorldMetrics};
 use crate::plant::{self, BMW_320I};
 use crate::road::{Foot, LaneId, Road, Rough};
 use crate::route::{Here, Navigation};
@@ -19,7 +19,7 @@ use crate::scenario::Scenario;
 use crate::sensors::{
     EgoTruth, Faults, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, SensorFault, Sensors,
 };
-use crate::traffic::{Leader, Mode, Participant, Traffic};
+use crate::traffic::{Leader, Movement, Participant, Traffic};
 
 /// One tick of the world, ns.
 const TICK_NS: u64 = 1_000_000;
@@ -46,12 +46,12 @@ const ALONG: f64 = 1.0;
 
 /// How a world runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Config {
+pub struct WorldConfig {
     /// All noise follows from it.
     pub seed: u64,
 }
 
-/// Another vehicle in a [`Snapshot`].
+/// Another vehicle in a [`WorldSnapshot`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VehicleSnapshot {
     /// Its id in the scenario.
@@ -71,7 +71,7 @@ pub struct VehicleSnapshot {
     /// The lane that it is in.
     pub lane: LaneId,
     /// By its recording, by itself, or not at all.
-    pub mode: Mode,
+    pub mode: Movement,
 }
 
 impl VehicleSnapshot {
@@ -88,7 +88,7 @@ impl VehicleSnapshot {
 
 /// The world at one moment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Snapshot {
+pub struct WorldSnapshot {
     /// Scenario time, s: 0 until the first control frame is accepted.
     pub time_s: f64,
     /// A control frame has been accepted.
@@ -138,7 +138,7 @@ pub struct World {
     driver: Driver,
     /// The last control frame that acted says that the driver drives.
     by_hand: bool,
-    state: plant::State,
+    state: plant::PlantState,
     actuators: Actuators,
     request: Request,
     ego: EgoTruth,
@@ -152,7 +152,7 @@ pub struct World {
     wrong_way: bool,
     meter: Meter,
     transmitter: FrameTransmitter,
-    snapshot: Snapshot,
+    snapshot: WorldSnapshot,
     /// Time of the next tick; `None` before the first call.
     next_ns: Option<u64>,
     /// Ticks since the first call, and of the running world.
@@ -166,13 +166,13 @@ pub struct World {
 impl World {
     /// The world of this scenario at its start.
     #[must_use]
-    pub fn new(scenario: &Scenario, config: Config) -> Self {
-        let state = plant::State {
+    pub fn new(scenario: &Scenario, config: WorldConfig) -> Self {
+        let state = plant::PlantState {
             x: scenario.start.position.x,
             y: scenario.start.position.y,
             yaw: scenario.start.yaw,
             speed: scenario.start_speed,
-            ..plant::State::default()
+            ..plant::PlantState::default()
         };
         let road = Arc::clone(&scenario.road);
         let (lane, place) = road.locate_start(scenario.start.position, scenario.start.yaw);
@@ -556,13 +556,13 @@ impl World {
 
     /// The world now.
     #[must_use]
-    pub fn snapshot(&self) -> &Snapshot {
+    pub fn snapshot(&self) -> &WorldSnapshot {
         &self.snapshot
     }
 
     /// The figures of the run so far.
     #[must_use]
-    pub fn metrics(&self) -> Metrics {
+    pub fn metrics(&self) -> WorldMetrics {
         self.meter.metrics()
     }
 
@@ -641,8 +641,8 @@ fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
     nearest
 }
 
-fn empty_snapshot(ego: &EgoTruth) -> Snapshot {
-    Snapshot {
+fn empty_snapshot(ego: &EgoTruth) -> WorldSnapshot {
+    WorldSnapshot {
         time_s: 0.0,
         running: false,
         pose: ego.pose,

@@ -4,7 +4,7 @@
 use tandem_board::{CanFrame, CanId, Carried, CoreId, Instant, SystemId, VehicleBus};
 use tandem_bus::{Control, Message};
 
-use crate::gate::Verdict;
+use crate::gate::Ruling;
 use crate::world::World;
 
 /// A frame on the bus, as a recording has it.
@@ -17,7 +17,7 @@ pub struct LoggedFrame {
     /// The frame.
     pub frame: CanFrame,
     /// What the vehicle did with it, if it is a control frame.
-    pub verdict: Option<Verdict>,
+    pub verdict: Option<Ruling>,
 }
 
 impl LoggedFrame {

@@ -10,7 +10,7 @@ use std::thread;
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::{Rng as _, SeedableRng as _};
-use tandem_vehicle::commonroad::{Map, parse};
+use tandem_vehicle::commonroad::{RoadMap, parse};
 use tandem_vehicle::geometry::{Footprint, Pose, Vec2};
 
 const ROOM: &str = env!("CARGO_MANIFEST_DIR");
@@ -66,7 +66,7 @@ fn near(what: &str, ours: f64, theirs: &serde_json::Value) {
     assert!((ours - theirs).abs() < 1e-6, "{what}: {ours} {theirs}");
 }
 
-fn compare(file: &str, ours: &Map, theirs: &serde_json::Value) {
+fn compare(file: &str, ours: &RoadMap, theirs: &serde_json::Value) {
     near("step", ours.step_s, &theirs["step_s"]);
     let ego = &theirs["ego"];
     near("ego x", ours.ego.position.x, &ego[1]);

@@ -10,13 +10,13 @@ mod reference;
 use recorded::scenarios;
 use reference::{Manner, ReferenceDriver};
 use tandem_vehicle::geometry::Footprint;
-use tandem_vehicle::{Config, Scenario, Snapshot, World};
+use tandem_vehicle::{Scenario, World, WorldConfig, WorldSnapshot};
 
 const MS: u64 = 1_000_000;
 
 /// Drives 60 s of a scenario and looks at every 5 ms.
-fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&Snapshot)) -> World {
-    let mut world = World::new(scenario, Config { seed: 1 });
+fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&WorldSnapshot)) -> World {
+    let mut world = World::new(scenario, WorldConfig { seed: 1 });
     let mut driver = ReferenceDriver::new(manner);
     for ms in 0..60_000 {
         if ms % 10 == 0 {
@@ -32,7 +32,7 @@ fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&Snapshot)) -
 }
 
 /// The first two of the others that overlap.
-fn overlapping(now: &Snapshot) -> Option<(i64, i64)> {
+fn overlapping(now: &WorldSnapshot) -> Option<(i64, i64)> {
     let footprint = |v: &tandem_vehicle::VehicleSnapshot| Footprint {
         pose: v.pose,
         length: v.length,

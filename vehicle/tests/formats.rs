@@ -2,14 +2,14 @@
 
 #![allow(clippy::unwrap_used)]
 
-use tandem_vehicle::commonroad::{self, Class, Map};
+use tandem_vehicle::commonroad::{self, Class, RoadMap};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::{Scenario, ScenarioError};
 
 const AREAS: &str = include_str!("../fixtures/commonroad/areas-2018b.xml");
 const SIGN: &str = include_str!("../fixtures/commonroad/sign-2020a.xml");
 
-fn map(text: &str) -> Map {
+fn map(text: &str) -> RoadMap {
     commonroad::parse(text, "test.xml").unwrap()
 }
 

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use std::fmt::Write;
 
 use tandem_bus::{CameraLanes, ClassCode, FrameReceiver, Message, SensorId, SensorObject};
-use tandem_vehicle::{Config, Scenario, World};
+use tandem_vehicle::{Scenario, World, WorldConfig};
 
 /// The ego's speed, m/s.
 const SPEED: f64 = 20.0;
@@ -61,7 +61,7 @@ fn measure(
     sensor: SensorId,
     cycles: u64,
 ) -> (Vec<Vec<SensorObject>>, Vec<CameraLanes>) {
-    let mut world = World::new(scenario, Config { seed: 3 });
+    let mut world = World::new(scenario, WorldConfig { seed: 3 });
     let mut receiver = FrameReceiver::new();
     let (mut lists, mut lanes) = (Vec::new(), Vec::new());
     for ms in 0..cycles * 50 {

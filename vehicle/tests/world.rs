@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message, ModeCode, RoleCode};
-use tandem_vehicle::{Config, Scenario, Snapshot, Verdict, World};
+use tandem_vehicle::{Ruling, Scenario, World, WorldConfig, WorldSnapshot};
 
 const MS: u64 = 1_000_000;
 
@@ -20,7 +20,7 @@ impl Run {
     fn new(scenario: &str, seed: u64) -> Self {
         let scenario = Scenario::load(scenario).unwrap();
         Self {
-            world: World::new(&scenario, Config { seed }),
+            world: World::new(&scenario, WorldConfig { seed }),
             now_ms: 5_000,
             transmitter: FrameTransmitter::new(),
             receiver: FrameReceiver::new(),
@@ -29,7 +29,7 @@ impl Run {
     }
 
     /// Sends a control frame; what becomes of it.
-    fn send(&mut self, system: u8, term: u32, acceleration: f32, steering_angle: f32) -> Verdict {
+    fn send(&mut self, system: u8, term: u32, acceleration: f32, steering_angle: f32) -> Ruling {
         let (role, mode) = (RoleCode::Master, ModeCode::L3);
         let control = Control {
             role,
@@ -75,7 +75,7 @@ impl Run {
         }
     }
 
-    fn now(&self) -> &Snapshot {
+    fn now(&self) -> &WorldSnapshot {
         self.world.snapshot()
     }
 }
@@ -191,8 +191,8 @@ fn without_a_controller_it_brakes_gently_until_the_next_master() {
     run.wait(1_000);
     assert!(run.now().fallback);
     assert!((run.now().acceleration + 2.0).abs() < 0.01);
-    assert_eq!(run.send(1, 3, 1.0, 0.0), Verdict::Accepted);
-    assert_eq!(run.send(0, 2, -9.0, 0.0), Verdict::Fenced);
+    assert_eq!(run.send(1, 3, 1.0, 0.0), Ruling::Accepted);
+    assert_eq!(run.send(0, 2, -9.0, 0.0), Ruling::Fenced);
     run.wait(60);
     assert!(!run.now().fallback && run.now().request.acceleration == 1.0);
     assert_eq!(run.now().accepted.map(|a| (a.system, a.term)), Some((1, 3)));

@@ -1,9 +1,9 @@
 //! iceoryx2: events, publish-subscribe, blackboard, request and response.
 
-use crate::harness::{Batch, End, Plan, between_processes, between_unlike, next_run, polled};
+use crate::harness::{Batch, BatchPlan, End, between_processes, between_unlike, next_run, polled};
 use crate::open_loop::at_fixed_rate;
 use crate::peers::iceoryx2_semaphore::BySemaphore;
-use crate::shared::Shared;
+use crate::shared::SharedPage;
 use crate::stream::{Stream, from_processes};
 use crate::tandem::{sum_from, word};
 use core::mem::MaybeUninit;
@@ -54,7 +54,7 @@ fn name(run: u32, way: usize) -> Result<ServiceName, Error> {
 fn event_ends<S: Service>(
     run: u32,
     lean: bool,
-    shared: &Shared,
+    shared: &SharedPage,
     ways: [usize; 2],
 ) -> impl End + use<S> {
     let [stamp_out, stamp_in] = ways.map(|way| shared.line(2 * way));
@@ -86,7 +86,7 @@ fn event_ends<S: Service>(
 }
 
 /// An event to a sleeping listener with default settings: a Unix datagram socket wakes.
-pub(crate) fn event(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn event(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     between_processes(plan, |shared, ways| {
         event_ends::<Ipc>(run, false, shared, ways)
@@ -94,7 +94,7 @@ pub(crate) fn event(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The same with the leanest settings, woken by the semaphore of iceoryx2-cal.
-pub(crate) fn event_tuned(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn event_tuned(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     between_processes(plan, |shared, ways| {
         event_ends::<BySemaphore>(run, true, shared, ways)
@@ -102,7 +102,7 @@ pub(crate) fn event_tuned(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// Events with default settings at a fixed rate.
-pub(crate) fn event_at_rate(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn event_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     at_fixed_rate(plan, |shared, ways| {
         event_ends::<Ipc>(run, false, shared, ways)
@@ -191,7 +191,7 @@ fn try_receive(subscriber: &Subscriber<Ipc, [u32], ()>) -> Option<u32> {
 
 /// Zero-copy publish-subscribe of `words` words; the subscriber polls.
 pub(crate) fn publish_subscribe(
-    plan: &Plan,
+    plan: &BatchPlan,
     settings: Settings,
     words: usize,
 ) -> io::Result<Batch> {
@@ -218,13 +218,13 @@ pub(crate) fn publish_subscribe(
 
 /// Payloads of `bytes`, a multiple of 4, with the leanest settings: each word is written into the
 /// sample that was lent, and read where it lies.
-pub(crate) fn size(plan: &Plan, bytes: usize) -> io::Result<Batch> {
+pub(crate) fn size(plan: &BatchPlan, bytes: usize) -> io::Result<Batch> {
     let batch = publish_subscribe(plan, Settings::Lean, bytes / 4)?;
     Ok(batch.carrying(bytes as u64).without_facts())
 }
 
 /// A stream of messages of 8 bytes that loses nothing: the publisher waits when the buffer is full.
-pub(crate) fn stream(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn stream(plan: &BatchPlan) -> io::Result<Batch> {
     const SETTINGS: Settings = Settings::Lossless;
     let name = &name(next_run(), 0).map_err(|error| io::Error::other(error.to_string()))?;
     let stream = Stream {
@@ -256,12 +256,12 @@ pub(crate) fn stream(plan: &Plan) -> io::Result<Batch> {
             })
         })
     };
-    from_processes::<_, _, 1>(plan, &Shared::new()?, stream, sender, receiver)
+    from_processes::<_, _, 1>(plan, &SharedPage::new()?, stream, sender, receiver)
 }
 
 /// A value of 4 bytes on the blackboard; the reader polls. Each direction has an entry, which only
 /// its writer changes.
-pub(crate) fn blackboard(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn blackboard(plan: &BatchPlan) -> io::Result<Batch> {
     const KEY: u64 = 1;
     let run = next_run();
     between_processes(plan, |shared, [out, inward]| {
@@ -296,13 +296,13 @@ type Asked = ActiveRequest<Ipc, u32, (), u32, ()>;
 type Pending = PendingResponse<Ipc, u32, (), u32, ()>;
 
 /// 4 bytes as a request, and 4 bytes as its response; both ends poll.
-pub(crate) fn request(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn request(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     let service = |node: &Node<Ipc>| {
         let service = node.service_builder(&name(run, 0)?);
         Ok::<_, Error>(service.request_response::<u32, u32>().open_or_create()?)
     };
-    let asks = |shared: &Shared| {
+    let asks = |shared: &SharedPage| {
         with_node(|node| {
             let client: Asks = service(&node)?.client_builder().create()?;
             // Both have their ports before the first request.
@@ -317,7 +317,7 @@ pub(crate) fn request(plan: &Plan) -> io::Result<Batch> {
             Ok((send, receive))
         })
     };
-    let answers = |shared: &Shared| {
+    let answers = |shared: &SharedPage| {
         with_node(|node| {
             let server = service(&node)?.server_builder().create()?;
             shared.meet(2);

@@ -1,7 +1,7 @@
 //! What the kernel offers to pass bytes or a wake-up. The receiver sleeps.
 
-use crate::harness::{Batch, Plan, between_processes};
-use crate::shared::Shared;
+use crate::harness::{Batch, BatchPlan, between_processes};
+use crate::shared::SharedPage;
 use crate::stream::{Stream, from_processes};
 use io_uring::{IoUring, opcode, squeue, types};
 use rustix::event::{EventfdFlags, eventfd as new_eventfd};
@@ -19,7 +19,7 @@ fn read<const N: usize>(mut from: impl Read) -> Option<[u8; N]> {
 }
 
 /// 4 bytes by `write` and `read`. Each way has what to write to and what to read from.
-fn by_bytes<R, W>(plan: &Plan, ways: [(R, W); 2]) -> io::Result<Batch>
+fn by_bytes<R, W>(plan: &BatchPlan, ways: [(R, W); 2]) -> io::Result<Batch>
 where
     for<'a> &'a R: Read,
     for<'a> &'a W: Write,
@@ -32,12 +32,12 @@ where
 }
 
 /// Two pipes.
-pub(crate) fn pipe(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn pipe(plan: &BatchPlan) -> io::Result<Batch> {
     by_bytes(plan, [io::pipe()?, io::pipe()?])
 }
 
 /// A pair of Unix sockets that keep the boundaries of messages.
-pub(crate) fn unix_socket(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn unix_socket(plan: &BatchPlan) -> io::Result<Batch> {
     let kind = libc::SOCK_SEQPACKET | libc::SOCK_CLOEXEC;
     let mut fds = [-1; 2];
     // SAFETY: a valid place for two descriptors.
@@ -51,7 +51,7 @@ pub(crate) fn unix_socket(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// A stream of 8 bytes each through a pipe, a system call at each end of each.
-pub(crate) fn pipe_stream(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn pipe_stream(plan: &BatchPlan) -> io::Result<Batch> {
     let (inward, out) = io::pipe()?;
     let stream = Stream {
         chunk: 1024,
@@ -59,11 +59,11 @@ pub(crate) fn pipe_stream(plan: &Plan) -> io::Result<Batch> {
     };
     let sender = |_| |k: u32| (&out).write(&u64::from(k).to_ne_bytes()).is_ok();
     let receiver = |_| || read(&inward).map(|bytes| u64::from_ne_bytes(bytes) as u32);
-    from_processes::<_, _, 1>(plan, &Shared::new()?, stream, sender, receiver)
+    from_processes::<_, _, 1>(plan, &SharedPage::new()?, stream, sender, receiver)
 }
 
 /// A wake-up by eventfd, with the stamp in shared memory beside it.
-pub(crate) fn eventfd(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn eventfd(plan: &BatchPlan) -> io::Result<Batch> {
     let new = || new_eventfd(0, EventfdFlags::CLOEXEC).map(File::from);
     let ways = [new()?, new()?];
     between_processes(plan, |shared, [out, inward]| {
@@ -82,7 +82,11 @@ pub(crate) fn eventfd(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The peer's ring: tells where the own one is, and takes a descriptor of the other's.
-fn peers_ring(own: &IoUring, shared: &Shared, [out, inward]: [usize; 2]) -> io::Result<OwnedFd> {
+fn peers_ring(
+    own: &IoUring,
+    shared: &SharedPage,
+    [out, inward]: [usize; 2],
+) -> io::Result<OwnedFd> {
     shared.line(2 * out).store(own.as_raw_fd() as u32, Relaxed);
     shared.line(2 * out + 1).store(std::process::id(), Relaxed);
     // Orders the words before and after it.
@@ -94,7 +98,7 @@ fn peers_ring(own: &IoUring, shared: &Shared, [out, inward]: [usize; 2]) -> io::
 }
 
 /// 4 bytes in a message from ring to ring: the kernel puts a completion into the other's queue.
-pub(crate) fn io_uring(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn io_uring(plan: &BatchPlan) -> io::Result<Batch> {
     // Forbidden by a sysctl or a filter: says so before any process starts.
     IoUring::new(8).map_err(|error| io::Error::other(format!("io_uring is forbidden: {error}")))?;
     between_processes(plan, |shared, ways| {

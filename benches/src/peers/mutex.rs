@@ -2,9 +2,9 @@
 //! and pthread_mutexattr_setrobust(3).
 
 use crate::floor::CHUNK;
-use crate::harness::{Batch, Plan, repeated};
+use crate::harness::{Batch, BatchPlan, repeated};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
-use crate::shared::Shared;
+use crate::shared::SharedPage;
 use std::io;
 
 /// Whether the death of an owner is told to the next taker.
@@ -22,7 +22,7 @@ struct Mutex(*mut libc::pthread_mutex_t);
 
 impl Mutex {
     /// Makes it; once for all processes.
-    fn create(shared: &Shared, death: Death) -> Self {
+    fn create(shared: &SharedPage, death: Death) -> Self {
         let mutex = Self(shared.line(0).as_ptr().cast());
         let robust = match death {
             Death::Fatal => libc::PTHREAD_MUTEX_STALLED,
@@ -67,8 +67,8 @@ impl Exclusion for Mutex {
 }
 
 /// Taking and giving back a mutex that no other process wants.
-pub(crate) fn free(plan: &Plan, death: Death) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn free(plan: &BatchPlan, death: Death) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     let mutex = Mutex::create(&shared, death);
     repeated(plan, &shared, CHUNK, || {
         || {
@@ -79,16 +79,20 @@ pub(crate) fn free(plan: &Plan, death: Death) -> io::Result<Batch> {
 }
 
 /// `processes` want it all the time.
-pub(crate) fn under_contention(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn under_contention(
+    plan: &BatchPlan,
+    processes: usize,
+    death: Death,
+) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     let mutex = Mutex::create(&shared, death);
     contended(plan, &shared, processes, |_| mutex)
 }
 
 /// An owner takes the robust mutex and is killed while another process waits for it; the kernel
 /// sees the death.
-pub(crate) fn recovery(plan: &Plan) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+pub(crate) fn recovery(plan: &BatchPlan) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     let mutex = Mutex::create(&shared, Death::Robust);
     let take = || {
         let died = mutex.lock();

@@ -1,6 +1,6 @@
 //! Peers that poll: a sequence lock between processes, and two libraries between threads.
 
-use crate::harness::{Batch, Plan, between_processes, between_threads, polled};
+use crate::harness::{Batch, BatchPlan, between_processes, between_threads, polled};
 use crate::shared::LINE;
 use crate::stream::{self, Stream};
 use std::hint::spin_loop;
@@ -12,7 +12,7 @@ use std::sync::atomic::fence;
 /// Count and value share a cache line.
 ///
 /// After H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (2012).
-pub(crate) fn seqlock(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn seqlock(plan: &BatchPlan) -> io::Result<Batch> {
     between_processes(plan, |shared, ways| {
         let [out, inward] = ways.map(|way| &shared.case()[2 * way * LINE..]);
         let (mut written, mut seen) = (0, 0);
@@ -46,7 +46,7 @@ pub(crate) fn seqlock(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// rtrb's single-producer single-consumer ring.
-pub(crate) fn rtrb(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn rtrb(plan: &BatchPlan) -> io::Result<Batch> {
     let [(there, there_in), (back, back_in)] = [0; 2].map(|_| rtrb::RingBuffer::new(16));
     let ends = [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
         let send = move |stamp: u32| {
@@ -60,7 +60,7 @@ pub(crate) fn rtrb(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The newest value through a triple buffer.
-pub(crate) fn triple_buffer(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn triple_buffer(plan: &BatchPlan) -> io::Result<Batch> {
     let [(there, there_in), (back, back_in)] = [0; 2].map(|_| triple_buffer::triple_buffer(&0));
     let ends = [(there, back_in), (back, there_in)].map(|(mut out, mut inward)| {
         let receive = move || {
@@ -73,7 +73,7 @@ pub(crate) fn triple_buffer(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// A stream of 8 bytes each through rtrb's ring, with as many slots as Tandem's FIFO in this group.
-pub(crate) fn rtrb_stream(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn rtrb_stream(plan: &BatchPlan) -> io::Result<Batch> {
     let (mut out, mut inward) = rtrb::RingBuffer::new(512);
     let stream = Stream {
         chunk: 4096,

@@ -3,8 +3,8 @@
 //! Times are collected in picoseconds, so that an operation of 8 ns keeps its decimals, and stored
 //! in nanoseconds. `Results` is the JSON file, field by field.
 
-use crate::cases::Group::{Size, Throughput};
-use crate::machine::Machine;
+use crate::cases::Comparison::{Size, Throughput};
+use crate::hardware::Machine;
 use crate::measure::Measurement;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};

@@ -3,10 +3,10 @@
 
 use super::{Regions, sum_from, word};
 use crate::clock::ticks;
-use crate::harness::{Batch, Plan, between_processes, give_way, polled};
-use crate::shared::{Shared, announce};
+use crate::harness::{Batch, BatchPlan, between_processes, give_way, polled};
+use crate::shared::{SharedPage, announce};
 use crate::stream::{Stream, from_processes};
-use crate::worker::{Part, Role, perform};
+use crate::worker::{BatchPart, PartContext, perform};
 use std::io;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_shm::mailbox::{Ring, TaskId};
@@ -18,8 +18,8 @@ const SLOTS: usize = 2;
 
 /// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
 /// is written until its last word was read: it is written and read where it lies.
-pub(crate) fn in_place<const WORDS: usize>(plan: &Plan) -> io::Result<Batch> {
-    let (_payloads, map) = Shared::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
+pub(crate) fn in_place<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
+    let (_payloads, map) = SharedPage::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
     let batch = between_processes(plan, |_, [core, peer]| {
         let own = announce(&map, core, 1);
         let [out, inward] = [core, peer].map(|way| Regions::<WORDS, SLOTS>::WAYS[way]);
@@ -54,12 +54,12 @@ pub(crate) fn in_place<const WORDS: usize>(plan: &Plan) -> io::Result<Batch> {
 /// Messages of `WORDS` words, copied in and out, in chunks of `chunk`, from one process or two
 /// (`WAYS`) to one, by a FIFO of `SLOTS` slots each.
 pub(crate) fn fifo<const WORDS: usize, const SLOTS: usize, const WAYS: usize>(
-    plan: &Plan,
+    plan: &BatchPlan,
     chunk: usize,
 ) -> io::Result<Batch> {
     let first = Region::<Fifo<[u32; WORDS], SLOTS>>::first("first");
     let ways = [first, first.then("second")];
-    let (shared, map) = Shared::with_lmu(ways[WAYS - 1].end())?;
+    let (shared, map) = SharedPage::with_lmu(ways[WAYS - 1].end())?;
     let stream = Stream {
         chunk,
         payload_bytes: 4 * WORDS,
@@ -90,10 +90,10 @@ const SENT: usize = 4096;
 /// The broadcast ring from one process to two, which share the far CPU; the writer never waits. A
 /// sample is a receiver's time per message that it received; what it had missed when it was late is
 /// a fact.
-pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = Shared::with_lmu(RING_LAYOUT)?;
+pub(crate) fn broadcast(plan: &BatchPlan) -> io::Result<Batch> {
+    let (shared, map) = SharedPage::with_lmu(RING_LAYOUT)?;
     let sent = (plan.warm_up + plan.rounds) * SENT;
-    let writer = Part::on(plan.cpus[0], |role| {
+    let writer = BatchPart::on(plan.cpus[0], |role| {
         let writer = RING.writer(&map, announce(&map, 0, 1));
         let mut writer = writer.expect("it is free");
         role.shared.meet(3);
@@ -107,7 +107,7 @@ pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
         role.shared.flag.store(1, Release);
         Ok(())
     });
-    let receiver = || Part::on(plan.cpus[1], |role| receive(&map, role));
+    let receiver = || BatchPart::on(plan.cpus[1], |role| receive(&map, role));
     perform(&shared, vec![writer, receiver(), receiver()])?;
     let share = |part| shared.log(part).noted(0) / sent as f64;
     Ok(Batch::collect(&shared, 3, plan.rounds)
@@ -117,7 +117,7 @@ pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
         .with_fact("share received by receiver 2", share(2)))
 }
 
-fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
+fn receive(map: &Map<'_>, role: &mut PartContext<'_>) -> io::Result<()> {
     let mut receiver = RING.receiver(map).expect("it fits");
     role.shared.meet(3);
     role.begin();

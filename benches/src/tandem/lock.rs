@@ -1,9 +1,9 @@
 //! The lock: free, contended, and after the death of its owner.
 
 use crate::floor::CHUNK;
-use crate::harness::{Batch, Plan, give_way, repeated};
+use crate::harness::{Batch, BatchPlan, give_way, repeated};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
-use crate::shared::{Shared, announce};
+use crate::shared::{SharedPage, announce};
 use std::hint::black_box;
 use std::io;
 use tandem_shm::incarnation::Incarnation;
@@ -21,8 +21,8 @@ fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
 }
 
 /// Taking and giving back a lock that no other core wants.
-pub(crate) fn free(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = Shared::with_lmu(LAYOUT)?;
+pub(crate) fn free(plan: &BatchPlan) -> io::Result<Batch> {
+    let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     repeated(plan, &shared, CHUNK, || {
         let mut lock = attach(&map, 0, 1);
         move || {
@@ -53,8 +53,8 @@ impl Exclusion for Contender {
 }
 
 /// `processes` cores want the lock all the time.
-pub(crate) fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
-    let (shared, map) = Shared::with_lmu(LAYOUT)?;
+pub(crate) fn under_contention(plan: &BatchPlan, processes: usize) -> io::Result<Batch> {
+    let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     contended(plan, &shared, processes, |core| Contender {
         lock: attach(&map, core, 1),
         shares_cpu: processes > 2,
@@ -65,8 +65,8 @@ const OWNER: usize = 0;
 
 /// An owner takes the lock and is killed; the supervisor, which has seen it end, marks its
 /// incarnation as dead; a core that waits on another CPU takes the lock over.
-pub(crate) fn recovery(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = Shared::with_lmu(LAYOUT)?;
+pub(crate) fn recovery(plan: &BatchPlan) -> io::Result<Batch> {
+    let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let own = |generation| Contender {
         lock: attach(&map, OWNER, generation),
         shares_cpu: false,

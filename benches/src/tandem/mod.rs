@@ -4,9 +4,9 @@
 pub(crate) mod channels;
 pub(crate) mod lock;
 
-use crate::harness::{Batch, End, Plan, between_processes};
+use crate::harness::{Batch, BatchPlan, End, between_processes};
 use crate::open_loop::at_fixed_rate;
-use crate::shared::{PAIR, Shared, announce, draw};
+use crate::shared::{PAIR, SharedPage, announce, draw};
 use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
@@ -141,7 +141,7 @@ struct How {
 
 impl How {
     /// For the next batch. Incarnations rise from batch to batch, as those of a core that is reset.
-    fn new<const WORDS: usize>(plan: &Plan, policy: WaitPolicy, way: Way) -> Self {
+    fn new<const WORDS: usize>(plan: &BatchPlan, policy: WaitPolicy, way: Way) -> Self {
         static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
         Self {
             system: plan.system.expect("a system with power"),
@@ -153,7 +153,11 @@ impl How {
     }
 
     /// The end of core 1 towards core 2, or of core 2, which formats the LMU, towards core 1.
-    fn end<const WORDS: usize>(self, shared: &Shared, ways: [usize; 2]) -> impl End + use<WORDS> {
+    fn end<const WORDS: usize>(
+        self,
+        shared: &SharedPage,
+        ways: [usize; 2],
+    ) -> impl End + use<WORDS> {
         let [core, peer] = ways.map(|way| [CoreId::PERCEPTION, CoreId::PLANNING][way]);
         let board = self.system.attach(core, Generation(self.incarnation));
         let board: &'static HostBoard = Box::leak(Box::new(board.expect("the system has power")));
@@ -201,7 +205,7 @@ impl How {
 
 /// One-way time from core 1 to core 2 and back under this waiting policy.
 pub(crate) fn sync<const WORDS: usize>(
-    plan: &Plan,
+    plan: &BatchPlan,
     policy: WaitPolicy,
     way: Way,
 ) -> io::Result<Batch> {
@@ -211,7 +215,7 @@ pub(crate) fn sync<const WORDS: usize>(
 }
 
 /// From core 1 to core 2 at a fixed rate.
-pub(crate) fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+pub(crate) fn at_rate(plan: &BatchPlan, policy: WaitPolicy) -> io::Result<Batch> {
     let how = How::new::<1>(plan, policy, Way::Signal);
     at_fixed_rate(plan, |shared, ways| how.end::<1>(shared, ways))
 }

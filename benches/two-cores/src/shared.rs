@@ -50,9 +50,9 @@ pub fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
 
 /// A word on a cache line of its own.
 #[repr(C, align(64))]
-pub struct Line(AtomicU32);
+pub struct CacheLine(AtomicU32);
 
-impl Deref for Line {
+impl Deref for CacheLine {
     type Target = AtomicU32;
 
     fn deref(&self) -> &AtomicU32 {
@@ -72,25 +72,25 @@ struct Sheet {
 /// What lies before the words of the case.
 #[repr(C, align(4096))]
 pub struct Head {
-    met: Line,
+    met: CacheLine,
     /// Whatever the parts agree on, beside the words of the case.
-    pub flag: Line,
+    pub flag: CacheLine,
     /// Only the part inside a lock may change it.
-    pub guarded: Line,
+    pub guarded: CacheLine,
     /// Further words that the parts agree on.
-    pub spare: [Line; 3],
+    pub spare: [CacheLine; 3],
     sheets: [Sheet; PARTS],
 }
 
 /// Memory that the parts of a batch share, zero at first. Each batch has its own, and its case
 /// begins at a place in the page that is drawn anew: a multiple of [`PAIR`].
-pub struct Shared {
+pub struct SharedPage {
     head: &'static Head,
     words: &'static [AtomicU32],
     case_at: usize,
 }
 
-impl Shared {
+impl SharedPage {
     /// Maps it, with room for a case that needs a few lines.
     ///
     /// # Errors
@@ -177,7 +177,7 @@ impl Shared {
     }
 }
 
-impl Deref for Shared {
+impl Deref for SharedPage {
     type Target = Head;
 
     fn deref(&self) -> &Head {
@@ -185,7 +185,7 @@ impl Deref for Shared {
     }
 }
 
-impl Drop for Shared {
+impl Drop for SharedPage {
     fn drop(&mut self) {
         let base = self.words.as_ptr().cast_mut().cast();
         // SAFETY: `base` and the length are those of the mapping made at the begin; the batch is
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn a_log_keeps_samples_numbers_and_a_text() {
-        let shared = Shared::new().unwrap();
+        let shared = SharedPage::new().unwrap();
         let mut log = shared.log(1);
         for ticks in [5, 6, 7] {
             log.push(1, ticks);
@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn a_full_track_drops_what_comes_after() {
-        let shared = Shared::new().unwrap();
+        let shared = SharedPage::new().unwrap();
         let mut log = shared.log(3);
         (0..TRACK as u32 + 5).for_each(|ticks| log.push(0, ticks));
         log.close();
@@ -290,7 +290,7 @@ mod tests {
     #[test]
     fn the_words_of_each_case_are_zero_and_lie_elsewhere() {
         let places = (0..30).map(|_| {
-            let shared = Shared::with_case_words(100).unwrap();
+            let shared = SharedPage::with_case_words(100).unwrap();
             assert_eq!(shared.case().len(), 100);
             assert!(shared.case().iter().all(|w| w.load(Ordering::Relaxed) == 0));
             shared.case().as_ptr().addr() % (4 * PAGE)

@@ -5,7 +5,7 @@
 //! Each dies with the benchmark itself.
 
 use crate::clock::cpu_ns;
-use crate::shared::{CPU_NS, Log, PARTS, Shared};
+use crate::shared::{CPU_NS, Log, PARTS, SharedPage};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, getpid, getppid, pidfd_open, pidfd_send_signal,
@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 pub const LIMIT: Duration = Duration::from_secs(60);
 
 /// One process of a batch.
-pub struct Part<'a> {
+pub struct BatchPart<'a> {
     cpu: usize,
     run: Run<'a>,
 }
@@ -54,11 +54,11 @@ fn set_fifo(priority: libc::c_int) -> bool {
 }
 
 /// What a part does.
-type Run<'a> = Box<dyn FnOnce(&mut Role<'_>) -> io::Result<()> + 'a>;
+type Run<'a> = Box<dyn FnOnce(&mut PartContext<'_>) -> io::Result<()> + 'a>;
 
-impl<'a> Part<'a> {
+impl<'a> BatchPart<'a> {
     /// A process that runs `run` on this CPU.
-    pub fn on(cpu: usize, run: impl FnOnce(&mut Role<'_>) -> io::Result<()> + 'a) -> Self {
+    pub fn on(cpu: usize, run: impl FnOnce(&mut PartContext<'_>) -> io::Result<()> + 'a) -> Self {
         Self {
             cpu,
             run: Box::new(run),
@@ -67,15 +67,15 @@ impl<'a> Part<'a> {
 }
 
 /// What a part knows of its batch.
-pub struct Role<'a> {
+pub struct PartContext<'a> {
     /// The memory that it shares with the other parts.
-    pub shared: &'a Shared,
+    pub shared: &'a SharedPage,
     /// Where it writes its samples.
     pub log: Log,
     cpu_at_begin: u64,
 }
 
-impl Role<'_> {
+impl PartContext<'_> {
     /// The role of a second thread of this part, which writes as part `number`.
     #[must_use]
     pub fn beside(&self, number: usize) -> Self {
@@ -101,7 +101,7 @@ impl Role<'_> {
 ///
 /// # Errors
 /// If a process cannot be had, a part failed or died, or all took longer than [`LIMIT`].
-pub fn perform(shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
+pub fn perform(shared: &SharedPage, parts: Vec<BatchPart<'_>>) -> io::Result<()> {
     perform_within(LIMIT, shared, parts)
 }
 
@@ -109,7 +109,11 @@ pub fn perform(shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
 ///
 /// # Errors
 /// As [`perform`].
-pub fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
+pub fn perform_within(
+    limit: Duration,
+    shared: &SharedPage,
+    parts: Vec<BatchPart<'_>>,
+) -> io::Result<()> {
     assert!(parts.len() <= PARTS);
     let mut children = Vec::with_capacity(parts.len());
     for (number, part) in parts.into_iter().enumerate() {
@@ -129,11 +133,11 @@ pub fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) ->
 }
 
 /// What a part does in its own process. Whether it came to its end.
-fn play(shared: &Shared, number: usize, run: Run<'_>) -> bool {
+fn play(shared: &SharedPage, number: usize, run: Run<'_>) -> bool {
     // The message goes to the parent, not to the terminal.
     std::panic::set_hook(Box::new(|_| {}));
     shared.touch();
-    let mut role = Role {
+    let mut role = PartContext {
         shared,
         log: shared.log(number),
         cpu_at_begin: 0,

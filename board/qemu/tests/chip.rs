@@ -12,7 +12,7 @@ use tandem_board::{Duration, HardwareFault, Instant, RoleLamp, SystemId, Vehicle
 use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_bus::Message;
 use tandem_cores::trace::Event;
-use tandem_vehicle::{Config, Scenario, World};
+use tandem_vehicle::{Scenario, World, WorldConfig};
 
 /// Longest wait for the roles, ms of virtual time.
 const PATIENCE_MS: u32 = 10_000;
@@ -41,7 +41,10 @@ impl Pair {
         };
         let mut pair = Self {
             systems: EmulatedWorld::start(&image, Layout::One, options).unwrap(),
-            vehicle: World::new(&Scenario::load("free-lane").unwrap(), Config { seed: 1 }),
+            vehicle: World::new(
+                &Scenario::load("free-lane").unwrap(),
+                WorldConfig { seed: 1 },
+            ),
             frames: vec![],
             decided: None,
         };

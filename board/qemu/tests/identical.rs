@@ -13,7 +13,7 @@ use tandem_board::{CanFrame, CanId, Received};
 use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_golden::{Functions, instant, play};
 use tandem_peripherals::codec::{BusFrame, Sender};
-use tandem_vehicle::{Config, LocalBus, Scenario, World};
+use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig};
 
 /// How long the functions drive, ms.
 const DRIVE_MS: u64 = 3_000;
@@ -24,7 +24,7 @@ const LENGTH_AT: u32 = 0x8090_0004;
 
 /// The frames of a vehicle that the functions drive.
 fn record(scenario: &str) -> Vec<u32> {
-    let mut world = World::new(&Scenario::load(scenario).unwrap(), Config { seed: 3 });
+    let mut world = World::new(&Scenario::load(scenario).unwrap(), WorldConfig { seed: 3 });
     let mut functions = Functions::new();
     let mut transmitter = FrameTransmitter::new();
     let mut recording = vec![];

@@ -9,7 +9,7 @@ use tandem_page::chart::{WIDTH, plain, round_ticks};
 use tandem_page::svg::{Anchor, Color, Stroke, Svg};
 use tandem_page::{format, legend, section};
 use tandem_record::{RunLog, Takeover};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 use super::sections::system_color;
 use crate::metrics::Metrics;
@@ -310,7 +310,7 @@ impl Drawing {
             }
             let x = self.x(frame.at_ns);
             let color = system_color(frame.system);
-            if frame.verdict == Verdict::Accepted {
+            if frame.verdict == Ruling::Accepted {
                 let title = format!("{}, {:.3} ms", frame.system, self.ms(frame.at_ns));
                 self.svg.circle((x, middle), 4.0, color, false, &title);
                 continue;

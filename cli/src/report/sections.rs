@@ -4,7 +4,7 @@ use crate::metrics::{chain_ms, control_periods_ms, jerk};
 use crate::percentiles::Spans;
 
 use tandem_board::SystemId;
-use tandem_page::chart::{self, Axis, Chart, Series, Shape, Style, thin};
+use tandem_page::chart::{self, Axis, Chart, Polygon, Series, Style, thin};
 use tandem_page::svg::Color;
 use tandem_record::log::Sample;
 use tandem_record::roles::{State, timeline};
@@ -121,7 +121,7 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
                 let (left, right) = (span.from_s, span.to_s);
                 let (low, high) = (base + 0.14, base + 0.86);
                 let corners = vec![(left, low), (right, low), (right, high), (left, high)];
-                chart.shapes.push(Shape { color, corners });
+                chart.shapes.push(Polygon { color, corners });
             }
         }
     }

@@ -7,7 +7,7 @@ use crate::timeline::Timeline;
 use crate::{metrics, synthetic, timeline};
 use tandem_record::gap::Bounds;
 use tandem_record::run_log::{ControlFrame, Stall, Stood};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);
@@ -171,7 +171,7 @@ fn a_takeover_that_was_not_needed_is_told_with_the_stall_before_it() {
     let of_old = log.control.iter().position(|frame| frame.at_ns == last);
     let sent_on = ControlFrame {
         at_ns: last + 10_000_000,
-        verdict: Verdict::Fenced,
+        verdict: Ruling::Fenced,
         ..log.control[of_old.unwrap()]
     };
     log.control.push(sent_on);

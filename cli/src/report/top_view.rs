@@ -1,6 +1,6 @@
 //! The road from above at one moment: lanes, the own path, the vehicles.
 
-use tandem_page::chart::{Axis, Chart, Series, Shape, Style};
+use tandem_page::chart::{Axis, Chart, Polygon, Series, Style};
 use tandem_page::svg::Color;
 use tandem_record::RunLog;
 use tandem_record::log::{Lane, Other, Sample};
@@ -134,7 +134,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
         .map_or(&[][..], |road| &road.lanes);
     for lane in lanes {
         for corners in view.surface(lane) {
-            chart.shapes.push(Shape {
+            chart.shapes.push(Polygon {
                 color: Color::ROAD,
                 corners,
             });
@@ -174,7 +174,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     let others = sample.others.iter().map(|other| (other, Color::MUTED));
     for (vehicle, color) in others.chain([(&own, Color::A)]) {
         if let Some(corners) = view.rectangle(vehicle) {
-            chart.shapes.push(Shape { color, corners });
+            chart.shapes.push(Polygon { color, corners });
         }
     }
     Some((log.seconds(sample.at_ns), chart))

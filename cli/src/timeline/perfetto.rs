@@ -17,7 +17,7 @@ use super::schema::{
 use super::{CoreLine, Step, Timeline, irq_name, task_name};
 use tandem_record::roles::State;
 use tandem_record::{RunLog, description, takeovers};
-use tandem_vehicle::Verdict;
+use tandem_vehicle::Ruling;
 
 const SEQUENCE: u32 = 1;
 /// Key of a packet in a trace: field 1, with a length.
@@ -311,12 +311,12 @@ impl Trace {
         let bus = self.thread(VEHICLE_PID, 0, "control frames");
         for frame in &log.control {
             let verdict = match frame.verdict {
-                Verdict::Accepted => "obeyed",
-                Verdict::Fenced => "fenced off",
-                Verdict::NotMaster => "not a master's",
-                Verdict::Invalid => "invalid",
-                Verdict::Stale => "too old",
-                Verdict::Implausible => "implausible",
+                Ruling::Accepted => "obeyed",
+                Ruling::Fenced => "fenced off",
+                Ruling::NotMaster => "not a master's",
+                Ruling::Invalid => "invalid",
+                Ruling::Stale => "too old",
+                Ruling::Implausible => "implausible",
             };
             let name = format!("{} {verdict}", frame.system);
             self.instant(bus, frame.at_ns, &name);

@@ -10,7 +10,7 @@ use tandem_cores::driving::knowledge::Knowledge;
 use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
-use tandem_vehicle::{Config, LocalBus, Metrics, Scenario, Snapshot, World};
+use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig, WorldMetrics, WorldSnapshot};
 
 /// Perception begins its cycle so late in each 50 ms, when all sensors have reported.
 const PERCEPTION_PHASE_MS: u64 = 25;
@@ -151,7 +151,7 @@ pub(crate) struct Drive {
 impl Drive {
     pub(crate) fn new(scenario: &Scenario, seed: u64, systems: usize) -> Self {
         Self {
-            world: World::new(scenario, Config { seed }),
+            world: World::new(scenario, WorldConfig { seed }),
             bus: LocalBus::new(Instant::ORIGIN),
             now_ms: 0,
             systems: (0..systems).map(|_| System::new()).collect(),
@@ -173,7 +173,7 @@ impl Drive {
     pub(crate) fn run(
         &mut self,
         seconds: f64,
-        watch: &mut dyn FnMut(&Snapshot, &System, &Command),
+        watch: &mut dyn FnMut(&WorldSnapshot, &System, &Command),
     ) {
         let end = self.world.snapshot().time_s + seconds;
         while self.world.snapshot().time_s < end {
@@ -182,7 +182,7 @@ impl Drive {
         }
     }
 
-    fn tick(&mut self, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
+    fn tick(&mut self, watch: &mut dyn FnMut(&WorldSnapshot, &System, &Command)) {
         let now = self.now();
         self.bus.now = now;
         self.world.run_period(now, &mut self.bus, &mut |_| {});
@@ -206,7 +206,7 @@ impl Drive {
     }
 
     /// The master's command goes to the vehicle; the others compute silently and hear it.
-    fn control(&mut self, now: Instant, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
+    fn control(&mut self, now: Instant, watch: &mut dyn FnMut(&WorldSnapshot, &System, &Command)) {
         let function = self.function;
         let mut sent = None;
         for (index, system) in self.systems.iter_mut().enumerate() {
@@ -253,7 +253,7 @@ impl Drive {
         watch(self.world.snapshot(), &self.systems[self.master], &command);
     }
 
-    pub(crate) fn metrics(&self) -> Metrics {
+    pub(crate) fn metrics(&self) -> WorldMetrics {
         self.world.metrics()
     }
 }

@@ -9,8 +9,8 @@ use tandem_board::{Duration, Instant, SystemId};
 use tandem_board_sim::{Config, SimPair};
 use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
-use tandem_vehicle::road::{Frenet, Lane, Road};
-use tandem_vehicle::{Metrics, Scenario, World};
+use tandem_vehicle::road::{Frenet, Road, RoadLane};
+use tandem_vehicle::{Scenario, World, WorldMetrics};
 
 /// The picture has a point of the ego's path this often, and the road one this often, m.
 const PATH_STEP: Duration = Duration::from_ms(200);
@@ -110,7 +110,7 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
             format!("outside the operational design domain: {reason}"),
         );
     }
-    let world = World::new(&scenario, tandem_vehicle::Config { seed });
+    let world = World::new(&scenario, tandem_vehicle::WorldConfig { seed });
     let (world, mut picture) = drive(world, duration_s, seed);
     let world = world.borrow();
     picture.lanes = lanes(world.road(), &picture.path);
@@ -148,11 +148,11 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
 fn refused(file: &str, reason: String) -> Judgement {
     Judgement {
         reason,
-        ..figures(file, &Metrics::default())
+        ..figures(file, &WorldMetrics::default())
     }
 }
 
-fn figures(file: &str, metrics: &Metrics) -> Judgement {
+fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
     Judgement {
         file: file.to_owned(),
         verdict: Verdict::Refused,
@@ -221,7 +221,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
 
 /// The lanes around the path.
 fn lanes(road: &Road, path: &[Vec2]) -> Vec<[Vec<Vec2>; 2]> {
-    let around = |lane: &Lane| {
+    let around = |lane: &RoadLane| {
         let stations = path.iter().step_by(5).map(|point| lane.project(*point).s);
         let (from, to) = stations.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), s| {
             (from.min(s), to.max(s))

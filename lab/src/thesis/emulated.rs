@@ -4,7 +4,7 @@ use anyhow::Context as _;
 use tandem_board::{RoleLamp, SystemId, VehiclePort as _};
 use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_record::{Entry, RunLog};
-use tandem_vehicle::{Config, Scenario, World};
+use tandem_vehicle::{Scenario, World, WorldConfig};
 
 use super::outputs::Done;
 use super::two_cores::{Counted, Exchange};
@@ -103,7 +103,7 @@ impl Emulated {
         };
         let mut of = Self {
             systems: EmulatedWorld::start(&image("controller", None)?, layout, options)?,
-            vehicle: World::new(&Scenario::load("free-lane")?, Config { seed: 1 }),
+            vehicle: World::new(&Scenario::load("free-lane")?, WorldConfig { seed: 1 }),
             log: RunLog::default(),
         };
         of.step()?;

@@ -57,7 +57,7 @@ pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut config = tandem_cores::Config::rt();
     config.redundancy.reintegrate = true;
     let scenario = Scenario::load("free-lane")?;
-    let mut world = World::new(&scenario, tandem_vehicle::Config { seed: 1 });
+    let mut world = World::new(&scenario, tandem_vehicle::WorldConfig { seed: 1 });
     let log = Rc::new(RefCell::new(RunLog::default()));
     let mut pair = SimPair::new(Config::default(), move |board| poller(board, config));
     let shared = Rc::clone(&log);

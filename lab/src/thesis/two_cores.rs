@@ -13,8 +13,8 @@ use tandem_shm::map::Layout;
 use tandem_shm::region::{Mailbox, Region, SharedLock};
 use tandem_shm::sync::spin;
 use tandem_two_cores::clock::{from_ns, ticks, to_ps};
-use tandem_two_cores::shared::{Log, Shared, announce};
-use tandem_two_cores::worker::{Part, Role, perform};
+use tandem_two_cores::shared::{Log, SharedPage, announce};
+use tandem_two_cores::worker::{BatchPart, PartContext, perform};
 
 pub(super) const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
 pub(super) const LOCK: Region<SharedLock> = MAILBOX.then("lock");
@@ -43,8 +43,8 @@ pub(super) fn payload(number: u32) -> u32 {
 /// Core 0 sends `count` messages, each with other data, and core 1's task takes each. The cores
 /// are processes on these CPUs and wait by spinning.
 pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
-    let (shared, map) = Shared::with_lmu(LAYOUT)?;
-    let sender = Part::on(cpus[0], |role: &mut Role<'_>| {
+    let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
+    let sender = BatchPart::on(cpus[0], |role: &mut PartContext<'_>| {
         let mut to = MAILBOX.sender(&map, announce(&map, 0, 1)).expect("it fits");
         role.shared.meet(2);
         for number in 1..=count {
@@ -62,7 +62,7 @@ pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange
         }
         Ok(())
     });
-    let receiver = Part::on(cpus[1], |role: &mut Role<'_>| {
+    let receiver = BatchPart::on(cpus[1], |role: &mut PartContext<'_>| {
         let mut from = MAILBOX
             .receiver(&map, announce(&map, 1, 1))
             .expect("it fits");
@@ -130,9 +130,9 @@ impl Counted {
 /// Two cores, processes on these CPUs, increment one counter `each` times, with or without the
 /// lock.
 pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
-    let (shared, map) = Shared::with_lmu(LAYOUT)?;
+    let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let part = |core: usize| {
-        Part::on(cpus[core], move |role: &mut Role<'_>| {
+        BatchPart::on(cpus[core], move |role: &mut PartContext<'_>| {
             let mut lock = LOCK.attach(&map, announce(&map, core, 1)).expect("it fits");
             let counter = &role.shared.guarded;
             role.shared.meet(2);

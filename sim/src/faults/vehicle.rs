@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, VehicleBus as _};
 use tandem_board_sim::WorldTick;
 use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
-use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
+use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
 /// Ends core 1 of each system that hears it. No frame of the DBC.
@@ -55,7 +55,7 @@ impl Vehicle {
         static LOADED: OnceLock<Scenario> = OnceLock::new();
         let outside = if moves {
             let loaded = LOADED.get_or_init(|| Scenario::load(SCENARIO).expect("embedded"));
-            let config = tandem_vehicle::Config::default();
+            let config = tandem_vehicle::WorldConfig::default();
             Outside::World(Box::new(World::new(loaded, config)))
         } else {
             Outside::Gate(Box::new(Alone {
@@ -119,12 +119,12 @@ impl Vehicle {
                 });
             }
             match judged {
-                Some(judged) if judged.verdict == Verdict::Accepted => {
+                Some(judged) if judged.verdict == Ruling::Accepted => {
                     self.accepted.push(judged);
                     self.last = Some(frame);
                 }
-                Some(judged) if judged.verdict == Verdict::Fenced => self.fenced.push(judged),
-                Some(judged) => self.chatters |= judged.verdict == Verdict::NotMaster,
+                Some(judged) if judged.verdict == Ruling::Fenced => self.fenced.push(judged),
+                Some(judged) => self.chatters |= judged.verdict == Ruling::NotMaster,
                 None => {}
             }
         }

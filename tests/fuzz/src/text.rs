@@ -1,7 +1,7 @@
 //! Files that a user writes: scenarios and lists of faults.
 
 use tandem_sim::faults::Sequence;
-use tandem_vehicle::{Config, Scenario, World};
+use tandem_vehicle::{Scenario, World, WorldConfig};
 
 /// A scenario file is refused, or its world runs for 60 ms without a controller.
 ///
@@ -14,7 +14,7 @@ pub(crate) fn scenario(data: &[u8]) -> bool {
     let Ok(scenario) = Scenario::parse(text, "fuzzed.xml") else {
         return false;
     };
-    let mut world = World::new(&scenario, Config::default());
+    let mut world = World::new(&scenario, WorldConfig::default());
     for ms in 0..60 {
         world.step(ms * 1_000_000, &mut |_, _| {});
     }

@@ -138,7 +138,7 @@ fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
     let scenario = Scenario::parse(&crossing(), "crossing.xml").expect("a scenario");
     assert_eq!(scenario.outside_domain(), None);
     let mut drive = Drive::new("free-lane", 1);
-    drive.seen.borrow_mut().world = World::new(&scenario, tandem_vehicle::Config { seed: 1 });
+    drive.seen.borrow_mut().world = World::new(&scenario, tandem_vehicle::WorldConfig { seed: 1 });
     drive.run_for(S(40));
     let seen = drive.seen.borrow();
     let (metrics, now) = (seen.world.metrics(), seen.world.snapshot());

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::fmt;
 
-use super::{Lane, LaneId, Road, Section};
+use super::{LaneId, Road, RoadLane, Section};
 use crate::geometry::wrap_angle;
 
 /// Width of a lane, m.
@@ -55,7 +55,7 @@ impl fmt::Display for Exit {
 }
 
 /// The ends of the domain on each lane, by arc length.
-pub(crate) fn exits(lanes: &[Lane]) -> Vec<Vec<(f64, Exit)>> {
+pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
     // Sections by squares of the plane, so that only near ones are compared.
     let square = |x: f64| (x / CROSSING_NEAR).floor() as i64;
     let mut squares: HashMap<(i64, i64), Vec<(usize, f64)>> = HashMap::new();

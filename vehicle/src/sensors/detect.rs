@@ -4,7 +4,7 @@ use tandem_bus::{SensorId, SensorObject};
 
 use super::{EgoTruth, Noise, bus_class};
 use crate::geometry::{Pose, Vec2, wrap_angle};
-use crate::traffic::Vehicle;
+use crate::traffic::RoadUser;
 
 /// A list holds no more objects; the nearest ones stay.
 const LIST_LEN: usize = 20;
@@ -199,7 +199,7 @@ impl Detector {
     }
 
     /// The object list at this moment, nearest first.
-    pub(super) fn measure(&mut self, ego: &EgoTruth, vehicles: &[Vehicle]) -> &[SensorObject] {
+    pub(super) fn measure(&mut self, ego: &EgoTruth, vehicles: &[RoadUser]) -> &[SensorObject] {
         self.list.clear();
         let origin = Pose {
             position: ego.pose.to_world(self.model.mount.position),
@@ -211,7 +211,7 @@ impl Detector {
     }
 
     /// The list of what is not hidden.
-    fn tell(&mut self, origin: Pose, ego: &EgoTruth, vehicles: &[Vehicle]) -> &[SensorObject] {
+    fn tell(&mut self, origin: Pose, ego: &EgoTruth, vehicles: &[RoadUser]) -> &[SensorObject] {
         self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
         self.covered.clear();
         for sight in 0..self.sights.len() {
@@ -230,7 +230,7 @@ impl Detector {
     }
 
     /// Collects what is around. What is outside of the field of view has no edges yet.
-    fn look(&mut self, origin: Pose, vehicles: &[Vehicle]) {
+    fn look(&mut self, origin: Pose, vehicles: &[RoadUser]) {
         let reach = self
             .model
             .lobes
@@ -317,7 +317,7 @@ impl Detector {
     }
 
     /// The detection of one visible vehicle, if it is in the field of view and not missed.
-    fn detect(&mut self, origin: Pose, ego: &EgoTruth, vehicle: &Vehicle) -> Option<SensorObject> {
+    fn detect(&mut self, origin: Pose, ego: &EgoTruth, vehicle: &RoadUser) -> Option<SensorObject> {
         let Model {
             mount,
             lobes,

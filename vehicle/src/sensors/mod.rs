@@ -6,7 +6,7 @@
 mod camera;
 mod chassis;
 mod detect;
-mod fault;
+mod disturbance;
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
@@ -16,10 +16,10 @@ use tandem_bus::{CameraLanes, EgoMotion, SensorId, SensorObject};
 use crate::commonroad::Class;
 use crate::geometry::{Pose, Vec2};
 use crate::road::{Frenet, LaneId, Road};
-use crate::traffic::Vehicle;
+use crate::traffic::RoadUser;
 
-pub(crate) use fault::Faults;
-pub use fault::{NoSensorFault, SensorFault};
+pub(crate) use disturbance::Faults;
+pub use disturbance::{NoSensorFault, SensorFault};
 
 /// Object lists and lanes come every 50 ms. T-CHIP-3
 pub const SENSOR_PERIOD_MS: u64 = 50;
@@ -109,7 +109,7 @@ impl Sensors {
         &mut self,
         sensor: SensorId,
         ego: &EgoTruth,
-        vehicles: &[Vehicle],
+        vehicles: &[RoadUser],
     ) -> &[SensorObject] {
         self.detectors[sensor.index()].measure(ego, vehicles)
     }

@@ -39,7 +39,7 @@ impl Leader {
 
 /// One driver's parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Driver {
+pub struct IdmParameters {
     /// Desired speed on a free road, m/s.
     pub desired_speed: f64,
     /// Desired time gap, s.
@@ -52,7 +52,7 @@ pub struct Driver {
     pub deceleration: f64,
 }
 
-impl Driver {
+impl IdmParameters {
     /// A car's driver.
     pub const CAR: Self = Self {
         desired_speed: 30.0,
@@ -136,7 +136,7 @@ mod tests {
                 speed: leader(t),
                 acceleration,
             };
-            let chosen = Driver::CAR.follow(speed, &leader);
+            let chosen = IdmParameters::CAR.follow(speed, &leader);
             hardest = hardest.min(chosen);
             speed = (speed + chosen * 0.01).max(0.0);
             gap += (leader.speed - speed) * 0.01;
@@ -172,7 +172,7 @@ mod tests {
             speed: 28.0,
             acceleration: 0.0,
         };
-        let braking = Driver::CAR.follow(28.0, &cut_in);
+        let braking = IdmParameters::CAR.follow(28.0, &cut_in);
         assert!((-2.5..-1.0).contains(&braking), "{braking}");
     }
 
@@ -181,7 +181,7 @@ mod tests {
         for start in [0.0, 45.0] {
             let mut speed = start;
             for _ in 0..20_000 {
-                speed += Driver::CAR.follow(speed, &Leader::NONE) * 0.01;
+                speed += IdmParameters::CAR.follow(speed, &Leader::NONE) * 0.01;
             }
             assert!((speed - 30.0).abs() < 0.1, "{speed}");
         }

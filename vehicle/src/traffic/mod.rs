@@ -20,10 +20,10 @@ mod sight;
 
 use std::sync::Arc;
 
-pub use idm::{Driver, Leader};
+pub use idm::{IdmParameters, Leader};
 
 use crate::commonroad::{Class, Obstacle};
-use crate::geometry::{Footprint, Frame, Pose, Vec2, wrap_angle};
+use crate::geometry::{Footprint, LocalFrame, Pose, Vec2, wrap_angle};
 use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 use recording::Track;
 use sight::{Viewer, Views};
@@ -64,7 +64,7 @@ pub struct Participant {
 
 /// How a vehicle moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
+pub enum Movement {
     /// Not in the picture: its recording has not begun, or it would begin inside another vehicle.
     Absent,
     /// By its recording.
@@ -77,7 +77,7 @@ pub enum Mode {
 
 /// One other road user.
 #[derive(Clone, Debug)]
-pub struct Vehicle {
+pub struct RoadUser {
     /// Its id in the scenario.
     pub id: i64,
     /// Kind.
@@ -85,31 +85,31 @@ pub struct Vehicle {
     /// Place, size, speed.
     pub participant: Participant,
     /// How it moves.
-    pub mode: Mode,
+    pub mode: Movement,
     /// The lane that it is in.
     pub lane: LaneId,
     /// Its place in that lane.
     pub place: Frenet,
     /// Its pose as a frame.
-    frame: Frame,
+    frame: LocalFrame,
     /// Change of `place.d`, m/s.
     lateral_speed: f64,
     /// The offset from the lane's centre that the driver goes to, m.
     aim: f64,
-    driver: Driver,
+    driver: IdmParameters,
     /// Time gap that it began with when it left its recording, s, and when that was.
     begun: (f64, f64),
 }
 
-impl Vehicle {
+impl RoadUser {
     /// Whether it is in the picture.
     #[must_use]
     pub fn is_present(&self) -> bool {
-        self.mode != Mode::Absent
+        self.mode != Movement::Absent
     }
 
     /// Its pose as a frame.
-    pub(crate) const fn frame(&self) -> &Frame {
+    pub(crate) const fn frame(&self) -> &LocalFrame {
         &self.frame
     }
 
@@ -142,7 +142,7 @@ struct Deviating {
 }
 
 impl Deviating {
-    fn new(index: usize, participant: Participant, frame: &Frame) -> Self {
+    fn new(index: usize, participant: Participant, frame: &LocalFrame) -> Self {
         Self {
             index,
             participant,
@@ -202,7 +202,7 @@ pub struct Traffic {
     road: Arc<Road>,
     recordings: Arc<[Obstacle]>,
     tracks: Vec<Track>,
-    vehicles: Vec<Vehicle>,
+    vehicles: Vec<RoadUser>,
     /// In the order of the vehicles, the ego last. Renewed in each step.
     deviating: Vec<Deviating>,
     /// Views of each vehicle, and of the ego at the end. Forgotten when it moves.
@@ -214,7 +214,7 @@ impl Traffic {
     #[must_use]
     pub fn new(road: Arc<Road>, recordings: Arc<[Obstacle]>, ego: &Participant) -> Self {
         let tracks: Vec<Track> = recordings.iter().map(|it| Track::new(&it.states)).collect();
-        let vehicles: Vec<Vehicle> = recordings
+        let vehicles: Vec<RoadUser> = recordings
             .iter()
             .zip(&tracks)
             .map(|(recording, track)| vehicle(&road, recording, track))
@@ -237,7 +237,7 @@ impl Traffic {
 
     /// All of them, also those not present, in the order of the scenario.
     #[must_use]
-    pub fn vehicles(&self) -> &[Vehicle] {
+    pub fn vehicles(&self) -> &[RoadUser] {
         &self.vehicles
     }
 
@@ -245,7 +245,7 @@ impl Traffic {
     pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
         self.deviating.clear();
         let driving = self.vehicles.iter().enumerate();
-        let driving = driving.filter(|(_, v)| v.mode == Mode::Driving);
+        let driving = driving.filter(|(_, v)| v.mode == Movement::Driving);
         let driving = driving.map(|(index, v)| Deviating::new(index, v.participant, &v.frame));
         let frame = ego.footprint.pose.frame();
         self.views[self.vehicles.len()].renew(frame.forward());
@@ -257,7 +257,7 @@ impl Traffic {
         // All decide on what they see now, then all move: the order of the vehicles does not
         // matter.
         for index in 0..self.vehicles.len() {
-            if self.vehicles[index].mode == Mode::Driving {
+            if self.vehicles[index].mode == Movement::Driving {
                 let (wanted, may_return) = self.decision(index, t, ego);
                 let vehicle = &mut self.vehicles[index];
                 vehicle.aim = if may_return { 0.0 } else { vehicle.place.d };
@@ -268,9 +268,9 @@ impl Traffic {
         let all = self.vehicles.iter_mut().zip(&mut self.views);
         for ((vehicle, views), track) in all.zip(&self.tracks) {
             match vehicle.mode {
-                Mode::Absent | Mode::Standing => {}
-                Mode::Replay => replay(vehicle, views, track, &self.road, t),
-                Mode::Driving => {
+                Movement::Absent | Movement::Standing => {}
+                Movement::Replay => replay(vehicle, views, track, &self.road, t),
+                Movement::Driving => {
                     let before = vehicle.motion();
                     drive(vehicle, &self.road, dt);
                     if vehicle.motion() != before {
@@ -281,7 +281,7 @@ impl Traffic {
         }
     }
 
-    /// [`Lane::foot_near`](crate::road::Lane::foot_near) of the place of a vehicle.
+    /// [`RoadLane::foot_near`](crate::road::Lane::foot_near) of the place of a vehicle.
     pub(crate) fn foot(&mut self, index: usize, lane: LaneId, near: f64) -> Foot {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].foot(&self.road, lane, pose.position, near)
@@ -297,12 +297,12 @@ impl Traffic {
         let (_, end) = self.tracks[index].span();
         let mode = self.vehicles[index].mode;
         match mode {
-            Mode::Absent => self.appear_if_due(index, t),
-            Mode::Replay if t > end => match self.vehicles[index].class {
+            Movement::Absent => self.appear_if_due(index, t),
+            Movement::Replay if t > end => match self.vehicles[index].class {
                 Class::Pedestrian | Class::Static => self.stand(index),
                 _ => self.drive_on(index, t, ego),
             },
-            Mode::Replay if self.endangers(index, t) => self.drive_on(index, t, ego),
+            Movement::Replay if self.endangers(index, t) => self.drive_on(index, t, ego),
             _ => {}
         }
     }
@@ -324,13 +324,13 @@ impl Traffic {
         if recording.is_static {
             self.stand(index);
         } else if t <= 0.0 || self.deviating.iter().all(is_free) {
-            self.vehicles[index].mode = Mode::Replay;
+            self.vehicles[index].mode = Movement::Replay;
         }
     }
 
     fn stand(&mut self, index: usize) {
         let vehicle = &mut self.vehicles[index];
-        vehicle.mode = Mode::Standing;
+        vehicle.mode = Movement::Standing;
         (vehicle.participant.speed, vehicle.participant.acceleration) = (0.0, 0.0);
         self.views[index].renew(vehicle.frame.forward());
     }
@@ -414,7 +414,7 @@ impl Traffic {
         let lane = self.road.lane(vehicle.lane);
         let heading = lane.line_at(vehicle.place.s).heading;
         vehicle.lateral_speed = speed * wrap_angle(yaw - heading).sin();
-        vehicle.mode = Mode::Driving;
+        vehicle.mode = Movement::Driving;
         let gap = (leader.gap - vehicle.driver.standstill_gap) / speed.max(1.0);
         vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
         self.views[index].renew(vehicle.frame.forward());
@@ -434,7 +434,7 @@ impl Traffic {
             .fold(1e-6, f64::max);
         let relaxed = ((t - vehicle.begun.1) / GAP_RELAXATION_S).min(1.0);
         let habitual = vehicle.driver.time_gap;
-        let driver = Driver {
+        let driver = IdmParameters {
             time_gap: vehicle.begun.0 + (habitual - vehicle.begun.0) * relaxed,
             desired_speed: vehicle
                 .driver
@@ -480,7 +480,7 @@ impl Traffic {
     }
 
     /// The end of the lane as a leader that stands.
-    fn end_of_lane(&self, vehicle: &Vehicle) -> Leader {
+    fn end_of_lane(&self, vehicle: &RoadUser) -> Leader {
         let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
         Leader::standing(end - vehicle.participant.footprint.length / 2.0)
     }
@@ -501,7 +501,7 @@ fn reach(replayed: &Footprint, other: &Footprint) -> f64 {
 
 /// All others that are present, and the ego, with the views of each.
 fn others<'a>(
-    vehicles: &'a [Vehicle],
+    vehicles: &'a [RoadUser],
     views: &'a mut [Views],
     index: usize,
     ego: &'a Participant,
@@ -514,7 +514,7 @@ fn others<'a>(
         .map(move |(_, (other, views))| (other.map_or(ego, |it| &it.participant), views))
 }
 
-fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
+fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> RoadUser {
     let motion = track.motion(f64::NEG_INFINITY);
     let (lane, place) = road.locate(motion.pose.position, motion.pose.yaw);
     let fastest = recording
@@ -528,11 +528,11 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
     };
     let desired_speed = fastest.max(usual.min(road.lane(lane).at(place.s).speed_limit));
     let driver = if recording.length > 8.0 {
-        Driver::TRUCK
+        IdmParameters::TRUCK
     } else {
-        Driver::CAR
+        IdmParameters::CAR
     };
-    Vehicle {
+    RoadUser {
         id: recording.id,
         class: recording.class,
         participant: Participant {
@@ -548,13 +548,13 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
             },
             acceleration: 0.0,
         },
-        mode: Mode::Absent,
+        mode: Movement::Absent,
         lane,
         place,
         frame: motion.pose.frame(),
         lateral_speed: 0.0,
         aim: 0.0,
-        driver: Driver {
+        driver: IdmParameters {
             desired_speed,
             ..driver
         },
@@ -563,7 +563,7 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
 }
 
 /// Puts a vehicle where its recording has it at time `t`.
-fn replay(vehicle: &mut Vehicle, views: &mut Views, track: &Track, road: &Road, t: f64) {
+fn replay(vehicle: &mut RoadUser, views: &mut Views, track: &Track, road: &Road, t: f64) {
     let before = vehicle.motion();
     let motion = track.motion(t);
     vehicle.set_pose(motion.pose);
@@ -581,7 +581,7 @@ fn replay(vehicle: &mut Vehicle, views: &mut Views, track: &Track, road: &Road, 
 }
 
 /// Moves a vehicle that drives by itself.
-fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
+fn drive(vehicle: &mut RoadUser, road: &Road, dt: f64) {
     let lane = road.lane(vehicle.lane);
     let curvature = lane.curvature_at(vehicle.place.s);
     let before = vehicle.participant.speed;

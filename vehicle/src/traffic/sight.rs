@@ -1,6 +1,6 @@
 //! What a driver sees of the others: which one is ahead, beside, or wants to come in.
 
-use super::{Leader, Participant, Vehicle};
+use super::{Leader, Participant, RoadUser};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 
@@ -64,9 +64,9 @@ impl Views {
         self.next = 0;
     }
 
-    /// The place in a lane of the vehicle that is at `position`: [`Lane::foot_near`].
+    /// The place in a lane of the vehicle that is at `position`: [`RoadLane::foot_near`].
     ///
-    /// [`Lane::foot_near`]: crate::road::Lane::foot_near
+    /// [`RoadLane::foot_near`]: crate::road::Lane::foot_near
     pub(super) fn foot(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> Foot {
         *self.find(road, id, position, near).foot(road, position)
     }
@@ -143,11 +143,11 @@ impl Views {
 /// The vehicle that looks.
 pub(super) struct Viewer<'a> {
     road: &'a Road,
-    vehicle: &'a Vehicle,
+    vehicle: &'a RoadUser,
 }
 
 impl<'a> Viewer<'a> {
-    pub(super) const fn new(road: &'a Road, vehicle: &'a Vehicle) -> Self {
+    pub(super) const fn new(road: &'a Road, vehicle: &'a RoadUser) -> Self {
         Self { road, vehicle }
     }
 
@@ -221,12 +221,12 @@ impl<'a> Viewer<'a> {
 }
 
 /// Side distance of the centres at which two just pass each other, m.
-fn clearance(vehicle: &Vehicle, other: &Participant) -> f64 {
+fn clearance(vehicle: &RoadUser, other: &Participant) -> f64 {
     (vehicle.participant.footprint.width + other.footprint.width) / 2.0 + SIDE
 }
 
 /// `other` as a leader, if it is ahead and in the way now or within a second.
-pub(super) fn ahead(vehicle: &Vehicle, other: &Participant, seen: &Seen) -> Option<Leader> {
+pub(super) fn ahead(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> Option<Leader> {
     let clearance = clearance(vehicle, other);
     let apart = seen.place.d - vehicle.place.d;
     let soon = apart + seen.drift - vehicle.lateral_speed;
@@ -236,7 +236,7 @@ pub(super) fn ahead(vehicle: &Vehicle, other: &Participant, seen: &Seen) -> Opti
 }
 
 /// Whether `other` stands in the way back to the middle of the lane: a driver waits beside it.
-pub(super) fn blocks_return(vehicle: &Vehicle, other: &Participant, seen: &Seen) -> bool {
+pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> bool {
     let clearance = clearance(vehicle, other);
     let between = seen.place.d > vehicle.place.d.min(0.0) - clearance
         && seen.place.d < vehicle.place.d.max(0.0) + clearance;
@@ -249,7 +249,7 @@ pub(super) fn blocks_return(vehicle: &Vehicle, other: &Participant, seen: &Seen)
 /// in, and to let in one is a duty (in German law, StVO § 7 (4)).
 pub(super) fn merging(
     road: &Road,
-    vehicle: &Vehicle,
+    vehicle: &RoadUser,
     lane: LaneId,
     other: &Participant,
     seen: &Seen,

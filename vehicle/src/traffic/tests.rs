@@ -76,7 +76,7 @@ fn run(
     recordings: Vec<Obstacle>,
     start: Participant,
     seconds: f64,
-    mut look: impl FnMut(f64, &[Vehicle], &Participant),
+    mut look: impl FnMut(f64, &[RoadUser], &Participant),
 ) {
     let mut traffic = Traffic::new(road(drop), recordings.into(), &start);
     for step in 1..=(seconds / STEP) as u32 {
@@ -103,9 +103,9 @@ fn a_recording_is_replayed_and_goes_on_smoothly_when_it_ends() {
             assert_eq!(
                 vehicles[0].mode,
                 if t <= 2.0 {
-                    Mode::Replay
+                    Movement::Replay
                 } else {
-                    Mode::Driving
+                    Movement::Driving
                 },
                 "{t}"
             );

@@ -2,8 +2,8 @@
 
 use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_vehicle::geometry::Vec2;
-use tandem_vehicle::traffic::{Driver, Leader};
-use tandem_vehicle::{LaneId, Snapshot, World};
+use tandem_vehicle::traffic::{IdmParameters, Leader};
+use tandem_vehicle::{LaneId, World, WorldSnapshot};
 
 /// m, between the axles.
 const WHEELBASE: f64 = 2.579;
@@ -101,7 +101,7 @@ impl ReferenceDriver {
 }
 
 /// The nearest vehicles ahead and behind in a lane.
-fn neighbours(world: &World, now: &Snapshot, lane: LaneId) -> (Leader, Leader) {
+fn neighbours(world: &World, now: &WorldSnapshot, lane: LaneId) -> (Leader, Leader) {
     let line = world.road().lane(lane);
     let own = line.project(now.pose.position);
     let (mut ahead, mut behind) = (Leader::NONE, Leader::NONE);
@@ -134,11 +134,11 @@ fn neighbours(world: &World, now: &Snapshot, lane: LaneId) -> (Leader, Leader) {
     (ahead, behind)
 }
 
-fn acceleration(world: &World, now: &Snapshot, target: LaneId, desired_speed: f64) -> f64 {
-    let driver = Driver {
+fn acceleration(world: &World, now: &WorldSnapshot, target: LaneId, desired_speed: f64) -> f64 {
+    let driver = IdmParameters {
         desired_speed,
         time_gap: 1.3,
-        ..Driver::CAR
+        ..IdmParameters::CAR
     };
     let mut wanted = f64::INFINITY;
     for lane in [target, now.lane] {
@@ -164,7 +164,7 @@ fn acceleration(world: &World, now: &Snapshot, target: LaneId, desired_speed: f6
     wanted
 }
 
-fn steering(world: &World, now: &Snapshot, target: LaneId) -> f64 {
+fn steering(world: &World, now: &WorldSnapshot, target: LaneId) -> f64 {
     let line = world.road().lane(target);
     let place = line.project(now.pose.position);
     let ahead = 8.0 + 1.0 * now.speed;
