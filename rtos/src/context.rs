@@ -5,9 +5,9 @@ use core::marker::PhantomData;
 mod sealed {
     pub trait Sealed {
         /// Whether to use the kernel's functions for interrupts.
-        const IN_INTERRUPT: bool;
+        const IN_INTERRUPT: bool = false;
         /// A task of higher priority than the interrupted one was woken.
-        fn woken(&self, woken: bool);
+        fn woken(&self, _woken: bool) {}
     }
 }
 pub(crate) use sealed::Sealed;
@@ -32,10 +32,7 @@ pub struct InterruptContext {
     _of_one_handler: PhantomData<*mut ()>,
 }
 
-impl Sealed for TaskContext {
-    const IN_INTERRUPT: bool = false;
-    fn woken(&self, _woken: bool) {}
-}
+impl Sealed for TaskContext {}
 impl Context for TaskContext {}
 impl TaskLevel for TaskContext {}
 
@@ -46,10 +43,7 @@ pub struct TimerContext {
     _of_one_task: PhantomData<*mut ()>,
 }
 
-impl Sealed for TimerContext {
-    const IN_INTERRUPT: bool = false;
-    fn woken(&self, _woken: bool) {}
-}
+impl Sealed for TimerContext {}
 impl Context for TimerContext {}
 
 impl TimerContext {

@@ -1,7 +1,5 @@
 //! Interrupts by number and priority, as in the TC297's interrupt router.
 
-use core::fmt;
-
 /// A source of interrupts of this core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Interrupt(u8);
@@ -65,21 +63,12 @@ impl InterruptPriority {
 }
 
 /// A handler cannot be registered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AttachError {
     /// The source already has a handler; handlers stay until the scheduler stops.
+    #[error("the interrupt has a handler already")]
     HasHandler,
     /// This machine has no such source.
+    #[error("this machine has no such interrupt")]
     NoSuchSource,
 }
-
-impl fmt::Display for AttachError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::HasHandler => "the interrupt has a handler already",
-            Self::NoSuchSource => "this machine has no such interrupt",
-        })
-    }
-}
-
-impl core::error::Error for AttachError {}

@@ -8,7 +8,6 @@ use crate::sys;
 use crate::sys::task::TaskHandle;
 use crate::task::{SpawnError, TaskOptions};
 use alloc::boxed::Box;
-use core::fmt;
 use core::marker::PhantomData;
 
 /// The one kernel of this process or core.
@@ -19,21 +18,12 @@ pub struct Kernel {
 }
 
 /// The kernel is not available.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KernelError {
     /// It is already taken; it can be taken again when the scheduler has stopped.
+    #[error("the kernel is in use already")]
     Taken,
 }
-
-impl fmt::Display for KernelError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Taken => out.write_str("the kernel is in use already"),
-        }
-    }
-}
-
-impl core::error::Error for KernelError {}
 
 impl Kernel {
     /// Takes the kernel.
@@ -97,10 +87,7 @@ impl Kernel {
     }
 }
 
-impl Sealed for Kernel {
-    const IN_INTERRUPT: bool = false;
-    fn woken(&self, _woken: bool) {}
-}
+impl Sealed for Kernel {}
 impl Context for Kernel {}
 impl TaskLevel for Kernel {}
 

@@ -19,7 +19,6 @@ extern crate alloc;
 #[cfg(target_os = "linux")]
 extern crate std;
 
-mod calls;
 mod context;
 pub mod demo;
 mod ffi;
@@ -46,8 +45,6 @@ pub use sys::timer::{CommandsFull, Timer};
 pub use task::{Priority, SpawnError, TaskOptions};
 pub use time::Ticks;
 
-use core::fmt;
-
 /// The target: its doorbell, its fatal errors, and a reset of its hart.
 #[cfg(target_arch = "riscv32")]
 pub mod riscv32 {
@@ -56,13 +53,6 @@ pub mod riscv32 {
 }
 
 /// The time-out passed before the wait was over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the time was over")]
 pub struct TimedOut;
-
-impl fmt::Display for TimedOut {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the time was over")
-    }
-}
-
-impl core::error::Error for TimedOut {}

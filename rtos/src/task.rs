@@ -1,7 +1,5 @@
 //! The options of a task: name, priority, stack.
 
-use core::fmt;
-
 /// How urgent a task is; more is more urgent. Tasks of equal priority share the processor tick by
 /// tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -71,21 +69,12 @@ impl<'a> TaskOptions<'a> {
 }
 
 /// Why a task could not be made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpawnError {
     /// The name is empty, longer than 23 bytes, or contains a zero.
+    #[error("a task's name has 1 to 23 bytes, none of them zero")]
     BadName,
     /// There is no memory for the stack.
+    #[error("no memory for the stack")]
     NoMemory,
 }
-
-impl fmt::Display for SpawnError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::BadName => "a task's name has 1 to 23 bytes, none of them zero",
-            Self::NoMemory => "no memory for the stack",
-        })
-    }
-}
-
-impl core::error::Error for SpawnError {}

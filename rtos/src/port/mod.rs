@@ -19,8 +19,6 @@ pub(crate) use riscv32::{
     start, tear_down, tick_origin_ns, timestamp_ns, virtual_work, without_others,
 };
 
-use core::fmt;
-
 /// The source of the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clock {
@@ -33,24 +31,15 @@ pub enum Clock {
 }
 
 /// The scheduler cannot start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StartError {
     /// The program's allocator is not one that tasks can share: see `host::TaskAllocator`.
+    #[error(
+        "tasks cannot share this allocator: the program must declare \
+                 `#[global_allocator] static A: tandem_rtos::host::TaskAllocator<…>`"
+    )]
     Allocator,
     /// The operating system refused a timer, a signal or a stack; its error number.
+    #[error("the operating system refused: error {0}")]
     System(i32),
 }
-
-impl fmt::Display for StartError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Allocator => out.write_str(
-                "tasks cannot share this allocator: the program must declare \
-                 `#[global_allocator] static A: tandem_rtos::host::TaskAllocator<…>`",
-            ),
-            Self::System(errno) => write!(out, "the operating system refused: error {errno}"),
-        }
-    }
-}
-
-impl core::error::Error for StartError {}

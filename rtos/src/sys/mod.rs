@@ -1,6 +1,7 @@
 //! The calls of the kernel: its objects, and the claim on it.
 #![allow(unsafe_code)]
 
+mod calls;
 pub(crate) mod mutex;
 pub(crate) mod queue;
 pub(crate) mod semaphore;

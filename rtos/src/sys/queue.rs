@@ -178,16 +178,9 @@ unsafe impl Send for Members {}
 unsafe impl Sync for Members {}
 
 /// There was no room; the value is given back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the queue is full")]
 pub struct Full<T>(pub T);
-
-impl<T> fmt::Display for Full<T> {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the queue is full")
-    }
-}
-
-impl<T: fmt::Debug> core::error::Error for Full<T> {}
 
 /// The kernel copies the bytes of values; the sender forgets a sent value, so that there is one
 /// owner at any time.

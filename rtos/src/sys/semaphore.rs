@@ -8,16 +8,9 @@ use alloc::sync::Arc;
 use core::fmt;
 
 /// The semaphore has reached its highest count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the semaphore is at its highest count")]
 pub struct SemaphoreFull;
-
-impl fmt::Display for SemaphoreFull {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the semaphore is at its highest count")
-    }
-}
-
-impl core::error::Error for SemaphoreFull {}
 
 /// A semaphore. Cloned handles are the same one.
 ///

@@ -14,24 +14,15 @@ use core::sync::atomic::{AtomicUsize, Ordering};
 pub struct Member(usize);
 
 /// A queue or semaphore cannot become a member.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddError {
     /// The set has no room for all items that its members and this one could hold together.
+    #[error("the set is too small for another member of this capacity")]
     SetFull,
     /// It is not empty, or is already in a set.
+    #[error("the member is not empty, or in a set already")]
     NotFree,
 }
-
-impl fmt::Display for AddError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::SetFull => "the set is too small for another member of this capacity",
-            Self::NotFree => "the member is not empty, or in a set already",
-        })
-    }
-}
-
-impl core::error::Error for AddError {}
 
 /// A set. Members stay in it for their whole life.
 ///

@@ -1,7 +1,7 @@
-//! Tasks: their memory, their life, and the calls that they make about themselves.
+//! Tasks: their memory, their life, and the calls of others about them.
 
 use crate::context::{Context, TaskContext};
-use crate::ffi::{self, Base, Tcb, current_name, current_tcb, name_of};
+use crate::ffi::{self, Tcb, current_name, current_tcb, name_of};
 use crate::port;
 use crate::task::{SpawnError, TaskOptions};
 use crate::time::Ticks;
@@ -102,21 +102,12 @@ pub struct TaskHandle {
 }
 
 /// A task cannot be reached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TaskError {
     /// It has returned, or the scheduler was stopped.
+    #[error("the task has ended")]
     Ended,
 }
-
-impl core::fmt::Display for TaskError {
-    fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Ended => out.write_str("the task has ended"),
-        }
-    }
-}
-
-impl core::error::Error for TaskError {}
 
 impl TaskHandle {
     /// Whether the task has neither returned nor been stopped.
@@ -314,24 +305,6 @@ pub(crate) fn now(in_interrupt: bool) -> Ticks {
     })
 }
 
-pub(crate) fn yield_now() {
-    // SAFETY: called by a task.
-    unsafe { ffi::tandem_yield() };
-}
-
-pub(crate) fn delay(span: Ticks) {
-    port::assert_may_block();
-    // SAFETY: called by a task that may block.
-    unsafe { ffi::vTaskDelay(span.0.min(Ticks::FOREVER.0 - 1)) };
-}
-
-pub(crate) fn delay_until(last_wake: &mut Ticks, period: Ticks) -> bool {
-    port::assert_may_block();
-    assert!(period.0 > 0, "a period of zero ticks");
-    // SAFETY: called by a task that may block; the place is written during the call only.
-    unsafe { ffi::xTaskDelayUntil(&mut last_wake.0, period.0) != 0 }
-}
-
 /// The kernel's own tasks: the idle task, and the one that serves the timers.
 static IDLE: Record = Record::new();
 static TIMERS: Record = Record::new();
@@ -447,20 +420,6 @@ pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
     }
 }
 
-/// Bytes of the running task's stack that were never used.
-pub(crate) fn own_unused_stack_bytes() -> usize {
-    let mut info = ffi::TaskInfo::default();
-    // SAFETY: called by a task, which is the current one and lives; only it uses its stack.
-    unsafe { ffi::tandem_task_info(current_tcb(), &mut info) };
-    info.unused_stack_words * size_of::<usize>()
-}
-
-/// The time that the running task has run, in the port's units.
-pub(crate) fn own_run_time() -> u64 {
-    // SAFETY: null means the caller, a task.
-    unsafe { ffi::ulTaskGetRunTimeCounter(ptr::null()) }
-}
-
 impl TaskHandle {
     /// The task's number in traces.
     ///
@@ -494,23 +453,5 @@ impl TaskHandle {
         })?;
         ctx.woken(woken != 0);
         Ok(())
-    }
-}
-
-/// Waits for a notification of the running task; takes one, or all of them.
-pub(crate) fn take_notification(all: bool, timeout: Ticks) -> u32 {
-    port::assert_may_block();
-    // SAFETY: called by a task that may block, about its own word 0.
-    unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
-}
-
-/// Works for a span of the running task's own time.
-pub(crate) fn burn(span: Duration) {
-    if port::virtual_work(span) {
-        return;
-    }
-    let begin = own_run_time();
-    while port::run_time_span(own_run_time().saturating_sub(begin)) < span {
-        core::hint::spin_loop();
     }
 }

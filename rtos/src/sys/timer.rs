@@ -10,16 +10,9 @@ use core::ffi::c_void;
 use core::fmt;
 
 /// The service task has no room for another command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the service task has no room for another command")]
 pub struct CommandsFull;
-
-impl fmt::Display for CommandsFull {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the service task has no room for another command")
-    }
-}
-
-impl core::error::Error for CommandsFull {}
 
 type Callback = Box<dyn FnMut(&TimerContext) + Send>;
 

@@ -143,6 +143,7 @@ fn serve() {
 
 /// The pending source with a handler that is more urgent than `level`, and its priority.
 fn most_urgent(level: u32) -> Option<(u32, u32)> {
+    // Acquire pairs with the Release in `raise`.
     let mut pending = PENDING.load(Ordering::Acquire);
     let mut best = None;
     let mut best_priority = level;

@@ -1,20 +1,20 @@
 //! The kernel calls of a task, a handler of an interrupt and a timer's callback.
 
+use super::task::{self, TaskHandle, TaskStatistics};
 use crate::context::{InterruptContext, TaskContext, TimerContext};
-use crate::ffi;
+use crate::ffi::{self, Base};
 use crate::port;
-use crate::sys;
-use crate::sys::task::{TaskHandle, TaskStatistics};
 use crate::task::{SpawnError, TaskOptions};
 use crate::time::Ticks;
 use alloc::boxed::Box;
+use core::ptr;
 use core::time::Duration;
 
 impl TimerContext {
     /// The current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
-        sys::task::now(false)
+        task::now(false)
     }
 }
 
@@ -22,7 +22,7 @@ impl InterruptContext {
     /// The current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
-        sys::task::now(true)
+        task::now(true)
     }
 }
 
@@ -37,13 +37,13 @@ impl TaskContext {
         options: &TaskOptions<'_>,
         body: impl FnOnce(&TaskContext) + Send + 'static,
     ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn(options, Box::new(body))
+        task::spawn(options, Box::new(body))
     }
 
     /// The current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
-        sys::task::now(false)
+        task::now(false)
     }
 
     /// When tick 0 was, in nanoseconds of the clock that times
@@ -61,7 +61,7 @@ impl TaskContext {
     /// # Panics
     /// In a critical section or with pre-emption deferred.
     pub fn take_notifications(&self, timeout: impl Into<Ticks>) -> u32 {
-        sys::task::take_notification(true, timeout.into())
+        take(true, timeout.into())
     }
 
     /// Waits until this task's notification is not zero, and counts it down by one.
@@ -71,12 +71,13 @@ impl TaskContext {
     /// # Panics
     /// In a critical section or with pre-emption deferred.
     pub fn take_notification(&self, timeout: impl Into<Ticks>) -> bool {
-        sys::task::take_notification(false, timeout.into()) != 0
+        take(false, timeout.into()) != 0
     }
 
     /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).
     pub fn yield_now(&self) {
-        sys::task::yield_now();
+        // SAFETY: called by a task.
+        unsafe { ffi::tandem_yield() };
     }
 
     /// Blocks for a span, counted from now.
@@ -84,7 +85,10 @@ impl TaskContext {
     /// # Panics
     /// In a critical section or with pre-emption deferred.
     pub fn delay(&self, span: impl Into<Ticks>) {
-        sys::task::delay(span.into());
+        let span = span.into().0.min(Ticks::FOREVER.0 - 1);
+        port::assert_may_block();
+        // SAFETY: called by a task that may block.
+        unsafe { ffi::vTaskDelay(span) };
     }
 
     /// Blocks until `period` after `last_wake`, and sets `last_wake` to that point: no drift,
@@ -93,26 +97,39 @@ impl TaskContext {
     /// # Panics
     /// If the period is zero; in a critical section or with pre-emption deferred.
     pub fn delay_until(&self, last_wake: &mut Ticks, period: impl Into<Ticks>) -> bool {
-        sys::task::delay_until(last_wake, period.into())
+        let period = period.into();
+        port::assert_may_block();
+        assert!(period.0 > 0, "a period of zero ticks");
+        // SAFETY: called by a task that may block; the place is written during the call only.
+        unsafe { ffi::xTaskDelayUntil(&mut last_wake.0, period.0) != 0 }
     }
 
     /// Works for a span of this task's own time, which stands still while others run. In virtual
     /// time the span passes at once. For tests and models.
     pub fn burn(&self, span: Duration) {
-        sys::task::burn(span);
+        if port::virtual_work(span) {
+            return;
+        }
+        let begin = own_run_time();
+        while port::run_time_span(own_run_time().saturating_sub(begin)) < span {
+            core::hint::spin_loop();
+        }
     }
 
     /// Bytes of this task's stack that were never used. Reads all of them, which takes some
     /// microseconds; other tasks may run in between.
     #[must_use]
     pub fn unused_stack_bytes(&self) -> usize {
-        sys::task::own_unused_stack_bytes()
+        let mut info = ffi::TaskInfo::default();
+        // SAFETY: called by a task, which is the current one and lives; only it uses its stack.
+        unsafe { ffi::tandem_task_info(ffi::current_tcb(), &mut info) };
+        info.unused_stack_words * size_of::<usize>()
     }
 
     /// Calls `look` for every task that is alive. `look` must not block; no other task runs until
     /// this call returns.
     pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {
-        port::without_others(|| sys::task::each(look));
+        port::without_others(|| task::each(look));
     }
 
     /// Runs `body` with interrupts masked: neither handlers nor other tasks run before it returns.
@@ -128,4 +145,17 @@ impl TaskContext {
     pub fn stop(&self) -> ! {
         port::host::stop()
     }
+}
+
+/// Waits for a notification of the running task; takes one, or all of them.
+fn take(all: bool, timeout: Ticks) -> u32 {
+    port::assert_may_block();
+    // SAFETY: called by a task that may block, about its own word 0.
+    unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
+}
+
+/// The time that the running task has run, in the port's units.
+fn own_run_time() -> u64 {
+    // SAFETY: null means the caller, a task.
+    unsafe { ffi::ulTaskGetRunTimeCounter(ptr::null()) }
 }
