@@ -9,7 +9,9 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
+use tandem_board_riscv32_virt::{
+    clint, doorbell, entry, exit, hart, log, memory, must, task, trap,
+};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
@@ -51,13 +53,6 @@ static STEP: AtomicU32 = AtomicU32::new(0);
 const SEND: u32 = 1;
 const CONTEND: u32 = 2;
 
-const fn task(number: u8) -> TaskId {
-    match TaskId::new(number) {
-        Some(task) => task,
-        None => panic!("not a task number"),
-    }
-}
-
 fn incarnation(core: usize, generation: u32) -> Incarnation {
     match Incarnation::new(core, generation) {
         Some(incarnation) => incarnation,
@@ -78,9 +73,7 @@ fn main(hart: usize) -> ! {
     let map = wait_for("core 0 formats", || Map::attach(lmu, LAYOUT).ok());
     must(map.incarnations().announce(incarnation(1, 1)));
     help(map);
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }
 
 /// Polls until there is a result; yields the turn to the others between polls.

@@ -16,9 +16,7 @@ pub fn exit(status: u16) -> ! {
     };
     // SAFETY: the one register of the test device; the emulator ends with the store.
     unsafe { write_volatile(FINISHER, value) };
-    loop {
-        crate::hart::sleep();
-    }
+    crate::hart::park()
 }
 
 /// The status of an emulator that ended because a hart panicked.

@@ -134,6 +134,13 @@ pub fn sleep() {
     unsafe { asm!("wfi", options(nostack)) };
 }
 
+/// Sleeps for good: this hart has no more work. Interrupts are served if they are switched on.
+pub fn park() -> ! {
+    loop {
+        sleep();
+    }
+}
+
 /// Yields the emulator's turn to the next hart, and continues when all others had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,

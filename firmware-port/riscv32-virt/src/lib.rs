@@ -17,12 +17,15 @@ pub mod hart;
 pub mod heap;
 #[path = "../../log.rs"]
 mod log;
+pub mod measure;
 pub mod memory;
 pub mod peripherals;
 pub mod program_flash;
 mod semihosting;
 pub mod trap;
 pub mod uart;
+
+use tandem_shm::mailbox::TaskId;
 
 /// The value of a result that is an error only if the memory layout is wrong.
 ///
@@ -33,6 +36,18 @@ pub fn must<T, E>(result: Result<T, E>) -> T {
     match result {
         Ok(value) => value,
         Err(_) => panic!("the program is not laid out as it should be"),
+    }
+}
+
+/// Task `number` of a mailbox, in a constant.
+///
+/// # Panics
+/// If there is no such task.
+#[must_use]
+pub const fn task(number: u8) -> TaskId {
+    match TaskId::new(number) {
+        Some(task) => task,
+        None => panic!("not a task number"),
     }
 }
 

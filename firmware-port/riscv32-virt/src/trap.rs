@@ -45,20 +45,9 @@ impl HartState {
 }
 
 /// For each hart. It belongs to the carrier, because it outlives the image that a hart runs.
+// SAFETY: the fields are atomics, of which zero is a value: a null pointer is no handler.
 #[unsafe(link_section = ".bss.carrier.harts")]
-pub(crate) static STATES: [HartState; HARTS] = [const {
-    HartState {
-        rung: AtomicBool::new(false),
-        slice: AtomicU32::new(0),
-        places: AtomicU32::new(0),
-        ended_at: AtomicU32::new(0),
-        repeats: AtomicU32::new(0),
-        held: AtomicBool::new(false),
-        incarnation: AtomicU32::new(0),
-        on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
-        on_turn: AtomicPtr::new(core::ptr::null_mut()),
-    }
-}; HARTS];
+pub(crate) static STATES: [HartState; HARTS] = unsafe { core::mem::zeroed() };
 
 unsafe extern "C" {
     fn tandem_restart_hart(hart: usize) -> !;
@@ -115,10 +104,7 @@ pub(crate) fn release(hart: usize) {
 pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.rung.store(false, Ordering::Relaxed);
-    state.slice.store(0, Ordering::Relaxed);
-    for handler in [&state.on_doorbell, &state.on_turn] {
-        handler.store(core::ptr::null_mut(), Ordering::Relaxed);
-    }
+    forget_handler(hart);
     hart::disable(MTI);
     hart::enable(MSI);
     // Release pairs with the Acquire in `stands`: the carrier never touches a running hart.

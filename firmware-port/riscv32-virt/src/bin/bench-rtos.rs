@@ -9,7 +9,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, measure, memory, must, task};
 use tandem_rtos::{
     Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
 };
@@ -18,9 +18,6 @@ use tandem_shm::map::{Layout, Map};
 use tandem_shm::region::{Mailbox, Region};
 
 entry!(main);
-
-const ROUNDS: u32 = 1000;
-const WARM_UP: u32 = 5;
 
 /// The LMU is formatted, and hart 1 may attach.
 static READY: AtomicBool = AtomicBool::new(false);
@@ -40,9 +37,7 @@ fn main(hart: usize) -> ! {
     match hart {
         0 => control(),
         1 => answer(),
-        _ => loop {
-            hart::sleep();
-        },
+        _ => hart::park(),
     }
 }
 
@@ -50,19 +45,12 @@ const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
 const MAILBOX_1_TO_0: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 1 to 0");
 const LAYOUT: Layout = MAILBOX_1_TO_0.end();
 
-const fn task(number: u8) -> TaskId {
-    match TaskId::new(number) {
-        Some(task) => task,
-        None => panic!("not a task number"),
-    }
-}
-
 /// Hart 0: the kernel with one task.
 fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
     let options = TaskOptions::new("measure", Priority::new(5)).stack_bytes(16 << 10);
-    let measuring = must(kernel.spawn(&options, measure));
+    let measuring = must(kernel.spawn(&options, measure_all));
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let (map, own) = memory::attach(0, LAYOUT);
     let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
@@ -88,7 +76,7 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-fn measure(ctx: &TaskContext) {
+fn measure_all(ctx: &TaskContext) {
     let (map, own) = memory::attach(0, LAYOUT);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
@@ -123,19 +111,9 @@ fn ask(to: &mut Sender<'_>, what: TaskId) {
     }
 }
 
-/// Repeats a round that returns how long it took, each right after a tick, and prints the shortest
-/// and the longest.
+/// Measures a round that returns how long it took; each begins right after a tick.
 fn bench(ctx: &TaskContext, name: &str, mut round: impl FnMut() -> u32) {
-    let (mut min, mut max) = (u32::MAX, 0);
-    for number in 0..WARM_UP + ROUNDS {
-        ctx.delay(Ticks(1));
-        let took = round();
-        if number >= WARM_UP {
-            min = min.min(took);
-            max = max.max(took);
-        }
-    }
-    log!("bench {name} {min} {max}");
+    measure::repeat(name, || ctx.delay(Ticks(1)), |_| round());
 }
 
 /// Hart 1: answers each signal.

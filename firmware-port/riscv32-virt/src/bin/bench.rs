@@ -15,7 +15,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use heapless::spsc;
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
+use tandem_board_riscv32_virt::measure::{self, ROUNDS, WARM_UP};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, memory, must, task, trap};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Call, Ring, TaskId, TaskTable};
@@ -25,9 +26,6 @@ use tandem_shm::{fifo, newest};
 
 entry!(main);
 
-const ROUNDS: u32 = 1000;
-/// Rounds before the first one that counts.
-const WARM_UP: u32 = 5;
 const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
 const FIFO_0_TO_1: Region<Fifo<u32, 4>> = MAILBOX_0_TO_1.then("fifo 0 to 1");
 const NEWEST_0_TO_1: Region<Newest<u32>> = FIFO_0_TO_1.then("newest value 0 to 1");
@@ -39,13 +37,6 @@ const NEWEST: TaskId = task(2);
 const FIFO: TaskId = task(3);
 const VALUE: TaskId = task(4);
 const STOP: TaskId = task(5);
-
-const fn task(number: u8) -> TaskId {
-    match TaskId::new(number) {
-        Some(task) => task,
-        None => panic!("not a task number"),
-    }
-}
 
 /// When the answering side was reached, and how many times.
 static SEEN_AT: AtomicU32 = AtomicU32::new(0);
@@ -139,18 +130,10 @@ unsafe extern "C" {
 
 fn main(hart: usize) -> ! {
     match hart {
-        0 => measure(),
+        0 => measure_all(),
         1 => answer(),
         2 => contend(2),
-        _ => loop {
-            hart::sleep();
-        },
-    }
-    if hart == 0 {
-        exit::exit(0)
-    }
-    loop {
-        hart::sleep();
+        _ => hart::park(),
     }
 }
 
@@ -159,18 +142,9 @@ fn settle() {
     (0..8).for_each(|_| hart::yield_turn());
 }
 
-/// Repeats a round that returns how long it took, and prints the shortest and the longest.
-fn bench(name: &str, mut round: impl FnMut(u32) -> u32) {
-    let (mut min, mut max) = (u32::MAX, 0);
-    for number in 0..WARM_UP + ROUNDS {
-        settle();
-        let took = round(number);
-        if number >= WARM_UP {
-            min = min.min(took);
-            max = max.max(took);
-        }
-    }
-    log!("bench {name} {min} {max}");
+/// Measures a round that returns how long it took; each begins while all other harts are idle.
+fn bench(name: &str, round: impl FnMut(u32) -> u32) {
+    measure::repeat(name, settle, round);
 }
 
 /// How long `act` takes to reach hart 1.
@@ -198,7 +172,7 @@ fn ring(ring: Ring) {
     }
 }
 
-fn measure() {
+fn measure_all() -> ! {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let (map, own) = memory::attach(0, LAYOUT);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
@@ -265,6 +239,7 @@ fn measure() {
         must(pool.give_back(handle));
         hart::cycles().wrapping_sub(begin)
     });
+    exit::exit(0)
 }
 
 /// What others use for the same between two cores; the board's doorbell wakes the receiver.

@@ -9,7 +9,7 @@
 
 use tandem_board::{Board, CoreId, Supply};
 use tandem_board_riscv32_virt::board::{ByTimer, VirtBoard, run};
-use tandem_board_riscv32_virt::memory::{Strap, public_key, strap};
+use tandem_board_riscv32_virt::memory::public_key;
 use tandem_board_riscv32_virt::peripherals::Peripherals;
 use tandem_board_riscv32_virt::program_flash::{BEGIN, ProgramFlash};
 use tandem_board_riscv32_virt::{entry, log};
@@ -21,7 +21,7 @@ entry!(main);
 const SLICE_TICKS: u32 = 500;
 
 fn main(hart: usize) -> ! {
-    run(hart, SLICE_TICKS, core, outside)
+    run(hart, SLICE_TICKS, core, Peripherals::play_for_world)
 }
 
 /// The first program of a core in each of its incarnations.
@@ -57,9 +57,4 @@ fn boot(board: &VirtBoard) -> tandem_boot::Launch {
             Leave::StartPrimary => bank = Bank::Primary,
         }
     }
-}
-
-fn outside(peripherals: &mut Peripherals) -> ! {
-    let systems = strap(Strap::First);
-    peripherals.play_for_world([systems & 1 != 0, systems & 2 != 0])
 }

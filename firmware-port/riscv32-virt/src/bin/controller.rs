@@ -7,16 +7,15 @@
 use tandem_board_riscv32_virt::board::run;
 use tandem_board_riscv32_virt::controller::{self, SLICE_TICKS};
 use tandem_board_riscv32_virt::entry;
-use tandem_board_riscv32_virt::memory::{Strap, strap};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
 
 entry!(main);
 
 fn main(hart: usize) -> ! {
-    run(hart, SLICE_TICKS, controller::core, outside)
-}
-
-fn outside(peripherals: &mut Peripherals) -> ! {
-    let systems = strap(Strap::First);
-    peripherals.play_for_world([systems & 1 != 0, systems & 2 != 0])
+    run(
+        hart,
+        SLICE_TICKS,
+        controller::core,
+        Peripherals::play_for_world,
+    )
 }

@@ -11,9 +11,7 @@ entry!(main);
 
 fn main(hart: usize) -> ! {
     if hart != 0 {
-        loop {
-            hart::sleep();
-        }
+        hart::park()
     }
     let recording = memory::recording();
     let begin = hart::cycles();

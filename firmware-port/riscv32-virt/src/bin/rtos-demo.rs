@@ -53,9 +53,7 @@ fn main(hart: usize) -> ! {
     if hart == 0 {
         control()
     }
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }
 
 fn control() -> ! {

@@ -72,9 +72,7 @@ fn main(hart: usize) -> ! {
     match hart {
         CARRIER => sweep(),
         0..CORES => player(hart),
-        _ => loop {
-            hart::sleep();
-        },
+        _ => hart::park(),
     }
 }
 

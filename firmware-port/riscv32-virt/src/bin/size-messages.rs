@@ -22,9 +22,7 @@ fn main(hart: usize) -> ! {
     } else {
         receive(mailbox, queue);
     }
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }
 
 type Words = [core::sync::atomic::AtomicU32];

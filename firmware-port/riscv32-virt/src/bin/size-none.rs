@@ -8,7 +8,5 @@ use tandem_board_riscv32_virt::{entry, hart};
 entry!(main);
 
 fn main(_: usize) -> ! {
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }

@@ -31,9 +31,7 @@ fn main(hart: usize) -> ! {
         send(incarnation);
         receive(incarnation);
     }
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }
 
 fn map() -> Option<Map<'static>> {

@@ -48,9 +48,7 @@ fn main(hart: usize) -> ! {
     match hart {
         0 => core_0(),
         1 => core_1(),
-        _ => loop {
-            hart::sleep();
-        },
+        _ => hart::park(),
     }
 }
 
@@ -98,9 +96,7 @@ fn core_1() -> ! {
         }
     }
     count_both(&map, own);
-    loop {
-        hart::sleep();
-    }
+    hart::park()
 }
 
 /// 6.4.3: both cores count, first without the lock and then with it. Core 0 prints.

@@ -145,9 +145,7 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Perip
         outside(&mut Peripherals::new());
     }
     let Some(address) = CoreAddress::from_index(hart) else {
-        loop {
-            hart::sleep();
-        }
+        hart::park()
     };
     trap::begin_held(hart);
     trap::sleep_while_held(hart);
@@ -159,9 +157,7 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Perip
 pub fn run_in_slot(hart: usize, slice: u32, core: fn(&VirtBoard)) -> ! {
     match CoreAddress::from_index(hart) {
         Some(address) => begin(address, slice, core),
-        None => loop {
-            hart::sleep();
-        },
+        None => hart::park(),
     }
 }
 

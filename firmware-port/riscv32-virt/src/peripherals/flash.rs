@@ -16,14 +16,6 @@ pub(crate) struct Registers {
 }
 
 impl Registers {
-    pub(crate) const fn new() -> Self {
-        Self {
-            cells: [const { AtomicU8::new(0) }; SIZE],
-            begun: AtomicU32::new(0),
-            takes: AtomicU32::new(0),
-        }
-    }
-
     /// As delivered: erased.
     pub(crate) fn erase_all(&self) {
         self.cells

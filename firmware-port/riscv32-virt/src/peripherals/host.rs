@@ -25,8 +25,9 @@ static OUT: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
 #[unsafe(link_section = ".bss.carrier")]
 static IN: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
 /// Frames that were on the bus here since the last exchange.
+// SAFETY: a queue is atomics, of which zero is a value.
 #[unsafe(link_section = ".bss.carrier")]
-static FRAMES: Ring<128, FRAME_WORDS> = Ring::new();
+static FRAMES: Ring<128, FRAME_WORDS> = unsafe { core::mem::zeroed() };
 
 pub(super) struct Host {
     to: File,

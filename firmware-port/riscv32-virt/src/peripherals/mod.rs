@@ -72,18 +72,6 @@ pub(crate) struct SystemRegisters {
 }
 
 impl CoreRegisters {
-    const fn new() -> Self {
-        Self {
-            transmit: Ring::new(),
-            receive: Ring::new(),
-            overruns: AtomicU32::new(0),
-            can_errors: AtomicU32::new(0),
-            wake_on_receive: AtomicBool::new(false),
-            trace: Ring::new(),
-            trace_lost: AtomicU32::new(0),
-        }
-    }
-
     /// As at power-on. The core stands still.
     fn clear(&self) {
         self.transmit.clear();
@@ -93,31 +81,10 @@ impl CoreRegisters {
     }
 }
 
-impl SystemRegisters {
-    const fn new() -> Self {
-        Self {
-            cores: [const { CoreRegisters::new() }; CoreId::COUNT],
-            edges: [const { [const { AtomicU32::new(0) }; 2] }; Line::ALL.len()],
-            link: Ring::new(),
-            flash: flash::Registers::new(),
-            services: Ring::new(),
-            service_count: AtomicU32::new(0),
-            powered: AtomicBool::new(false),
-            level_cut: AtomicBool::new(false),
-            generation: AtomicU32::new(0),
-            cause: AtomicU32::new(0),
-            request: AtomicU32::new(0),
-            lamp: AtomicU32::new(0),
-            faults: AtomicU32::new(0),
-            released: AtomicU32::new(0),
-            entries: [const { AtomicU32::new(0) }; CoreId::COUNT],
-        }
-    }
-}
-
 // The linker scripts keep it apart from the RAM of the cores, at the same place in all images.
+// SAFETY: registers are atomics, of which zero is a value.
 #[unsafe(link_section = ".bss.carrier.systems")]
-static SYSTEMS: [SystemRegisters; 2] = [const { SystemRegisters::new() }; 2];
+static SYSTEMS: [SystemRegisters; 2] = unsafe { core::mem::zeroed() };
 
 /// The registers of a system.
 pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {

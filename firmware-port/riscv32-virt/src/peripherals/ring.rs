@@ -2,7 +2,8 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Up to `SLOTS` records (a power of two) of `WORDS` words, or one less word and its length.
+/// Up to `SLOTS` records (a power of two) of `WORDS` words, or one less word and its length. Zeroed
+/// memory is an empty queue.
 pub(crate) struct Ring<const SLOTS: usize, const WORDS: usize> {
     /// Records put so far; the putting hart's. Wraps around.
     put: AtomicU32,
@@ -14,18 +15,9 @@ pub(crate) struct Ring<const SLOTS: usize, const WORDS: usize> {
 }
 
 impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
-    pub(crate) const fn new() -> Self {
-        assert!(SLOTS.is_power_of_two());
-        Self {
-            put: AtomicU32::new(0),
-            taken: AtomicU32::new(0),
-            discarded: AtomicU32::new(0),
-            slots: [const { [const { AtomicU32::new(0) }; WORDS] }; SLOTS],
-        }
-    }
-
     /// Puts a record of at most `WORDS` words; returns whether there was room.
     pub(crate) fn put(&self, record: &[u32]) -> bool {
+        const { assert!(SLOTS.is_power_of_two()) };
         let put = self.put.load(Ordering::Relaxed);
         // Acquire pairs with the Release in `take`: the slot has been read.
         if put.wrapping_sub(self.taken.load(Ordering::Acquire)) as usize >= SLOTS {

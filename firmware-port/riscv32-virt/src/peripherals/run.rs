@@ -4,7 +4,7 @@ use super::host::Host;
 use super::{core, interrupt, now, set_fault, system};
 use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
-use crate::memory::{self, stack_used};
+use crate::memory::{self, Strap, stack_used, strap};
 use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{
@@ -99,10 +99,13 @@ impl Peripherals {
         system(which).level_cut.store(false, Relaxed);
     }
 
-    /// Emulates the hardware around these systems, which are without power at first, for the world
-    /// outside: the world connects the battery, and ends the machine.
-    pub fn play_for_world(&mut self, here: [bool; 2]) -> ! {
-        self.connect(here);
+    /// Emulates the hardware around the systems in this machine for the world outside. They are
+    /// without power at first: the world connects the battery, and ends the machine.
+    ///
+    /// Strap `First`: which systems are here, 1 A, 2 B, 3 both.
+    pub fn play_for_world(&mut self) -> ! {
+        let systems = strap(Strap::First);
+        self.connect([systems & 1 != 0, systems & 2 != 0]);
         self.set_watchdogs(true);
         for system in self.systems() {
             self.power_off(system);
