@@ -7,7 +7,7 @@ static BUSY: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line. While another processor writes one, calls `pause` repeatedly.
 pub(crate) fn write_line(uart: &mut impl Write, pause: impl Fn(), line: fmt::Arguments<'_>) {
-    // Acquire pairs with the Release below: lines come whole.
+    // Acquire pairs with the Release below: lines stay whole.
     while BUSY.swap(true, Ordering::Acquire) {
         pause();
     }

@@ -210,7 +210,7 @@ extern void tandem_on_panic(void);
 // The last operation failed.
 #define TANDEM_FLASH_FAILED 2
 
-// The result of a call. Below 16 it did what its name says; from 16 on it did nothing.
+// The result of a call. Below 16 the call succeeded; from 16 on it changed nothing.
 //
 // 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
 // 48 and above are mistakes of the caller.
@@ -291,8 +291,8 @@ typedef struct tandem_map_t {
   size_t opaque[8];
 } tandem_map_t;
 
-// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read
-// and written whole.
+// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read and
+// written whole.
 typedef struct tandem_words_t {
   // The first word.
   tandem_word_t *first;
@@ -340,7 +340,7 @@ typedef struct tandem_config_t {
   uint32_t heartbeat_period_us;
   // How many heartbeats in a row must be missing before a line counts as silent.
   uint32_t heartbeat_misses;
-  // How much later than due a heartbeat may come on top of that.
+  // How much later than due a heartbeat may arrive on top of that.
   uint32_t heartbeat_jitter_us;
   // Longest time between two polls.
   uint32_t poll_interval_us;
@@ -348,7 +348,7 @@ typedef struct tandem_config_t {
   uint32_t standby_limit_us;
   // Period of the control frames.
   uint32_t control_period_us;
-  // How much later than due a control frame may come.
+  // How much later than due a control frame may arrive.
   uint32_t control_margin_us;
   // How many periods without a control frame make a master mute.
   uint32_t mute_periods;
@@ -379,8 +379,8 @@ typedef struct tandem_config_t {
   uint32_t report_limit_us;
   // Without a status frame of the standby on CAN for this long, a master has no backup.
   uint32_t status_limit_us;
-  // After a change of the driver, a new standby takes over only on the vehicle's word for this
-  // long.
+  // For this long after a takeover, a new standby takes over only if the vehicle's report demands
+  // it.
   uint32_t hold_down_us;
 } tandem_config_t;
 
@@ -434,7 +434,7 @@ typedef struct tandem_pool_t {
 // Names words that were lent. Plain data: it may be sent to another core as two words. Every use
 // checks it, for it may be stale or forged.
 typedef struct tandem_handle_t {
-  // What it consists of.
+  // Its content.
   uint32_t words[2];
 } tandem_handle_t;
 
@@ -452,7 +452,7 @@ typedef struct tandem_state_t {
   uint32_t sys_failure;
   // What failed in this system: a `TANDEM_FAILURE_…`.
   uint32_t failure_mode;
-  // Not 0: the other system is taken for failed.
+  // Not 0: the other system counts as failed.
   uint32_t cpsys_failure;
   // Abnormal resets so far.
   uint32_t abn_resets;
@@ -531,7 +531,7 @@ typedef struct tandem_control_frame_t {
   uint32_t mode;
 } tandem_control_frame_t;
 
-// A system's word about itself: over the link every control cycle, and in its status frame.
+// A system's report about itself: over the link every control cycle, and in its status frame.
 typedef struct tandem_report_t {
   // Its `TANDEM_ROLE_…`.
   uint32_t role;
@@ -603,7 +603,7 @@ tandem_status_t tandem_fifo_consumer_attach(struct tandem_fifo_consumer_t *consu
                                             size_t slots,
                                             size_t slot_words);
 
-// The next value, to be worked on in place; it stays the next one until `tandem_fifo_release`.
+// The next value, to be read in place; it stays the next one until `tandem_fifo_release`.
 // Does not block.
 //
 // `TANDEM_STATUS_EMPTY`
@@ -644,8 +644,8 @@ tandem_status_t tandem_newest_reader_attach(struct tandem_newest_reader_t *reade
                                             size_t slots,
                                             size_t slot_words);
 
-// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
-// so. Does not block.
+// The newest value, to be read in place. What is read counts only if `tandem_newest_finish` returns
+// `TANDEM_STATUS_OK`. Does not block.
 //
 // `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
 // faster: try again.
@@ -655,7 +655,7 @@ tandem_status_t tandem_newest_view(struct tandem_newest_reader_t *reader,
 // Whether all that was read through the last view was one value; its number, counted over all
 // incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
 //
-// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
+// `TANDEM_STATUS_OVERRUN`: discard what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 tandem_status_t tandem_newest_finish(struct tandem_newest_reader_t *reader, uint32_t *number);
 
 // Copies the newest value to `into`, as many words as both have, and its number to `number` (may
@@ -713,13 +713,13 @@ tandem_status_t tandem_broadcast_receive(struct tandem_broadcast_receiver_t *rec
 // Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
 // NULL). Does not block.
 //
-// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: forget what was read.
+// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: discard what was read.
 // `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
 tandem_status_t tandem_broadcast_finish(struct tandem_broadcast_receiver_t *receiver,
                                         uint32_t *number,
                                         uint32_t *lost);
 
-// The profile for chips: nothing stalls, and the link tells as often as the heartbeat lines.
+// The profile for chips: nothing stalls, and the link reports as often as the heartbeat lines.
 //
 // # Safety
 // 1 of the caller's contract.
@@ -732,8 +732,8 @@ tandem_status_t tandem_config_rt(struct tandem_config_t *config);
 tandem_status_t tandem_config_check(const struct tandem_config_t *config);
 
 // Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
-// announced. A lock that an earlier incarnation held is not released by this, but recovered by the
-// next taker. Task; does not block.
+// announced. A lock that an earlier incarnation held is not released by this: its next owner
+// recovers it. Task; does not block.
 tandem_status_t tandem_lock_attach(struct tandem_lock_t *lock,
                                    const struct tandem_map_t *map,
                                    size_t region,
@@ -763,7 +763,7 @@ tandem_status_t tandem_lock_try_acquire(struct tandem_lock_t *lock);
 tandem_status_t tandem_lock_release(struct tandem_lock_t *lock);
 
 // Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-// once afterwards: an earlier incarnation may not have come so far. Task; does not block.
+// once afterwards: an earlier incarnation may have died before it did. Task; does not block.
 tandem_status_t tandem_mailbox_sender_attach(struct tandem_mailbox_sender_t *sender,
                                              const struct tandem_map_t *map,
                                              size_t region);
@@ -775,18 +775,19 @@ tandem_status_t tandem_mailbox_sender_attach(struct tandem_mailbox_sender_t *sen
 // `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 tandem_status_t tandem_mailbox_signal(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
-// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
+// Signals a task and passes it a value; of several values it gets the newest. Otherwise as
 // `tandem_mailbox_signal`.
 tandem_status_t tandem_mailbox_signal_with(struct tandem_mailbox_sender_t *sender,
                                            uint32_t task,
                                            uint32_t value);
 
-// How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
+// How many signals to a task are not handled yet; 0 if an argument is not valid. Any context;
 // does not block.
 uint32_t tandem_mailbox_open(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
 // Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-// an earlier incarnation of this core left open come with the first poll. Task; does not block.
+// an earlier incarnation of this core left open are handled by the first poll. Task; does not
+// block.
 tandem_status_t tandem_mailbox_receiver_attach(struct tandem_mailbox_receiver_t *receiver,
                                                const struct tandem_map_t *map,
                                                size_t region);
@@ -814,14 +815,14 @@ tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver, 
 // How many signals named a task without a handler; they count as handled. Task; does not block.
 uint32_t tandem_mailbox_unknown(struct tandem_mailbox_receiver_t *receiver);
 
-// Says that this core is going to sleep: from now on signals want the doorbell. Disable
+// Announces that this core is going to sleep: from now on signals need the doorbell. Disable
 // interrupts, call this, sleep on `TANDEM_STATUS_OK`, enable them, call `tandem_mailbox_awake`.
 // Does not block.
 //
-// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are there: poll instead.
+// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are open: poll instead.
 tandem_status_t tandem_mailbox_prepare_sleep(struct tandem_mailbox_receiver_t *receiver);
 
-// Says that this core is awake: signals need no doorbell. Does not block.
+// Announces that this core is awake: signals need no doorbell. Does not block.
 tandem_status_t tandem_mailbox_awake(struct tandem_mailbox_receiver_t *receiver);
 
 // Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`). `layout` must stay where it is
@@ -858,7 +859,7 @@ tandem_status_t tandem_map_attach(struct tandem_map_t *map,
                                   void *base,
                                   size_t bytes);
 
-// The words of region `index` of the layout, rounded up to whole cache lines: for what this
+// The words of region `index` of the layout, rounded up to whole cache lines: for data that this
 // library does not know. Any context; does not block.
 //
 // `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
@@ -884,8 +885,8 @@ tandem_status_t tandem_incarnation_mark_dead(const struct tandem_map_t *map,
                                              uint32_t core,
                                              uint32_t generation);
 
-// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
-// arguments are no good. Any context; does not block.
+// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or an
+// argument is not valid. Any context; does not block.
 uint32_t tandem_incarnation_current(const struct tandem_map_t *map, uint32_t core);
 
 // Words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if there can be no such pool.
@@ -910,8 +911,8 @@ tandem_status_t tandem_pool_get(struct tandem_pool_t *pool,
                                 size_t count,
                                 struct tandem_handle_t *handle);
 
-// The words that a handle names, if this incarnation owns them; they are one's own until they are
-// given back or handed over. Any context; does not block.
+// The words that a handle names, if this incarnation owns them; it owns them until they are given
+// back or handed over. Any context; does not block.
 //
 // `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 tandem_status_t tandem_pool_open(struct tandem_pool_t *pool,
@@ -972,7 +973,7 @@ tandem_status_t tandem_redundancy_status_frame(struct tandem_redundancy_t *machi
                                                const struct tandem_report_t *report,
                                                struct tandem_actions_t *actions);
 
-// A datagram of the other system came over the link: `words` of `count` words. Any context; does
+// A datagram of the other system arrived over the link: `words` of `count` words. Any context; does
 // not block.
 //
 // `TANDEM_STATUS_INVALID` if it is no report.
@@ -993,9 +994,10 @@ tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machin
                                               const struct tandem_control_frame_t *frame,
                                               struct tandem_actions_t *actions);
 
-// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
-// ago; 0 if it has accepted none. It sent this `on_the_way_ns` ago, at `sent_ms` of its own clock,
-// of which the last eight bits count; below 0 if it does not tell. Any context; does not block.
+// The vehicle reported which term it obeys: that of the last control frame that it accepted,
+// `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago, at `sent_ms` of
+// its own clock, of which the last eight bits count; below 0 if the report has no time. Any
+// context; does not block.
 tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                uint32_t term,
@@ -1024,7 +1026,7 @@ uint32_t tandem_redundancy_mode(struct tandem_redundancy_t *machine);
 // The term for control frames; meaningful while the system drives. Any context.
 uint32_t tandem_redundancy_term(struct tandem_redundancy_t *machine);
 
-// What to tell the other system now: the datagram for the link goes to `words`
+// What to report to the other system now: the datagram for the link goes to `words`
 // (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
 // null. Any context; does not block.
 //
@@ -1050,12 +1052,12 @@ tandem_status_t tandem_store_load(struct tandem_store_t *store,
                                   void *context,
                                   struct tandem_loaded_t *loaded);
 
-// Asks for a state to be written: the one that the actions of the redundancy name. Does not block.
+// Requests that a state be written: the one in the actions of the redundancy. Does not block.
 tandem_status_t tandem_store_request(struct tandem_store_t *store,
                                      const struct tandem_state_t *state);
 
 // The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
-// `_FAILED`). Start it before the next call, or say `tandem_store_refused`. Does not block.
+// `_FAILED`). Start it before the next call, or call `tandem_store_refused`. Does not block.
 tandem_status_t tandem_store_poll(struct tandem_store_t *store,
                                   uint32_t flash,
                                   struct tandem_flash_op_t *op);

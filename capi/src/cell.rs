@@ -7,8 +7,8 @@ use crate::status::{TandemStatus, status};
 use core::mem::MaybeUninit;
 use core::sync::atomic::AtomicU32;
 
-/// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read
-/// and written whole.
+/// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read and
+/// written whole.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemWords {
@@ -167,8 +167,8 @@ pub(crate) unsafe fn lend<O: Opaque>(
     })
 }
 
-/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C, and
-/// that may come back to the same object.
+/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C, which
+/// may call a function on the same object.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -178,8 +178,8 @@ pub(crate) unsafe fn occupy<O: Opaque, R>(
 ) -> Result<R, TandemStatus> {
     // SAFETY: 1 is passed on.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: as in `get`; the mark keeps calls out that come while `call` runs, so the reference
-    // to the value is the only one. The mark is no part of the value.
+    // SAFETY: as in `get`; the mark refuses calls while `call` runs, so the reference to the value
+    // is the only one. The mark is not part of the value.
     unsafe {
         (&raw mut (*cell).mark).write(IN_USE);
         let result = call((*cell).value.assume_init_mut());
@@ -209,7 +209,7 @@ pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> 
     Ok(())
 }
 
-/// Writes a result that C may not want: then `to` is NULL.
+/// Writes an optional result: nothing if `to` is NULL.
 ///
 /// # Safety
 /// 1 of the caller's contract.

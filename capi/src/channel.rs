@@ -213,7 +213,7 @@ pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     unsafe { attach(consumer, place, bare::fifo_consumer::<()>) }
 }
 
-/// The next value, to be worked on in place; it stays the next one until `tandem_fifo_release`.
+/// The next value, to be read in place; it stays the next one until `tandem_fifo_release`.
 /// Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY`
@@ -313,8 +313,8 @@ pub unsafe extern "C" fn tandem_newest_reader_attach(
     unsafe { attach(reader, place, bare::newest_reader::<()>) }
 }
 
-/// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
-/// so. Does not block.
+/// The newest value, to be read in place. What is read counts only if `tandem_newest_finish` returns
+/// `TANDEM_STATUS_OK`. Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
 /// faster: try again.
@@ -335,7 +335,7 @@ pub unsafe extern "C" fn tandem_newest_view(
 /// Whether all that was read through the last view was one value; its number, counted over all
 /// incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
 ///
-/// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
+/// `TANDEM_STATUS_OVERRUN`: discard what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_finish(
     reader: *mut TandemNewestReader,
@@ -482,7 +482,7 @@ pub unsafe extern "C" fn tandem_broadcast_receive(
 /// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
 /// NULL). Does not block.
 ///
-/// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: forget what was read.
+/// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: discard what was read.
 /// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_finish(

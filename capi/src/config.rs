@@ -16,7 +16,7 @@ pub struct TandemConfig {
     pub heartbeat_period_us: u32,
     /// How many heartbeats in a row must be missing before a line counts as silent.
     pub heartbeat_misses: u32,
-    /// How much later than due a heartbeat may come on top of that.
+    /// How much later than due a heartbeat may arrive on top of that.
     pub heartbeat_jitter_us: u32,
     /// Longest time between two polls.
     pub poll_interval_us: u32,
@@ -24,7 +24,7 @@ pub struct TandemConfig {
     pub standby_limit_us: u32,
     /// Period of the control frames.
     pub control_period_us: u32,
-    /// How much later than due a control frame may come.
+    /// How much later than due a control frame may arrive.
     pub control_margin_us: u32,
     /// How many periods without a control frame make a master mute.
     pub mute_periods: u32,
@@ -55,8 +55,8 @@ pub struct TandemConfig {
     pub report_limit_us: u32,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
     pub status_limit_us: u32,
-    /// After a change of the driver, a new standby takes over only on the vehicle's word for this
-    /// long.
+    /// For this long after a takeover, a new standby takes over only if the vehicle's report demands
+    /// it.
     pub hold_down_us: u32,
 }
 
@@ -122,7 +122,7 @@ impl TandemConfig {
     }
 }
 
-/// The profile for chips: nothing stalls, and the link tells as often as the heartbeat lines.
+/// The profile for chips: nothing stalls, and the link reports as often as the heartbeat lines.
 ///
 /// # Safety
 /// 1 of the caller's contract.

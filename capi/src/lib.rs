@@ -1,13 +1,12 @@
 //! `shm` and `redundancy` for firmware in C: a static library and `include/tandem.h` (no_std).
 //!
-//! The header is generated from this crate by cbindgen; what stands here in doc comments stands
-//! there. `cargo xtask c-header` writes it, and a test refuses a stale one.
+//! The header is generated from this crate by cbindgen, with the doc comments of this crate. `cargo xtask c-header` writes it, and a test refuses a stale one.
 //!
 //! # What every function holds to
 //!
 //! - **Objects live in memory that C gives**: opaque types of known size and alignment, statically
 //!   placed and zero at first. Nothing is allocated. An object that was not attached is refused
-//!   with `TANDEM_STATUS_NOT_ATTACHED`; it is told by a mark in it.
+//!   with `TANDEM_STATUS_NOT_ATTACHED`, because it lacks a mark.
 //! - **No panic crosses the boundary**: arguments are checked, and an error is a
 //!   [`TandemStatus`]. Where Rust would panic nevertheless, `tandem_on_panic` is
 //!   called, which the firmware defines.
@@ -53,7 +52,7 @@ pub use redundancy::*;
 pub use status::*;
 pub use store::*;
 
-/// On bare metal the firmware says what a panic does.
+/// On bare metal the firmware defines the reaction to a panic.
 #[cfg(target_os = "none")]
 mod on_panic {
     unsafe extern "C" {

@@ -32,8 +32,8 @@ opaque!(TandemLock, End, 0x03);
 pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
 
 /// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
-/// announced. A lock that an earlier incarnation held is not released by this, but recovered by the
-/// next taker. Task; does not block.
+/// announced. A lock that an earlier incarnation held is not released by this: its next owner
+/// recovers it. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_attach(
     lock: *mut TandemLock,

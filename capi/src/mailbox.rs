@@ -59,7 +59,7 @@ fn task_id(task: u32) -> Result<TaskId, S> {
 }
 
 /// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-/// once afterwards: an earlier incarnation may not have come so far. Task; does not block.
+/// once afterwards: an earlier incarnation may have died before it did. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     sender: *mut TandemMailboxSender,
@@ -88,7 +88,7 @@ pub unsafe extern "C" fn tandem_mailbox_signal(
     unsafe { cell::with(sender, |sender| Ok(sender.signal(task_id(task)?))) }
 }
 
-/// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
+/// Signals a task and passes it a value; of several values it gets the newest. Otherwise as
 /// `tandem_mailbox_signal`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_signal_with(
@@ -113,7 +113,7 @@ impl From<Ring> for S {
     }
 }
 
-/// How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
+/// How many signals to a task are not handled yet; 0 if an argument is not valid. Any context;
 /// does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
@@ -126,7 +126,8 @@ pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, t
 }
 
 /// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-/// an earlier incarnation of this core left open come with the first poll. Task; does not block.
+/// an earlier incarnation of this core left open are handled by the first poll. Task; does not
+/// block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
     receiver: *mut TandemMailboxReceiver,
@@ -224,11 +225,11 @@ pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxRece
     unsafe { cell::get(receiver) }.map_or(0, |table| table.unknown)
 }
 
-/// Says that this core is going to sleep: from now on signals want the doorbell. Disable
+/// Announces that this core is going to sleep: from now on signals need the doorbell. Disable
 /// interrupts, call this, sleep on `TANDEM_STATUS_OK`, enable them, call `tandem_mailbox_awake`.
 /// Does not block.
 ///
-/// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are there: poll instead.
+/// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are open: poll instead.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     receiver: *mut TandemMailboxReceiver,
@@ -242,7 +243,7 @@ pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     }
 }
 
-/// Says that this core is awake: signals need no doorbell. Does not block.
+/// Announces that this core is awake: signals need no doorbell. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,

@@ -242,7 +242,7 @@ pub(crate) fn incarnation(core: u32, generation: u32) -> Result<Incarnation, S> 
     Incarnation::new(core as usize, generation).ok_or(S::OutOfRange)
 }
 
-/// The words of region `index` of the layout, rounded up to whole cache lines: for what this
+/// The words of region `index` of the layout, rounded up to whole cache lines: for data that this
 /// library does not know. Any context; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
@@ -294,8 +294,8 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     })
 }
 
-/// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
-/// arguments are no good. Any context; does not block.
+/// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or an
+/// argument is not valid. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_current(map: *const TandemMap, core: u32) -> u32 {
     // SAFETY: the caller's contract is passed on.

@@ -30,7 +30,7 @@ opaque!(TandemPool, Pool<'static>, 0x06);
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemHandle {
-    /// What it consists of.
+    /// Its content.
     pub words: [u32; 2],
 }
 
@@ -116,8 +116,8 @@ pub unsafe extern "C" fn tandem_pool_get(
     }
 }
 
-/// The words that a handle names, if this incarnation owns them; they are one's own until they are
-/// given back or handed over. Any context; does not block.
+/// The words that a handle names, if this incarnation owns them; it owns them until they are given
+/// back or handed over. Any context; does not block.
 ///
 /// `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 #[unsafe(no_mangle)]

@@ -1,4 +1,4 @@
-//! The redundancy machine: told the time and what was seen, answers what to do.
+//! The redundancy machine: gets the time and what was received, and returns what to do.
 
 use crate::cell::{self, opaque};
 use crate::config::TandemConfig;
@@ -110,7 +110,7 @@ pub struct TandemControlFrame {
     pub mode: u32,
 }
 
-/// A system's word about itself: over the link every control cycle, and in its status frame.
+/// A system's report about itself: over the link every control cycle, and in its status frame.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemReport {
@@ -388,7 +388,7 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     unsafe { pass_read(machine, now_ns, actions, report, input) }
 }
 
-/// A datagram of the other system came over the link: `words` of `count` words. Any context; does
+/// A datagram of the other system arrived over the link: `words` of `count` words. Any context; does
 /// not block.
 ///
 /// `TANDEM_STATUS_INVALID` if it is no report.
@@ -427,9 +427,10 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     unsafe { pass_read(machine, now_ns, actions, frame, input) }
 }
 
-/// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
-/// ago; 0 if it has accepted none. It sent this `on_the_way_ns` ago, at `sent_ms` of its own clock,
-/// of which the last eight bits count; below 0 if it does not tell. Any context; does not block.
+/// The vehicle reported which term it obeys: that of the last control frame that it accepted,
+/// `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago, at `sent_ms` of
+/// its own clock, of which the last eight bits count; below 0 if the report has no time. Any
+/// context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
@@ -440,11 +441,11 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     on_the_way_ns: u64,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    let tells = sent_ms >= 0;
+    let has_time = sent_ms >= 0;
     let input = Input::VehicleTerm(ObeyedTerm {
         term: Term::from_bits(term),
         age: Duration::from_ns(age_ns),
-        sent: tells.then_some((sent_ms as u8, Duration::from_ns(on_the_way_ns))),
+        sent: has_time.then_some((sent_ms as u8, Duration::from_ns(on_the_way_ns))),
     });
     // SAFETY: the caller's contract is passed on.
     unsafe { pass(machine, now_ns, actions, || Ok(input)) }
@@ -497,7 +498,7 @@ pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) 
     unsafe { cell::get(machine) }.map_or(0, |machine| machine.term().bits())
 }
 
-/// What to tell the other system now: the datagram for the link goes to `words`
+/// What to report to the other system now: the datagram for the link goes to `words`
 /// (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
 /// null. Any context; does not block.
 ///

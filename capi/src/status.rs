@@ -1,6 +1,6 @@
 //! The result of a call.
 
-/// The result of a call. Below 16 it did what its name says; from 16 on it did nothing.
+/// The result of a call. Below 16 the call succeeded; from 16 on it changed nothing.
 ///
 /// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
 /// 48 and above are mistakes of the caller.

@@ -26,7 +26,7 @@ pub struct TandemState {
     pub sys_failure: u32,
     /// What failed in this system: a `TANDEM_FAILURE_…`.
     pub failure_mode: u32,
-    /// Not 0: the other system is taken for failed.
+    /// Not 0: the other system counts as failed.
     pub cpsys_failure: u32,
     /// Abnormal resets so far.
     pub abn_resets: u32,
@@ -267,7 +267,7 @@ pub unsafe extern "C" fn tandem_store_load(
     })
 }
 
-/// Asks for a state to be written: the one that the actions of the redundancy name. Does not block.
+/// Requests that a state be written: the one in the actions of the redundancy. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_request(
     store: *mut TandemStore,
@@ -281,7 +281,7 @@ pub unsafe extern "C" fn tandem_store_request(
 }
 
 /// The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
-/// `_FAILED`). Start it before the next call, or say `tandem_store_refused`. Does not block.
+/// `_FAILED`). Start it before the next call, or call `tandem_store_refused`. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_poll(
     store: *mut TandemStore,

@@ -309,7 +309,7 @@ fn words_of_the_pool_are_named_by_handles_that_are_checked() {
         assert_eq!(
             tandem_pool_free_words(pool),
             64,
-            "nothing was taken for nobody"
+            "a refused call borrows nothing"
         );
         assert_eq!(tandem_pool_get(pool, 17, h), S::Ok);
         assert_eq!(tandem_pool_open(pool, *h, w), S::Ok);
@@ -408,7 +408,7 @@ unsafe extern "C" fn read(context: *mut c_void, offset: u32, into: *mut u8, coun
     0
 }
 
-/// The next incarnation finds what the machine asked to keep.
+/// The next incarnation finds the state that the machine asked to store.
 #[test]
 fn the_state_goes_through_the_flash_of_c() {
     let mut flash = Flash([0xFF; 256]);

@@ -15,7 +15,7 @@ impl Interrupt {
     /// Source 0 to 62. The target has [`Interrupt::DOORBELL`] and [`Interrupt::EXTERNAL`] only.
     ///
     /// # Panics
-    /// Above 62; in a constant that is an error of the compiler.
+    /// Above 62; in a constant that is a compile error.
     #[must_use]
     pub const fn new(number: u8) -> Self {
         assert!(number <= Self::LAST.0, "interrupts end at 62");
@@ -45,7 +45,7 @@ impl InterruptPriority {
     /// A priority of 3 to 255.
     ///
     /// # Panics
-    /// Below 3; in a constant that is an error of the compiler.
+    /// Below 3; in a constant that is a compile error.
     #[must_use]
     pub const fn new(level: u8) -> Self {
         assert!(

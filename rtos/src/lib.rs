@@ -54,5 +54,5 @@ pub mod riscv32 {
 
 /// The time-out passed before the wait was over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the time was over")]
+#[error("the time-out has passed")]
 pub struct TimedOut;

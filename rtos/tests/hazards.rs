@@ -354,7 +354,7 @@ fn another_fault_is_what_it_was() {
     const NAME: &str = "another_fault_is_what_it_was";
     if is_child("wild") {
         run(Clock::Wall, |kernel| {
-            // SAFETY: none: that is what is tested.
+            // SAFETY: none: the test needs the fault.
             let wild = |_: &TaskContext| unsafe { black_box(64 as *mut u8).write_volatile(1) };
             kernel.task("wild", 2, wild);
         });

@@ -224,14 +224,14 @@ mod tests {
         assert_eq!(
             receive(&mut late),
             Ok(None),
-            "attached for what comes from now on"
+            "attached for values from now on"
         );
         let mut oldest = receiver(words).from_oldest();
         assert_eq!(receive(&mut oldest), Ok(Some((7, [7, 0]))));
     }
 
     #[test]
-    fn an_item_that_is_not_finished_comes_again() {
+    fn an_item_that_is_not_finished_is_received_again() {
         let (_, mut sender, mut receiver) = ring();
         sender.publish(&[5, 6]);
         assert_eq!(receiver.item().unwrap().unwrap().words().get(1), 6);
@@ -240,7 +240,7 @@ mod tests {
 
     /// Received and lost values add up to the number sent.
     #[test]
-    fn a_slow_receiver_is_told_how_many_values_it_lost() {
+    fn a_slow_receiver_learns_how_many_values_it_lost() {
         let (_, mut sender, mut receiver) = ring();
         for k in 0..11 {
             sender.publish(&[k, 0]);

@@ -215,7 +215,7 @@ mod unit {
     }
 
     #[test]
-    fn a_killed_operation_changes_nothing_more_and_a_frozen_one_goes_on() {
+    fn a_killed_operation_changes_nothing_more_and_a_frozen_one_continues() {
         let w = zeroed(2);
         let write = || {
             w[0].store(1, Ordering::Relaxed);

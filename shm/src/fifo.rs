@@ -127,7 +127,7 @@ impl<'a> Queue<'a> {
 
     /// Repairs the stamp of the oldest value of a full queue if it was overwritten.
     #[cold]
-    fn mend_oldest(self, tail: u32) {
+    fn restore_oldest(self, tail: u32) {
         let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
         let stamp = self.stamp(oldest);
         if stamp.load(Ordering::Relaxed) != complete(oldest) {
@@ -232,7 +232,7 @@ impl<'a, T> Producer<'a, T> {
             let released = self.queue.released.load(Ordering::Acquire);
             self.limit = self.queue.limit(self.tail, released);
             if self.tail == self.limit {
-                self.queue.mend_oldest(self.tail);
+                self.queue.restore_oldest(self.tail);
                 return Err(Full);
             }
         }
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn values_come_in_order_and_a_full_queue_says_so() {
+    fn values_arrive_in_order_and_a_full_queue_refuses_more() {
         let (_, mut producer, mut consumer) = queue();
         assert!(consumer.item().is_none());
         for round in 0..5 {
@@ -554,7 +554,7 @@ mod tests {
             producer.send(&[k]).unwrap();
             assert!(matches!(consumer.receive(), Ok(Some(_))));
         }
-        assert!(consumer.item().is_none(), "and says that all are free");
+        assert!(consumer.item().is_none(), "and publishes that all are free");
         (0..64).for_each(|k| producer.send(&[k]).unwrap());
     }
 
@@ -562,7 +562,7 @@ mod tests {
     /// values than slots, and later values pass again, in order.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
-    fn scribbled_words_are_mended() {
+    fn scribbled_words_are_repaired() {
         let all = words(SHAPE);
         for scribble in [0, 1, 4, 5, 7, 12345, u32::MAX - 2, u32::MAX, 1 << 31] {
             for at in (0..all).map(|at| at..at + 1).chain([0..all, 16..all]) {
@@ -589,16 +589,16 @@ mod tests {
         }
     }
 
-    /// A consumer that searches because it does not find the next value finds it if its stamp is
-    /// mended before the search ends: it skips no value that is there.
+    /// A consumer that searches for the next value finds it if its stamp is restored before the search
+    /// ends: it skips no value that is there.
     #[test]
-    fn a_value_that_is_mended_during_the_search_is_not_skipped() {
+    fn a_value_that_is_restored_during_the_search_is_not_skipped() {
         for at in 0.. {
             let (words, mut producer, mut consumer) = queue();
             (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
             words[SLOTS_AT + 2].store(0, Ordering::Relaxed);
-            let mend = move || assert_eq!(producer.send(&[4, 4]), Err(Full));
-            let (_, hit) = freeze_at(at, mend, || {
+            let restore = move || assert_eq!(producer.send(&[4, 4]), Err(Full));
+            let (_, hit) = freeze_at(at, restore, || {
                 (0..LOOKS_PER_DOUBT).find(|_| consumer.item().is_some())
             });
             let first = drain(&mut consumer)[0];
@@ -606,7 +606,7 @@ mod tests {
                 assert_eq!(first, [1, 1], "the search was over");
                 break;
             }
-            assert_eq!(first, [0, 0], "mended before access {at}");
+            assert_eq!(first, [0, 0], "restored before access {at}");
         }
     }
 

@@ -381,7 +381,7 @@ pub enum Acquired<'l, 'a> {
     /// From an owner that had released it.
     Clean(Guard<'l, 'a>),
     /// From an owner that died with it: the data under the lock may be half-changed. Repair it; if
-    /// this core dies too, the next taker is told again.
+    /// this core dies too, the next owner gets `Recovered` again.
     Recovered(Guard<'l, 'a>),
 }
 

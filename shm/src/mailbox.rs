@@ -421,7 +421,7 @@ impl<'a> Receiver<'a> {
     }
 }
 
-/// What a task is called with: two words, which travel in registers.
+/// The arguments of a task: two words, which are passed in registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Call {
     /// How many signals this call handles; at least 1.
@@ -597,7 +597,7 @@ mod tests {
     /// unchanged.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
-    fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_looking_on() {
+    fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_polling() {
         let words = zeroed(WORDS);
         let mut sender = Sender::attach(words).unwrap();
         let mut receiver = Receiver::attach(words).unwrap();
@@ -615,11 +615,11 @@ mod tests {
         assert!(receiver.prepare_sleep());
         receiver.awake();
         round(&mut sender, 6);
-        let mut looks = 0;
+        let mut polls = 0;
         while poll(&mut receiver).is_empty() {
-            looks += 1;
+            polls += 1;
         }
-        assert!((1..=POLLS_UNTIL_SURE).contains(&looks));
+        assert!((1..=POLLS_UNTIL_SURE).contains(&polls));
     }
 
     /// T-SYNC-3: the same if after that there is always exactly one signal between two polls. Each

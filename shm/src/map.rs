@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn attach_says_what_is_wrong() {
+    fn attach_returns_what_is_wrong() {
         let words = zeroed(WORDS);
         let attach = |layout| Map::attach(words, layout).map(|_| ());
         assert_eq!(attach(LAYOUT), Err(AttachError::NotReady));
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn killed_at_every_step_of_format_nobody_attaches_and_the_successor_formats() {
+    fn killed_at_every_step_of_format_no_core_attaches_and_the_successor_formats() {
         // Miri takes long for each step: it runs only some of those that zero the memory.
         for at in (0..).step_by(if cfg!(miri) { 17 } else { 1 }) {
             let words = zeroed(WORDS);

@@ -347,7 +347,7 @@ mod tests {
 
     /// A writer killed at any step leaves the old or the new value, and its successor continues.
     #[test]
-    fn a_writer_killed_at_every_step_leaves_a_whole_value_and_a_channel_that_goes_on() {
+    fn a_writer_killed_at_every_step_leaves_a_whole_value_and_a_working_channel() {
         for at in 0.. {
             let (words, mut writer, reader) = channel();
             for k in 0..6 {

@@ -53,7 +53,7 @@ fn announce(
 const OBJECT_AT: usize = Incarnations::WORDS;
 
 /// T-LOCK-1, T-LOCK-3: cores die at any access and restart while others use the lock. One at a time
-/// is inside, and a taker is told of a death exactly when a core died inside.
+/// is inside, and the next owner learns of a death exactly when a core died inside.
 #[test]
 fn the_lock_in_random_schedules_with_deaths() {
     const INSIDE_AT: usize = OBJECT_AT + lock::WORDS;

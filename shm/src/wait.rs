@@ -78,50 +78,53 @@ mod tests {
     /// `check` succeeds at poll number `after`; a sleep makes it succeed at once.
     struct Script {
         after: u32,
-        looks: u32,
+        polls: u32,
         refused: bool,
         sleeps: u32,
-        told: bool,
+        announced: bool,
     }
 
     impl Event for Script {
         type Output = u32;
 
         fn check(&mut self) -> Option<u32> {
-            assert!(!self.told, "looks only after it has told that it is awake");
-            self.looks += 1;
-            (self.looks > self.after).then_some(self.sleeps)
+            assert!(
+                !self.announced,
+                "polls only after it has announced that it is awake"
+            );
+            self.polls += 1;
+            (self.polls > self.after).then_some(self.sleeps)
         }
 
         fn prepare_sleep(&mut self) -> bool {
             // At the first attempt something arrives in between.
             let first = !core::mem::replace(&mut self.refused, true);
-            self.told = !first;
+            self.announced = !first;
             !first
         }
 
         fn sleep(&mut self) {
-            assert!(self.told);
+            assert!(self.announced);
             self.sleeps += 1;
         }
 
         fn awake(&mut self) {
-            self.told = false;
+            self.announced = false;
         }
     }
 
     fn wait(policy: WaitPolicy, after: u32) -> u32 {
         policy.wait(&mut Script {
             after,
-            looks: 0,
+            polls: 0,
             refused: false,
             sleeps: 0,
-            told: false,
+            announced: false,
         })
     }
 
     #[test]
-    fn each_policy_looks_and_sleeps_as_it_says() {
+    fn each_policy_polls_and_sleeps_as_documented() {
         assert_eq!(wait(WaitPolicy::Spin, 1000), 0);
         // The first poll, then a refused sleep, then a sleep before each poll.
         assert_eq!(wait(WaitPolicy::Sleep, 0), 0);

@@ -31,7 +31,7 @@ fn start_lock(words: &[AtomicU32], core: usize, generation: u32) -> Lock<'_> {
 }
 
 /// T-LOCK-1: a core announces itself and takes the lock by its first acquisition while another core
-/// looks at it. No taker is told of a death, and never are two inside.
+/// polls it. No core reports a death, and two are never inside.
 #[test]
 fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
     model(3, || {
@@ -42,21 +42,21 @@ fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
             thread::spawn(move || {
                 let mut lock = start_lock(&words, 1, 1);
                 if let Ok(acquired) = lock.lock(2, spin) {
-                    assert!(!acquired.is_recovered(), "nobody died");
+                    assert!(!acquired.is_recovered(), "no core died");
                     guarded.with_mut(|_| ());
                 }
             })
         };
         let mut lock = start_lock(&words, 0, 1);
         if let Ok(acquired) = lock.lock(2, spin) {
-            assert!(!acquired.is_recovered(), "nobody died");
+            assert!(!acquired.is_recovered(), "no core died");
             guarded.with_mut(|_| ());
         }
         other.join().unwrap();
     });
 }
 
-/// T-LOCK-1: the same by a token that the taker did not find as its own: `look` instead of
+/// T-LOCK-1: the same by a token that the core did not find as its own: `look` instead of
 /// `retake`.
 #[test]
 fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
@@ -70,13 +70,13 @@ fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
             thread::spawn(move || {
                 let mut lock = start_lock(&words, 1, 1);
                 if let Ok(acquired) = lock.lock(2, spin) {
-                    assert!(!acquired.is_recovered(), "nobody died");
+                    assert!(!acquired.is_recovered(), "no core died");
                     guarded.with_mut(|_| ());
                 }
             })
         };
         if let Ok(acquired) = first.lock(2, spin) {
-            assert!(!acquired.is_recovered(), "nobody died");
+            assert!(!acquired.is_recovered(), "no core died");
             guarded.with_mut(|_| ());
         }
         other.join().unwrap();
@@ -84,7 +84,7 @@ fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
 }
 
 /// A core gives the lock back, is reset, and announces its next incarnation while another core
-/// wants the lock: that core is told of no death.
+/// wants the lock: that core reports no death.
 #[test]
 fn a_release_before_the_next_incarnation_is_no_recovery() {
     model(3, || {
@@ -94,7 +94,7 @@ fn a_release_before_the_next_incarnation_is_no_recovery() {
             thread::spawn(move || {
                 let mut lock = start_lock(&words, 1, 1);
                 if let Ok(acquired) = lock.lock(2, spin) {
-                    assert!(!acquired.is_recovered(), "nobody died inside");
+                    assert!(!acquired.is_recovered(), "no core died inside");
                 }
             })
         };
@@ -137,7 +137,7 @@ fn the_words_of_a_new_incarnation_are_not_reclaimed() {
             })
         };
         let pool = start_pool(&words, 0, 1);
-        assert_eq!(pool.reclaim_dead(), 0, "nobody died");
+        assert_eq!(pool.reclaim_dead(), 0, "no core died");
         let handle = other.join().unwrap();
         let owner = Incarnation::new(1, 1).unwrap();
         let pool = bare::pool(&words[OBJECT_AT..], BLOCKS, owner, incarnations(&words)).unwrap();

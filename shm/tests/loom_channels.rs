@@ -246,9 +246,10 @@ fn fifo_slots_are_refilled_after_they_were_read() {
     });
 }
 
-/// A stamp was scribbled on, and the producer mends it: who sees the mended stamp sees the words.
+/// A stamp was overwritten, and the producer restores it: a core that sees the restored stamp sees
+/// the words.
 #[test]
-fn fifo_values_behind_a_mended_stamp_are_whole() {
+fn fifo_values_behind_a_restored_stamp_are_whole() {
     const STAMP_AT: usize = fifo::words(SHAPE) - 6;
     model(3, || {
         let words = zeroed(fifo::words(SHAPE));
@@ -272,7 +273,7 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
             }
         }
         producer.join().unwrap();
-        // The stamp of a value that is received no more was mended, or the value came.
+        // Either the stamp of a released value was restored, or the value was received.
         while let Some(value) = consumer.receive().unwrap() {
             last = value[0];
         }
@@ -280,7 +281,7 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
     });
 }
 
-/// A consumer that is replaced goes on where its predecessor has released.
+/// The successor of a consumer continues after the last value that was released.
 #[test]
 fn fifo_survives_a_new_consumer() {
     model(4, || {
@@ -306,8 +307,8 @@ fn fifo_survives_a_new_consumer() {
     });
 }
 
-/// A producer that is replaced after each value goes on behind what was sent, and a value that was
-/// only lent is not sent.
+/// A producer that is replaced after each value continues behind the values that were sent. A value
+/// that was only lent is not sent.
 #[test]
 fn fifo_survives_new_producers() {
     model(3, || {
@@ -336,7 +337,7 @@ fn fifo_survives_new_producers() {
     });
 }
 
-/// Who attaches sees a formatted LMU, whatever was in it before.
+/// A core that attaches sees a formatted LMU, whatever was in it before.
 #[test]
 fn map_is_seen_whole_or_not_at_all() {
     const ALONE: Region<Words<1>> = Region::first("alone");

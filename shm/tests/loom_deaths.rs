@@ -45,8 +45,8 @@ fn pool(words: &[AtomicU32], incarnation: Incarnation) -> Pool<'_> {
 }
 
 /// T-LOCK-3: the owner dies at any access of taking and releasing, while another core wants the
-/// lock. One core at a time is inside; the taker is told of the death if and only if the owner
-/// died between the two.
+/// lock. One core at a time is inside; the waiter learns of the death if and only if the owner died
+/// between the two.
 #[test]
 fn a_lock_survives_its_owner_at_every_access() {
     for at in 0..7 {
@@ -73,18 +73,18 @@ fn a_lock_survives_its_owner_at_every_access() {
             };
             let incarnation = announce(&words, 1, 1);
             let mut lock = lock(&words, incarnation);
-            let mut told = 0;
+            let mut recovered = 0;
             let mut take = |polls| {
                 if let Ok(acquired) = lock.lock(polls, spin) {
-                    told += u32::from(acquired.is_recovered());
+                    recovered += u32::from(acquired.is_recovered());
                     guarded.with_mut(|_| ());
                 }
             };
             take(2);
             let died_inside = dying.join().unwrap();
             take(1);
-            // Killed at its compare-and-swap or before, it never was inside.
-            assert_eq!(told, u32::from(died_inside));
+            // If it was killed at its compare-and-swap or before, it was never inside.
+            assert_eq!(recovered, u32::from(died_inside));
         });
     }
 }

@@ -14,7 +14,7 @@ use tandem_shm::lock::{self, Acquired, MAX_WAITED_TURNS};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
-/// Looks before a core gives up; enough to wait for two turns.
+/// Polls before a core gives up: enough to wait for two turns.
 const LOOKS: u32 = 8;
 
 const LIVES_AT: usize = lock::WORDS;
@@ -49,7 +49,7 @@ fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
             for _ in 0..times[core] {
                 if let Ok(acquired) = lock.lock(LOOKS, spin) {
                     let Acquired::Clean(guard) = acquired else {
-                        panic!("nobody died")
+                        panic!("no core died")
                     };
                     assert!(guard.waited_turns() <= MAX_WAITED_TURNS);
                     guarded.with_mut(|_| ());
@@ -104,23 +104,23 @@ fn three_cores_exclude_each_other() {
     contend([1, 1, 1], 3);
 }
 
-/// T-LOCK-3: two cores pass the one that waits twice at most, even if one of them comes back.
+/// T-LOCK-3: two cores pass a waiting core at most twice, even if one of them takes the lock again.
 /// The others take the lock four times: once perhaps before the wait, and three times are too many.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
     contend([1, 1, 3], 2);
 }
 
-/// T-LOCK-3: as above, if both others come back.
+/// T-LOCK-3: as above, if both others take the lock again.
 #[test]
 #[ignore = "ten times as long: cargo xtask loom --long"]
 fn three_cores_that_come_back_wait_two_turns_at_most() {
     contend([1, 2, 2], 2);
 }
 
-/// T-LOCK-3: the owner dies; of the two that take over exactly one is told, the first.
+/// T-LOCK-3: the owner dies. Of the two cores that take the lock next, only the first learns of it.
 #[test]
-fn one_taker_is_told_of_the_death() {
+fn one_waiter_learns_of_the_death() {
     model(3, || {
         let words = lock_words(3);
         core::mem::forget(
@@ -129,7 +129,7 @@ fn one_taker_is_told_of_the_death() {
                 .try_lock(),
         );
         let recovered = Arc::new(UnsafeCell::new(()));
-        let takers: Vec<_> = (1..3)
+        let waiters: Vec<_> = (1..3)
             .map(|core| {
                 let (words, recovered) = (words.clone(), recovered.clone());
                 thread::spawn(move || {
@@ -146,15 +146,18 @@ fn one_taker_is_told_of_the_death() {
             })
             .collect();
         incarnations(&words).mark_dead(incarnation(0));
-        let told: u32 = takers.into_iter().map(|taker| taker.join().unwrap()).sum();
+        let recovered: u32 = waiters
+            .into_iter()
+            .map(|waiter| waiter.join().unwrap())
+            .sum();
         let mut lock = bare::lock(&words, incarnation(1), incarnations(&words)).unwrap();
-        let told = told + u32::from(lock.try_lock().unwrap().is_recovered());
-        assert_eq!(told, 1);
+        let recovered = recovered + u32::from(lock.try_lock().unwrap().is_recovered());
+        assert_eq!(recovered, 1);
     });
 }
 
-/// The patience path: a core waits and does not poll any more. Of two others that lose patience, or
-/// see it poll again, one at a time is inside.
+/// The patience path: a core waits and stops polling. Two others lose patience, or see it poll
+/// again: one at a time is inside.
 #[test]
 fn a_core_that_loses_patience_excludes_the_others() {
     model(2, || {
@@ -164,11 +167,11 @@ fn a_core_that_loses_patience_excludes_the_others() {
             let mut lock = bare::lock(words, incarnation(core), incarnations(words)).unwrap();
             lock.set_patience(1);
             if let Ok(acquired) = lock.lock(polls, spin) {
-                assert!(!acquired.is_recovered(), "nobody died");
+                assert!(!acquired.is_recovered(), "no core died");
                 guarded.with_mut(|_| ());
             }
         };
-        // Core 1 waits, as its bit says, and comes back late.
+        // Core 1 waits, as its bit says, and polls again late.
         take(&words, &guarded, 0, 1);
         words[0].fetch_or(1 << 7, Ordering::Relaxed);
         let others: Vec<_> = [(1, 1), (2, 3)]
@@ -181,7 +184,7 @@ fn a_core_that_loses_patience_excludes_the_others() {
         for other in others {
             other.join().unwrap();
         }
-        // The bit of a core that does not wait any more holds nobody up.
+        // The bit of a core that no longer waits delays no other.
         take(&words, &guarded, 2, 3);
     });
 }
@@ -234,7 +237,7 @@ fn two_cores_get_different_blocks() {
 }
 
 /// T-SHM-1: three cores borrow from two blocks, one of them both at once. No block is lent twice,
-/// and each core gets its words or is told why not.
+/// and each core gets its words or a reason why not.
 #[test]
 fn three_cores_borrow_without_overlap() {
     model(2, || {
@@ -298,8 +301,8 @@ fn the_words_of_the_dead_are_reclaimed_once() {
     });
 }
 
-/// T-SHM-3: who can open what was handed over sees what the last owner wrote, also after it came
-/// back.
+/// T-SHM-3: a core that can open words that were handed over sees what the last owner wrote, also
+/// after they were handed back.
 #[test]
 fn handing_over_carries_the_words() {
     model(3, || {

@@ -54,8 +54,8 @@ fn no_wake_up_is_lost() {
     });
 }
 
-/// T-SYNC-3: a receiver that looks only at what is posted misses none of several tasks, however its
-/// looks fall between the sender's steps.
+/// T-SYNC-3: a receiver that polls only the posted word misses none of several tasks, however its
+/// polls fall between the sender's steps.
 #[test]
 fn no_task_is_missed() {
     model(3, || {

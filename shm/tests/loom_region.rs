@@ -22,7 +22,7 @@ fn claim(words: &[AtomicU32], core: usize, generation: u32) -> bool {
     match NEWS.sender(&map, incarnation) {
         Ok(_) => true,
         Err(EndError::Claimed(holder)) => {
-            assert_ne!(holder.core(), core, "nobody else has it");
+            assert_ne!(holder.core(), core, "another core has it");
             false
         }
         Err(error) => panic!("{error:?}"),

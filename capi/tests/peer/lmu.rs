@@ -42,7 +42,7 @@ const TASK_ANSWERS: u8 = 2;
 /// Far beyond what an answer takes: it decides only how late a failure is seen.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What core 1 can be told; the same as in layout.h.
+/// The orders to core 1; the same as in layout.h.
 #[derive(Clone, Copy)]
 pub(crate) enum Order {
     Echo = 1,

@@ -132,7 +132,11 @@ fn rust_dies_with_the_lock_and_c_is_told() {
     const RECOVERED: u32 = 1;
     let mut bench = Bench::new();
     let child = bench.start(1);
-    assert_eq!(bench.ask(&[Order::Recover as u32])[1], 0, "nobody died yet");
+    assert_eq!(
+        bench.ask(&[Order::Recover as u32])[1],
+        0,
+        "no owner died yet"
+    );
     let mut lock = bench.lock(2, 1);
     core::mem::forget(lock.try_lock().unwrap());
     bench.set_guarded([7, 0]);

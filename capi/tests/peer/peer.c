@@ -311,7 +311,7 @@ int main(int argc, char **argv)
     unsigned calls = 0;
     int file;
     void *base;
-    alarm(120); /* nobody is left hanging */
+    alarm(120); /* ends a test that hangs */
     if (argc == 2 && strcmp(argv[1], "check") == 0) {
         return check();
     }

@@ -56,7 +56,7 @@ const CONTEND: u32 = 2;
 fn incarnation(core: usize, generation: u32) -> Incarnation {
     match Incarnation::new(core, generation) {
         Some(incarnation) => incarnation,
-        None => panic!("there is such an incarnation"),
+        None => panic!("the incarnation exists"),
     }
 }
 
@@ -84,7 +84,7 @@ fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
         if let Some(found) = look() {
             return found;
         }
-        assert!(hart::time() < limit, "{what}: it does not come");
+        assert!(hart::time() < limit, "{what}: it does not happen");
         hart::yield_turn();
     }
 }
@@ -96,14 +96,14 @@ struct Talk {
 }
 
 impl Talk {
-    fn tell(&mut self, task: TaskId, value: u32) {
+    fn order(&mut self, task: TaskId, value: u32) {
         if self.to.signal_with(task, value) == Ring::Needed {
             clint::post(IN_C);
         }
     }
 
     /// The value of the next answer. Sleeps until it arrives.
-    fn hear(&mut self) -> u32 {
+    fn answer(&mut self) -> u32 {
         let limit = hart::time() + PATIENCE;
         let mut value = None;
         loop {
@@ -133,10 +133,10 @@ fn ask(map: Map<'static>) {
     let (mut least, mut most) = (u32::MAX, 0);
     for value in 0..PINGS {
         let begin = hart::cycles();
-        talk.tell(PING, value);
-        let heard = talk.hear();
+        talk.order(PING, value);
+        let answer = talk.answer();
         let took = hart::cycles().wrapping_sub(begin);
-        assert_eq!(heard, value * 2 + 1, "the answer to {value}");
+        assert_eq!(answer, value * 2 + 1, "the answer to {value}");
         if value >= WARM_UP {
             (least, most) = (least.min(took), most.max(took));
         }
@@ -147,18 +147,22 @@ fn ask(map: Map<'static>) {
     log!("fifo, newest  {ITEMS} items of 16 words from Rust summed up in C, in place");
 
     let mut own = must(LOCK.attach(&map, incarnation(0, 1)));
-    talk.tell(COUNT, TURNS);
+    talk.order(COUNT, TURNS);
     STEP.store(CONTEND, Ordering::Release);
     count(&mut own, map);
-    assert_eq!(talk.hear(), TURNS, "C had its turns");
+    assert_eq!(talk.answer(), TURNS, "C had its turns");
     wait_for("core 1 has its turns", || {
         (STEP.load(Ordering::Acquire) == 0).then_some(())
     });
     assert_eq!(guarded(map), [3 * TURNS; 2], "no turn is lost");
     log!("lock          {TURNS} turns of each of two cores in Rust and one in C");
 
-    talk.tell(DIE, 0);
-    assert_eq!(talk.hear(), 3 * TURNS + 1, "C is in the middle of a change");
+    talk.order(DIE, 0);
+    assert_eq!(
+        talk.answer(),
+        3 * TURNS + 1,
+        "C is in the middle of a change"
+    );
     assert!(
         own.lock(50, |_| hart::yield_turn()).is_err(),
         "it holds the lock"
@@ -168,11 +172,11 @@ fn ask(map: Map<'static>) {
         "it is in its first incarnation"
     );
     let taken = must(own.lock(50, |_| hart::yield_turn()));
-    assert!(taken.is_recovered(), "core 0 is told that the owner died");
+    assert!(taken.is_recovered(), "core 0 learns that the owner died");
     assert_eq!(guarded(map), [3 * TURNS + 1, 3 * TURNS], "half-changed");
     must(GUARDED.attach(&map))[1].store(3 * TURNS + 1, Ordering::Relaxed);
     drop(taken);
-    log!("recovery      C died with the lock, Rust was told and repaired");
+    log!("recovery      C died with the lock, Rust learned of it and repaired");
 
     clint::post(IN_C);
     let second = || {
@@ -181,14 +185,14 @@ fn ask(map: Map<'static>) {
             .filter(|incarnation| incarnation.generation() == 2)
     };
     wait_for("the core in C begins its second incarnation", second);
-    talk.tell(PING, 7);
-    assert_eq!(talk.hear(), 15, "the second incarnation answers");
-    talk.tell(COUNT, 1);
-    assert_eq!(talk.hear(), 1, "and takes the lock");
+    talk.order(PING, 7);
+    assert_eq!(talk.answer(), 15, "the second incarnation answers");
+    talk.order(COUNT, 1);
+    assert_eq!(talk.answer(), 1, "and takes the lock");
     log!("second incarnation   C attached where its first incarnation had stopped");
 
-    talk.tell(LEAD, 10_000);
-    let after_ms = talk.hear();
+    talk.order(LEAD, 10_000);
+    let after_ms = talk.answer();
     log!("redundancy    a system B in C leads alone after {after_ms} ms");
 }
 
@@ -200,7 +204,7 @@ fn guarded(map: Map<'static>) -> [u32; 2] {
 fn count(lock: &mut Lock<'static>, map: Map<'static>) {
     for _ in 0..TURNS {
         let taken = must(lock.lock(100_000, |_| hart::yield_turn()));
-        assert!(!taken.is_recovered(), "nobody died");
+        assert!(!taken.is_recovered(), "no core died");
         let [one, two] = guarded(map);
         assert_eq!(one, two, "the lock excludes");
         let words = must(GUARDED.attach(&map));
@@ -225,7 +229,7 @@ fn take_results(map: Map<'static>) {
     let reader = must(RESULT_OF_2.reader(&map));
     STEP.store(SEND, Ordering::Release);
     let mut last = 0;
-    wait_for("the last result comes", || {
+    wait_for("the last result arrives", || {
         if let Ok((_, [summed, done])) = reader.read() {
             assert!(done >= last, "results do not go back");
             assert_eq!(summed, sum(done - 1), "result {done} is whole and right");

@@ -17,7 +17,7 @@ pub const FAULT: u8 = 102;
 pub fn exit(status: u8) -> ! {
     let arguments = [APPLICATION_EXIT, status.into()];
     loop {
-        // SAFETY: a call of the emulator, which reads two words; it does not come back.
+        // SAFETY: a call of the emulator, which reads two words; it does not return.
         unsafe {
             asm!(
                 "bkpt 0xAB",

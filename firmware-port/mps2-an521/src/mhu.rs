@@ -50,9 +50,9 @@ pub fn interrupt(unit: Unit, to: usize) {
 
 /// Whether an interrupt arrived since the last call.
 pub fn take_pending() -> bool {
-    let came = PENDING[cpu::number()].swap(false, Ordering::Relaxed);
+    let pending = PENDING[cpu::number()].swap(false, Ordering::Relaxed);
     core::sync::atomic::fence(Ordering::SeqCst);
-    came
+    pending
 }
 
 /// Handler of both units: clears the set bits and remembers them.

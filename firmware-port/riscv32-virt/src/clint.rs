@@ -16,8 +16,8 @@ pub const TICK_NS: u64 = 100;
 #[inline]
 pub fn post(hart: usize) {
     // SAFETY: one word a hart; the machine ignores those of harts that it does not have. The fence
-    // pairs with that in `clear`: memory first, then the device. (One of the memory model says
-    // nothing of devices.)
+    // pairs with that in `clear`: memory first, then the device. (A fence of the memory
+    // model does not order devices.)
     unsafe {
         asm!("fence rw, ow");
         write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 1);
@@ -52,7 +52,7 @@ pub fn set_timer(hart: usize, ticks: u64) {
 pub fn timer(hart: usize) -> u64 {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *const u32;
     // SAFETY: the two words of the register; the hart that changes them does not run now, or
-    // the caller can do with any value.
+    // any value will do for the caller.
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }
 
@@ -61,6 +61,6 @@ pub fn timer(hart: usize) -> u64 {
 /// The emulator's register loses its upper half when the lower is written, so the clock must not be
 /// set any more after 429 s.
 pub(crate) fn jump_to(ticks: u32) {
-    // SAFETY: the lower word of the clock; timers that the jump passes come at once.
+    // SAFETY: the lower word of the clock; timers that the jump passes expire at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };
 }

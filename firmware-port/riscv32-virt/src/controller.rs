@@ -49,7 +49,7 @@ pub fn core(board: &VirtBoard) {
     }
 }
 
-/// An image that has had a role for this long has proved itself.
+/// An image that has kept a role for this long is approved.
 const PROVES_ITSELF: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
 
 /// One incarnation of one core of an image in a slot: core 2 approves the image. Programming the

@@ -57,7 +57,7 @@ pub fn time() -> u64 {
 /// Switches the interrupts of this hart on.
 #[inline]
 pub fn interrupts_on() {
-    // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere. Not
+    // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere.
     // Not `nomem`: all writes for a handler must come before.
     unsafe { asm!("csrsi mstatus, {}", const MSTATUS_MIE, options(nostack)) };
 }

@@ -280,7 +280,7 @@ pub fn on_fatal(report: fn(fmt::Arguments<'_>) -> !) {
 
 /// Ends all work with a message.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
-    // SAFETY: nothing interrupts the last words.
+    // SAFETY: nothing may interrupt the last message.
     unsafe { core::arch::asm!("csrci mstatus, 8") };
     let report = ON_FATAL.load(Ordering::Relaxed);
     if !report.is_null() {

@@ -24,10 +24,10 @@ pub enum KernelEventKind {
 /// One event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KernelEvent {
-    /// When, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on the
+    /// The time, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on the
     /// target.
     pub at_ns: u64,
-    /// What.
+    /// The kind.
     pub kind: KernelEventKind,
     /// The task's number (see [`TaskStatistics`](crate::TaskStatistics)), or the interrupt's.
     pub subject: u32,

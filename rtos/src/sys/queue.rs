@@ -28,7 +28,7 @@ pub(crate) struct Raw {
     set: UnsafeCell<Option<Arc<Members>>>,
 }
 
-// SAFETY: the block is the kernel's, which is called from the core's thread only: every call wants
+// SAFETY: the block is the kernel's, which is called from the core's thread only: every call needs
 // a context, and no context leaves its thread. The set is written once, on that thread.
 unsafe impl Send for Raw {}
 // SAFETY: as above.

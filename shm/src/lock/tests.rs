@@ -101,14 +101,14 @@ fn two_ends_of_one_incarnation_exclude_each_other() {
     assert!(one.try_lock().is_some());
 }
 
-/// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so. If that taker
-/// dies in the middle of the repair, the next one is told again.
+/// T-LOCK-3: a lock whose owner died is recovered by the next owner, which learns of the death. If
+/// that one dies in the middle of the repair, the next one learns of a death again.
 #[test]
-fn a_dead_owner_is_replaced_and_the_taker_is_told() {
+fn a_dead_owner_is_replaced_and_the_next_owner_learns_of_it() {
     let bench = Bench::new();
     let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
     core::mem::forget(a.try_lock().unwrap());
-    assert!(b.try_lock().is_none(), "nobody says that it is dead");
+    assert!(b.try_lock().is_none(), "no core has marked it dead");
     bench.kill(0, 1);
     let guard = b.try_lock().unwrap();
     assert!(guard.is_recovered());
@@ -171,9 +171,9 @@ fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
 }
 
 /// An owner releases and then dies, while another core is frozen at any step of its own attempt:
-/// the taker is not told of a death.
+/// the next owner learns of no death.
 #[test]
-fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() {
+fn a_release_before_the_death_is_no_recovery_for_a_waiter_frozen_at_every_step() {
     for at in 0.. {
         let bench = Bench::new();
         let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
@@ -253,7 +253,7 @@ fn an_incarnation_disowns_what_its_predecessors_left_and_no_more() {
     }
 }
 
-/// T-LOCK-3: an owner killed at any step leaves a lock that the next taker gets.
+/// T-LOCK-3: an owner killed at any step leaves a lock that the next core gets.
 #[test]
 fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
     for at in 0.. {
@@ -281,7 +281,7 @@ fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
 
 /// A waiting core killed at any step keeps no other core from the lock.
 #[test]
-fn a_waiter_killed_at_every_step_keeps_nobody_out() {
+fn a_waiter_killed_at_every_step_keeps_no_other_out() {
     for at in 0.. {
         let bench = Bench::new();
         let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
@@ -314,7 +314,7 @@ fn a_waiter_killed_at_every_step_keeps_nobody_out() {
 /// A straggler: frozen at any step of its critical section, declared dead, replaced in all its
 /// words by a busy lock, thawed. It cannot release another's lock.
 #[test]
-fn a_straggler_releases_nobody_elses_lock() {
+fn a_straggler_releases_no_other_cores_lock() {
     for incarnations in 1..RELEASED_LIVES as u32 {
         for at in 0..4 {
             let bench = Bench::new();
@@ -367,7 +367,7 @@ fn the_lock_goes_round_among_waiting_cores() {
         }
         assert!(cores[next].try_lock().is_some());
     }
-    assert!(cores[1].try_lock().is_some(), "nobody waits any more");
+    assert!(cores[1].try_lock().is_some(), "no core waits any more");
 }
 
 /// T-LOCK-3: waiting is bounded, backs off, and only reads.
@@ -526,7 +526,7 @@ impl ReferenceStateMachine for Owner {
         match event {
             Event::Take(_) | Event::Die(_) => true,
             Event::Leave(core) => owner.core == Some(*core),
-            // Until a core has been told of the death, the release counts.
+            // Until a core learns of the death, the release counts.
             Event::LeaveLate => !owner.orphaned,
         }
     }
@@ -621,7 +621,7 @@ prop_state_machine! {
     })]
 
     /// T-LOCK-1, T-LOCK-3: between any takings, releases, deaths and late releases one core is
-    /// inside, and exactly the next taker is told of a death.
+    /// inside, and exactly the next owner learns of a death.
     #[test]
     fn the_lock_does_what_its_model_does(sequential 1..60 => Cores);
 }

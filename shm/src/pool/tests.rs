@@ -263,7 +263,7 @@ fn a_straggler_gets_no_run_in_the_middle_of_another() {
 
 /// A core that is frozen at any step of its own call delays no other. T-SHM-1
 #[test]
-fn a_frozen_core_keeps_nobody_waiting() {
+fn a_frozen_core_delays_no_other() {
     for blocks in [1, 3] {
         for at in steps() {
             let bench = Bench::new();
@@ -485,8 +485,8 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
                 Incarnation::new(1, 2).unwrap(),
             );
             bench.incarnations.announce(late).unwrap();
-            let giver = bench.start(0, 1);
-            let given = giver.get(16).unwrap();
+            let lender = bench.start(0, 1);
+            let given = lender.get(16).unwrap();
             let kept = std::rc::Rc::new(core::cell::Cell::new(None));
             let meanwhile = {
                 let kept = kept.clone();
@@ -497,7 +497,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
             };
             let (_, hit) = freeze_at(at, meanwhile, || {
                 if by_hand_over {
-                    let _ = giver.hand_over(given, 1);
+                    let _ = lender.hand_over(given, 1);
                 } else {
                     let _ = Pool::attach(bench.words, BLOCKS, late, bench.incarnations);
                 }
@@ -510,7 +510,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
             assert!(bench.incarnations.is_alive(next));
             assert!(living.open(first).is_ok(), "frozen at {at}");
             let second = living.get(16).unwrap();
-            assert_eq!(giver.reclaim_dead(), 0, "frozen at {at}");
+            assert_eq!(lender.reclaim_dead(), 0, "frozen at {at}");
             assert!(
                 living.open(first).is_ok() && living.open(second).is_ok(),
                 "frozen at {at}"

@@ -3,7 +3,7 @@
 use loom::sync::Arc;
 use tandem_shm::sync::AtomicU32;
 
-/// So many zeroed words, new in each execution.
+/// This number of zeroed words, new in each execution.
 pub(crate) fn zeroed(words: usize) -> Arc<Vec<AtomicU32>> {
     Arc::new((0..words).map(|_| AtomicU32::new(0)).collect())
 }

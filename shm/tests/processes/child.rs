@@ -93,13 +93,13 @@ impl Child {
         assert!(libc::WIFSTOPPED(self.wait(libc::WUNTRACED)));
     }
 
-    /// Waits for the end of the child, which must be a good one.
+    /// Waits until the child ends, which it must do without an error.
     pub(crate) fn join(self) {
         assert_eq!(self.wait(0), 0, "the child failed or its watchdog ended it");
         core::mem::forget(self);
     }
 
-    /// `kill -9`, and waits until it has worked.
+    /// Sends `kill -9`, and waits until the child is dead.
     pub(crate) fn kill(self) {}
 }
 
@@ -142,7 +142,7 @@ pub(crate) fn announce(
     incarnation
 }
 
-/// Waits until all have come here: `count` processes, or threads.
+/// Waits until `count` processes or threads have arrived here.
 pub(crate) fn meet(word: &AtomicU32, count: u32) {
     word.fetch_add(1, Ordering::SeqCst);
     while word.load(Ordering::SeqCst) < count {

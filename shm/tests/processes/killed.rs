@@ -40,7 +40,7 @@ const LOCK_AT: usize = Incarnations::WORDS;
 const GUARDED_AT: usize = LOCK_AT + lock::WORDS;
 /// Who is inside: core + 1.
 const INSIDE: usize = GUARDED_AT;
-/// Two numbers that are equal while nobody is inside.
+/// Two numbers that are equal while no core is inside.
 const PAIR: [usize; 2] = [GUARDED_AT + 1, GUARDED_AT + 2];
 const RECOVERIES: usize = GUARDED_AT + 3;
 const STOP: usize = GUARDED_AT + LINE_WORDS;
@@ -89,7 +89,7 @@ fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Chil
 }
 
 /// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced.
-/// Nobody is ever inside with another, a half-done change is never taken for whole, and all go on.
+/// Two are never inside at once, a half-done change is always reported, and all continue.
 fn a_lock_whose_owner_is_killed_is_recovered() {
     const KILLS: u64 = 120;
     let words = shared(WORDS);
@@ -104,8 +104,8 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
         if let Some(child) = children[core].take() {
             child.kill();
         }
-        // Every second time the supervisor marks the death, else the successor's announcement tells
-        // it.
+        // Every second time the supervisor marks the death; otherwise the successor's announcement
+        // shows it.
         if i.is_multiple_of(2) {
             incarnations.mark_dead(Incarnation::new(core, generations[core]).unwrap());
         }

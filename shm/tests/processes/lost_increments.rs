@@ -69,7 +69,7 @@ fn without_the_lock_increments_are_lost() {
 fn with_the_lock_none_is_lost() {
     let counted = count(|words, lock, i| {
         let acquired = take(lock);
-        assert!(!acquired.is_recovered(), "nobody died");
+        assert!(!acquired.is_recovered(), "no core died");
         increment(&words[COUNTER_AT], i);
     });
     assert_eq!(counted, CORES * INCREMENTS);

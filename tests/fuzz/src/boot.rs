@@ -11,7 +11,7 @@ use tandem_boot::{
 /// A record that is right.
 const GOOD: &[u8] = b"S107004000DEADBE6F\r\n";
 
-/// A line is a record only if its digits say so by themselves.
+/// A line is a record only if its own digits make it one.
 ///
 /// # Panics
 /// If it is taken although length or checksum are wrong, or in one case of its digits only.
@@ -40,7 +40,8 @@ pub(crate) fn record(line: &[u8]) -> bool {
     true
 }
 
-/// Frames, each a length (modulo 9) and its data: whatever came, the next record is read whole.
+/// Frames, each a length (modulo 9) and its data: whatever arrived before, the next record is read
+/// whole.
 ///
 /// # Panics
 /// If it is not, or the assembler panics.
@@ -67,7 +68,8 @@ pub(crate) fn frames(mut bytes: &[u8]) -> bool {
     accepted
 }
 
-/// Bytes are a manifest only if it is written as these bytes, and its parts lie in its body.
+/// Bytes are a manifest only if the manifest is written as these bytes, and its parts are in its
+/// body.
 ///
 /// # Panics
 /// If another is taken.
@@ -91,8 +93,8 @@ pub(crate) fn manifest(bytes: &[u8]) -> bool {
     true
 }
 
-/// Two copies of a boot environment, each with its confirmation: what is read is what is read again
-/// after it was repaired.
+/// Two copies of a boot environment, each with its confirmation: after a repair, the same is read
+/// again.
 ///
 /// # Panics
 /// If it is not.

@@ -34,7 +34,7 @@ pub(crate) fn scenario(data: &[u8]) -> bool {
 /// A file of faults is refused, or is the same when it is written and read again.
 ///
 /// # Panics
-/// If it is another.
+/// If it changes.
 pub(crate) fn faults(data: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(data) else {
         return false;

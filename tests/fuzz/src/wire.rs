@@ -9,10 +9,10 @@ use tandem_vehicle::world_loop::LoggedFrame;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Flags, id, time, then data: the line of the CAN log says all of it in candump's format.
+/// Flags, id, time, then data: the line of the CAN log has all of them, in candump's format.
 ///
 /// # Panics
-/// If it says something else.
+/// If it has something else.
 pub(crate) fn candump(bytes: &[u8]) -> bool {
     let Some((head, data)) = bytes.split_first_chunk::<13>() else {
         return false;
@@ -72,7 +72,7 @@ pub(crate) fn candump(bytes: &[u8]) -> bool {
 }
 
 /// A frame's number in the DBC, a counter, then its data: with the right end-to-end protection it
-/// is decoded or refused; what is decoded is decoded again from what is sent of it.
+/// is decoded or refused. A decoded message that is sent is decoded to the same message.
 ///
 /// # Panics
 /// If another message comes back.

@@ -19,7 +19,7 @@ use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 
 /// Period of perception and planning, ms.
 const PLAN_MS: u64 = 50;
-/// So late in it all sensors have reported.
+/// At this time in the period all sensors have reported.
 const PLAN_PHASE_MS: u64 = 25;
 /// Period of control, ms.
 const CONTROL_MS: u64 = 10;

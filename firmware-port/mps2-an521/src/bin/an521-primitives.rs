@@ -35,7 +35,7 @@ const LAYOUT: Layout = POOL.end();
 
 const ROUNDS: u32 = 500;
 /// More polls than any wait here needs.
-const LOOKS: u32 = 1_000_000;
+const POLLS: u32 = 1_000_000;
 
 /// Waits until both processors have reached this step.
 static STEP: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
@@ -87,7 +87,7 @@ fn check(holds: bool, what: &'static str) -> Checked {
 }
 
 fn run(own: usize, board: &An521Board, map: Map<'_>) -> Checked {
-    let incarnation = Incarnation::new(own, 1).ok_or("there is such a core")?;
+    let incarnation = Incarnation::new(own, 1).ok_or("the core exists")?;
     let incarnations = map.incarnations();
     check(
         incarnations.announce(incarnation).is_ok(),
@@ -110,9 +110,9 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     let broken = memory::strap(1) != 0;
     for _ in 0..ROUNDS {
         let taken = lock
-            .lock(LOOKS, sync::spin)
-            .map_err(|_| "a lock is to be had")?;
-        check(!taken.is_recovered(), "nobody died")?;
+            .lock(POLLS, sync::spin)
+            .map_err(|_| "the lock becomes free")?;
+        check(!taken.is_recovered(), "no core died")?;
         let guard = taken.into_guard();
         let guard = if broken {
             drop(guard);
@@ -143,17 +143,17 @@ fn signal(own: usize, board: &An521Board, map: Map<'_>, incarnation: Incarnation
             board.ring(peer);
         }
         let limit = board.now() + Duration::from_ms(1_000);
-        let mut came = None;
-        while came.is_none() {
-            receiver.poll(|signals| came = Some(signals));
-            check(board.now() < limit, "a signal comes")?;
-            if came.is_none() && receiver.prepare_sleep() {
+        let mut received = None;
+        while received.is_none() {
+            receiver.poll(|signals| received = Some(signals));
+            check(board.now() < limit, "a signal arrives")?;
+            if received.is_none() && receiver.prepare_sleep() {
                 board.wait(limit);
                 receiver.awake();
             }
         }
-        let expected = came.is_some_and(|came| (came.count, came.value) == (1, round));
-        check(expected, "each signal comes once, with its value")?;
+        let expected = received.is_some_and(|signals| (signals.count, signals.value) == (1, round));
+        check(expected, "each signal arrives once, with its value")?;
         if own == 1 && sender.signal_with(task, round) == Ring::Needed {
             board.ring(peer);
         }
@@ -188,7 +188,7 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
         let got = next(&mut consumer);
         check(
             got == [value, value * 3, !value],
-            "every value comes, in order",
+            "every value arrives, in order",
         )?;
     }
     Ok(())
@@ -245,12 +245,10 @@ fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> C
                 }
                 sync::spin(1);
             };
-            let lent = pool
-                .open(handle)
-                .map_err(|_| "what was lent can be opened")?;
+            let lent = pool.open(handle).map_err(|_| "lent words can be opened")?;
             lent[19].store(round, Ordering::Relaxed);
             let handed = pool.hand_over(handle, 1);
-            check(handed.is_ok(), "words go to a core that lives")?;
+            check(handed.is_ok(), "words are handed to a living core")?;
             let [first, second] = handle.to_words();
             while producer.send(&[first, second, round]).is_err() {
                 sync::spin(1);
@@ -264,12 +262,12 @@ fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> C
         let handle = Handle::from_words([got[0], got[1]]);
         let lent = pool
             .open(handle)
-            .map_err(|_| "what was handed over can be opened")?;
+            .map_err(|_| "words that were handed over can be opened")?;
         let value = lent[19].load(Ordering::Relaxed);
-        check(value == round, "what was written before is there")?;
+        check(value == round, "a word that was written before is there")?;
         check(
             pool.give_back(handle).is_ok(),
-            "who owns words can give them back",
+            "the owner of words can give them back",
         )?;
         check(pool.give_back(handle).is_err(), "but not twice")?;
     }

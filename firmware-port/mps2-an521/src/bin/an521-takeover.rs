@@ -30,8 +30,8 @@ const CONFIG: Config = Config::chip();
 const HANGS_AFTER: Duration = Duration::from_ms(1_000);
 /// When B moves its polls: both have their roles by then.
 const MOVES_AFTER: Duration = Duration::from_ms(800);
-/// From A's end to B's first control frame, and from A's last control frame. Of both, 0.2 ms are
-/// execution, some 6,000 instructions of B.
+/// From A's end to B's first control frame, and from A's last control frame to it. Both include
+/// 0.2 ms of execution, some 6,000 instructions of B.
 const BOUNDS: [Duration; 2] = [Duration::from_ms(4), Duration::from_ms(14)];
 /// Longer than start and takeover take.
 const LIMIT: Duration = Duration::from_ms(3_000);
@@ -136,7 +136,7 @@ impl<'b> Core<'b> {
         (actions.deadline().min(next_frame), sent)
     }
 
-    /// A control frame of the other system that passed its protection.
+    /// The control frame of the other system in this frame, if it passes its protection.
     fn heard(&mut self, frame: &CanFrame) -> Option<ControlHeader> {
         let CanId::Standard(id) = frame.id() else {
             return None;
@@ -210,7 +210,7 @@ fn drive_and_hang(board: &An521Board) -> ! {
         board.wait(deadline.min(end));
     }
     if core.machine.role() != Role::Master {
-        log!("FAILED  A is {:?} when it dies", core.machine.role());
+        log!("FAILED  A is {:?} when it hangs", core.machine.role());
         exit::exit(1);
     }
     HUNG_US.store(us(board.now()), Ordering::Release);
@@ -242,7 +242,7 @@ fn take_over(board: &An521Board) -> Result<(), &'static str> {
             return if after <= bound && gap <= gap_bound {
                 Ok(())
             } else {
-                Err("the takeover comes within its bound")
+                Err("the takeover is late")
             };
         }
         if now > end {

@@ -215,7 +215,7 @@ impl Supply for Absent {
             RoleLamp::Standby | RoleLamp::Suspended => 0b10,
             RoleLamp::Master | RoleLamp::DegradedMaster => 0b11,
         };
-        // SAFETY: the register of the lamps; a race with the other processor is one of light.
+        // SAFETY: the register of the lamps; a race with the other processor affects only light.
         unsafe { core::ptr::write_volatile(LAMPS, lit) };
     }
 }

@@ -92,7 +92,7 @@ impl Host {
             let here = ITEM_WORDS.min(answer.len() - at);
             let mut left = &words[..here];
             let Ok(item) = Item::decode(&mut left) else {
-                log!("the world answers nonsense");
+                log!("the world's answer is not valid");
                 exit(ABANDONED)
             };
             at += here - left.len();

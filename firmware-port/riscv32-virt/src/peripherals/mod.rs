@@ -102,7 +102,7 @@ impl SystemRegisters {
     }
 }
 
-/// Makes a fault of a system's hardware, or mends it.
+/// Sets or clears a fault of a system's hardware.
 pub(crate) fn set_fault(of: SystemId, fault: HardwareFault, present: bool) {
     let bit = HardwareFaults::bit(fault);
     if present {

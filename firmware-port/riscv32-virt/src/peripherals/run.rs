@@ -27,7 +27,7 @@ pub struct Peripherals {
     /// The systems in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
-    /// What the world wants to happen between two exchanges, and when, in ticks.
+    /// An item that the world sends for a time between two exchanges, and that time, in ticks.
     later: Option<(u64, Option<Item>)>,
     /// By [`CoreAddress::index`].
     confinements: [Confinement; CoreAddress::COUNT],
@@ -146,7 +146,7 @@ impl Peripherals {
         None
     }
 
-    /// Rests until it is called or `deadline` has passed. When no hart has any work, the clock
+    /// Idles until it is called or `deadline` has passed. When no hart has any work, the clock
     /// jumps to the next time at which one has.
     ///
     /// The emulator could do that: with all harts asleep its main loop moves the virtual clock. But

@@ -19,7 +19,7 @@ pub(crate) struct Stack {
 
 /// Bytes of a page, and of the guard: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
 pub(super) fn page() -> usize {
-    // SAFETY: reads what Linux told the process at its start; always there.
+    // SAFETY: reads a value that Linux passed to the process at its start; always there.
     unsafe { libc::getauxval(libc::AT_PAGESZ) as usize }
 }
 
