@@ -1,7 +1,7 @@
 //! The times of a simulated run, with the source of each figure.
 
 use tandem_board::{Duration, SystemId};
-use tandem_board_sim::{BitRates, Bits, Wires};
+use tandem_board_sim::{BitRates, Bits, WireTimes};
 use tandem_cores::task_table::TaskCode;
 
 /// How long things take.
@@ -101,8 +101,8 @@ impl Time {
 
     /// The connections.
     #[must_use]
-    pub fn wires(self) -> Wires {
-        Wires {
+    pub fn wires(self) -> WireTimes {
+        WireTimes {
             line: Duration::from_ns(self.pick(LINE)),
             link: Duration::from_ns(self.pick(LINK)),
             bus: (self != Self::Ideal).then_some(BitRates::TANDEM),

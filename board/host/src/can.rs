@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tandem_board::{Can, CanErrors, CanFrame, Identity, Received, TransmitFull};
-use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Reach, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
@@ -48,7 +48,7 @@ impl HostCan {
     }
 
     fn is_for_this_core(&self, frame: &BusFrame) -> bool {
-        frame.reaches[self.of.system.index()] && frame.sender != Sender::Core(self.of.address())
+        frame.reach.has(self.of.address())
     }
 }
 
@@ -60,7 +60,7 @@ impl Can for HostCan {
                 at: clock::now(),
             },
             sender: Sender::Core(self.of.address()),
-            reaches: [false; 2],
+            reach: Reach::NONE,
         };
         let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
         let discards = self.backplane.discards(self.of.system, self.of.core);

@@ -12,12 +12,12 @@ use std::time::{Duration, Instant};
 use rustix::fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with};
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use tandem_board::{DataFlash, FlashError, FlashStatus};
-use tandem_peripherals::flash::{self, Operation};
+use tandem_peripherals::data_flash::{self, Operation};
 
 use crate::clock;
 
-const SIZE: u64 = flash::SIZE as u64;
-const SECTOR: usize = flash::SECTOR_BYTES as usize;
+const SIZE: u64 = data_flash::SIZE as u64;
+const SECTOR: usize = data_flash::SECTOR_BYTES as usize;
 
 const IDLE: u8 = 0;
 const BUSY: u8 = 1;
@@ -181,7 +181,7 @@ impl HostFlash {
             status: AtomicU8::new(IDLE),
             operation: Mutex::new(Started {
                 operation: None,
-                data: [flash::ERASED; SECTOR],
+                data: [data_flash::ERASED; SECTOR],
             }),
             requested: AtomicBool::new(false),
             closed: AtomicBool::new(false),
@@ -232,7 +232,7 @@ impl Device {
     /// The background thread, from its start to its end.
     fn work(&self) {
         // Buffer for the old content of a range; kept to avoid allocation.
-        let mut present = [flash::ERASED; SECTOR];
+        let mut present = [data_flash::ERASED; SECTOR];
         loop {
             // Acquire pairs with the store in `HostFlash::begin`.
             if self.requested.swap(false, Ordering::Acquire) {
@@ -253,9 +253,9 @@ impl Device {
 }
 
 impl DataFlash for HostFlash {
-    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
-    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
-    const SECTORS: u32 = flash::SECTORS;
+    const PAGE_BYTES: u32 = data_flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = data_flash::SECTOR_BYTES;
+    const SECTORS: u32 = data_flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
         // Acquire pairs with the Release in `Device::work`: everything that it has written can be
@@ -263,7 +263,7 @@ impl DataFlash for HostFlash {
         if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
-        flash::range(offset, into.len())?;
+        data_flash::range(offset, into.len())?;
         self.device
             .file
             .read_exact_at(into, u64::from(offset))
@@ -317,7 +317,7 @@ fn create(path: &Path) -> io::Result<()> {
     ));
     let draft = PathBuf::from(draft);
     let written = File::create_new(&draft).and_then(|mut file| {
-        file.write_all(&[flash::ERASED; flash::SIZE])?;
+        file.write_all(&[data_flash::ERASED; data_flash::SIZE])?;
         file.sync_all()?;
         // Never replaces a file that another run has claimed. Not every file system can rename in
         // this way; the others have links.

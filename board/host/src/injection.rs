@@ -13,7 +13,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 use tandem_board::{CoreId, Edge, HardwareFault, Line, ResetRequest, SystemId};
 use tandem_peripherals::memory::scribble;
-use tandem_peripherals::wires::Wire;
+use tandem_peripherals::network::Wire;
 
 use crate::backplane::{Backplane, BackplaneError};
 use crate::doorbell::Ringers;

@@ -59,6 +59,6 @@ pub use name::{InvalidRunName, RunName};
 pub use observe::BusTap;
 pub use segment::SegmentError;
 pub use supply_client::HostSupply;
-pub use tandem_peripherals::wires::{BusFault, Wire};
+pub use tandem_peripherals::network::{BusFault, Wire};
 pub use unsupervised::UnsupervisedSystem;
 pub use vehicle_port::{HostVehiclePort, VehiclePortError};

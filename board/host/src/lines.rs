@@ -6,7 +6,7 @@ use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull};
 use tandem_peripherals::codec::{
     DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, decode_datagram, encode_datagram,
 };
-use tandem_peripherals::wires::Wire;
+use tandem_peripherals::network::Wire;
 use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};

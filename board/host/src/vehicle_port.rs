@@ -2,13 +2,14 @@
 
 use core::convert::Infallible;
 
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::SeedableRng;
 use tandem_board::{
-    CanFrame, CanState, Carried, CoreAddress, CoreId, Duration, HardwareFault, HardwareFaults,
-    Instant, Pass, Received, RoleLamp, SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreAddress, CoreId, Duration, Instant, Pass, Received, RoleLamp,
+    SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
 };
-use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
-use tandem_peripherals::wires::{BusFault, Wire};
+use tandem_peripherals::network::{self, Network, Wire};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::args::VehicleArgs;
@@ -59,12 +60,11 @@ pub struct HostVehiclePort {
     from_cores: Vec<Node>,
     from_supplies: [Reader; 2],
     bus: broadcast::Writer<'static, [u32; FRAME_WORDS]>,
-    /// Empty between calls; kept to avoid allocation.
-    sent: Vec<(SystemId, CoreId, Received)>,
-    /// Frames that a slow connection holds back, in the order in which they are due.
-    held_back: Vec<(Instant, SystemId, CoreId, Received)>,
+    network: Network,
     /// Decides which frames a disturbed connection loses.
-    dice: u64,
+    noise: ChaCha8Rng,
+    /// Empty between calls; kept to avoid allocation.
+    carried: Vec<network::Carried>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
     /// Frames were put on the bus, and some cores are not yet notified.
@@ -81,27 +81,29 @@ pub struct HostVehiclePort {
 
 #[derive(Debug)]
 struct Node {
-    system: SystemId,
-    core: CoreId,
+    of: CoreAddress,
     frames: fifo::Consumer<'static, [u32; TRANSMIT_WORDS]>,
     trace: Reader,
     lost: u32,
-    limit: TransmitLimit,
-    confinement: Confinement,
-    /// It has sent all that it may send in this millisecond.
-    is_limited: bool,
-    /// A frame that the bus did not take.
-    unsent: Option<[u32; TRANSMIT_WORDS]>,
+    /// How often the core had discarded its waiting frames at the last call.
+    discards: u32,
+    /// Frames may wait in its ring until its controller takes them.
+    waits: bool,
 }
 
 impl Node {
-    /// The next frame for the bus, and the earliest time at which it can have been sent. `emptied`:
-    /// when the transmit buffer was last emptied.
-    fn next(&mut self, emptied: Instant) -> Option<([u32; TRANSMIT_WORDS], Instant)> {
-        match self.unsent.take() {
-            Some(words) => Some((words, Instant::ORIGIN)),
-            None => Some((self.frames.receive().ok()??, emptied)),
+    /// Passes a discard or a loss of power on to the core's controller. Returns whether the system
+    /// has power.
+    fn follow(&mut self, backplane: Backplane, network: &mut Network) -> bool {
+        let discards = backplane.discards(self.of.system, self.of.core);
+        if core::mem::replace(&mut self.discards, discards) != discards {
+            network.discard(self.of);
         }
+        let is_powered = backplane.level(self.of.system);
+        if !is_powered {
+            network.restart(self.of);
+        }
+        is_powered
     }
 }
 
@@ -114,18 +116,15 @@ impl HostVehiclePort {
         let backplane = Backplane::open(&args.common.run)?;
         wait_until_assembled(backplane)?;
         let mut from_cores = vec![];
-        for (index, CoreAddress { system, core }) in CoreAddress::ALL.into_iter().enumerate() {
-            let frames = RINGS.transmit[index];
+        for of in CoreAddress::ALL {
+            let frames = RINGS.transmit[of.index()];
             from_cores.push(Node {
-                system,
-                core,
+                of,
                 frames: bare::fifo_consumer(backplane.ring(frames), frames.shape)?,
-                trace: Reader::new(backplane.trace_ring(index)),
-                lost: backplane.lost_trace(system, core),
-                limit: TransmitLimit::default(),
-                confinement: Confinement::default(),
-                is_limited: false,
-                unsent: None,
+                trace: Reader::new(backplane.trace_ring(of.index())),
+                lost: backplane.lost_trace(of.system, of.core),
+                discards: backplane.discards(of.system, of.core),
+                waits: false,
             });
         }
         let bus = RINGS.receive;
@@ -136,9 +135,9 @@ impl HostVehiclePort {
             from_supplies: SystemId::ALL
                 .map(|system| Reader::new(backplane.trace_ring(supply_trace_ring(system)))),
             bus: bare::broadcast_writer(backplane.ring(bus), bus.shape)?,
-            sent: vec![],
-            held_back: vec![],
-            dice: 1,
+            network: Network::default(),
+            noise: ChaCha8Rng::seed_from_u64(1),
+            carried: vec![],
             emptied: clock::now(),
             news: false,
             ticker: None,
@@ -149,19 +148,9 @@ impl HostVehiclePort {
     }
 
     /// Whether the bus has work in each period: frames wait in it, or something disturbs it.
-    fn is_disturbed(&self) -> bool {
-        let waits = |node: &Node| {
-            node.unsent.is_some()
-                || node.is_limited
-                || node.confinement.state() != CanState::ErrorActive
-        };
-        let disturbs = |system| {
-            self.backplane.bus_fault(system) != BusFault::default()
-                || self.backplane.faults(system) != HardwareFaults::default()
-        };
-        !self.held_back.is_empty()
-            || self.from_cores.iter().any(waits)
-            || SystemId::ALL.into_iter().any(disturbs)
+    fn is_disturbed(&mut self) -> bool {
+        self.network.conditions = self.backplane.conditions();
+        self.network.is_disturbed() || self.from_cores.iter().any(|node| node.waits)
     }
 
     /// Cuts or mends a connection.
@@ -175,78 +164,49 @@ impl HostVehiclePort {
         self.backplane
     }
 
-    fn is_connected(&self, system: SystemId) -> bool {
-        !self.backplane.cuts().is_cut(Wire::Can, system)
-    }
-
-    /// Every core of a connected system hears the frame, unless its receiver finds an error in it,
-    /// or its connection loses it.
-    fn publish(&mut self, received: Received, sender: Sender) {
-        let connected = SystemId::ALL.map(|system| self.is_connected(system));
-        let faults = SystemId::ALL.map(|system| self.backplane.faults(system));
-        let broken = faults.map(|faults| faults.has(HardwareFault::CanReceive));
+    /// Moves the frames of the cores from their rings to their controllers.
+    fn collect(&mut self, now: Instant) {
+        // These frames were not yet there at the last call. A core that was frozen between reading
+        // the clock and sending would report an older time, and hide the gap.
+        let emptied = core::mem::replace(&mut self.emptied, now);
+        let (backplane, network) = (self.backplane, &mut self.network);
         for node in &mut self.from_cores {
-            let own = sender == Sender::Core(CoreAddress::new(node.system, node.core));
-            if connected[node.system.index()] && !own {
-                node.confinement.hears(broken[node.system.index()]);
+            node.waits = false;
+            for _ in 0..RINGS.transmit[0].shape.slots() {
+                if backplane.level(node.of.system) && !network.is_ready(node.of, now) {
+                    node.waits = true;
+                    break;
+                }
+                let Ok(Some(words)) = node.frames.receive() else {
+                    break;
+                };
+                // After the receive: the core may have discarded this frame since.
+                let is_powered = node.follow(backplane, network);
+                let wanted = |(_, before): &(BusFrame, u32)| is_powered && *before == node.discards;
+                let Some((frame, _)) = decode_transmit(&words).filter(wanted) else {
+                    continue;
+                };
+                // Read the clock again: this process may have been held up since `now`.
+                let Received { frame, at } = frame.received;
+                let sent = at.clamp(emptied, clock::now());
+                // The ring identifies the sender, whatever the words say. The controller is ready.
+                let _full = network.send_frame(node.of, &frame, sent, now, &mut self.noise);
             }
         }
-        let lost = SystemId::ALL.map(|system| {
-            let permille = self.backplane.bus_fault(system).lost_in;
-            self.loses(permille)
-        });
-        let hears = |system: usize| connected[system] && !broken[system] && !lost[system];
+    }
+
+    /// The cores hear a frame that the network has carried.
+    fn publish(&mut self, carried: &network::Carried, at: Instant) {
         let frame = BusFrame {
-            received,
-            sender,
-            reaches: [0, 1].map(hears),
+            received: Received {
+                frame: carried.frame,
+                at,
+            },
+            sender: carried.sender,
+            reach: carried.reach,
         };
         self.bus.publish(&frame.encode());
         self.news = true;
-    }
-
-    /// The cores read their counters when the bus has worked.
-    fn tell_errors(&mut self, now: Instant) {
-        for node in &mut self.from_cores {
-            let errors = node.confinement.errors(now);
-            self.backplane
-                .set_can_errors(node.system, node.core, errors);
-        }
-    }
-
-    /// Whether a frame is lost, with a probability of `permille` in a thousand.
-    fn loses(&mut self, permille: u16) -> bool {
-        if permille == 0 {
-            return false;
-        }
-        // Marsaglia's xorshift.
-        self.dice ^= self.dice << 13;
-        self.dice ^= self.dice >> 7;
-        self.dice ^= self.dice << 17;
-        self.dice % 1_000 < u64::from(permille)
-    }
-
-    /// Does to the frames in `sent` what the connections of their senders do to them.
-    fn disturb(&mut self, now: Instant) {
-        let faults = SystemId::ALL.map(|system| self.backplane.bus_fault(system));
-        if faults == [BusFault::default(); 2] && self.held_back.is_empty() {
-            return;
-        }
-        let mut held = core::mem::take(&mut self.held_back);
-        for (system, core, sent) in core::mem::take(&mut self.sent) {
-            let BusFault { lost_out, late, .. } = faults[system.index()];
-            if !self.loses(lost_out) {
-                held.push((now + late, system, core, sent));
-            }
-        }
-        for (due, system, core, sent) in held {
-            // A connection that is no longer slow delivers at once what it held back.
-            if due <= now || faults[system.index()].late == Duration::ZERO {
-                self.sent.push((system, core, sent));
-            } else {
-                self.held_back.push((due, system, core, sent));
-            }
-        }
     }
 }
 
@@ -259,58 +219,30 @@ impl VehicleBus for HostVehiclePort {
     /// cut off the bus, sends nothing: the waiting frames of its cores are dropped.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         let now = clock::now();
-        let connected = SystemId::ALL.map(|system| self.is_connected(system));
-        // These frames were not yet there at the last call. A core that was frozen between reading
-        // the clock and sending would report an older time, and hide the gap.
-        let emptied = core::mem::replace(&mut self.emptied, now);
+        self.network.conditions = self.backplane.conditions();
         for node in &mut self.from_cores {
-            let powered = self.backplane.level(node.system);
-            let silent = !powered || !connected[node.system.index()];
-            let faults = self.backplane.faults(node.system);
-            let destroys = faults.has(HardwareFault::CanTransmit);
-            if !powered {
-                // A reset clears the counters.
-                node.confinement = Confinement::default();
-            }
-            node.is_limited = false;
-            for _ in 0..RINGS.transmit[0].shape.slots() {
-                if !silent && !node.limit.allows(now) {
-                    node.is_limited = true;
-                    break;
-                }
-                let Some((words, earliest)) = node.next(emptied) else {
-                    break;
-                };
-                let discards = self.backplane.discards(node.system, node.core);
-                let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
-                if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
-                    if !node.confinement.sends(now, destroys) {
-                        node.unsent = Some(words);
-                        break;
-                    }
-                    node.limit.count(now);
-                    // Read the clock again: the vehicle itself may have been held up since `now`.
-                    let at = sent.received.at.clamp(earliest, clock::now());
-                    let frame = sent.received.frame;
-                    // The ring identifies the sender, whatever the words say.
-                    let sent = (node.system, node.core, Received { frame, at });
-                    self.sent.push(sent);
-                }
-            }
+            node.follow(self.backplane, &mut self.network);
         }
-        self.disturb(now);
+        self.network.settle_bus(now, &mut self.noise);
+        self.collect(now);
+        let mut all = core::mem::take(&mut self.carried);
+        all.extend(core::iter::from_fn(|| self.network.carried()));
         // Stable: the frames of one core stay in their order even at equal times.
-        self.sent.sort_by_key(|(_, _, sent)| sent.at);
+        all.sort_by_key(|carried| carried.sent);
         // The bus carries them now: the start of this call may be earlier than a sender's time.
         let at = clock::now();
-        let mut all = core::mem::take(&mut self.sent);
-        for (system, core, Received { frame, at: sent }) in all.drain(..) {
-            seen(system, core, Carried { frame, sent, at });
-            let sender = Sender::Core(CoreAddress::new(system, core));
-            self.publish(Received { frame, at }, sender);
+        for carried in all.drain(..) {
+            if let Sender::Core(CoreAddress { system, core }) = carried.sender {
+                let (frame, sent) = (carried.frame, carried.sent);
+                seen(system, core, Carried { frame, sent, at });
+            }
+            self.publish(&carried, at);
         }
-        self.sent = all;
-        self.tell_errors(at);
+        self.carried = all;
+        for of in CoreAddress::ALL {
+            let errors = self.network.errors(of, at);
+            self.backplane.set_can_errors(of.system, of.core, errors);
+        }
         self.ring_receivers();
     }
 
@@ -318,7 +250,11 @@ impl VehicleBus for HostVehiclePort {
     /// [`VehicleBus::ring_receivers`].
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         let at = clock::now();
-        self.publish(Received { frame: *frame, at }, Sender::Vehicle);
+        self.network.conditions = self.backplane.conditions();
+        self.network.send_from_vehicle(frame, at, &mut self.noise);
+        while let Some(carried) = self.network.carried() {
+            self.publish(&carried, at);
+        }
         at
     }
 
@@ -327,8 +263,9 @@ impl VehicleBus for HostVehiclePort {
             return;
         }
         for node in &self.from_cores {
-            if self.backplane.wakes_on_receive(node.system, node.core) {
-                self.ringers.ring(node.system, node.core);
+            let CoreAddress { system, core } = node.of;
+            if self.backplane.wakes_on_receive(system, core) {
+                self.ringers.ring(system, core);
             }
         }
     }
@@ -382,12 +319,12 @@ impl VehiclePort for HostVehiclePort {
             while let Some((at, record)) = node.trace.next() {
                 into(Traced {
                     at,
-                    system: node.system,
-                    core: node.core,
+                    system: node.of.system,
+                    core: node.of.core,
                     record,
                 });
             }
-            let total = self.backplane.lost_trace(node.system, node.core);
+            let total = self.backplane.lost_trace(node.of.system, node.of.core);
             lost += total.wrapping_sub(core::mem::replace(&mut node.lost, total));
         }
         lost
@@ -398,8 +335,8 @@ impl VehiclePort for HostVehiclePort {
             while let Some((at, record)) = node.trace.salvage() {
                 into(Traced {
                     at,
-                    system: node.system,
-                    core: node.core,
+                    system: node.of.system,
+                    core: node.of.core,
                     record,
                 });
             }
@@ -446,7 +383,9 @@ mod tests {
     use crate::backplane::encode_transmit;
     use crate::can::HostCan;
     use std::sync::Arc;
-    use tandem_board::{Can, CanId, Generation, Identity};
+    use tandem_board::{Can, CanId, Generation, HardwareFault, Identity};
+    use tandem_peripherals::codec::Reach;
+    use tandem_peripherals::network::BusFault;
 
     /// A run without processes, in which this process is launcher and vehicle.
     fn port() -> (ScratchRun, HostVehiclePort) {
@@ -489,7 +428,7 @@ mod tests {
             let frame = BusFrame {
                 received: Received { frame, at },
                 sender: Sender::Core(CoreAddress::A0),
-                reaches: [false; 2],
+                reach: Reach::NONE,
             };
             transmit.send(&encode_transmit(&frame, 0)).unwrap();
             let mut seen = vec![];
@@ -566,7 +505,8 @@ mod tests {
         assert_eq!(exchange(BusFault { late, ..sound }), (1, 0), "late");
         clock::sleep_until(clock::now() + late);
         assert_eq!(exchange(BusFault { late, ..sound }), (1, 1), "one came");
-        assert_eq!(exchange(sound), (1, 2), "what was held back comes");
+        clock::sleep_until(clock::now() + late);
+        assert_eq!(exchange(sound), (1, 2), "the second, which keeps its delay");
         Backplane::remove(&run);
     }
 

@@ -22,7 +22,7 @@ const FD: u32 = 1 << 8;
 const EXTENDED: u32 = 1 << 9;
 const SENDER_AT: u32 = 16;
 const SENDER: u32 = 0x7 << SENDER_AT;
-const REACHES_AT: u32 = 24;
+const REACH_AT: u32 = 24;
 /// The code of a sender that is not a core.
 const VEHICLE: u32 = 7;
 
@@ -35,6 +35,28 @@ pub enum Sender {
     Vehicle,
 }
 
+/// A set of cores, one bit for each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reach(pub u8);
+
+impl Reach {
+    /// No core.
+    pub const NONE: Self = Self(0);
+    /// Every core of both systems.
+    pub const ALL: Self = Self((1 << CoreAddress::COUNT) - 1);
+
+    /// Whether this core is in the set.
+    #[must_use]
+    pub const fn has(self, core: CoreAddress) -> bool {
+        self.0 >> core.index() & 1 == 1
+    }
+
+    /// Adds a core.
+    pub const fn add(&mut self, core: CoreAddress) {
+        self.0 |= 1 << core.index();
+    }
+}
+
 /// A frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFrame {
@@ -42,8 +64,8 @@ pub struct BusFrame {
     pub received: Received,
     /// Who sent it.
     pub sender: Sender,
-    /// Which systems were connected to the bus at that time, by their index.
-    pub reaches: [bool; 2],
+    /// Which cores receive it.
+    pub reach: Reach,
 }
 
 impl BusFrame {
@@ -57,9 +79,9 @@ impl BusFrame {
             CanId::Extended(id) => (id, EXTENDED),
         };
         let fd = if frame.is_fd() { FD } else { 0 };
-        let reaches = u32::from(self.reaches[0]) | u32::from(self.reaches[1]) << 1;
+        let reach = u32::from(self.reach.0);
         words[2] = id;
-        words[3] = frame.data().len() as u32 | fd | extended | reaches << REACHES_AT;
+        words[3] = frame.data().len() as u32 | fd | extended | reach << REACH_AT;
         set_time(&mut words, self.received.at);
         set_sender(&mut words, self.sender);
         for (word, bytes) in words[4..].iter_mut().zip(frame.data().chunks(4)) {
@@ -87,14 +109,13 @@ impl BusFrame {
             VEHICLE => Sender::Vehicle,
             index => Sender::Core(CoreAddress::from_index(index as usize)?),
         };
-        let reaches = kind >> REACHES_AT;
         Some(Self {
             received: Received {
                 frame: CanFrame::new(id, kind & FD != 0, data).ok()?,
                 at: Instant::from_words([words[0], words[1]]),
             },
             sender,
-            reaches: [reaches & 1 != 0, reaches & 2 != 0],
+            reach: Reach((kind >> REACH_AT) as u8 & Reach::ALL.0),
         })
     }
 }
@@ -180,7 +201,7 @@ mod tests {
                 at: Instant::from_ns(0x1234_5678_9ABC_DEF0),
             },
             sender: Sender::Core(CoreAddress::B2),
-            reaches: [false, true],
+            reach: Reach(0b111_000),
         }
     }
 

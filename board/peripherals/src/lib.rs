@@ -6,14 +6,14 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod bus;
 pub mod codec;
-pub mod flash;
-pub mod frame_time;
+pub mod data_flash;
 pub mod memory;
+pub mod network;
 pub mod supply;
 pub mod watchdog;
-pub mod wires;
 
+#[cfg(feature = "network")]
+extern crate alloc;
 #[cfg(test)]
 extern crate std;

@@ -10,7 +10,6 @@
 
 mod alone;
 mod machine;
-mod wires;
 mod world;
 
 pub use alone::run_to_end;

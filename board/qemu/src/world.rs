@@ -4,16 +4,17 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::SeedableRng;
 use tandem_board::{
-    CanFrame, Carried, CoreId, Edge, HardwareFault, Instant, Line, Received, RoleLamp, SystemId,
-    Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreAddress, CoreId, Edge, HardwareFault, Instant, Line, Received, RoleLamp,
+    SystemId, Traced, VehicleBus, VehiclePort,
 };
 use tandem_cosim::{Item, PERIOD_NS};
-use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
-use tandem_peripherals::wires::{BusFault, Wire};
+use tandem_peripherals::codec::{BusFrame, Reach, Sender, decode_trace};
+use tandem_peripherals::network::{self, BusFault, Network, Wire};
 
 use crate::machine::{BootFrom, Machine, MachineError, Options};
-use crate::wires::{OnBus, Wires};
 
 /// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,10 +32,14 @@ pub struct EmulatedWorld {
     machines: Vec<Node>,
     /// The number of the last step.
     step: u64,
-    /// Frames on the bus since the last step.
-    sent: Vec<OnBus>,
-    /// What lies between the machines.
-    wires: Wires,
+    /// Frames of cores that were on the bus since the last step.
+    sent: Vec<network::Carried>,
+    /// Connects the machines.
+    network: Network,
+    /// Decides which frames a disturbed connection loses: the same in each run.
+    noise: ChaCha8Rng,
+    /// The level lines as the other systems have them.
+    shown: [bool; 2],
     /// When the last frame was on the bus.
     carried: Instant,
     traced: Vec<Traced>,
@@ -111,7 +116,9 @@ impl EmulatedWorld {
             machines,
             step: 0,
             sent: vec![],
-            wires: Wires::default(),
+            network: Network::default(),
+            noise: ChaCha8Rng::seed_from_u64(1),
+            shown: [false; 2],
             carried: Instant::ORIGIN,
             traced: vec![],
             lamps: [RoleLamp::Starting; 2],
@@ -167,9 +174,8 @@ impl EmulatedWorld {
             self.answer()?;
         }
         self.step += 1;
-        for frame in self.wires.due(self.now()) {
-            self.put_on_bus(frame);
-        }
+        self.network.settle_bus(self.now(), &mut self.noise);
+        self.carry();
         for index in 0..self.machines.len() {
             self.hear(index)?;
         }
@@ -240,34 +246,39 @@ impl EmulatedWorld {
 
     /// Tells the other system of the level line, if it has changed there.
     fn show_level(&mut self, of: SystemId) {
-        if let Some(high) = self.wires.level_changed(of, self.powered[of.index()]) {
+        let high = self.network.conditions.level(of, self.powered[of.index()]);
+        if std::mem::replace(&mut self.shown[of.index()], high) != high {
             self.tell(of.peer(), of, Item::Level { of, high });
         }
     }
 
-    /// The frame of a core is on the bus: the other machines receive it.
-    fn put_on_bus(&mut self, on_bus: OnBus) {
-        let OnBus {
-            from, frame, at, ..
-        } = on_bus;
-        let received = Received { frame, at };
-        self.carry(received, Sender::Core(from));
-        self.sent.push(on_bus);
-    }
-
-    /// Brings a frame to all machines but that of its sender.
-    fn carry(&mut self, received: Received, sender: Sender) {
-        let frame = BusFrame {
-            received,
-            sender,
-            reaches: [true; 2],
-        };
-        let item = Item::Frame(frame.encode());
-        for node in &mut self.machines {
-            let is_own =
-                matches!(sender, Sender::Core(from) if node.systems.contains(&from.system));
-            if !is_own && node.systems.iter().any(|system| self.wires.hears(*system)) {
-                node.outgoing.push(item);
+    /// Brings the frames on the bus to all machines but that of their sender. A machine gives a
+    /// frame to all of its cores: it receives what core 0 of one of its systems receives.
+    fn carry(&mut self) {
+        while let Some(carried) = self.network.carried() {
+            let network::Carried {
+                sender,
+                frame,
+                at,
+                reach,
+                ..
+            } = carried;
+            let frame = BusFrame {
+                received: Received { frame, at },
+                sender,
+                reach: Reach::ALL,
+            };
+            let item = Item::Frame(frame.encode());
+            for node in &mut self.machines {
+                let is_own =
+                    matches!(sender, Sender::Core(from) if node.systems.contains(&from.system));
+                let hears = |of: &SystemId| reach.has(CoreAddress::new(*of, CoreId::CONTROL));
+                if !is_own && node.systems.iter().any(hears) {
+                    node.outgoing.push(item);
+                }
+            }
+            if sender != Sender::Vehicle {
+                self.sent.push(carried);
             }
         }
     }
@@ -291,16 +302,9 @@ impl EmulatedWorld {
                     return;
                 };
                 let Received { frame, at } = frame.received;
-                let sent = at;
-                let on_bus = OnBus {
-                    from,
-                    frame,
-                    sent,
-                    at,
-                };
-                if let Some(on_bus) = self.wires.send(on_bus) {
-                    self.put_on_bus(on_bus);
-                }
+                self.network
+                    .send_from_controller(from, &frame, at, &mut self.noise);
+                self.carry();
             }
             Item::Trace { from, words } => {
                 let (at, record) = decode_trace(words);
@@ -312,13 +316,18 @@ impl EmulatedWorld {
                 });
             }
             Item::Edges { to, line, .. } => {
-                let is_cut = |line| self.wires.cuts.is_cut(Wire::Line(line), to.peer());
+                let is_cut = |line| {
+                    self.network
+                        .conditions
+                        .cuts
+                        .is_cut(Wire::Line(line), to.peer())
+                };
                 if !Line::ALL.get(line).is_some_and(|line| is_cut(*line)) {
                     self.tell(to, to.peer(), item);
                 }
             }
             Item::Datagram { to, .. } => {
-                if !self.wires.cuts.is_cut(Wire::Link, to.peer()) {
+                if !self.network.conditions.cuts.is_cut(Wire::Link, to.peer()) {
                     self.tell(to, to.peer(), item);
                 }
             }
@@ -361,19 +370,19 @@ impl EmulatedWorld {
 
     /// Cuts a wire that begins at a system, or mends it. Only of what lies between two machines.
     pub fn set_cut(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
-        self.wires.cuts.set(wire, from, is_cut);
+        self.network.conditions.cuts.set(wire, from, is_cut);
         self.show_level(from);
     }
 
     /// Holds the level line of a system low, or releases it. Only between two machines.
     pub fn hold_level_low(&mut self, of: SystemId, is_held: bool) {
-        self.wires.held_low[of.index()] = is_held;
+        self.network.conditions.held_low[of.index()] = is_held;
         self.show_level(of);
     }
 
     /// Sets the faults of a system's connection to the bus. Only between two machines.
     pub fn disturb_bus(&mut self, of: SystemId, fault: BusFault) {
-        self.wires.bus[of.index()] = fault;
+        self.network.conditions.bus[of.index()] = fault;
     }
 
     /// A system hears an edge that no system has sent.
@@ -420,18 +429,15 @@ impl VehicleBus for EmulatedWorld {
     }
 
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
-        for on_bus in self.sent.drain(..) {
-            let OnBus {
-                from,
-                frame,
-                sent,
-                at,
-            } = on_bus;
+        for it in self.sent.drain(..) {
+            let Sender::Core(from) = it.sender else {
+                continue;
+            };
             // A frame that missed the last step is on the bus with this one.
-            self.carried = self.carried.max(at);
+            self.carried = self.carried.max(it.at);
             let carried = Carried {
-                frame,
-                sent,
+                frame: it.frame,
+                sent: it.sent,
                 at: self.carried,
             };
             seen(from.system, from.core, carried);
@@ -440,12 +446,10 @@ impl VehicleBus for EmulatedWorld {
 
     /// The cores receive it with the next step.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
-        let received = Received {
-            frame: *frame,
-            at: self.now(),
-        };
-        self.carried = self.carried.max(received.at);
-        self.carry(received, Sender::Vehicle);
+        let now = self.now();
+        self.carried = self.carried.max(now);
+        self.network.send_from_vehicle(frame, now, &mut self.noise);
+        self.carry();
         self.carried
     }
 }

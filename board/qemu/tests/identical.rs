@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 use tandem_board::{CanFrame, CanId, Received};
 use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
 use tandem_golden::{Functions, instant, play};
-use tandem_peripherals::codec::{BusFrame, Sender};
+use tandem_peripherals::codec::{BusFrame, Reach, Sender};
 use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig};
 
 /// How long the functions drive, ms.
@@ -41,7 +41,7 @@ fn record(scenario: &str) -> Vec<u32> {
             let on_bus = BusFrame {
                 received: Received { frame, at },
                 sender: Sender::Vehicle,
-                reaches: [true; 2],
+                reach: Reach::ALL,
             };
             recording.extend(on_bus.encode());
         }

@@ -14,7 +14,7 @@ use tandem_board::{
     Supply, SystemId, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
-use tandem_peripherals::flash;
+use tandem_peripherals::data_flash;
 use tandem_peripherals::watchdog::Window;
 
 /// A core: called when its interrupt is pending or its deadline has passed. Returns its next
@@ -263,7 +263,7 @@ impl Board for SimBoard {
 
     fn output_diagnosis(&self) -> OutputDiagnosis {
         let mut machine = self.port.shared.lock();
-        machine.system(self.port.place.system).faults.outputs()
+        machine.conditions().hardware[self.port.place.system.index()].outputs()
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
@@ -372,7 +372,7 @@ impl Can for SimCan {
         self.0
             .alive(|machine| {
                 let now = machine.at();
-                machine.core(self.0.place).confinement.errors(now)
+                machine.network.errors(self.0.place, now)
             })
             .unwrap_or_default()
     }
@@ -446,9 +446,9 @@ impl Link for SimLink {
 }
 
 impl DataFlash for SimFlash {
-    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
-    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
-    const SECTORS: u32 = flash::SECTORS;
+    const PAGE_BYTES: u32 = data_flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = data_flash::SECTOR_BYTES;
+    const SECTORS: u32 = data_flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
         self.0

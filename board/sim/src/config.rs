@@ -1,10 +1,9 @@
 //! The configuration of a simulated run.
 
 use tandem_board::{CanFrame, Duration, HardwareFault};
-use tandem_peripherals::frame_time::BitRates;
+use tandem_peripherals::network::{LINK_DATAGRAMS, WireTimes};
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
-use tandem_peripherals::wires::LINK_DATAGRAMS;
 
 /// How a system's clock relates to virtual time: `local = offset + time × (1 + drift / 10⁹)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -52,19 +51,6 @@ impl Clock {
 /// What becomes of a frame.
 pub type Tamper = fn(&CanFrame) -> CanFrame;
 
-/// Times of the connections. The default takes no time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wires {
-    /// From an edge to its count at the other system.
-    pub line: Duration,
-    /// From the hand-over of a datagram to its arrival.
-    pub link: Duration,
-    /// The bit rates of the bus; `None`: a frame takes no time, and no frame waits for another.
-    pub bus: Option<BitRates>,
-    /// Of a billion bits on the bus, this many are wrong. The frame is destroyed and sent again.
-    pub wrong_bits: u32,
-}
-
 /// The order of cores that are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
@@ -98,7 +84,7 @@ pub struct Config {
     /// Records that the trace holds.
     pub trace_records: usize,
     /// What the connections take.
-    pub wires: Wires,
+    pub wires: WireTimes,
     /// A deliberate fault of the board itself, which the conformance suite must find.
     pub defect: Option<Defect>,
 }
@@ -124,7 +110,7 @@ impl Default for Config {
             can_fifo_frames: 512,
             link_datagrams: LINK_DATAGRAMS,
             trace_records: 1 << 16,
-            wires: Wires::default(),
+            wires: WireTimes::default(),
             defect: None,
         }
     }

@@ -4,25 +4,16 @@ use crate::config::Defect;
 use crate::event::OnBus;
 use crate::machine::Machine;
 use crate::outbox::Output;
-use crate::transit::{Arrival, OnAir, Waiting};
 use std::sync::atomic::Ordering;
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, LinkFull, Received,
-    SystemId, TransmitFull,
+    CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
 };
 use tandem_peripherals::codec::Sender;
-use tandem_peripherals::frame_time::Bits;
+use tandem_peripherals::network::{Arrival, Carried, Wire};
 use tandem_peripherals::supply::Power;
-use tandem_peripherals::wires::Wire;
-
-/// Frames that wait for the bus in the transmit buffer of a core.
-const TRANSMIT_BUFFER: usize = 32;
 
 impl Machine {
     pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
-        if self.cuts.is_cut(Wire::Line(line), from) {
-            return;
-        }
         let to = if self.has(Defect::LineLoopback) {
             from
         } else {
@@ -31,12 +22,9 @@ impl Machine {
         if self.systems[to.index()].supply.power() == Power::Off {
             return;
         }
-        match self.config.wires.line {
-            Duration::ZERO => self.count_edge(to, line, edge),
-            delay => {
-                let at_ns = self.now_ns + delay.as_ns();
-                self.transit.arrives(at_ns, Arrival::Edge(to, line, edge));
-            }
+        let (now, sent) = (self.at(), Arrival::Edge(to, line, edge));
+        if let Some(Arrival::Edge(..)) = self.network.send(Wire::Line(line), from, sent, now) {
+            self.count_edge(to, line, edge);
         }
     }
 
@@ -56,17 +44,13 @@ impl Machine {
 
     pub(crate) fn send_link(&mut self, from: SystemId, words: &[u32]) -> Result<(), LinkFull> {
         let to = from.peer();
-        if self.cuts.is_cut(Wire::Link, from) || !self.is_powered(to) {
+        if !self.is_powered(to) {
             return Ok(());
         }
-        match self.config.wires.link {
-            Duration::ZERO => self.put_in_inbox(to, words.to_vec()),
-            delay => {
-                let at_ns = self.now_ns + delay.as_ns();
-                let datagram = Arrival::Datagram(to, words.to_vec());
-                self.transit.arrives(at_ns, datagram);
-                Ok(())
-            }
+        let (now, sent) = (self.at(), Arrival::Datagram(to, words.to_vec()));
+        match self.network.send(Wire::Link, from, sent, now) {
+            Some(Arrival::Datagram(to, words)) => self.put_in_inbox(to, words),
+            _ => Ok(()),
         }
     }
 
@@ -111,85 +95,61 @@ impl Machine {
     }
 
     pub(crate) fn discard_unsent(&mut self, from: CoreAddress) {
+        self.network.discard(from);
         let core = self.core(from);
-        core.unsent.clear();
         core.outbox
             .retain(|(_, output)| !matches!(output, Output::Frame(_)));
-        self.transit.discard(from);
         self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
     }
 
-    /// Sends a frame of a core, unless the core has used up its share of this millisecond.
     pub(crate) fn send_can(
         &mut self,
         from: CoreAddress,
         frame: &CanFrame,
     ) -> Result<(), TransmitFull> {
-        if self.cuts.is_cut(Wire::Can, from.system) {
+        let now = self.at();
+        if core::mem::take(&mut self.core(from).loses_next) {
             return Ok(());
         }
-        let now = self.at();
         let tamper = self.systems[from.system.index()].tamper;
         let frame = &tamper.map_or(*frame, |tamper| tamper(frame));
-        let core = self.core(from);
-        if !core.transmit.allows(now) {
-            return Err(TransmitFull);
-        }
-        core.transmit.count(now);
-        if core::mem::take(&mut core.loses_next) {
-            return Ok(());
-        }
-        let lost_out = self.systems[from.system.index()].bus_fault.lost_out;
-        if self.loses(lost_out) {
-            return Ok(());
-        }
-        if self.core(from).unsent.is_empty() && self.sends(from) {
-            self.transmit(from, frame);
-            return Ok(());
-        }
-        let unsent = &mut self.core(from).unsent;
-        if unsent.len() >= TRANSMIT_BUFFER {
-            return Err(TransmitFull);
-        }
-        unsent.push_back(*frame);
-        Ok(())
+        let sent = self
+            .network
+            .send_frame(from, frame, now, now, &mut self.noise);
+        self.receive_carried();
+        sent
     }
 
-    /// A frame of this sender waits for the bus, which takes no time unless the wires have one.
-    pub(crate) fn offer(&mut self, sender: Sender, frame: &CanFrame) {
-        if self.config.wires.bus.is_some() {
-            self.transit.wait(sender, frame);
-        } else {
-            self.put_on_bus(sender, frame);
-        }
+    pub(crate) fn send_from_vehicle(&mut self, frame: &CanFrame) {
+        let now = self.at();
+        self.network.send_from_vehicle(frame, now, &mut self.noise);
+        self.receive_carried();
     }
 
-    /// Puts a frame on the bus: every connected core but its sender receives it.
-    pub(crate) fn put_on_bus(&mut self, sender: Sender, frame: &CanFrame) {
-        let at = self.at();
-        let on_bus = OnBus {
-            at,
-            sender,
-            frame: *frame,
-        };
-        self.digest.frame(&on_bus);
-        self.bus.push(on_bus);
-        self.unheard.push(on_bus);
-        for place in CoreAddress::ALL {
-            let own = sender == Sender::Core(place);
-            let deaf = self.has(Defect::NoBroadcast)
-                && matches!(sender, Sender::Core(from) if from.system != place.system);
-            let lost_in = self.systems[place.system.index()].bus_fault.lost_in;
-            let deaf = deaf || self.loses(lost_in);
-            if (!own || self.has(Defect::SelfReception)) && !deaf {
-                self.hear_can(place, sender, frame);
+    /// Every core that a frame on the bus reaches receives it.
+    fn receive_carried(&mut self) {
+        while let Some(carried) = self.network.carried() {
+            let Carried {
+                at, sender, frame, ..
+            } = carried;
+            let on_bus = OnBus { at, sender, frame };
+            self.digest.frame(&on_bus);
+            self.bus.push(on_bus);
+            self.unheard.push(on_bus);
+            for place in CoreAddress::ALL {
+                let deaf = self.has(Defect::NoBroadcast)
+                    && matches!(sender, Sender::Core(from) if from.system != place.system);
+                let own = self.has(Defect::SelfReception) && sender == Sender::Core(place);
+                if carried.reach.has(place) && !deaf || own {
+                    self.hear_can(place, sender, &frame);
+                }
             }
         }
     }
 
     fn hear_can(&mut self, place: CoreAddress, sender: Sender, frame: &CanFrame) {
         let at = self.local(place.system);
-        if self.cuts.is_cut(Wire::Can, place.system) || !self.core(place).alive {
+        if !self.core(place).alive {
             return;
         }
         let depth = self.config.can_fifo_frames;
@@ -209,14 +169,7 @@ impl Machine {
         } else {
             *frame
         };
-        let broken = self.systems[place.system.index()]
-            .faults
-            .has(HardwareFault::CanReceive);
         let core = self.core(place);
-        core.confinement.hears(broken);
-        if broken {
-            return;
-        }
         if core.can_fifo.len() >= depth {
             core.overruns = core.overruns.wrapping_add(u32::from(!uncounted));
         } else {
@@ -250,12 +203,13 @@ impl Machine {
 
 /// What is on its way, and what a core sends while a job of it takes time.
 impl Machine {
-    /// Does what is due on the wires.
-    pub(crate) fn settle_transit(&mut self) {
-        while let Some(first) = self.transit.arrivals.first_entry()
-            && first.key().0 <= self.now_ns
-        {
-            match first.remove() {
+    /// Does what is due on the bus and the wires.
+    pub(crate) fn settle_network(&mut self) {
+        let now = self.at();
+        self.network.settle_bus(now, &mut self.noise);
+        self.receive_carried();
+        while let Some(arrival) = self.network.arrived(now) {
+            match arrival {
                 Arrival::Edge(to, line, edge) => self.count_edge(to, line, edge),
                 Arrival::Datagram(to, words) if self.is_powered(to) => {
                     // A receiver that does not fetch loses what arrives.
@@ -263,50 +217,6 @@ impl Machine {
                 }
                 Arrival::Datagram(..) => {}
             }
-        }
-        if self.config.wires.bus.is_some() {
-            self.settle_air();
-        }
-    }
-
-    fn settle_air(&mut self) {
-        let Some(rates) = self.config.wires.bus else {
-            return;
-        };
-        let now_ns = self.now_ns;
-        loop {
-            if let Some(air) = self.transit.on_air.take_if(|air| air.ends_ns <= now_ns) {
-                self.transit.free_ns = air.ends_ns + rates.time(Bits::INTERMISSION).as_ns();
-                match air.frame {
-                    None => {}
-                    Some(again) if air.destroyed => self.transit.waiting.insert(0, again),
-                    Some(Waiting { sender, frame, .. }) => self.put_on_bus(sender, &frame),
-                }
-            }
-            if self.transit.on_air.is_some() || now_ns < self.transit.free_ns {
-                return;
-            }
-            let Some(index) = self.transit.winner() else {
-                return;
-            };
-            let frame = self.transit.waiting.remove(index);
-            let bits = frame.bits;
-            let whole = rates.time(bits);
-            let permillion =
-                u64::from(self.config.wires.wrong_bits) * u64::from(bits.nominal + bits.data);
-            let destroyed = self.draws_below(permillion, 1_000_000_000);
-            let takes = if destroyed {
-                // Anywhere in the frame, and the error frame.
-                let part = Duration::from_ns(self.draw_below(whole.as_ns()));
-                part + rates.time(Bits::ERROR)
-            } else {
-                whole
-            };
-            self.transit.on_air = Some(OnAir {
-                ends_ns: now_ns + takes.as_ns(),
-                frame: Some(frame),
-                destroyed,
-            });
         }
     }
 

@@ -5,11 +5,10 @@ use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, ResetCause, SystemId,
+    CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, ResetCause, SystemId,
 };
-use tandem_peripherals::codec::Sender;
 use tandem_peripherals::memory::scribble;
-use tandem_peripherals::wires::{BusFault, Wire};
+use tandem_peripherals::network::{BusFault, Wire};
 
 /// Faults.
 impl SimPair {
@@ -93,7 +92,7 @@ impl SimPair {
 
     /// Sets the faults of a system's connection to the CAN bus.
     pub fn disturb_bus(&mut self, system: SystemId, fault: BusFault) {
-        self.shared.lock().system(system).bus_fault = fault;
+        self.shared.lock().conditions().bus[system.index()] = fault;
     }
 
     /// Makes a fault of a system's hardware, or mends it.
@@ -154,7 +153,7 @@ impl Machine {
             return;
         }
         let now = self.at();
-        let faults = &mut self.system(of).faults;
+        let faults = &mut self.conditions().hardware[of.index()];
         faults.set(fault, present);
         let faults = *faults;
         self.with_supply(of, |supply| supply.observe(now, faults));
@@ -162,7 +161,7 @@ impl Machine {
 
     fn hold_level_low(&mut self, system: SystemId, held: bool) {
         let before = self.level(system);
-        self.system(system).level_held_low = held;
+        self.conditions().held_low[system.index()] = held;
         if self.show_level(system) != before {
             self.raise_peer(system);
         }
@@ -171,73 +170,6 @@ impl Machine {
     /// A number below `limit`; 0 if that is 0.
     pub(crate) fn draw_below(&mut self, limit: u64) -> u64 {
         self.noise.random_range(0..limit.max(1))
-    }
-
-    /// True in `part` of `whole` cases. Draws nothing if it is true in none.
-    pub(crate) fn draws_below(&mut self, part: u64, whole: u64) -> bool {
-        part > 0 && self.draw_below(whole) < part
-    }
-
-    /// Whether a frame is lost, with a probability of `permille` in a thousand.
-    pub(crate) fn loses(&mut self, permille: u16) -> bool {
-        permille > 0 && self.noise.random_range(0..1000) < permille
-    }
-
-    /// Puts a frame on the bus, or makes it wait if its sender's connection is slow.
-    pub(crate) fn transmit(&mut self, from: CoreAddress, frame: &CanFrame) {
-        let late = self.systems[from.system.index()].bus_fault.late;
-        if late == Duration::ZERO {
-            self.offer(Sender::Core(from), frame);
-        } else {
-            let at_ns = (self.at() + late).as_ns();
-            self.on_the_way.push_back((at_ns, from, *frame));
-        }
-    }
-
-    /// Whether the first of the frames that a core has handed over reaches the bus now.
-    pub(crate) fn sends(&mut self, from: CoreAddress) -> bool {
-        let now = self.at();
-        let fails = self.systems[from.system.index()]
-            .faults
-            .has(HardwareFault::CanTransmit);
-        self.core(from).confinement.sends(now, fails)
-    }
-
-    /// Puts the frames on the bus that waited for it, and the delayed ones that are due.
-    pub(crate) fn settle_bus(&mut self) {
-        for from in CoreAddress::ALL {
-            if self.core(from).unsent.is_empty() {
-                continue;
-            }
-            if !self.core(from).alive || self.cuts.is_cut(Wire::Can, from.system) {
-                self.core(from).unsent.clear();
-            }
-            while !self.core(from).unsent.is_empty() && self.sends(from) {
-                if let Some(frame) = self.core(from).unsent.pop_front() {
-                    self.transmit(from, &frame);
-                }
-            }
-        }
-        while let Some((at_ns, from, frame)) = self.on_the_way.front().copied()
-            && at_ns <= self.now_ns
-        {
-            self.on_the_way.pop_front();
-            self.offer(Sender::Core(from), &frame);
-        }
-        self.settle_transit();
-    }
-
-    /// When the next frame that waits may reach the bus.
-    pub(crate) fn bus_next_ns(&self) -> u64 {
-        let cores = self.systems.iter().flat_map(|system| &system.cores);
-        let waiting = cores.filter(|core| !core.unsent.is_empty());
-        let tried = waiting.map(|core| core.confinement.due().as_ns());
-        let delayed = self.on_the_way.front().map(|(at_ns, ..)| *at_ns);
-        let arrives = self.transit.next_ns();
-        tried
-            .chain(delayed)
-            .min()
-            .map_or(arrives, |next| next.min(arrives))
     }
 }
 

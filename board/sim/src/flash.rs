@@ -2,7 +2,7 @@
 
 use rand::Rng;
 use tandem_board::{FlashError, Instant};
-use tandem_peripherals::flash::{ERASED, Operation, PAGE_BYTES, SIZE, range};
+use tandem_peripherals::data_flash::{ERASED, Operation, PAGE_BYTES, SIZE, range};
 
 /// The operation under way.
 #[derive(Clone, Debug)]

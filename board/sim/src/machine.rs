@@ -5,19 +5,17 @@ use crate::digest::Digest;
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use crate::flash::Flash;
 use crate::outbox::Output;
-use crate::transit::Transit;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, LmuWord,
-    Received, RoleLamp, SystemId, Traced,
+    CoreAddress, CoreId, Duration, Edge, Instant, Line, LmuWord, Received, RoleLamp, SystemId,
+    Traced,
 };
-use tandem_peripherals::bus::{Confinement, TransmitLimit};
+use tandem_peripherals::network::{Conditions, Network};
 use tandem_peripherals::supply::{self, Power, Supply};
-use tandem_peripherals::wires::{BusFault, Cuts};
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;
@@ -49,10 +47,6 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
-    pub(crate) transmit: TransmitLimit,
-    pub(crate) confinement: Confinement,
-    /// Frames that the bus has not taken yet.
-    pub(crate) unsent: VecDeque<CanFrame>,
     /// A defect: the next frame is lost.
     pub(crate) loses_next: bool,
     /// An interrupt has caused the present poll.
@@ -79,9 +73,6 @@ impl Core {
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
-            transmit: TransmitLimit::default(),
-            confinement: Confinement::default(),
-            unsent: VecDeque::new(),
             loses_next: false,
             interrupted: false,
             job: None,
@@ -90,7 +81,7 @@ impl Core {
         }
     }
 
-    pub(crate) fn start(&mut self, generation: u32, now_ns: u64) {
+    fn start(&mut self, generation: u32, now_ns: u64) {
         let (incarnation, rest) = (self.incarnation + 1, self.rest);
         *self = Self::new();
         self.rest = rest;
@@ -121,10 +112,7 @@ pub(crate) struct System {
     /// Power fails when the flash has changed this many more bytes.
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
-    pub(crate) level_held_low: bool,
-    pub(crate) bus_fault: BusFault,
     pub(crate) tamper: Option<Tamper>,
-    pub(crate) faults: HardwareFaults,
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
 
@@ -136,10 +124,7 @@ impl System {
             flash: Flash::new(),
             flash_bytes_to_live: None,
             lamp: RoleLamp::Starting,
-            level_held_low: false,
-            bus_fault: BusFault::default(),
             tamper: None,
-            faults: HardwareFaults::default(),
             inbox: VecDeque::new(),
         }
     }
@@ -202,10 +187,7 @@ pub(crate) struct Machine {
     pub(crate) now_ns: u64,
     pub(crate) glance: Arc<Glance>,
     pub(crate) systems: [System; 2],
-    pub(crate) cuts: Cuts,
     pub(crate) bus: Vec<OnBus>,
-    /// Delayed frames: when each reaches the bus, and its sender.
-    pub(crate) on_the_way: VecDeque<(u64, CoreAddress, CanFrame)>,
     /// Frames that the world has not received yet.
     pub(crate) unheard: Vec<OnBus>,
     pub(crate) trace: Vec<Traced>,
@@ -214,7 +196,7 @@ pub(crate) struct Machine {
     /// Counts each begin and end of an incarnation.
     pub(crate) incarnations: u64,
     pub(crate) noise: ChaCha8Rng,
-    pub(crate) transit: Transit,
+    pub(crate) network: Network,
     pub(crate) digest: Digest,
 }
 
@@ -244,16 +226,14 @@ impl Shared {
             now_ns: 0,
             glance: Arc::clone(&glance),
             systems: [System::new(supply), System::new(supply)],
-            cuts: Cuts::default(),
             bus: Vec::new(),
-            on_the_way: VecDeque::new(),
             unheard: Vec::new(),
             trace: Vec::new(),
             trace_lost: 0,
             events: Vec::new(),
             incarnations: 0,
             noise: ChaCha8Rng::seed_from_u64(config.seed),
-            transit: Transit::default(),
+            network: Network::new(config.wires),
             digest: Digest::new(),
         };
         machine.set_now(0);
@@ -325,6 +305,17 @@ impl Machine {
 
     pub(crate) fn at(&self) -> Instant {
         Instant::from_ns(self.now_ns)
+    }
+
+    pub(crate) const fn conditions(&mut self) -> &mut Conditions {
+        &mut self.network.conditions
+    }
+
+    /// Begins an incarnation of a core and of its CAN controller.
+    pub(crate) fn start_core(&mut self, place: CoreAddress, generation: u32) {
+        let now_ns = self.now_ns;
+        self.core(place).start(generation, now_ns);
+        self.network.restart(place);
     }
 
     pub(crate) fn core(&mut self, place: CoreAddress) -> &mut Core {

@@ -12,7 +12,6 @@ use std::sync::{Arc, MutexGuard};
 use tandem_board::{
     CoreAddress, CoreId, Duration, Generation, Instant, LmuWord, RoleLamp, SystemId, Traced,
 };
-use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
 
 /// The vehicle's function, called every millisecond.
@@ -212,7 +211,7 @@ impl SimPair {
         self.world_next += WORLD_PERIOD;
         let mut machine = shared.lock();
         for frame in &tick.sent {
-            machine.offer(Sender::Vehicle, frame);
+            machine.send_from_vehicle(frame);
         }
         machine
     }

@@ -8,10 +8,9 @@ use std::sync::atomic::Ordering;
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
-use tandem_peripherals::flash::PAGE_BYTES;
-use tandem_peripherals::frame_time::{BitRates, Bits};
+use tandem_peripherals::data_flash::PAGE_BYTES;
+use tandem_peripherals::network::Wire;
 use tandem_peripherals::supply::{Change, Supply};
-use tandem_peripherals::wires::Wire;
 
 impl Machine {
     pub(crate) fn is_powered(&self, system: SystemId) -> bool {
@@ -22,8 +21,7 @@ impl Machine {
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
         let stuck = self.has(Defect::LevelStuckHigh);
-        let held_low = self.systems[system.index()].level_held_low;
-        self.cuts.level(system, shown || stuck) && !held_low
+        self.network.conditions.level(system, shown || stuck)
     }
 
     /// Runs an action of a supply; a change of the level line interrupts the other system.
@@ -55,7 +53,7 @@ impl Machine {
 
     pub(crate) fn set_cut(&mut self, wire: Wire, from: SystemId, cut: bool) {
         let before = self.level(from);
-        self.cuts.set(wire, from, cut);
+        self.conditions().cuts.set(wire, from, cut);
         if self.show_level(from) != before {
             self.raise_peer(from);
         }
@@ -106,11 +104,11 @@ impl Machine {
     }
 
     fn release(&mut self, place: CoreAddress) {
-        let now_ns = self.now_ns;
         self.incarnations += 1;
         let core = self.core(place);
         if core.held {
-            core.start(core.generation, now_ns);
+            let generation = core.generation;
+            self.start_core(place, generation);
         }
     }
 
@@ -138,10 +136,7 @@ impl Machine {
             .iter_mut()
             .for_each(|core| (core.alive, core.held) = (false, false));
         self.incarnations += 1;
-        let rates = self.config.wires.bus.unwrap_or(BitRates::TANDEM);
-        let now_ns = self.now_ns;
-        self.transit
-            .cut_off(system, now_ns, rates.time(Bits::ERROR));
+        self.network.stop(system, now);
         self.log(system, why);
     }
 
@@ -157,6 +152,7 @@ impl Machine {
     pub(crate) fn kill_core(&mut self, place: CoreAddress) {
         if self.core(place).alive {
             self.core(place).alive = false;
+            self.network.stop_core(place);
             self.incarnations += 1;
             self.log(place.system, SystemEventKind::CoreDied(place.core));
         }
@@ -164,9 +160,8 @@ impl Machine {
 
     pub(crate) fn restart_core(&mut self, place: CoreAddress) {
         if self.is_powered(place.system) {
-            let now_ns = self.now_ns;
-            let core = self.core(place);
-            core.start(core.generation + 1, now_ns);
+            let generation = self.core(place).generation + 1;
+            self.start_core(place, generation);
             self.incarnations += 1;
             self.log(place.system, SystemEventKind::CoreRestarted(place.core));
         }
@@ -214,7 +209,7 @@ impl Machine {
     /// Does everything that is due at this instant in the supplies and the flash.
     pub(crate) fn settle(&mut self) {
         let now = self.at();
-        self.settle_bus();
+        self.settle_network();
         for system in SystemId::ALL {
             self.settle_flash(system);
             if self.systems[system.index()].supply.next() <= now {
@@ -263,7 +258,7 @@ impl Machine {
             supply.min(flash).min(cut).min(cores)
         };
         let systems = of_system(SystemId::A).min(of_system(SystemId::B));
-        systems.min(self.bus_next_ns())
+        systems.min(self.network.next().as_ns())
     }
 }
 

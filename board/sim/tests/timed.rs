@@ -4,14 +4,14 @@
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Instant, Line, Lines, Link, SystemId,
 };
-use tandem_board_sim::{BitRates, Bits, Config, SimPair, Wires};
+use tandem_board_sim::{BitRates, Bits, Config, SimPair, WireTimes};
 
 const RATES: BitRates = BitRates::TANDEM;
 
 fn pair() -> SimPair {
     SimPair::idle(Config {
         watchdog: false,
-        wires: Wires {
+        wires: WireTimes {
             line: Duration::from_us(3),
             link: Duration::from_us(50),
             bus: Some(RATES),
@@ -83,11 +83,11 @@ fn what_a_system_sends_ends_with_its_power() {
 fn a_frame_with_a_wrong_bit_is_sent_again() {
     let mut pair = SimPair::idle(Config {
         watchdog: false,
-        wires: Wires {
+        wires: WireTimes {
             bus: Some(RATES),
             // One in a thousand: about every third frame of this length is destroyed.
             wrong_bits: 1_000_000,
-            ..Wires::default()
+            ..WireTimes::default()
         },
         ..Config::default()
     });

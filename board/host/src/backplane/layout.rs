@@ -2,7 +2,7 @@
 
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_peripherals::codec::{BusFrame, DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
-use tandem_peripherals::wires::LINK_DATAGRAMS;
+use tandem_peripherals::network::LINK_DATAGRAMS;
 use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::trace_ring;

@@ -14,7 +14,7 @@ use tandem_board::{
     CanErrors, CoreId, Duration, Edge, Generation, HardwareFault, HardwareFaults, Line, ResetCause,
     ResetRequest, RoleLamp, SystemId,
 };
-use tandem_peripherals::wires::{BusFault, Cuts, Wire};
+use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
 
 #[cfg(test)]
 use crate::doorbell;
@@ -27,7 +27,7 @@ pub(crate) use layout::{
 };
 
 /// "TDM" and the version of the layout, so that processes of two builds refuse each other.
-const MAGIC: u32 = 0x5444_4D04;
+const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
 
 /// The processes of a run have different builds of this program.
@@ -221,8 +221,17 @@ impl Backplane {
 
     /// The level of `system`'s line as the other system reads it.
     pub(crate) fn level_at_peer(self, system: SystemId) -> bool {
-        let is_high = self.level(system) && self.system(system, System::HeldLow).get() == 0;
-        self.cuts().level(system, is_high)
+        self.conditions().level(system, self.level(system))
+    }
+
+    /// What is cut or disturbed.
+    pub(crate) fn conditions(self) -> Conditions {
+        Conditions {
+            cuts: self.cuts(),
+            held_low: SystemId::ALL.map(|of| self.system(of, System::HeldLow).get() != 0),
+            bus: SystemId::ALL.map(|of| self.bus_fault(of)),
+            hardware: SystemId::ALL.map(|of| self.faults(of)),
+        }
     }
 
     /// Sets the faults of a system's connection to the CAN bus, with immediate effect.
@@ -235,7 +244,7 @@ impl Backplane {
             .set((fault.late.as_us() / 1_000) as u32);
     }
 
-    pub(crate) fn bus_fault(self, system: SystemId) -> BusFault {
+    fn bus_fault(self, system: SystemId) -> BusFault {
         let of = |register| self.system(system, register).get();
         BusFault {
             lost_out: of(System::LostOut) as u16,

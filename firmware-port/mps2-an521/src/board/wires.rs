@@ -12,10 +12,10 @@ use tandem_board::{
     SystemId, TransmitFull,
 };
 use tandem_peripherals::codec::{
-    BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Sender, decode_datagram,
+    BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Reach, Sender, decode_datagram,
     encode_datagram,
 };
-use tandem_peripherals::wires::LINK_DATAGRAMS;
+use tandem_peripherals::network::LINK_DATAGRAMS;
 use tandem_shm::fifo::{self, Consumer, Producer};
 use tandem_shm::{Shape, bare};
 
@@ -173,7 +173,7 @@ impl Can for An521Can {
                 at: clock::now(),
             },
             sender: Sender::Core(self.of),
-            reaches: [true; 2],
+            reach: Reach::ALL,
         };
         if self.transmit.borrow_mut().send(&frame.encode()).is_err() {
             WIRES.overruns[self.other].fetch_add(1, Ordering::Relaxed);

@@ -9,9 +9,9 @@ use tandem_board::{
     TransmitFull,
 };
 use tandem_peripherals::codec::{
-    BusFrame, DATAGRAM_MAX_WORDS, Sender, decode_datagram, encode_datagram, encode_service,
+    BusFrame, DATAGRAM_MAX_WORDS, Reach, Sender, decode_datagram, encode_datagram, encode_service,
 };
-use tandem_peripherals::flash::{self, Operation};
+use tandem_peripherals::data_flash::{self, Operation};
 use tandem_peripherals::watchdog::{Window, question};
 
 /// The registers of the system of core `of`.
@@ -48,7 +48,7 @@ impl Can for VirtCan {
                 at: Instant::ORIGIN,
             },
             sender: Sender::Core(self.0),
-            reaches: [true; 2],
+            reach: Reach::ALL,
         };
         if !peripherals::core(self.0).transmit.put(&frame.encode()) {
             return Err(TransmitFull);
@@ -121,9 +121,9 @@ impl Link for VirtLink {
 }
 
 impl DataFlash for VirtFlash {
-    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
-    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
-    const SECTORS: u32 = flash::SECTORS;
+    const PAGE_BYTES: u32 = data_flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = data_flash::SECTOR_BYTES;
+    const SECTORS: u32 = data_flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
         system(self.0).flash.read(offset, into)

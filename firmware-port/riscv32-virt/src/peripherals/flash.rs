@@ -3,7 +3,7 @@
 use crate::clint::TICK_NS;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 use tandem_board::{FlashError, Instant};
-use tandem_peripherals::flash::{ERASED, Operation, SIZE, range};
+use tandem_peripherals::data_flash::{ERASED, Operation, SIZE, range};
 
 /// The cells, and when the operation under way ends (low word of the clock).
 ///

@@ -23,7 +23,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{CoreAddress, CoreId, HardwareFault, HardwareFaults, Instant, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
-use tandem_peripherals::wires::LINK_DATAGRAMS;
+use tandem_peripherals::network::LINK_DATAGRAMS;
 
 /// The carrier's registers for one core.
 #[repr(C)]

@@ -11,9 +11,9 @@ use tandem_board::{
     CoreAddress, CoreId, HardwareFault, Instant, Line, ResetCause, ResetRequest, RoleLamp, SystemId,
 };
 use tandem_cosim::Item;
-use tandem_peripherals::bus::Confinement;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::memory::scribble;
+use tandem_peripherals::network::controller::Confinement;
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
 /// Cycles between two reads when a yielded turn was not used by any hart: four, and fewer than any

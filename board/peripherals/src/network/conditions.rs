@@ -1,6 +1,6 @@
-//! The connections of the systems to each other and to the bus, and the effect of a cut.
+//! What is cut or disturbed between the systems, and the effect on a connection.
 
-use tandem_board::{Duration, Line, SystemId};
+use tandem_board::{Duration, HardwareFaults, Line, SystemId};
 
 /// Largest number of datagrams under way on the link, in each direction.
 pub const LINK_DATAGRAMS: usize = 16;
@@ -53,20 +53,13 @@ impl Cuts {
         self.0 & Self::bit(wire, from) != 0
     }
 
-    /// Cuts a wire or mends it.
+    /// Cuts a wire, or restores it.
     pub const fn set(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
         if is_cut {
             self.0 |= Self::bit(wire, from);
         } else {
             self.0 &= !Self::bit(wire, from);
         }
-    }
-
-    /// The level of `system`'s line at the other system: high while its supply is on, and when the
-    /// line is cut.
-    #[must_use]
-    pub const fn level(self, of: SystemId, is_on: bool) -> bool {
-        is_on || self.is_cut(Wire::Level, of)
     }
 }
 
@@ -83,12 +76,41 @@ pub struct BusFault {
     pub late: Duration,
 }
 
+/// Everything that disturbs the network. The default is nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Conditions {
+    /// The cut wires.
+    pub cuts: Cuts,
+    /// Whether the level line of each system is held low.
+    pub held_low: [bool; 2],
+    /// The connection of each system to the bus.
+    pub bus: [BusFault; 2],
+    /// The hardware faults of each system; those of its CAN transceiver disturb the bus.
+    pub hardware: [HardwareFaults; 2],
+}
+
+impl Conditions {
+    /// The level of a system's line at the other system. High while its supply is on and nothing
+    /// holds the line low. A cut line reads as high.
+    #[must_use]
+    pub const fn level(&self, of: SystemId, is_on: bool) -> bool {
+        is_on && !self.held_low[of.index()] || self.cuts.is_cut(Wire::Level, of)
+    }
+
+    /// Whether a fault of a connection or of the hardware may disturb frames.
+    #[must_use]
+    pub fn disturb_bus(&self) -> bool {
+        let clean = Self::default();
+        (self.bus, self.hardware) != (clean.bus, clean.hardware)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn each_wire_is_cut_and_mended_by_itself() {
+    fn each_wire_is_cut_and_restored_by_itself() {
         for cut_from in SystemId::ALL {
             for cut in Wire::ALL {
                 let mut cuts = Cuts::default();
@@ -106,13 +128,14 @@ mod tests {
     }
 
     #[test]
-    fn a_level_line_falls_with_the_power_unless_it_is_cut() {
-        let mut cuts = Cuts::default();
-        for is_on in [false, true] {
-            assert_eq!(cuts.level(SystemId::A, is_on), is_on);
-        }
-        cuts.set(Wire::Level, SystemId::A, true);
-        assert!(cuts.level(SystemId::A, false));
-        assert!(!cuts.level(SystemId::B, false), "the other line");
+    fn a_level_line_falls_with_the_power_or_when_held_unless_it_is_cut() {
+        let mut conditions = Conditions::default();
+        let a = SystemId::A;
+        assert!(conditions.level(a, true) && !conditions.level(a, false));
+        conditions.held_low[a.index()] = true;
+        assert!(!conditions.level(a, true), "held low");
+        assert!(conditions.level(SystemId::B, true), "the other line");
+        conditions.cuts.set(Wire::Level, a, true);
+        assert!(conditions.level(a, true) && conditions.level(a, false));
     }
 }

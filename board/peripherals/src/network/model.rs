@@ -1,0 +1,450 @@
+//! The network as one sans-IO model.
+//!
+//! A frame of a core passes four stages: the core's controller (its share of the bus, its fault
+//! confinement), its system's connection (cut, loss, delay), the bus (arbitration, bit errors), and
+//! the connection of each receiver (cut, loss, receiver faults).
+
+use alloc::collections::{BTreeMap, VecDeque};
+use alloc::vec::Vec;
+
+use rand::{Rng, RngExt};
+use tandem_board::{
+    CanErrors, CanFrame, CanId, CanState, CoreAddress, CoreId, Duration, Edge, HardwareFault,
+    Instant, Line, SystemId, TransmitFull,
+};
+
+use super::conditions::{Conditions, Wire};
+use super::controller::{Confinement, TransmitLimit};
+use super::frame_time::{BitRates, Bits};
+use crate::codec::{Reach, Sender};
+
+/// Frames that wait for the bus in the transmit buffer of a core.
+const TRANSMIT_BUFFER: usize = 32;
+
+/// Times of the connections. The default takes no time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WireTimes {
+    /// From an edge to its count at the other system.
+    pub line: Duration,
+    /// From the hand-over of a datagram to its arrival.
+    pub link: Duration,
+    /// The bit rates of the bus; `None`: a frame takes no time, and no frame waits for another.
+    pub bus: Option<BitRates>,
+    /// Of a billion bits on the bus, this many are wrong. The frame is destroyed and sent again.
+    pub wrong_bits: u32,
+}
+
+/// Something that arrives at a system over a line or the link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// An edge.
+    Edge(SystemId, Line, Edge),
+    /// A datagram of the link.
+    Datagram(SystemId, Vec<u32>),
+}
+
+/// A frame on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Carried {
+    /// Its sender.
+    pub sender: Sender,
+    /// The frame.
+    pub frame: CanFrame,
+    /// When its sender handed it over.
+    pub sent: Instant,
+    /// When it was on the bus.
+    pub at: Instant,
+    /// The cores whose controllers receive it.
+    pub reach: Reach,
+}
+
+/// A frame between its sender and the bus.
+#[derive(Clone, Copy, Debug)]
+struct Handed {
+    sender: Sender,
+    frame: CanFrame,
+    sent: Instant,
+}
+
+impl Handed {
+    fn is_of(&self, system: SystemId) -> bool {
+        matches!(self.sender, Sender::Core(from) if from.system == system)
+    }
+}
+
+/// The frame that the bus carries.
+#[derive(Clone, Debug)]
+struct OnAir {
+    ends: Instant,
+    /// `None`: its sender has lost power.
+    frame: Option<Handed>,
+    is_destroyed: bool,
+}
+
+/// The CAN controller of a core.
+#[derive(Clone, Debug, Default)]
+struct Controller {
+    limit: TransmitLimit,
+    confinement: Confinement,
+    /// Frames that the bus has not taken yet.
+    unsent: VecDeque<Handed>,
+}
+
+/// The network of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Network {
+    /// What is cut or disturbed. A change takes effect at the next call.
+    pub conditions: Conditions,
+    times: WireTimes,
+    controllers: [Controller; CoreAddress::COUNT],
+    /// Frames that a slow connection holds back, by the time at which each reaches the bus.
+    late: VecDeque<(Instant, Handed)>,
+    /// Frames that wait for the bus. Those of one sender are in its order.
+    waiting: Vec<Handed>,
+    on_air: Option<OnAir>,
+    /// The bus is idle from this time on.
+    free: Instant,
+    /// Frames that were on the bus and have not been fetched.
+    carried: VecDeque<Carried>,
+    /// Edges and datagrams under way, by the time of arrival and in order.
+    under_way: BTreeMap<(Instant, u64), Arrival>,
+    sent_count: u64,
+}
+
+impl Network {
+    /// A network without faults.
+    #[must_use]
+    pub fn new(times: WireTimes) -> Self {
+        Self {
+            times,
+            ..Self::default()
+        }
+    }
+
+    /// Sends an edge or a datagram over this wire. Returns it if it arrives at once.
+    pub fn send(
+        &mut self,
+        wire: Wire,
+        from: SystemId,
+        what: Arrival,
+        now: Instant,
+    ) -> Option<Arrival> {
+        if self.conditions.cuts.is_cut(wire, from) {
+            return None;
+        }
+        let delay = match what {
+            Arrival::Edge(..) => self.times.line,
+            Arrival::Datagram(..) => self.times.link,
+        };
+        if delay == Duration::ZERO {
+            return Some(what);
+        }
+        self.sent_count += 1;
+        self.under_way.insert((now + delay, self.sent_count), what);
+        None
+    }
+
+    /// The next edge or datagram that has arrived by `now`.
+    pub fn arrived(&mut self, now: Instant) -> Option<Arrival> {
+        let first = self.under_way.first_entry()?;
+        (first.key().0 <= now).then(|| first.remove())
+    }
+
+    /// Whether the controller of this core can take a frame and try to send it at once.
+    #[must_use]
+    pub fn is_ready(&self, of: CoreAddress, now: Instant) -> bool {
+        let controller = &self.controllers[of.index()];
+        let is_cut = self.conditions.cuts.is_cut(Wire::Can, of.system);
+        is_cut || controller.limit.allows(now) && controller.unsent.is_empty()
+    }
+
+    /// A core hands a frame to its controller. `sent`: when, as far as it is known.
+    ///
+    /// # Errors
+    /// [`TransmitFull`] if the core has used up its share of this millisecond, or its transmit
+    /// buffer is full.
+    pub fn send_frame(
+        &mut self,
+        from: CoreAddress,
+        frame: &CanFrame,
+        sent: Instant,
+        now: Instant,
+        noise: &mut impl Rng,
+    ) -> Result<(), TransmitFull> {
+        if self.conditions.cuts.is_cut(Wire::Can, from.system) {
+            return Ok(());
+        }
+        let controller = &mut self.controllers[from.index()];
+        if !controller.limit.allows(now) || controller.unsent.len() >= TRANSMIT_BUFFER {
+            return Err(TransmitFull);
+        }
+        controller.limit.count(now);
+        let handed = Handed {
+            sender: Sender::Core(from),
+            frame: *frame,
+            sent,
+        };
+        if self.controllers[from.index()].unsent.is_empty() && self.sends(from, now) {
+            self.connect(from, handed, now, noise);
+        } else {
+            self.controllers[from.index()].unsent.push_back(handed);
+        }
+        Ok(())
+    }
+
+    /// Whether the first frame of a controller reaches the system's connection now.
+    fn sends(&mut self, from: CoreAddress, now: Instant) -> bool {
+        let faults = self.conditions.hardware[from.system.index()];
+        let confinement = &mut self.controllers[from.index()].confinement;
+        confinement.sends(now, faults.has(HardwareFault::CanTransmit))
+    }
+
+    /// A frame has left its core's controller: the connection of the system may lose or delay it.
+    /// A board whose cores have controllers of their own begins here.
+    pub fn send_from_controller(
+        &mut self,
+        from: CoreAddress,
+        frame: &CanFrame,
+        now: Instant,
+        noise: &mut impl Rng,
+    ) {
+        let handed = Handed {
+            sender: Sender::Core(from),
+            frame: *frame,
+            sent: now,
+        };
+        if !self.conditions.cuts.is_cut(Wire::Can, from.system) {
+            self.connect(from, handed, now, noise);
+        }
+    }
+
+    fn connect(&mut self, from: CoreAddress, handed: Handed, now: Instant, noise: &mut impl Rng) {
+        let fault = self.conditions.bus[from.system.index()];
+        if is_lost(fault.lost_out, noise) {
+            return;
+        }
+        if fault.late == Duration::ZERO {
+            self.offer(handed, now, noise);
+        } else {
+            let due = now + fault.late;
+            let behind = self.late.partition_point(|(other, _)| *other <= due);
+            self.late.insert(behind, (due, handed));
+        }
+    }
+
+    /// A node of the vehicle sends a frame. No connection disturbs it.
+    pub fn send_from_vehicle(&mut self, frame: &CanFrame, now: Instant, noise: &mut impl Rng) {
+        let handed = Handed {
+            sender: Sender::Vehicle,
+            frame: *frame,
+            sent: now,
+        };
+        self.offer(handed, now, noise);
+    }
+
+    /// A frame waits for the bus, which takes no time unless it has bit rates.
+    fn offer(&mut self, handed: Handed, now: Instant, noise: &mut impl Rng) {
+        if self.times.bus.is_some() {
+            self.waiting.push(handed);
+        } else {
+            self.put_on_bus(handed, now, noise);
+        }
+    }
+
+    /// A frame is on the bus: the connected controllers of all cores but its sender hear it.
+    fn put_on_bus(&mut self, handed: Handed, at: Instant, noise: &mut impl Rng) {
+        let Handed {
+            sender,
+            frame,
+            sent,
+        } = handed;
+        let mut reach = Reach::NONE;
+        for place in CoreAddress::ALL {
+            let system = place.system.index();
+            // Drawn for every core, so that the noise of a run does not depend on the sender.
+            let is_lost = is_lost(self.conditions.bus[system].lost_in, noise);
+            let is_cut = self.conditions.cuts.is_cut(Wire::Can, place.system);
+            if is_lost || is_cut || sender == Sender::Core(place) {
+                continue;
+            }
+            let fails = self.conditions.hardware[system].has(HardwareFault::CanReceive);
+            self.controllers[place.index()].confinement.hears(fails);
+            if !fails {
+                reach.add(place);
+            }
+        }
+        self.carried.push_back(Carried {
+            sender,
+            frame,
+            sent,
+            at,
+            reach,
+        });
+    }
+
+    /// The next frame that was on the bus.
+    pub fn carried(&mut self) -> Option<Carried> {
+        self.carried.pop_front()
+    }
+
+    /// Does what is due on the bus at `now`: controllers try again, slow connections deliver, the
+    /// bus ends a frame and begins the next.
+    pub fn settle_bus(&mut self, now: Instant, noise: &mut impl Rng) {
+        for from in CoreAddress::ALL {
+            if self.controllers[from.index()].unsent.is_empty() {
+                continue;
+            }
+            if self.conditions.cuts.is_cut(Wire::Can, from.system) {
+                self.controllers[from.index()].unsent.clear();
+            }
+            while !self.controllers[from.index()].unsent.is_empty() && self.sends(from, now) {
+                if let Some(handed) = self.controllers[from.index()].unsent.pop_front() {
+                    self.connect(from, handed, now, noise);
+                }
+            }
+        }
+        while let Some((_, handed)) = self.late.front().copied().filter(|(due, _)| *due <= now) {
+            self.late.pop_front();
+            self.offer(handed, now, noise);
+        }
+        if let Some(rates) = self.times.bus {
+            self.settle_air(rates, now, noise);
+        }
+    }
+
+    fn settle_air(&mut self, rates: BitRates, now: Instant, noise: &mut impl Rng) {
+        loop {
+            if let Some(air) = self.on_air.take_if(|air| air.ends <= now) {
+                self.free = air.ends + rates.time(Bits::INTERMISSION);
+                match air.frame {
+                    None => {}
+                    Some(again) if air.is_destroyed => self.waiting.insert(0, again),
+                    Some(handed) => self.put_on_bus(handed, now, noise),
+                }
+            }
+            if self.on_air.is_some() || now < self.free {
+                return;
+            }
+            let Some(index) = self.winner() else {
+                return;
+            };
+            let handed = self.waiting.remove(index);
+            let bits = Bits::of(&handed.frame);
+            let whole = rates.time(bits);
+            let per_billion =
+                u64::from(self.times.wrong_bits) * u64::from(bits.nominal + bits.data);
+            let is_destroyed =
+                per_billion > 0 && noise.random_range(0..1_000_000_000) < per_billion;
+            let takes = if is_destroyed {
+                // The error is anywhere in the frame; an error frame follows.
+                let part = noise.random_range(0..whole.as_ns().max(1));
+                Duration::from_ns(part) + rates.time(Bits::ERROR)
+            } else {
+                whole
+            };
+            self.on_air = Some(OnAir {
+                ends: now + takes,
+                frame: Some(handed),
+                is_destroyed,
+            });
+        }
+    }
+
+    /// The frame that wins the arbitration: each sender offers its oldest one.
+    fn winner(&self) -> Option<usize> {
+        let is_oldest = |index: usize| {
+            let sender = self.waiting[index].sender;
+            !self.waiting[..index].iter().any(|it| it.sender == sender)
+        };
+        let offered = (0..self.waiting.len()).filter(|index| is_oldest(*index));
+        offered.min_by_key(|index| priority(self.waiting[*index].frame.id()))
+    }
+
+    /// When something happens next by itself.
+    #[must_use]
+    pub fn next(&self) -> Instant {
+        let busy = self.controllers.iter().filter(|it| !it.unsent.is_empty());
+        let tries = busy.map(|it| it.confinement.due());
+        let late = self.late.front().map(|(due, _)| *due);
+        let arrives = self.under_way.first_key_value().map(|((at, _), _)| *at);
+        let bus = match &self.on_air {
+            Some(air) => Some(air.ends),
+            None if self.waiting.is_empty() => None,
+            None => Some(self.free),
+        };
+        let others = late.into_iter().chain(arrives).chain(bus);
+        tries.chain(others).min().unwrap_or(Instant::NEVER)
+    }
+
+    /// Whether the bus has to be settled in each period: frames wait, a controller counts errors,
+    /// or something disturbs it.
+    #[must_use]
+    pub fn is_disturbed(&self) -> bool {
+        let is_busy = |it: &Controller| {
+            !it.unsent.is_empty() || it.confinement.state() != CanState::ErrorActive
+        };
+        self.conditions.disturb_bus()
+            || !self.late.is_empty()
+            || self.controllers.iter().any(is_busy)
+    }
+
+    /// The error counters of a core's controller.
+    pub fn errors(&mut self, of: CoreAddress, now: Instant) -> CanErrors {
+        self.controllers[of.index()].confinement.errors(now)
+    }
+
+    /// A controller forgets the frames that it has not sent, but not the one that the bus carries.
+    pub fn discard(&mut self, from: CoreAddress) {
+        self.controllers[from.index()].unsent.clear();
+        self.waiting.retain(|it| it.sender != Sender::Core(from));
+    }
+
+    /// The controller of a core starts again: no waiting frames, no counted errors.
+    pub fn restart(&mut self, core: CoreAddress) {
+        self.controllers[core.index()] = Controller::default();
+    }
+
+    /// A core has died: it sends no frame that its controller holds.
+    pub fn stop_core(&mut self, core: CoreAddress) {
+        self.controllers[core.index()].unsent.clear();
+    }
+
+    /// A system has stopped. Its datagrams end in the middle. So does its frame: the bus is idle
+    /// again when the others have signalled the error.
+    pub fn stop(&mut self, system: SystemId, now: Instant) {
+        for core in CoreId::ALL {
+            self.stop_core(CoreAddress::new(system, core));
+        }
+        self.waiting.retain(|it| !it.is_of(system));
+        let to = system.peer();
+        self.under_way
+            .retain(|_, what| !matches!(what, Arrival::Datagram(of, _) if *of == to));
+        let error = self
+            .times
+            .bus
+            .map_or(Duration::ZERO, |it| it.time(Bits::ERROR));
+        if let Some(air) = &mut self.on_air
+            && air.frame.as_ref().is_some_and(|it| it.is_of(system))
+        {
+            (air.frame, air.ends) = (None, now + error);
+        }
+    }
+}
+
+/// Draws whether a frame is lost, with a probability of `permille` in a thousand. Draws nothing if
+/// none is.
+fn is_lost(permille: u16, noise: &mut impl Rng) -> bool {
+    permille > 0 && noise.random_range(0..1000) < permille
+}
+
+/// The order in which identifiers win: the identifier's first 11 bits, then standard before
+/// extended, then the rest.
+const fn priority(id: CanId) -> u32 {
+    match id {
+        CanId::Standard(id) => (id as u32) << 19,
+        CanId::Extended(id) => (id >> 18) << 19 | 1 << 18 | id & 0x3_FFFF,
+    }
+}
+
+#[cfg(test)]
+mod tests;
