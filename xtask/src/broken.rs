@@ -5,12 +5,12 @@
 //! violated, and at most three faults remain when it is shrunk. A person starts the tests, because
 //! each variant is a separate build. The gate only checks that each patch still applies.
 
-use anyhow::{Context, Result, bail, ensure};
+use crate::{PRESENT, git_files, read};
+use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-const FOLDER: &str = "tests/broken";
 /// The first word of what catches a variant, if it is no test.
 const SIMULATOR: &str = "simulator";
 
@@ -25,7 +25,7 @@ struct Variant {
 impl Variant {
     fn read(patch: PathBuf) -> Result<Self> {
         let shown = patch.display().to_string();
-        let text = fs::read_to_string(&patch).with_context(|| shown.clone())?;
+        let text = read(&patch)?;
         let mut lines = text.lines();
         let mut head = |word: &str| {
             let line = lines.next().and_then(|line| line.strip_prefix(word));
@@ -45,33 +45,23 @@ impl Variant {
 
     /// `git apply` in this folder, which need not be a repository.
     fn apply(&self, folder: &Path, further: &[&str]) -> Result<bool> {
-        let status = Command::new("git")
-            .arg("apply")
+        let mut git = Command::new("git");
+        git.arg("apply")
             .args(further)
             .arg(&self.patch)
-            .current_dir(folder)
-            .env("GIT_CEILING_DIRECTORIES", folder.parent().unwrap_or(folder))
-            .status()
-            .context("git apply")?;
-        Ok(status.success())
+            .current_dir(folder);
+        git.env("GIT_CEILING_DIRECTORIES", folder.parent().unwrap_or(folder));
+        Ok(git.status().context("git apply")?.success())
     }
 }
 
 /// Tests the variants whose name contains `filter`, or all that the simulator catches if it is
 /// `simulator`; or only checks that all patches apply.
 pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
-    let mut variants = Vec::new();
-    for entry in fs::read_dir(root.join(FOLDER)).context(FOLDER)? {
-        let path = entry.context(FOLDER)?.path();
-        if path
-            .extension()
-            .is_some_and(|extension| extension == "patch")
-        {
-            variants.push(Variant::read(path)?);
-        }
-    }
+    let patches = git_files(root, &[&PRESENT[..], &["tests/broken/*.patch"]].concat())?;
+    let variants = patches.iter().map(|patch| Variant::read(root.join(patch)));
+    let mut variants: Vec<Variant> = variants.collect::<Result<_>>()?;
     variants.retain(|it| it.name.contains(filter) || it.caught_by[..1] == [filter]);
-    variants.sort_by(|a, b| a.name.cmp(&b.name));
     ensure!(!variants.is_empty(), "no broken variant is called {filter}");
     let mut wrong = Vec::new();
     for variant in &variants {
@@ -89,16 +79,12 @@ pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
             wrong.push(variant.name.as_str());
         }
     }
-    if !wrong.is_empty() {
-        let what = if only_check {
-            "do not apply"
-        } else {
-            "are not caught"
-        };
-        bail!("{what}: {}", wrong.join(", "));
-    }
-    let what = if only_check { "apply" } else { "are caught" };
-    println!("{} broken variants {what}", variants.len());
+    let (good, bad) = match only_check {
+        true => ("apply", "do not apply"),
+        false => ("are caught", "are not caught"),
+    };
+    ensure!(wrong.is_empty(), "{bad}: {}", wrong.join(", "));
+    println!("{} broken variants {good}", variants.len());
     Ok(())
 }
 
@@ -144,40 +130,22 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
     let count = String::from_utf8_lossy(&listed.stdout).lines().count();
     ensure!(count > 0, "{} names no test", variant.name);
     let passed = nextest(&["run"]).status().context("cargo nextest run")?;
-    let told = if passed.success() {
+    let caught = if passed.success() {
         "NOT CAUGHT"
     } else {
         "caught"
     };
-    println!(
-        "{}: {told} by {}",
-        variant.name,
-        variant.caught_by.join(" ")
-    );
+    let by = variant.caught_by.join(" ");
+    println!("{}: {caught} by {by}", variant.name);
     Ok(!passed.success())
 }
 
 /// All files of the repository as they are now. A file with unchanged content keeps its time of
 /// change, so that cargo builds only the differences.
 fn copy_tree(root: &Path, copy: &Path) -> Result<()> {
-    let listed = Command::new("git")
-        .args([
-            "ls-files",
-            "-z",
-            "--cached",
-            "--others",
-            "--exclude-standard",
-        ])
-        .current_dir(root)
-        .output()
-        .context("git ls-files")?;
-    ensure!(listed.status.success(), "git ls-files failed");
-    for name in String::from_utf8_lossy(&listed.stdout).split_terminator('\0') {
-        let Ok(content) = fs::read(root.join(name)) else {
-            // Deleted, and not yet committed.
-            continue;
-        };
-        let to = copy.join(name);
+    for name in git_files(root, &PRESENT)? {
+        let content = fs::read(root.join(&name)).with_context(|| name.clone())?;
+        let to = copy.join(&name);
         if fs::read(&to).is_ok_and(|there| there == content) {
             continue;
         }

@@ -1,9 +1,5 @@
 //! Each failure mode of the redundancy has a place in the product that produces it.
 
-use anyhow::{Context, Result};
-use std::fs;
-use std::path::{Path, PathBuf};
-
 /// Where the modes are named.
 const MODES: &str = "redundancy/src/state.rs";
 /// Where they are produced.
@@ -11,24 +7,28 @@ const PRODUCERS: [&str; 2] = ["redundancy/src/", "cores/src/"];
 /// Not found by a system in itself.
 const NO_FAULTS: [&str; 2] = ["None", "Unknown"];
 
-/// The modes that nothing produces. `files`: all sources.
-pub(crate) fn findings(root: &Path, files: &[PathBuf]) -> Result<Vec<String>> {
-    let text = fs::read_to_string(root.join(MODES)).context(MODES)?;
-    let mut sources = Vec::new();
-    for file in files {
-        let place = file.strip_prefix(root).unwrap_or(file);
-        let place = place.to_string_lossy();
-        if PRODUCERS.iter().any(|folder| place.starts_with(folder)) && place != MODES {
-            sources.push(fs::read_to_string(file).with_context(|| place.to_string())?);
-        }
-    }
-    let without = without_producer(&text, &sources);
+/// The modes that nothing produces. `files`: all sources, with their texts.
+pub(crate) fn findings(files: &[(String, String)]) -> Vec<String> {
+    let is_source = |(place, _): &&(String, String)| {
+        PRODUCERS.iter().any(|folder| place.starts_with(folder)) && place != MODES
+    };
+    let sources: Vec<&str> = files
+        .iter()
+        .filter(is_source)
+        .map(|(_, text)| text.as_str())
+        .collect();
+    let modes = files.iter().find(|(place, _)| place == MODES);
+    let without = modes.map(|(_, modes)| without_producer(modes, &sources));
     let finding = |mode| format!("{MODES}: nothing produces the failure mode {mode}");
-    Ok(without.into_iter().map(finding).collect())
+    without
+        .unwrap_or_default()
+        .into_iter()
+        .map(finding)
+        .collect()
 }
 
 /// The modes of the list `ALL` that no source names but to compare with it. Tests do not count.
-fn without_producer(modes: &str, sources: &[String]) -> Vec<String> {
+fn without_producer(modes: &str, sources: &[&str]) -> Vec<String> {
     let list = modes.split("pub const ALL").nth(1).unwrap_or_default();
     let list = list.split("];").next().unwrap_or_default();
     let modes = list.split("Self::").skip(1);
@@ -58,9 +58,8 @@ mod tests {
         let modes =
             "pub const ALL: [Self; 4] = [\n Self::None,\n Self::A,\n Self::B,\n Self::C,\n];";
         let sources = [
-            "self.tell(FailureMode::A);\n// FailureMode::C\n".to_owned(),
-            "if mode == FailureMode::B {}\n#[cfg(test)]\nmod tests { x(FailureMode::C) }\n"
-                .to_owned(),
+            "self.tell(FailureMode::A);\n// FailureMode::C\n",
+            "if mode == FailureMode::B {}\n#[cfg(test)]\nmod tests { x(FailureMode::C) }\n",
         ];
         assert_eq!(without_producer(modes, &sources), ["B", "C"]);
     }

@@ -3,10 +3,10 @@
 //! Prose links there and repeats no figure: two copies of a figure soon differ.
 
 use crate::firmware::floor_of;
+use crate::{read, read_json, write, write_json};
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
 const PAGE: &str = "docs/figures.md";
@@ -23,62 +23,28 @@ const BOARDS: [&str; 3] = ["host", "sim", "qemu"];
 const FEW: f64 = 10.0;
 
 /// The paths, in words.
-const PATHS: &[(&str, &str)] = &[
-    (
-        "interrupt/floor",
-        "from the store that posts it to the handler, registers saved",
-    ),
-    (
-        "wfi/floor",
-        "the least: `wfi` returns without a trap, the interrupt is cleared",
-    ),
-    (
-        "doorbell/floor",
-        "the board's doorbell alone: which interrupt, no reset, no deadline, cleared",
-    ),
-    (
-        "mailbox/signal-to-handler",
-        "signal a core that sleeps, to the first line of its task",
-    ),
-    ("mailbox/4-bytes", "the same with a value"),
-    (
-        "channel/4-bytes",
-        "publish a newest value, signal, read it in the task",
-    ),
-    (
-        "fifo/4-bytes",
-        "the same through a queue; from time to time an end reads the other's index",
-    ),
-    (
-        "heapless/spsc-4-bytes",
-        "peer: `heapless::spsc` and the doorbell; it does not say who sent, nor survives a reset of one end",
-    ),
-    (
-        "embassy/channel-4-bytes",
-        "peer: `embassy_sync::channel` under a spin lock, and the doorbell",
-    ),
-    (
-        "freertos/message-buffer-4-bytes",
-        "peer: FreeRTOS's message buffer and the doorbell; it has no fence, and loses its state with a core",
-    ),
-    ("lock/free", "lock and unlock"),
-    (
-        "lock/contended-3",
-        "three harts want it at once, until the last has given it back",
-    ),
-    ("pool/get-give", "borrow 16 words and give them back"),
-    ("rtos/yield", "a task yields, and no other is ready"),
-    (
-        "rtos/round-trip",
-        "FreeRTOS task to bare core 1 and back to the notified task",
-    ),
-    (
-        "task/floor",
-        "from a bare core's store that posts the interrupt to the FreeRTOS task that it notifies",
-    ),
-    ("task/signal", "the same by a signal through a mailbox"),
-    ("clock/two-readings", "two readings of the clock in a row"),
-];
+const PATHS: &str = "\
+interrupt/floor: from the store that posts it to the handler, registers saved
+wfi/floor: the least: `wfi` returns without a trap, the interrupt is cleared
+doorbell/floor: the board's doorbell alone: which interrupt, no reset, no deadline, cleared
+mailbox/signal-to-handler: signal a core that sleeps, to the first line of its task
+mailbox/4-bytes: the same with a value
+channel/4-bytes: publish a newest value, signal, read it in the task
+fifo/4-bytes: the same through a queue; from time to time an end reads the other's index
+heapless/spsc-4-bytes: peer: `heapless::spsc` and the doorbell; it does not say who sent, nor \
+    survives a reset of one end
+embassy/channel-4-bytes: peer: `embassy_sync::channel` under a spin lock, and the doorbell
+freertos/message-buffer-4-bytes: peer: FreeRTOS's message buffer and the doorbell; it has no fence, \
+    and loses its state with a core
+lock/free: lock and unlock
+lock/contended-3: three harts want it at once, until the last has given it back
+pool/get-give: borrow 16 words and give them back
+rtos/yield: a task yields, and no other is ready
+rtos/round-trip: FreeRTOS task to bare core 1 and back to the notified task
+task/floor: from a bare core's store that posts the interrupt to the FreeRTOS task that it notifies
+task/signal: the same by a signal through a mailbox
+clock/two-readings: two readings of the clock in a row
+";
 
 /// Copies new measurements, if given, and writes the page. With `check` it only says whether the
 /// page is stale.
@@ -89,7 +55,7 @@ pub(crate) fn run(
     check: bool,
 ) -> Result<()> {
     if let Some(bench) = bench {
-        let mut results = read(bench)?;
+        let mut results = read_json(bench)?;
         ensure!(
             results["machine"]["build"] == "release",
             "{}: figures of a debug build mean nothing",
@@ -107,32 +73,21 @@ pub(crate) fn run(
                 }
             }
         }
-        save(&root.join(BENCH), &results)?;
+        write_json(root.join(BENCH), &results)?;
     }
     if let Some(metrics) = run {
-        save(&root.join(RUN), &read(metrics)?)?;
+        write_json(root.join(RUN), &read_json(metrics)?)?;
     }
     let page = page(root)?;
     let path = root.join(PAGE);
     if check {
-        let is = fs::read_to_string(&path).context(PAGE)?;
-        ensure!(is == page, "{PAGE} is stale; run `cargo xtask figures`");
+        ensure!(
+            read(&path)? == page,
+            "{PAGE} is stale; run `cargo xtask figures`"
+        );
         return Ok(());
     }
-    fs::write(&path, page).context(PAGE)
-}
-
-fn read(path: &Path) -> Result<Value> {
-    let text = fs::read(path).with_context(|| path.display().to_string())?;
-    serde_json::from_slice(&text).with_context(|| path.display().to_string())
-}
-
-fn save(path: &Path, value: &Value) -> Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
-    let text = serde_json::to_string_pretty(value)? + "\n";
-    fs::write(path, text).with_context(|| path.display().to_string())
+    write(&path, &page)
 }
 
 fn page(root: &Path) -> Result<String> {
@@ -143,10 +98,10 @@ fn page(root: &Path) -> Result<String> {
          `cargo xtask figures --bench FILE --run FILE` with a file of `tandem bench --json` and a\n\
          `metrics.json`, and `cargo xtask firmware bench --save` for the instructions.\n",
     );
-    page += &firmware(&read(&root.join(FIRMWARE))?)?;
-    page += &host(&read(&root.join(BENCH))?)?;
-    page += &drive(&read(&root.join(RUN))?)?;
-    let file = |board| read(&root.join(format!("{THESIS}{board}.json")));
+    page += &firmware(&read_json(root.join(FIRMWARE))?)?;
+    page += &host(&read_json(root.join(BENCH))?)?;
+    page += &drive(&read_json(root.join(RUN))?)?;
+    let file = |board| read_json(root.join(format!("{THESIS}{board}.json")));
     let [host, sim, qemu] = BOARDS.map(file);
     page += &thesis(&[host?, sim?, qemu?])?;
     Ok(page)
@@ -170,7 +125,8 @@ fn firmware(baseline: &Value) -> Result<String> {
         let (Some(name), Some(least)) = (row["name"].as_str(), min(row)) else {
             bail!("a row without name or min")
         };
-        let known = PATHS.iter().find(|(path, _)| *path == name);
+        let mut known = PATHS.lines().filter_map(|line| line.split_once(": "));
+        let known = known.find(|(path, _)| *path == name);
         let (_, what) = known.with_context(|| format!("{name} is not described in PATHS"))?;
         let floor = floor_of(name).map(|floor| (floor, named(floor).and_then(min)));
         let (floor, over) = match floor {

@@ -4,11 +4,10 @@ mod an521;
 mod example;
 mod size;
 
-use crate::target_dir;
+use crate::{cargo, read_json, succeed, target_dir, write_json};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Subcommand, ValueEnum};
 use serde_json::{Value, json};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -130,15 +129,14 @@ impl Image {
 }
 
 pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
-    match task {
-        Firmware::An521 => return an521::run(root),
-        Firmware::Example {
-            language: Language::C,
-        } => return example::run(root),
-        _ => build(root)?,
+    if !matches!(task, Firmware::An521 | Firmware::Example { .. }) {
+        build(root)?;
     }
     match task {
-        Firmware::An521 | Firmware::Example { .. } => Ok(()),
+        Firmware::An521 => an521::run(root),
+        Firmware::Example {
+            language: Language::C,
+        } => example::run(root),
         Firmware::Build => Ok(()),
         Firmware::Run { image } => {
             print!("{}", run_image(root, image, 0, &[])?);
@@ -178,56 +176,49 @@ fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
 
 fn cargo_build_package(root: &Path, arguments: &[&str]) -> Result<()> {
     crate::toolchain::demand(TARGET)?;
-    let mut command = Command::new(crate::cargo_program());
-    command
-        .current_dir(port(root))
-        .args(["build", "--quiet", "--target", TARGET])
-        .args(arguments)
-        .env("CARGO_TARGET_DIR", build_dir(root));
-    let status = command
-        .status()
-        .with_context(|| format!("cannot start {command:?}"))?;
-    ensure!(status.success(), "{command:?} ended with {status}");
-    Ok(())
+    let mut command = cargo(&port(root), &["build", "--quiet", "--target", TARGET]);
+    command.env("CARGO_TARGET_DIR", build_dir(root));
+    succeed(command.args(arguments))
 }
 
 /// Where the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8090_0000;
 
-/// The emulated machine with this image.
-fn machine(root: &Path, image: Image) -> Command {
-    let elf = build_dir(root)
-        .join(TARGET)
-        .join("release")
-        .join(image.name());
-    let mut command = Command::new(QEMU);
+/// A file that was built for release.
+fn released(root: &Path, name: &str) -> PathBuf {
+    build_dir(root).join(TARGET).join("release").join(name)
+}
+
+/// An emulated machine with this image and these words from an address on. Deterministic: one
+/// instruction is 2^`shift` nanoseconds, and time jumps when all harts sleep.
+fn machine(qemu: &str, machine: &[&str], elf: &Path, shift: u32, words: (u32, &[u32])) -> Command {
+    let mut command = Command::new(qemu);
+    command.arg("-machine").args(machine);
+    command.args([
+        "-display", "none", "-monitor", "none", "-serial", "stdio", "-icount",
+    ]);
     command
-        .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
-        .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
+        .arg(format!("shift={shift},sleep=off"))
         .arg("-kernel")
         .arg(elf);
+    for (at, value) in (words.0..).step_by(4).zip(words.1) {
+        let word = format!("loader,addr={at:#x},data={value},data-len=4");
+        command.args(["-device", &word]);
+    }
     command
 }
 
-/// Runs an image to its end, and returns its log. Deterministic: one instruction is 2^`shift`
-/// nanoseconds, and time jumps when all harts sleep.
+/// Runs an image to its end, and returns its log.
 fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<String> {
-    let mut command = machine(root, image);
-    command
-        .arg("-icount")
-        .arg(format!("shift={shift},sleep=off"));
-    for (at, value) in (STRAPS_AT..).step_by(4).zip(straps) {
-        command
-            .arg("-device")
-            .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
-    }
-    finish(&mut command)
+    let virt = ["virt", "-smp", "7", "-bios", "none"];
+    let elf = released(root, &image.name());
+    finish(&mut machine(QEMU, &virt, &elf, shift, (STRAPS_AT, straps)))
 }
 
 fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
     // The whole workspace, as in all other tests: for one package alone cargo would rebuild much.
-    let mut command = crate::cargo(root, &["test", "--workspace"]);
+    let mut command = cargo(root, &["test", "--workspace"]);
     for file in ["identical", "feeds", "outputs", "tasks", "chip", "emulated"] {
         command.args(["--test", file]);
     }
@@ -239,12 +230,8 @@ fn test(root: &Path, quick: bool) -> Result<()> {
             "both_emulated_systems_are_updated_while_they_drive",
         ]);
     }
-    command.env(
-        "TANDEM_IMAGES",
-        build_dir(root).join(TARGET).join("release"),
-    );
-    crate::run(command)?;
-    Ok(())
+    command.env("TANDEM_IMAGES", released(root, ""));
+    crate::run(command)
 }
 
 /// Strap `Mode` of the schedules: the lock is broken.
@@ -255,10 +242,8 @@ const SCHEDULES_SHIFT: u32 = 2;
 fn explore(root: &Path, lengths: u32) -> Result<()> {
     for mode in [0, BROKEN_LOCK] {
         let straps = [mode, lengths];
-        print!(
-            "{}",
-            run_image(root, Image::Schedules, SCHEDULES_SHIFT, &straps)?
-        );
+        let log = run_image(root, Image::Schedules, SCHEDULES_SHIFT, &straps)?;
+        print!("{log}");
     }
     Ok(())
 }
@@ -333,22 +318,20 @@ fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
         figures.extend(measured);
     }
     let row = |Figure { name, min, max }: &Figure| json!({ "name": name, "min": min, "max": max, "floor": floor_of(name) });
-    let text = serde_json::to_string_pretty(&json!({
+    let results = json!({
         "unit": "instructions",
         "compiler": version("rustc")?,
         "emulator": version(QEMU)?,
         "results": figures.iter().map(row).collect::<Vec<Value>>(),
-    }))? + "\n";
+    });
     let baseline_file = port(root).join("baseline.json");
-    if let Some(file) = json {
-        fs::write(file, &text).with_context(|| file.display().to_string())?;
+    for file in json
+        .into_iter()
+        .chain(save.then_some(baseline_file.as_path()))
+    {
+        write_json(file, &results)?;
     }
-    if save {
-        fs::write(&baseline_file, &text)?;
-    }
-    let baseline = fs::read_to_string(&baseline_file)
-        .with_context(|| format!("{}: make one with --save", baseline_file.display()))?;
-    let baseline: Value = serde_json::from_str(&baseline)?;
+    let baseline = read_json(&baseline_file).context("make a baseline with --save")?;
     let compiler = baseline["compiler"].as_str().unwrap_or_default();
     let baseline = baseline["results"]
         .as_array()
@@ -405,10 +388,11 @@ fn floor_holds(figures: &[Figure]) -> Result<()> {
         figure("doorbell/floor")?,
         figure("mailbox/signal-to-handler")?,
     );
-    for (which, signal, floor) in [
+    let (min, max) = (
         ("min", signal.min, floor.min),
         ("max", signal.max, floor.max),
-    ] {
+    );
+    for (which, signal, floor) in [min, max] {
         ensure!(
             signal <= MAILBOX_PER_FLOOR * floor,
             "{which}: a mailbox signal takes {signal} instructions, more than \

@@ -1,10 +1,9 @@
 //! Instructions of the primitives on the host, counted by valgrind and compared with a committed
 //! table: an exact gate, which no load of the machine moves.
 
-use crate::example;
+use crate::{example, read_json, write_json};
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
-use std::fs;
 use std::path::Path;
 use std::process::Command;
 
@@ -60,10 +59,9 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
             "compiler": compiler,
             "results": rows.collect::<Vec<_>>(),
         });
-        fs::write(&place, serde_json::to_string_pretty(&table)? + "\n")?;
+        write_json(&place, &table)?;
     }
-    let table = fs::read_to_string(&place).with_context(|| place.display().to_string())?;
-    let table: Value = serde_json::from_str(&table)?;
+    let table = read_json(&place)?;
     let known_compiler = table["compiler"].as_str().unwrap_or_default();
     let percent = if known_compiler == compiler {
         0.0

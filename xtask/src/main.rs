@@ -295,83 +295,110 @@ fn execute() -> Result<()> {
             overhead_us,
         } => rta::run(root, &metrics, overhead_us),
         Task::Tables { check } => task_tables::run(root, check),
-        Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
-        Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
-            let mut command = one_test(root, "tandem-rtos", "soak", "random_task_sets");
-            command.env("TANDEM_RTOS_SOAK_SECONDS", (minutes * 60).to_string());
-            command.env("TANDEM_RTOS_SOAK_SEED", seed.to_string());
-            run(command)
+        Task::Campaign(campaign) => start(root, campaign),
+    }
+}
+
+/// Starts a campaign.
+fn start(root: &Path, campaign: Campaign) -> Result<()> {
+    // One test of a package, with what it prints. It reads these from its environment.
+    let test = |package: &str, file: &str, name: &str, variables: &[(&str, u64)]| {
+        let mut command = cargo(root, &["test", "--release", "-p", package, "--test", file]);
+        command.args([name, "--", "--nocapture"]);
+        command.envs(
+            variables
+                .iter()
+                .map(|(name, value)| (name, value.to_string())),
+        );
+        command
+    };
+    // An example with these options; those without a value are left out.
+    let trial = |name: &str, options: &[(&str, Option<String>)]| {
+        let mut command = example(root, "release", name)?;
+        for (option, value) in options {
+            command.args(value.iter().flat_map(|value| [*option, value]));
         }
-        Task::Campaign(Campaign::PowerCuts {
+        Ok::<_, anyhow::Error>(command)
+    };
+    let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
+    run(match campaign {
+        Campaign::StartupKills { count } => {
+            let count = ("TANDEM_STARTUP_KILLS", count.into());
+            test("tandem", "processes", "any_start", &[count])
+        }
+        Campaign::RtosSoak { minutes, seed } => {
+            let seconds = ("TANDEM_RTOS_SOAK_SECONDS", u64::from(minutes) * 60);
+            let variables = [seconds, ("TANDEM_RTOS_SOAK_SEED", seed)];
+            test("tandem-rtos", "soak", "random_task_sets", &variables)
+        }
+        Campaign::RtosDrift { seconds } => {
+            let seconds = ("TANDEM_RTOS_DRIFT_SECONDS", seconds.into());
+            test(
+                "tandem-rtos",
+                "scheduling",
+                "the_tick_does_not_drift",
+                &[seconds],
+            )
+        }
+        Campaign::PowerCuts {
             json,
             every,
             broken,
-        }) => {
-            let mut command = example(root, "release", "power_cuts")?;
-            command.args(["--every", &every.to_string()]);
-            if let Some(path) = json {
-                command.arg("--json").arg(path);
-            }
-            if let Some(defect) = broken {
-                command.args(["--broken", &defect]);
-            }
-            run(command)
+        } => {
+            let every = ("--every", Some(every.to_string()));
+            trial(
+                "power_cuts",
+                &[every, ("--json", shown(json)), ("--broken", broken)],
+            )?
         }
-        Task::Campaign(Campaign::Mutations {
+        Campaign::Mutations {
             count,
             json,
             monitor,
-        }) => {
-            let mut command = example(root, "release", "mutations")?;
-            command.args(["--count", &count.to_string()]);
-            if let Some(path) = json {
-                command.arg("--json").arg(path);
-            }
-            if monitor {
-                command.arg("--monitor");
-            }
-            run(command)
+        } => {
+            let count = ("--count", Some(count.to_string()));
+            let mut command = trial("mutations", &[count, ("--json", shown(json))])?;
+            command.args(monitor.then_some("--monitor"));
+            command
         }
-        Task::Campaign(Campaign::Fuzz {
+        Campaign::Fuzz {
             targets,
             seconds: Some(seconds),
             ..
-        }) => search(root, &targets, seconds),
-        Task::Campaign(Campaign::Fuzz {
+        } => {
+            return search(root, &targets, seconds);
+        }
+        Campaign::Fuzz {
             targets,
             count,
             seed,
-            seconds: None,
-        }) => {
-            let mut command = example(root, "release", "mutate")?;
-            command.args([seed.to_string(), count.to_string()]);
-            command.args(targets);
-            run(command)
+            ..
+        } => {
+            let mut command = trial("mutate", &[])?;
+            command
+                .args([seed.to_string(), count.to_string()])
+                .args(targets);
+            command
         }
-        Task::Campaign(Campaign::Stops { every }) => {
-            let mut command = one_test(root, "tandem-tests", "stops", "at_each_access");
-            command.env("TANDEM_EVERY", every.to_string());
-            run(with_cfg(root, command, "stepped"))
+        Campaign::Stops { every } => {
+            let every = ("TANDEM_EVERY", every as u64);
+            let command = test("tandem-tests", "stops", "at_each_access", &[every]);
+            with_cfg(root, command, "stepped")
         }
-        Task::Campaign(Campaign::SimDigest { count }) => sim_digest(root, count),
-        Task::Campaign(Campaign::States { faults }) => {
+        Campaign::States { faults } => {
             let name = "every_state_of_bounded_faults_is_safe_and_leads_to_a_driver";
-            let mut command = one_test(root, "tandem-redundancy", "pair", name);
-            command.env("TANDEM_EXPLORE", faults.to_string());
-            run(command)
+            let faults = ("TANDEM_EXPLORE", faults.into());
+            test("tandem-redundancy", "pair", name, &[faults])
         }
-        Task::Campaign(Campaign::Mutants {
+        Campaign::SimDigest { count } => return sim_digest(root, count),
+        Campaign::Mutants {
             packages,
             every,
             from,
-        }) => mutants::run(root, &packages, every, from),
-        Task::Campaign(Campaign::RtosDrift { seconds }) => {
-            let name = "the_tick_does_not_drift";
-            let mut command = one_test(root, "tandem-rtos", "scheduling", name);
-            command.env("TANDEM_RTOS_DRIFT_SECONDS", seconds.to_string());
-            run(command)
+        } => {
+            return mutants::run(root, &packages, every, from);
         }
-    }
+    })
 }
 
 /// The cargo that runs this program. Without one, rustup's: it alone tells rustc which toolchain
@@ -389,14 +416,67 @@ fn cargo(root: &Path, arguments: &[&str]) -> Command {
 
 fn run(mut command: Command) -> Result<()> {
     println!("$ {command:?}");
+    succeed(&mut command)
+}
+
+/// Runs a command that must end with success.
+fn succeed(command: &mut Command) -> Result<()> {
     let status = command
         .status()
         .with_context(|| format!("cannot start {command:?}"))?;
-    if !status.success() {
-        bail!("{command:?} ended with {status}");
-    }
+    ensure!(status.success(), "{command:?} ended with {status}");
     Ok(())
 }
+
+/// What a command prints that must end with success.
+fn output(command: &mut Command) -> Result<String> {
+    let output = command
+        .output()
+        .with_context(|| format!("cannot start {command:?}"))?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(
+        output.status.success(),
+        "{command:?} ended with {}: {said}",
+        output.status
+    );
+    Ok(String::from_utf8(output.stdout)?)
+}
+
+/// The text of a file of the repository.
+fn read(path: impl AsRef<Path>) -> Result<String> {
+    let path = path.as_ref();
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
+fn write(path: impl AsRef<Path>, text: &str) -> Result<()> {
+    let path = path.as_ref();
+    std::fs::write(path, text).with_context(|| path.display().to_string())
+}
+
+/// A JSON file of the repository.
+fn read_json(path: impl AsRef<Path>) -> Result<serde_json::Value> {
+    let path = path.as_ref();
+    serde_json::from_str(&read(path)?).with_context(|| path.display().to_string())
+}
+
+fn write_json(path: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
+    write(path, &(serde_json::to_string_pretty(value)? + "\n"))
+}
+
+/// The files that git lists, by their paths in the repository.
+fn git_files(root: &Path, arguments: &[&str]) -> Result<Vec<String>> {
+    let mut git = Command::new("git");
+    let listed = output(
+        git.current_dir(root)
+            .args(["ls-files", "-z"])
+            .args(arguments),
+    )?;
+    let files = listed.split_terminator('\0').map(str::to_owned);
+    Ok(files.filter(|file| root.join(file).exists()).collect())
+}
+
+/// Of all files: those that are tracked or not ignored.
+const PRESENT: [&str; 3] = ["--cached", "--others", "--exclude-standard"];
 
 /// Builds the programs first: the whole-process tests start `tandem` as a user would.
 fn test(root: &Path) -> Result<()> {
@@ -483,46 +563,20 @@ fn miri(root: &Path, quick: bool) -> Result<()> {
     Ok(())
 }
 
-fn startup_kills(root: &Path, count: u32) -> Result<()> {
-    let test = [
-        "test",
-        "--release",
-        "-p",
-        "tandem",
-        "--test",
-        "processes",
-        "any_start",
-    ];
-    let mut command = cargo(root, &test);
-    command.env("TANDEM_STARTUP_KILLS", count.to_string());
-    run(command)
-}
-
 /// An example, built in this profile; its paths are relative to the caller's folder. Of the whole
 /// workspace, as the tests: for one package cargo would choose other features of dependencies, and
 /// build much again.
 fn example(root: &Path, profile: &str, name: &str) -> Result<Command> {
     let mut build = cargo(root, &["build", "--quiet", "--workspace"]);
     build.args(["--profile", profile, "--example", name]);
-    let status = build
-        .status()
-        .with_context(|| format!("cannot start {build:?}"))?;
-    ensure!(status.success(), "{build:?} ended with {status}");
+    succeed(&mut build)?;
     let folder = if profile == "dev" { "debug" } else { profile };
     let examples = target_dir(root).join(folder).join("examples");
     Ok(Command::new(examples.join(name)))
 }
 
 fn sim_digest(root: &Path, count: u64) -> Result<()> {
-    let digests = |profile: &str| {
-        let mut command = example(root, profile, "digest")?;
-        let output = command.arg(count.to_string()).output()?;
-        if !output.status.success() {
-            let said = String::from_utf8_lossy(&output.stderr);
-            bail!("{command:?} ended with {}: {said}", output.status);
-        }
-        Ok(String::from_utf8(output.stdout)?)
-    };
+    let digests = |profile| output(example(root, profile, "digest")?.arg(count.to_string()));
     let (dev, release) = (digests("dev")?, digests("release")?);
     print!("{release}");
     if dev != release || release.is_empty() {
@@ -556,13 +610,6 @@ fn search(root: &Path, targets: &[String], seconds: u64) -> Result<()> {
         run(command)?;
     }
     Ok(())
-}
-
-/// One test of a package, with what it prints.
-fn one_test(root: &Path, package: &str, file: &str, name: &str) -> Command {
-    let mut command = cargo(root, &["test", "--release", "-p", package, "--test", file]);
-    command.args([name, "--", "--nocapture"]);
-    command
 }
 
 fn target_dir(root: &Path) -> PathBuf {

@@ -1,8 +1,8 @@
 //! Names that two things share: public types of different crates, and files of product code.
 
-use anyhow::{Context, Result};
+use crate::read;
+use anyhow::Result;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 /// Names that several crates give to a public type, each with the reason: lines `Name: reason`.
@@ -15,15 +15,16 @@ const CASES: &str = "board/conformance/src/cases/";
 const MOST_FILES: usize = 3;
 
 /// Finds names that mean several things. `types` are public types with their crates, `files` the
-/// paths of all files.
+/// all files.
 pub(crate) fn findings(
     root: &Path,
     types: &BTreeMap<String, BTreeSet<String>>,
-    files: &[String],
+    files: &[(String, String)],
 ) -> Result<Vec<String>> {
-    let accepted = fs::read_to_string(root.join(ACCEPTED)).context(ACCEPTED)?;
+    let accepted = read(root.join(ACCEPTED))?;
     let mut findings = shared_types(types, &accepted);
-    findings.extend(shared_files(files));
+    let files: Vec<&str> = files.iter().map(|(file, _)| file.as_str()).collect();
+    findings.extend(shared_files(&files));
     Ok(findings)
 }
 
@@ -47,7 +48,7 @@ fn shared_types(types: &BTreeMap<String, BTreeSet<String>>, accepted: &str) -> V
     new.chain(stale).collect()
 }
 
-fn shared_files(files: &[String]) -> Vec<String> {
+fn shared_files(files: &[&str]) -> Vec<String> {
     let mut by_name = BTreeMap::<&str, Vec<&str>>::new();
     for file in files {
         let is_product = file.contains("/src/") && !format!("/{file}").contains("/tests/");
@@ -109,8 +110,12 @@ mod tests {
         };
         let three = ["board/api/src", "board/peripherals/src", "board/host/src"];
         let apart = ["board/host/tests", "board/conformance/src/cases"];
-        assert!(shared_files(&files(&[&three[..], &apart].concat())).is_empty());
-        let four = files(&[&three[..], &["boot/src"]].concat());
-        assert!(shared_files(&four)[0].starts_with("flash.rs: 4 files: board/api/src/flash.rs, "));
+        let found = |folders: &[&str]| {
+            let files = files(folders);
+            shared_files(&files.iter().map(String::as_str).collect::<Vec<_>>())
+        };
+        assert!(found(&[&three[..], &apart].concat()).is_empty());
+        let four = [&three[..], &["boot/src"]].concat();
+        assert!(found(&four)[0].starts_with("flash.rs: 4 files: board/api/src/flash.rs, "));
     }
 }

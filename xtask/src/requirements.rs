@@ -1,39 +1,28 @@
 //! Which requirement is named by which tests.
 
+use crate::read;
 use crate::tidy::rust_files;
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Prints every requirement with the tests that name it.
 pub(crate) fn run(root: &Path, require: &[String]) -> Result<()> {
     let requirements = requirements(root)?;
     let mut tests: BTreeMap<&str, Vec<String>> = BTreeMap::new();
-    let mut texts = Vec::new();
-    let mut tables: BTreeMap<PathBuf, BTreeMap<String, String>> = BTreeMap::new();
-    for file in rust_files(root)? {
-        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
-        let folder = file.parent().map(Path::to_owned).unwrap_or_default();
-        tables.entry(folder).or_default().extend(cases(&text));
-        texts.push((file, text));
+    let mut tables: BTreeMap<&str, BTreeMap<String, String>> = BTreeMap::new();
+    let files = rust_files(root)?;
+    let folder_of = |file: &str| file.rfind('/').unwrap_or_default();
+    for (file, text) in &files {
+        tables
+            .entry(&file[..folder_of(file)])
+            .or_default()
+            .extend(cases(text));
     }
-    for (file, text) in texts {
-        let place = file
-            .strip_prefix(root)
-            .unwrap_or(&file)
-            .display()
-            .to_string();
-        let folder = file.parent().unwrap_or(root);
-        for (ids, test) in named_tests(&text, &tables[folder]) {
-            for (id, _) in requirements
-                .iter()
-                .filter(|(id, _)| ids.iter().any(|named| named == id))
-            {
-                tests
-                    .entry(id)
-                    .or_default()
-                    .push(format!("{place}: {test}"));
+    for (file, text) in &files {
+        for (ids, test) in named_tests(text, &tables[&file[..folder_of(file)]]) {
+            for (id, _) in requirements.iter().filter(|(id, _)| ids.contains(id)) {
+                tests.entry(id).or_default().push(format!("{file}: {test}"));
             }
         }
     }
@@ -41,10 +30,8 @@ pub(crate) fn run(root: &Path, require: &[String]) -> Result<()> {
     for (id, title) in &requirements {
         let named = tests.get(id.as_str()).map_or(&[][..], Vec::as_slice);
         proven += usize::from(!named.is_empty());
-        println!(
-            "{} {id:<9} {title}",
-            if named.is_empty() { "·" } else { "✓" }
-        );
+        let mark = if named.is_empty() { "·" } else { "✓" };
+        println!("{mark} {id:<9} {title}");
         named.iter().for_each(|test| println!("            {test}"));
     }
     println!(
@@ -78,8 +65,7 @@ fn require_tests(ids: &[&str], prefixes: &[String], has_test: impl Fn(&str) -> b
 
 /// The rows of `docs/requirements.md`.
 fn requirements(root: &Path) -> Result<Vec<(String, String)>> {
-    let page = root.join("docs/requirements.md");
-    let text = fs::read_to_string(&page).with_context(|| page.display().to_string())?;
+    let text = read(root.join("docs/requirements.md"))?;
     let rows = text.lines().filter_map(|line| {
         let mut cells = line.strip_prefix("| ")?.split(" | ");
         let (id, title) = (cells.next()?, cells.next()?);
@@ -102,10 +88,8 @@ fn cases(text: &str) -> Vec<(String, String)> {
             let piece = CASES
                 .iter()
                 .fold(piece, |rest, next| rest.split(next).next().unwrap_or(rest));
-            let Some((_, rest)) = piece.split_once('"') else {
-                continue;
-            };
-            let Some((name, rest)) = rest.split_once('"') else {
+            let mut parts = piece.splitn(3, '"').skip(1);
+            let (Some(name), Some(rest)) = (parts.next(), parts.next()) else {
                 continue;
             };
             if !name.contains(['-', '_']) || name.contains(' ') {

@@ -5,10 +5,10 @@
 //! Pandya 1986; Audsley et al. 1993; blocking after Sha, Rajkumar and Lehoczky 1990).
 
 use crate::task_tables::placed;
-use anyhow::{Context, Result};
+use crate::{read, read_json, write};
+use anyhow::Result;
 use serde_json::Value;
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 use tandem_board::Duration;
 use tandem_cores::core0::DOORBELL_DISTANCE;
@@ -217,12 +217,9 @@ fn table(metrics: &Value, overhead_us: f64) -> String {
 
 /// Puts the table for the run of this `metrics.json` into the page.
 pub(crate) fn run(root: &Path, metrics: &Path, overhead_us: f64) -> Result<()> {
-    let text = fs::read_to_string(metrics).with_context(|| metrics.display().to_string())?;
-    let metrics: Value = serde_json::from_str(&text).context("metrics.json")?;
-    let table = table(&metrics, overhead_us);
+    let table = table(&read_json(metrics)?, overhead_us);
     let path = root.join(PAGE);
-    let page = fs::read_to_string(&path).context(PAGE)?;
-    fs::write(&path, placed(&page, MARKS, &table)?).context(PAGE)?;
+    write(&path, &placed(&read(&path)?, MARKS, &table)?)?;
     print!("{table}");
     Ok(())
 }
@@ -284,7 +281,7 @@ mod tests {
     #[test]
     fn the_page_says_the_distance_of_doorbells() {
         let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PAGE);
-        let page = fs::read_to_string(page).unwrap();
+        let page = read(page).unwrap();
         let ms = us(DOORBELL_DISTANCE) / 1e3;
         assert!(page.contains(&format!("one interrupt in {ms} ms")));
     }

@@ -1,11 +1,10 @@
 //! The lines of each room, product and tests, beside the committed table.
 
-use anyhow::{Context, Result, ensure};
+use crate::{git_files, read, write};
+use anyhow::{Context, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 const TABLE: &str = "docs/rooms.md";
 const HEAD: &str = "\
@@ -42,7 +41,7 @@ type Rooms = BTreeMap<String, Room>;
 /// Prints each room beside the table, and returns those that grew. With `save` the table becomes
 /// what there is; only limits are checked.
 pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
-    let table = fs::read_to_string(root.join(TABLE)).context(TABLE)?;
+    let table = read(root.join(TABLE))?;
     let mut known = rooms_in(&table)?;
     let now = counted(root, &known)?;
     println!(
@@ -68,7 +67,7 @@ pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
         for (name, lines) in &now {
             known.entry(name.clone()).or_default().lines = *lines;
         }
-        fs::write(root.join(TABLE), written(&known)).context(TABLE)?;
+        write(root.join(TABLE), &written(&known))?;
     }
     let mut findings = Vec::new();
     for (name, lines) in now {
@@ -141,21 +140,9 @@ fn written(rooms: &Rooms) -> String {
 
 /// Counts the files that git tracks.
 fn counted(root: &Path, known: &Rooms) -> Result<BTreeMap<String, Lines>> {
-    let output = Command::new("git")
-        .current_dir(root)
-        .args(["ls-files", "*.rs"])
-        .output();
-    let output = output.context("git ls-files")?;
-    ensure!(
-        output.status.success(),
-        "git ls-files ended with {}",
-        output.status
-    );
     let mut rooms = BTreeMap::<String, Lines>::new();
-    for file in String::from_utf8(output.stdout)?.lines() {
-        let Ok(text) = fs::read_to_string(root.join(file)) else {
-            continue;
-        };
+    for file in git_files(root, &["*.rs"])? {
+        let text = read(root.join(&file))?;
         let contains = |room: &&String| {
             file.strip_prefix(room.as_str())
                 .is_some_and(|rest| rest.starts_with('/'))
@@ -165,7 +152,7 @@ fn counted(root: &Path, known: &Rooms) -> Result<BTreeMap<String, Lines>> {
         let lines = rooms
             .entry(room.cloned().unwrap_or_else(first))
             .or_default();
-        let of_file = lines_of(file, &text);
+        let of_file = lines_of(&file, &text);
         lines.product += of_file.product;
         lines.tests += of_file.tests;
     }

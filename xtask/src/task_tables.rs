@@ -1,8 +1,8 @@
 //! The tables of tasks in the documentation, from the task table in the code.
 
+use crate::{read, write};
 use anyhow::{Context, Result, bail};
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 use tandem_board::CoreId;
 use tandem_cores::task_table::{self, CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
@@ -20,13 +20,13 @@ const PAGES: [Place; 3] = [
 pub(crate) fn run(root: &Path, check: bool) -> Result<()> {
     for (page, name, table) in PAGES {
         let path = root.join(page);
-        let before = fs::read_to_string(&path).context(page)?;
+        let before = read(&path)?;
         let after = placed(&before, name, &table()).context(page)?;
         if check && before != after {
             bail!("{page}: the {name} is stale; run `cargo xtask task-tables`");
         }
         if before != after {
-            fs::write(&path, after).context(page)?;
+            write(&path, &after)?;
         }
     }
     Ok(())

@@ -1,98 +1,36 @@
 //! The house rules that a program can check.
 
 use crate::rooms::{Rooms, packages};
-use crate::{names, sizes};
-use anyhow::{Context, Result, bail};
-use std::fs;
-use std::path::{Path, PathBuf};
+use crate::{PRESENT, git_files, names, read, sizes};
+use anyhow::{Result, bail};
+use std::path::Path;
 
-/// Which of our crates each crate may depend on, at run time.
-const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
-    ("tandem-shm", &[]),
-    ("tandem-bus", &[]),
-    ("tandem-board", &[]),
-    (
-        "tandem-redundancy",
-        &["tandem-shm", "tandem-bus", "tandem-board"],
-    ),
-    (
-        "tandem-cores",
-        &[
-            "tandem-shm",
-            "tandem-bus",
-            "tandem-board",
-            "tandem-redundancy",
-        ],
-    ),
-    ("tandem-boot", &["tandem-board"]),
-    ("tandem-boot-host", &["tandem-board", "tandem-boot"]),
-    ("tandem-rtos", &[]),
-    (
-        "tandem-runtime",
-        &["tandem-board", "tandem-cores", "tandem-rtos"],
-    ),
-    (
-        "tandem-capi",
-        &["tandem-shm", "tandem-board", "tandem-redundancy"],
-    ),
-    ("tandem-vehicle", &["tandem-board", "tandem-bus"]),
-    ("tandem-page", &[]),
-    (
-        "tandem-board-host",
-        &["tandem-board", "tandem-peripherals", "tandem-shm"],
-    ),
-    (
-        "tandem-benches",
-        &[
-            "tandem-board",
-            "tandem-board-host",
-            "tandem-page",
-            "tandem-rtos",
-            "tandem-shm",
-            "tandem-two-cores",
-        ],
-    ),
-    ("tandem-two-cores", &["tandem-shm"]),
-    (
-        "tandem-golden",
-        &[
-            "tandem-board",
-            "tandem-bus",
-            "tandem-cores",
-            "tandem-peripherals",
-        ],
-    ),
-    (
-        "tandem-record",
-        &[
-            "tandem-board",
-            "tandem-bus",
-            "tandem-cores",
-            "tandem-redundancy",
-            "tandem-vehicle",
-        ],
-    ),
-    (
-        "tandem-sim",
-        &[
-            "tandem-board",
-            "tandem-board-sim",
-            "tandem-bus",
-            "tandem-cores",
-            "tandem-record",
-            "tandem-redundancy",
-            "tandem-vehicle",
-        ],
-    ),
-    ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
-    ("tandem-board-sim", &["tandem-board", "tandem-peripherals"]),
-    ("tandem-peripherals", &["tandem-board"]),
-    ("tandem-cosim", &["tandem-board", "tandem-peripherals"]),
-    (
-        "tandem-board-qemu",
-        &["tandem-board", "tandem-cosim", "tandem-peripherals"],
-    ),
-];
+/// Which of our crates each crate may depend on, at run time; all without `tandem-`.
+const MAY_DEPEND_ON: &str = "\
+shm:
+bus:
+board:
+redundancy: shm bus board
+cores: shm bus board redundancy
+boot: board
+boot-host: board boot
+rtos:
+runtime: board cores rtos
+capi: shm board redundancy
+vehicle: board bus
+page:
+board-host: board peripherals shm
+benches: board board-host page rtos shm two-cores
+two-cores: shm
+golden: board bus cores peripherals
+record: board bus cores redundancy vehicle
+sim: board board-sim bus cores record redundancy vehicle
+board-conformance: board shm
+board-sim: board peripherals
+peripherals: board
+cosim: board peripherals
+board-qemu: board cosim peripherals
+";
 /// The top crates: these may depend on all.
 const ON_TOP: [&str; 6] = [
     "tandem",
@@ -131,18 +69,15 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     let mut findings = sizes::findings(root, save)?;
     findings.extend(dependencies(root)?);
     let files = rust_files(root)?;
-    findings.extend(crate::failure_modes::findings(root, &files)?);
-    let mut places = Vec::new();
-    for file in files {
-        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
-        let place = file.strip_prefix(root).unwrap_or(&file);
-        let place = place.display().to_string();
-        findings.extend(file_findings(&place, &text));
-        places.push(place);
-    }
+    findings.extend(crate::failure_modes::findings(&files));
+    findings.extend(
+        files
+            .iter()
+            .flat_map(|(place, text)| file_findings(place, text)),
+    );
     let rooms = Rooms::read(root)?;
     findings.extend(rooms.circles());
-    findings.extend(names::findings(root, &rooms.public_types(), &places)?);
+    findings.extend(names::findings(root, &rooms.public_types(), &files)?);
     findings.iter().for_each(|finding| println!("{finding}"));
     if !findings.is_empty() {
         bail!("{} findings", findings.len());
@@ -151,11 +86,19 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     Ok(())
 }
 
+/// The crates that one of the table may depend on.
+fn allowed_for(name: &str) -> Option<Vec<&'static str>> {
+    let rows = MAY_DEPEND_ON.lines().filter_map(|row| row.split_once(':'));
+    let mut ours = rows.filter(|(owner, _)| name.strip_prefix("tandem-") == Some(owner));
+    ours.next()
+        .map(|(_, allowed)| allowed.split_whitespace().collect())
+}
+
 fn dependencies(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     for package in packages(root)? {
         let name = package.name.as_str();
-        let ours = MAY_DEPEND_ON.iter().find(|(owner, _)| *owner == name);
+        let ours = allowed_for(name);
         if ours.is_none() && !ON_TOP.contains(&name) {
             findings.push(format!("{name}: a crate that tidy does not know"));
         }
@@ -167,8 +110,9 @@ fn dependencies(root: &Path) -> Result<Vec<String>> {
                 findings.push(format!("{name}: only the host board may name {on}"));
             }
             let at_run_time = dependency.kind.is_none() && !is_counting;
-            let allowed = ours.is_none_or(|(_, allowed)| allowed.contains(&on));
-            if at_run_time && on.starts_with("tandem") && !allowed {
+            let tandem = on.strip_prefix("tandem-");
+            let refused = |on| ours.as_ref().is_some_and(|allowed| !allowed.contains(&on));
+            if at_run_time && tandem.is_some_and(refused) {
                 findings.push(format!("{name}: must not depend on {on}"));
             }
         }
@@ -251,22 +195,12 @@ fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Every Rust file that is tracked by git or not ignored.
-pub(crate) fn rust_files(root: &Path) -> Result<Vec<PathBuf>> {
-    let output = std::process::Command::new("git")
-        .current_dir(root)
-        .args([
-            "ls-files",
-            "--cached",
-            "--others",
-            "--exclude-standard",
-            "*.rs",
-        ])
-        .output()
-        .context("git ls-files")?;
-    let text = String::from_utf8(output.stdout).context("git ls-files")?;
-    let files = text.lines().map(|line| root.join(line));
-    Ok(files.filter(|file| file.exists()).collect())
+/// Every Rust file that is tracked by git or not ignored, with its text.
+pub(crate) fn rust_files(root: &Path) -> Result<Vec<(String, String)>> {
+    let files = git_files(root, &[&PRESENT[..], &["*.rs"]].concat())?.into_iter();
+    files
+        .map(|file| Ok((file.clone(), read(root.join(&file))?)))
+        .collect()
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! The images for QEMU's mps2-an521, two Cortex-M33: build all, run all.
 
-use super::{build_dir, ended, port};
+use super::{build_dir, ended, machine, port};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
-use std::process::Command;
 
 const TARGET: &str = "thumbv8m.main-none-eabi";
 const QEMU: &str = "qemu-system-arm";
@@ -15,6 +14,8 @@ const PASSED: i32 = 0;
 const SKIPPED: i32 = 2;
 const NO_SUCH_CASE: i32 = 3;
 
+/// 32 ns an instruction.
+const SHIFT: u32 = 5;
 /// Lengths of turns, in ticks of 50 ns, under which the primitives run. The emulator does not keep
 /// shorter ones: a broken lock passes with them.
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
@@ -83,29 +84,12 @@ fn primitives(root: &Path) -> Result<()> {
 /// Runs an image to its end. Fails if its exit status is not one of `good`.
 fn play(root: &Path, image: &str, straps: &[u32], good: &[i32]) -> Result<(i32, String)> {
     let elf = build_dir(root).join(TARGET).join("release").join(image);
-    let mut command = Command::new(QEMU);
-    command
-        .args([
-            "-machine",
-            "mps2-an521",
-            "-display",
-            "none",
-            "-monitor",
-            "none",
-        ])
-        .args([
-            "-serial",
-            "stdio",
-            "-semihosting-config",
-            "enable=on,target=native",
-        ])
-        // 32 ns an instruction; time jumps when both processors sleep.
-        .args(["-icount", "shift=5,sleep=off", "-kernel"])
-        .arg(elf);
-    for (at, value) in (STRAPS_AT..).step_by(4).zip(straps) {
-        let strap = format!("loader,addr={at:#x},data={value},data-len=4");
-        command.args(["-device", &strap]);
-    }
+    let an521 = [
+        "mps2-an521",
+        "-semihosting-config",
+        "enable=on,target=native",
+    ];
+    let mut command = machine(QEMU, &an521, &elf, SHIFT, (STRAPS_AT, straps));
     let (status, log) = ended(&mut command).with_context(|| {
         format!("{QEMU}: apt-get install --no-install-recommends qemu-system-arm")
     })?;

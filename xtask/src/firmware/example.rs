@@ -1,8 +1,8 @@
 //! The example with a core in C: built by its own compiler, run beside the cores in Rust, measured.
 
-use super::{QEMU, TARGET, build_dir, finish, port};
+use super::{QEMU, TARGET, build_dir, cargo_build_package, finish, machine, port, released};
+use crate::{output, read, succeed, write};
 use anyhow::{Context, Result, ensure};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -34,26 +34,13 @@ pub(super) fn run(root: &Path) -> Result<()> {
     for source in ["start.S", "board.c", "main.c"] {
         link.arg(sources.join(source));
     }
-    crate::run({
-        link.arg(&library).arg("-o").arg(&in_c);
-        link
-    })?;
-    let mut build = crate::cargo(&port(root), &["build", "--quiet", "--release"]);
-    build
-        .args(["--target", TARGET, "-p", "tandem-c-example"])
-        .env("CARGO_TARGET_DIR", build_dir(root));
-    crate::run(build)?;
-
-    let in_rust = build_dir(root).join(TARGET).join("release/c-example");
-    let mut command = Command::new(QEMU);
-    command
-        .args(["-machine", "virt", "-smp", "3", "-bios", "none"])
-        .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
-        .args(["-icount", "shift=0,sleep=off", "-kernel"])
-        .arg(in_rust)
-        // Hart 2 starts in this image.
-        .arg("-device")
-        .arg(format!("loader,file={},cpu-num=2", in_c.display()));
+    succeed(link.arg(&library).arg("-o").arg(&in_c))?;
+    cargo_build_package(root, &["--release", "-p", "tandem-c-example"])?;
+    let virt = ["virt", "-smp", "3", "-bios", "none"];
+    let mut command = machine(QEMU, &virt, &released(root, "c-example"), 0, (0, &[]));
+    // Hart 2 starts in this image.
+    let hart_2 = format!("loader,file={},cpu-num=2", in_c.display());
+    command.args(["-device", &hart_2]);
     let log = finish(&mut command)?;
     print!("{log}");
     ensure!(
@@ -87,7 +74,7 @@ fn gcc(root: &Path) -> Command {
 
 /// The functions that the header declares.
 fn functions(root: &Path) -> Result<Vec<String>> {
-    let header = fs::read_to_string(root.join("capi/include/tandem.h"))?;
+    let header = read(root.join("capi/include/tandem.h"))?;
     // A declaration is a line that begins with its type: a status or a number.
     let declared = header.lines().filter_map(|line| {
         let types = ["tandem_status_t ", "uint32_t ", "size_t "];
@@ -132,24 +119,21 @@ fn linked(root: &Path, library: &Path, functions: &[&String]) -> Result<u32> {
     let source = build_dir(root).join("size.c");
     let image = build_dir(root).join("size.elf");
     let on_panic = "void tandem_on_panic(void);\nvoid tandem_on_panic(void) { for (;;) { } }\n";
-    fs::write(&source, on_panic)?;
+    write(&source, on_panic)?;
     let mut link = gcc(root);
     link.arg("-Wl,-e,tandem_on_panic");
     for function in functions {
         link.arg(format!("-Wl,-u,{function}"));
     }
     link.arg(&source).arg(library).arg("-o").arg(&image);
-    let output = link.output().with_context(|| {
+    output(&mut link).with_context(|| {
         format!("{GCC}: apt-get install --no-install-recommends gcc-riscv64-unknown-elf")
     })?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{link:?}\n{said}");
     text_of(&image)
 }
 
 fn text_of(image: &Path) -> Result<u32> {
-    let output = Command::new(SIZE).arg("-A").arg(image).output()?;
-    let table = String::from_utf8_lossy(&output.stdout);
+    let table = output(Command::new(SIZE).arg("-A").arg(image))?;
     let line = table.lines().find(|line| line.starts_with(".text"));
     let bytes = line.and_then(|line| line.split_whitespace().nth(1));
     bytes

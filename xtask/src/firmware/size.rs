@@ -1,6 +1,6 @@
 //! Text and RAM of images, from the sections of their ELF files.
 
-use super::{Image, TARGET, build_dir, cargo_build, cargo_build_package};
+use super::{Image, TARGET, build_dir, cargo_build, cargo_build_package, released};
 use anyhow::{Context, Result};
 use clap::ValueEnum as _;
 use std::fs;
@@ -77,10 +77,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
         "  in its bank, S0 and S1"
     );
     for image in Image::value_variants() {
-        let size = of(&build_dir(root)
-            .join(TARGET)
-            .join("release")
-            .join(image.name()))?;
+        let size = of(&released(root, &image.name()))?;
         line(&format!("image {}", image.name()), size);
     }
     Ok(())
