@@ -34,8 +34,8 @@ fifo/4-bytes: the same through a queue; from time to time an end reads the other
 heapless/spsc-4-bytes: peer: `heapless::spsc` and the doorbell; it does not say who sent, nor \
     survives a reset of one end
 embassy/channel-4-bytes: peer: `embassy_sync::channel` under a spin lock, and the doorbell
-freertos/message-buffer-4-bytes: peer: FreeRTOS's message buffer and the doorbell; it has no fence, \
-    and loses its state with a core
+freertos/message-buffer-4-bytes: peer: FreeRTOS's message buffer and the doorbell; it has no \
+    fence, and loses its state with a core
 lock/free: lock and unlock
 lock/contended-3: three harts want it at once, until the last has given it back
 pool/get-give: borrow 16 words and give them back
