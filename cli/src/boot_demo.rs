@@ -91,6 +91,7 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
         program_flash: Some(ProgramFlashes::empty(flashes, key)?),
         update: None,
         demo: Some(demo.clone()),
+        cpus: vec![],
         stall_timers: vec![],
     };
     let plan = Plan {

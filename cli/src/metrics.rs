@@ -2,16 +2,14 @@
 
 use serde::Serialize;
 use tandem_cores::trace::Event;
-use tandem_record::description;
-use tandem_record::gap::{self, Bounds, EndedBy};
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
-use tandem_record::run_log::{Stall, Stood};
-use tandem_record::{RunLog, Takeover, ms_between, start, takeovers};
+use tandem_record::run_log::Stall;
+use tandem_record::verdict::{Beside, Figures, Verdict};
+use tandem_record::{RunLog, ms_between, start};
 use tandem_vehicle::Ruling;
 
 use crate::percentiles::Spans;
-use crate::stall_watch::Seen;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
@@ -28,14 +26,10 @@ pub struct Surroundings {
     pub timing: String,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub detection_bound_ms: Option<f64>,
-    /// How long the vehicle can be without control at most, by cause.
-    pub bounds: Bounds,
-    /// A stall longer than this may cost a takeover that was not needed, ms.
-    pub tolerated_ms: f64,
-    /// What the machine did, on a board of processes.
-    pub machine: Seen,
-    /// Files and processes that were still there after the end.
-    pub leftovers: Vec<String>,
+    /// What the rules of a good run need.
+    pub beside: Beside,
+    /// How the threads that watched for stalls were scheduled, in words; empty if there were none.
+    pub watched_by: String,
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
@@ -51,13 +45,14 @@ pub struct Metrics {
     pub(crate) duration_s: f64,
     /// Scenario time that was asked for, s.
     pub(crate) duration_asked_s: f64,
-    /// The run went to its end.
-    pub(crate) complete: bool,
+    /// How the run is judged, and the rules that it broke.
+    pub(crate) verdict: Verdict,
+    /// What the rules read.
+    #[serde(flatten)]
+    pub(crate) figures: Figures,
     /// The vehicle's own figures.
     #[serde(flatten)]
     pub(crate) drive: DriveFigures,
-    /// Control frames that the vehicle obeyed.
-    pub(crate) control_frames: usize,
     /// Control frames that came with an outdated term and were ignored.
     pub(crate) fenced_frames: usize,
     /// Control frames whose protection or content was wrong.
@@ -66,9 +61,8 @@ pub struct Metrics {
     pub(crate) first_control_ms: Option<f64>,
     /// Longest time between two accepted control frames, over takeovers and to the end, ms.
     pub(crate) control_gap_max_ms: Option<f64>,
-    /// Median of the time between two control frames of one mastership, by the sender's clock, ms.
-    pub(crate) control_period_p50_ms: Option<f64>,
-    /// 99 of 100 are not longer, ms.
+    /// Time between two control frames of one mastership, by the sender's clock: 99 of 100 are not
+    /// longer, ms.
     pub(crate) control_period_p99_ms: Option<f64>,
     /// 999 of 1000 are not longer, ms.
     pub(crate) control_period_p99_9_ms: Option<f64>,
@@ -100,23 +94,8 @@ pub struct Metrics {
     pub(crate) chain_p99_9_ms: Option<f64>,
     /// The longest, ms.
     pub(crate) chain_max_ms: Option<f64>,
-    /// Time in which frames of both systems were accepted, ms.
-    pub(crate) two_masters_ms: f64,
-    /// Time in which both systems transmitted control frames as master, ms, whether or not the
-    /// vehicle obeyed them.
-    pub(crate) both_transmitted_ms: f64,
-    /// How much of that the hand-overs of this run explain at most, ms.
-    pub(crate) hand_over_ms: f64,
-    /// Control frames after a takeover that were too old to act, and no stall explains it.
-    pub(crate) stale_frames: usize,
-    /// Times without control beyond the bound of their cause.
-    pub(crate) gaps: Vec<GapMetrics>,
     /// How often, and how long at most, the machine stood still.
     pub(crate) stalls: StallMetrics,
-    /// Changes of the system that is obeyed.
-    pub(crate) takeovers: Vec<TakeoverMetrics>,
-    /// How many of them replaced a master that had not failed, and no stall explains it.
-    pub(crate) false_takeovers: usize,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
     /// How long the vehicle can be without control at most when a master falls silent, ms.
@@ -139,27 +118,6 @@ pub struct Metrics {
     pub(crate) lost_trace: u64,
     /// How long the world stood still because the vehicle's process was stopped, ms.
     pub(crate) stalled_ms: f64,
-    /// Files and processes that were still there after the end.
-    pub(crate) leftovers: Vec<String>,
-}
-
-/// One entry of [`Metrics::gaps`].
-#[derive(Clone, Debug, Serialize)]
-pub struct GapMetrics {
-    /// Scenario time of the last accepted frame before it, s.
-    pub at_s: f64,
-    /// Its length, ms.
-    pub gap_ms: f64,
-    /// How long it may be, ms.
-    pub bound_ms: f64,
-    /// What ended it: the sign of a takeover, the same system, or the end of the run.
-    pub ended_by: String,
-    /// How much of it the machine or the bus stood still, ms.
-    pub stalled_ms: f64,
-    /// What stood still, in words; empty if nothing did.
-    pub evidence: String,
-    /// Without the stalls it would have kept its bound.
-    pub explained: bool,
 }
 
 /// [`Metrics::stalls`].
@@ -173,39 +131,6 @@ pub(crate) struct StallMetrics {
     pub(crate) longest_ms: f64,
     /// How often the vehicle's process, which is the bus, was held up.
     pub(crate) bus_count: usize,
-}
-
-/// One entry of [`Metrics::takeovers`].
-#[derive(Clone, Debug, Serialize)]
-pub(crate) struct TakeoverMetrics {
-    /// The system that drove before: `A` or `B`.
-    pub(crate) from: String,
-    /// The system that drove then.
-    pub(crate) to: String,
-    /// Scenario time of the new master's first frame, s.
-    pub(crate) at_s: f64,
-    /// The sign by which the new master knew that the old one had failed.
-    pub(crate) cause: String,
-    /// From its last sign of life to the decision, ms.
-    pub(crate) detected_ms: Option<f64>,
-    /// From the old master's last accepted frame to the new one's first, ms.
-    pub(crate) gap_ms: f64,
-    /// How long that may be on this sign, ms.
-    pub(crate) bound_ms: f64,
-    /// The old master had not failed.
-    pub(crate) is_false: bool,
-    /// What stood still for longer than is tolerated before a false one, in words; empty if nothing
-    /// did.
-    pub(crate) evidence: String,
-    /// The old master found later that its core had been held up: frozen, or not scheduled.
-    pub(crate) held_up: bool,
-}
-
-impl TakeoverMetrics {
-    /// The old master had not failed, and no stall explains the takeover.
-    pub(crate) const fn is_needless(&self) -> bool {
-        self.is_false && self.evidence.is_empty()
-    }
 }
 
 /// Times between two control frames that follow each other in one mastership, by the sender's
@@ -283,74 +208,6 @@ fn stall_ms(stall: &Stall) -> f64 {
     ms_between(stall.from_ns, stall.to_ns)
 }
 
-/// All that stood still in a run.
-fn stalls(log: &RunLog, around: &Surroundings) -> Vec<Stall> {
-    let machine = around.machine.stalls.iter();
-    machine.chain(&log.held_up).copied().collect()
-}
-
-/// What stood still within this time, ns, in words: each stall of at least this length, ms.
-fn evidence(log: &RunLog, stalls: &[Stall], [from_ns, to_ns]: [u64; 2], least_ms: f64) -> String {
-    let within = |stall: &&Stall| stall.from_ns < to_ns && from_ns < stall.to_ns;
-    let told = stalls.iter().filter(within).filter_map(|stall| {
-        let what = match stall.of {
-            Stood::Cpu(cpu) => format!("CPU {cpu}"),
-            Stood::Bus => "the vehicle's process".to_owned(),
-        };
-        let (ms, at_s) = (stall_ms(stall), log.seconds(stall.from_ns));
-        (ms >= least_ms).then(|| format!("{what} gone for {ms:.1} ms at {at_s:.3} s"))
-    });
-    told.collect::<Vec<_>>().join(", ")
-}
-
-/// The gaps beyond their bounds, with the evidence of what stood still then.
-pub fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
-    let stalls = stalls(log, around);
-    let of_gap = |gap: gap::Gap| GapMetrics {
-        at_s: log.seconds(gap.from_ns),
-        gap_ms: gap.ms(),
-        bound_ms: gap.bound_ms,
-        ended_by: match gap.ended_by {
-            EndedBy::SameSystem => "the same system".to_owned(),
-            EndedBy::Nothing => "the end of the run".to_owned(),
-            EndedBy::Takeover(None) => "a takeover, sign not reported".to_owned(),
-            EndedBy::Takeover(Some(sign)) => {
-                format!("a takeover: {}", description::evidence(sign))
-            }
-        },
-        stalled_ms: gap.stalled_ms,
-        evidence: evidence(log, &stalls, [gap.from_ns, gap.to_ns], 0.0),
-        explained: gap.is_explained(),
-    };
-    let found = gap::gaps(log, takeovers, &around.bounds, &stalls);
-    found.into_iter().map(of_gap).collect()
-}
-
-/// The takeovers, with the evidence of what stood still before those that were not needed.
-fn changes(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<TakeoverMetrics> {
-    let stalls = stalls(log, around);
-    let patience_ns = (around.bounds.silent_ms * 1e6) as u64;
-    let of_takeover = |takeover: &Takeover| {
-        let before = [takeover.at_ns.saturating_sub(patience_ns), takeover.at_ns];
-        TakeoverMetrics {
-            from: takeover.from.to_string(),
-            to: takeover.to.to_string(),
-            at_s: log.seconds(takeover.at_ns),
-            cause: takeover.cause_in_words().to_owned(),
-            detected_ms: takeover.detected_ms,
-            gap_ms: takeover.gap_ms,
-            bound_ms: around.bounds.of_takeover(log, takeover),
-            is_false: takeover.is_false,
-            evidence: match takeover.is_false {
-                true => evidence(log, &stalls, before, around.tolerated_ms),
-                false => String::new(),
-            },
-            held_up: takeover.held_up,
-        }
-    };
-    takeovers.iter().map(of_takeover).collect()
-}
-
 /// Computes all figures of a run.
 pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) -> Metrics {
     let period = Spans::from_ms(control_periods_ms(log));
@@ -360,8 +217,8 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         age_ms,
     } = reaction(log);
     let (reaction, age) = (Spans::from_ms(reaction_ms), Spans::from_ms(age_ms));
-    let takeovers = takeovers(log);
-    let changes = changes(log, &takeovers, around);
+    let machine = &around.beside.stalls;
+    let figures = Figures::of(log, &around.beside, period.percentile_ms(50.0));
     let count = |verdict| {
         log.control
             .iter()
@@ -374,14 +231,13 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         seed: log.header.seed,
         duration_s: log.driven_s(),
         duration_asked_s: log.header.duration_s,
-        complete: log.end_ns.is_some(),
+        verdict: figures.verdict(log, &around.beside),
+        figures,
         drive: log.figures.clone(),
-        control_frames: count(Ruling::Accepted),
         fenced_frames: count(Ruling::Fenced),
         invalid_frames: count(Ruling::Invalid),
         first_control_ms: first_control_ms(log),
         control_gap_max_ms: control_gap_max_ms(log),
-        control_period_p50_ms: period.percentile_ms(50.0),
         control_period_p99_ms: period.percentile_ms(99.0),
         control_period_p99_9_ms: period.percentile_ms(99.9),
         control_period_max_ms: period.max_ms(),
@@ -395,26 +251,14 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         chain_p99_ms: chain.percentile_ms(99.0),
         chain_p99_9_ms: chain.percentile_ms(99.9),
         chain_max_ms: chain.max_ms(),
-        two_masters_ms: log.mastership().two_masters_ns() as f64 * 1e-6,
-        both_transmitted_ms: gap::both_transmitted_ms(log),
-        hand_over_ms: gap::hand_over_ms(&takeovers),
-        stale_frames: gap::stale_frames(log, &takeovers, &stalls(log, around)),
-        gaps: gaps(log, &takeovers, around),
         stalls: StallMetrics {
-            watched_by: around.machine.watched_by.clone(),
-            count: around.machine.stalls.len(),
-            longest_ms: around
-                .machine
-                .stalls
-                .iter()
-                .map(stall_ms)
-                .fold(0.0, f64::max),
+            watched_by: around.watched_by.clone(),
+            count: machine.len(),
+            longest_ms: machine.iter().map(stall_ms).fold(0.0, f64::max),
             bus_count: log.held_up.len(),
         },
-        false_takeovers: changes.iter().filter(|it| it.is_needless()).count(),
-        takeovers: changes,
         detection_bound_ms: around.detection_bound_ms,
-        gap_bound_ms: Some(around.bounds.silent_ms).filter(|ms| ms.is_finite()),
+        gap_bound_ms: Some(around.beside.bounds.silent_ms).filter(|ms| ms.is_finite()),
         start_skew_us: start::skew_ns(log).map(|ns| ns as f64 * 1e-3),
         deadline_misses: deadline_misses(log),
         tasks: timeline.tasks.clone(),
@@ -424,7 +268,6 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         granted: around.granted.clone(),
         lost_trace: log.lost_trace,
         stalled_ms: log.stalled_ms,
-        leftovers: around.leftovers.clone(),
     }
 }
 
@@ -468,12 +311,12 @@ mod tests {
             &Timeline::default(),
             &Surroundings::default(),
         );
-        assert_eq!(metrics.takeovers.len(), 1);
-        assert_eq!(metrics.two_masters_ms, 0.0);
-        assert_eq!(metrics.false_takeovers, 0);
-        assert!((metrics.takeovers[0].at_s - 10.0).abs() < 0.05);
+        assert_eq!(metrics.figures.takeovers.len(), 1);
+        assert_eq!(metrics.figures.two_masters_ms, 0.0);
+        assert_eq!(metrics.figures.false_takeovers, 0);
+        assert!((metrics.figures.takeovers[0].at_s - 10.0).abs() < 0.05);
         let gap = metrics.control_gap_max_ms.unwrap();
-        assert!((gap - metrics.takeovers[0].gap_ms).abs() < 1e-9);
+        assert!((gap - metrics.figures.takeovers[0].gap_ms).abs() < 1e-9);
         let p99 = metrics.control_period_p99_ms.unwrap();
         assert!((9.0..11.0).contains(&p99), "{p99}");
     }

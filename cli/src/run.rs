@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, bail};
-use tandem_board::{Duration, SystemId};
+use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
@@ -14,6 +14,7 @@ use tandem_board_host::{
 };
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
+use tandem_record::verdict::Beside;
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
@@ -29,10 +30,12 @@ use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
 use crate::run_config::{LimitProfile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
-use crate::{core_process, report, summary, vehicle};
+use crate::{core_process, summary, vehicle};
 
 /// For how long `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
+/// The timers of processes are late by up to this much.
+const TIMERS_LATE: Duration = Duration::from_ms(2);
 
 /// Drives the scenario and writes the report.
 ///
@@ -56,6 +59,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
     let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
+        cpus: checked.cores(),
         stall_timers: watch.timers(),
         ..config
     };
@@ -68,11 +72,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     tell_updates(args, &files);
     let collected = Collected::new(&checked.out, &files, &because);
-    let around = Surroundings {
-        leftovers: leftovers(&launcher.finish()),
-        machine,
-        ..surroundings(&config, granted)
-    };
+    let around = surroundings(&config, granted).after(machine, &launcher.finish());
     conclude(args, &checked, collected, &around, ended.interrupted)
 }
 
@@ -103,6 +103,7 @@ pub fn recorded<T: Send>(
     let injection = launcher.injection();
     let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
+        cpus: checked.cores(),
         stall_timers: watch.timers(),
         ..config
     };
@@ -116,14 +117,10 @@ pub fn recorded<T: Send>(
     let done = done.map_err(|_| anyhow::anyhow!("the injection panicked"))?;
     let folder = tempfile::tempdir().context("a folder for the log")?;
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP));
-    let leftovers = leftovers(&launcher.finish());
+    let left = launcher.finish();
     Ok(Recorded {
         log: log?,
-        around: Surroundings {
-            leftovers,
-            machine,
-            ..surroundings(&config, granted)
-        },
+        around: surroundings(&config, granted).after(machine, &left),
         done: done?,
     })
 }
@@ -196,24 +193,36 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
 /// What a run knows beside its recording, before it was driven.
 #[must_use]
 pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
-    let limits = core_process::config(config).redundancy;
+    let product = core_process::config(config).redundancy;
     // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
     // one after it may each be late by half a millisecond more: that is no stall yet.
-    let on_bus = |bound: Duration| bound.as_ms_f64() + 1.0 + 2.0 * stall_watch::LATE.as_ms_f64();
+    let on_bus = Duration::from_ms(1) + stall_watch::LATE.times(2);
     Surroundings {
         granted,
         timing: config.profile.name().to_owned(),
-        detection_bound_ms: Some(limits.takeover_bound().as_ms_f64()),
-        bounds: Bounds {
-            silent_ms: on_bus(limits.gap_bound()),
-            // The timers of processes are late; the other bounds have that within them.
-            power_ms: on_bus(limits.gap_bound_power() + limits.heartbeat_jitter),
-            mute_ms: on_bus(limits.gap_bound_mute()),
-            limits,
+        detection_bound_ms: Some(product.takeover_bound().as_ms_f64()),
+        beside: Beside {
+            bounds: Bounds::new(config.required(), on_bus, TIMERS_LATE),
+            product: Some(product),
+            ..Beside::default()
         },
-        tolerated_ms: config.budget().tolerated_stall().as_ms_f64(),
-        machine: Seen::default(),
-        leftovers: vec![],
+        watched_by: String::new(),
+    }
+}
+
+impl Surroundings {
+    /// The same, after a run of processes.
+    fn after(self, machine: Seen, left: &Leftovers) -> Self {
+        Self {
+            beside: Beside {
+                watch: machine.watch,
+                stalls: machine.stalls,
+                leftovers: leftovers(left),
+                ..self.beside
+            },
+            watched_by: machine.watched_by,
+            ..self
+        }
     }
 }
 
@@ -237,7 +246,7 @@ fn conclude(
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
-    match report::objections(&metrics) {
+    match metrics.verdict.objections() {
         objections if objections.is_empty() => Ok(()),
         objections => Err(Failure::Objections(objections)),
     }
@@ -254,6 +263,12 @@ struct Checked {
 }
 
 impl Checked {
+    /// The CPU of each core, in the order A0, A1, … B2.
+    fn cores(&self) -> Vec<usize> {
+        let cpus = self.cpus.iter().cycle();
+        cpus.take(CoreAddress::ALL.len()).copied().collect()
+    }
+
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;

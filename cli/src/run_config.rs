@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use tandem_board::Duration;
 use tandem_board::SystemId;
 use tandem_board_host::Alarm;
+use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
 
 use crate::args::RunArgs;
@@ -48,6 +49,15 @@ impl RunConfig {
             None => budget,
         }
     }
+
+    /// The limits that the requirement sets to a run with this profile, on this machine.
+    pub fn required(&self) -> Limits {
+        let limits = match self.profile {
+            LimitProfile::Rt => Limits::RT,
+            LimitProfile::Desktop => Limits::DESKTOP,
+        };
+        limits.with_stall(self.budget().stall)
+    }
 }
 
 /// The configuration of all processes of a run, as one argument.
@@ -77,6 +87,8 @@ pub struct RunConfig {
     pub update: Option<UpdateFiles>,
     /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
     pub demo: Option<[PathBuf; 2]>,
+    /// The CPU of each core, in the order A0, A1, … B2; empty on another board.
+    pub cpus: Vec<usize>,
     /// The timers of the threads that watch for stalls, which each core 0 postpones.
     pub stall_timers: Vec<StallTimer>,
 }
@@ -149,6 +161,7 @@ impl RunConfig {
             program_flash: None,
             update: None,
             demo: None,
+            cpus: vec![],
             stall_timers: vec![],
         }
     }
@@ -210,6 +223,7 @@ mod tests {
                 ended: "/tmp/updated".into(),
             }),
             demo: None,
+            cpus: vec![0, 1, 0, 1, 0, 1],
             stall_timers: vec![StallTimer {
                 cpu: 1,
                 descriptor: 9,

@@ -23,6 +23,7 @@ use tandem_board::Duration;
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_board_host::{Alarm, Expired, clock};
 use tandem_record::run_log::{Stall, Stood};
+use tandem_record::verdict::Watch;
 
 use crate::control_core::WATCH_PERIOD;
 use crate::run_config::StallTimer;
@@ -43,7 +44,9 @@ const MOST: usize = 100_000;
 pub struct Seen {
     /// The times in which a CPU was gone, in order of each CPU.
     pub stalls: Vec<Stall>,
-    /// How the threads were scheduled, in words.
+    /// Whether the threads were more urgent than the run, so that their lateness is evidence.
+    pub watch: Watch,
+    /// How they were scheduled, in words.
     pub watched_by: String,
 }
 
@@ -104,30 +107,35 @@ impl StallWatch {
     /// Ends the threads; what they saw.
     pub fn end(self) -> Seen {
         self.over.store(true, Ordering::Relaxed);
-        let (mut stalls, mut fifo) = (vec![], None);
-        for Watcher {
-            alarm,
-            fifo: granted,
-            thread,
-            ..
-        } in self.threads
-        {
+        let mut stalls = vec![];
+        let priorities = self.threads.iter().map(|watcher| watcher.fifo);
+        let least = priorities.min().flatten();
+        for Watcher { alarm, thread, .. } in self.threads {
             // Again and again: a core 0 that is left may postpone it.
             while !thread.is_finished() {
                 alarm.postpone(Duration::ZERO);
                 clock::sleep_until(clock::now() + FINE_PERIOD);
             }
-            fifo = granted;
             stalls.extend(thread.join().unwrap_or_default());
         }
         for signal in self.signals {
             unregister(signal);
         }
-        let watched_by = match fifo {
-            Some(priority) => format!("a thread under SCHED_FIFO {priority} on each CPU"),
-            None => "a thread without real-time priority".to_owned(),
+        let (watch, watched_by) = match least {
+            Some(priority) => (
+                Watch::Urgent,
+                format!("a thread under SCHED_FIFO {priority} on each CPU"),
+            ),
+            None => (
+                Watch::Ordinary,
+                "a thread without real-time priority".to_owned(),
+            ),
         };
-        Seen { stalls, watched_by }
+        Seen {
+            stalls,
+            watch,
+            watched_by,
+        }
     }
 }
 
@@ -234,6 +242,7 @@ mod tests {
         let seen = watch.end();
         let end = clock::now();
         assert_eq!(seen.watched_by, "a thread without real-time priority");
+        assert_eq!(seen.watch, Watch::Ordinary);
         for stall in seen.stalls {
             assert!(begin.as_ns() < stall.from_ns && stall.to_ns <= end.as_ns());
             assert!(stall.to_ns - stall.from_ns > LATE.as_ns());

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::metrics::Metrics;
-use crate::report;
 
 /// The most important figures, and where the rest is.
 pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
@@ -29,7 +28,7 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         "control period",
         format!(
             "p50 {}  p99 {}  p99.9 {}  max {} ms",
-            ms(metrics.control_period_p50_ms),
+            ms(metrics.figures.control_period_p50_ms),
             ms(metrics.control_period_p99_ms),
             ms(metrics.control_period_p99_9_ms),
             ms(metrics.control_period_max_ms)
@@ -67,7 +66,7 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         "control frames",
         format!(
             "{} accepted, {} fenced off",
-            metrics.control_frames, metrics.fenced_frames
+            metrics.figures.control_frames, metrics.fenced_frames
         ),
     );
     row(
@@ -78,26 +77,27 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         "largest gap",
         format!("{} ms", ms(metrics.control_gap_max_ms)),
     );
-    row("two masters", format!("{:.1} ms", metrics.two_masters_ms));
+    row(
+        "two masters",
+        format!("{:.1} ms", metrics.figures.two_masters_ms),
+    );
     row(
         "both transmitted",
-        format!("{:.1} ms", metrics.both_transmitted_ms),
+        format!("{:.1} ms", metrics.figures.both_transmitted_ms),
     );
     row("takeovers", takeovers(metrics));
-    let verdict: Vec<String> = report::verdict(metrics)
-        .into_iter()
-        .map(|(_, part)| part)
-        .collect();
+    let parts = metrics.verdict.parts().into_iter();
+    let verdict: Vec<String> = parts.map(|(_, part)| part).collect();
     row("verdict", verdict.join(&format!("\n{:24}", "")));
     row("report", report.display().to_string());
     text
 }
 
 fn takeovers(metrics: &Metrics) -> String {
-    if metrics.takeovers.is_empty() {
+    if metrics.figures.takeovers.is_empty() {
         return "none".to_owned();
     }
-    let each = metrics.takeovers.iter().map(|takeover| {
+    let each = metrics.figures.takeovers.iter().map(|takeover| {
         let detected = takeover
             .detected_ms
             .map_or(String::new(), |ms| format!(", detected in {ms:.2} ms"));

@@ -36,6 +36,7 @@ pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
             seed: 1,
             duration_s,
             epoch_us: 0,
+            cpus: (0..6).collect(),
         }),
     );
     push(

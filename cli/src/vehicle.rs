@@ -105,6 +105,7 @@ where
             seed: run.seed,
             duration_s: run.duration_s,
             epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
+            cpus: run.cpus.clone(),
         }));
         let mut world = World::new(scenario, WorldConfig { seed: run.seed });
         world.set_driver(Habit {

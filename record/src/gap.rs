@@ -1,13 +1,15 @@
-//! Times without control, each compared with the bound of its cause, together with what stood still
-//! then; and the times in which both systems transmitted.
+//! Times without control, each compared with the bound of its cause, together with the stalls that
+//! excuse a part of it; and the times in which both systems transmitted.
 
 use tandem_board::{CoreId, Duration, ResetCause, SystemId};
+use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
-use tandem_redundancy::{Config, Evidence, Phase};
+use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::Ruling;
 use tandem_vehicle::gate::MAX_DELAY_MS;
 use tandem_vehicle::mastership::Mastership;
 
+use crate::limits::Limits;
 use crate::run_log::{ControlFrame, CoreEvent, Stall, Stood};
 use crate::takeover::report_of;
 use crate::{RunLog, Takeover, ms_between};
@@ -15,8 +17,12 @@ use crate::{RunLog, Takeover, ms_between};
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
-/// A stall may have been longer than was seen by this, ns.
-const NOT_SEEN_NS: u64 = 2_000_000;
+/// A stall of a standby that is longer than this may be a poll that is late by more than its jitter
+/// (3 ms), because the watch sees up to 2 ms less, ns.
+const HELD_UP_NS: u64 = 1_000_000;
+/// A system whose last status frame is older than this does not stand by, ns: the frames arrive
+/// every 100 ms.
+const STATUS_NS: u64 = 250_000_000;
 /// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
 /// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
@@ -25,7 +31,7 @@ const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
 const USUAL_WAY_MS: f64 = 10.0;
 /// A new master hears a predecessor that still lives within one control period and one move of the
 /// bus, ms.
-const HAND_OVER_MS: f64 = 11.0;
+pub const HAND_OVER_MS: f64 = 11.0;
 
 /// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,9 +43,9 @@ pub struct Bounds {
     pub power_ms: f64,
     /// The old master lived, and its frames did not reach the vehicle.
     pub mute_ms: f64,
-    /// The limits of both systems: in the hold-down that follows from them a standby waits for the
-    /// vehicle, so that every takeover has the bound of a mute master.
-    pub limits: Config,
+    /// The limits of the profile from which they follow. In the hold-down a standby waits for the
+    /// vehicle, so every takeover in it has the bound of a mute master.
+    pub limits: Limits,
 }
 
 /// No bounds.
@@ -49,12 +55,30 @@ impl Default for Bounds {
             silent_ms: f64::INFINITY,
             power_ms: f64::INFINITY,
             mute_ms: f64::INFINITY,
-            limits: Config::rt(),
+            limits: Limits::RT,
         }
     }
 }
 
 impl Bounds {
+    /// The bounds as the vehicle sees them. `on_bus`: how much later than sent a frame arrives.
+    /// `timers`: how late the timers are beside that. The bounds of silence contain that already.
+    #[must_use]
+    pub fn new(limits: Limits, on_bus: Duration, timers: Duration) -> Self {
+        let ms = |bound: Duration| (bound + on_bus).as_ms_f64();
+        Self {
+            silent_ms: ms(limits.silent()),
+            power_ms: ms(limits.power() + timers),
+            mute_ms: ms(limits.mute()),
+            limits,
+        }
+    }
+
+    /// All bounds, to be moved by the delay of a board.
+    pub const fn all_mut(&mut self) -> [&mut f64; 3] {
+        [&mut self.silent_ms, &mut self.power_ms, &mut self.mute_ms]
+    }
+
     /// The bound of this takeover.
     #[must_use]
     pub fn of_takeover(&self, log: &RunLog, takeover: &Takeover) -> f64 {
@@ -63,54 +87,58 @@ impl Bounds {
             Some(Evidence::MasterMute) => self.mute_ms,
             _ => self.silent_ms,
         };
-        if self.is_held(log, takeover) {
+        if is_held(log, takeover) {
             bound_ms.max(self.mute_ms)
         } else {
             bound_ms
         }
     }
 
-    /// Whether the heartbeats had been silent when the power level fell: a heartbeat that does not
-    /// come confirms nothing then, so the level must be low for the third witness's limit.
+    /// Whether the heartbeats had been silent when the power level fell: then no heartbeat can
+    /// confirm it, and the level must be low for the third witness's limit.
     fn was_silent(&self, log: &RunLog, takeover: &Takeover) -> bool {
-        let before = self.limits.silent_limit() + self.limits.witness_limit();
+        let before_ns = self.limits.silent_before().as_ns();
         let report = report_of(log, takeover.to, takeover.at_ns);
         report.is_some_and(|report| {
             matches!(report, Event::TookOver { since_heartbeat_us, .. }
-                if u64::from(since_heartbeat_us) * 1_000 >= before.as_ns())
+                if u64::from(since_heartbeat_us) * 1_000 >= before_ns)
         })
     }
+}
 
-    /// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
-    fn is_held(&self, log: &RunLog, takeover: &Takeover) -> bool {
-        let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
-        let of_core_0 = |event: &&CoreEvent| {
-            event.system == takeover.to
-                && event.core == CoreId::CONTROL
-                && event.at_ns <= takeover.from_ns
-        };
-        for CoreEvent { at_ns, event, .. } in log.events.iter().filter(of_core_0) {
-            match event {
-                Event::Started { cause, .. } => {
-                    let cause = ResetCause::from_code((*cause).into());
-                    changes = cause.map_or(0, Config::changes_at_start);
+/// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
+fn is_held(log: &RunLog, takeover: &Takeover) -> bool {
+    let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
+    let of_core_0 = |event: &&CoreEvent| {
+        event.system == takeover.to
+            && event.core == CoreId::CONTROL
+            && event.at_ns <= takeover.from_ns
+    };
+    for CoreEvent { at_ns, event, .. } in log.events.iter().filter(of_core_0) {
+        match event {
+            Event::Started { cause, .. } => {
+                let cause = ResetCause::from_code((*cause).into());
+                let was_reset = cause.is_some_and(|cause| cause != ResetCause::PowerOn);
+                (changes, changed_ns) = (u32::from(was_reset), *at_ns);
+            }
+            Event::Phase { from, to, .. } => {
+                if from.changes_driver(*to) {
+                    let ago = Duration::from_ns(at_ns.saturating_sub(changed_ns));
+                    changes = if ago < Limits::HEALTHY_AFTER {
+                        changes + 1
+                    } else {
+                        1
+                    };
                     changed_ns = *at_ns;
                 }
-                Event::Phase { from, to, .. } => {
-                    if from.changes_driver(*to) {
-                        let ago = Duration::from_ns(at_ns.saturating_sub(changed_ns));
-                        changes = self.limits.changes_after(changes, ago);
-                        changed_ns = *at_ns;
-                    }
-                    if *to == Phase::Standby {
-                        until_ns = at_ns + self.limits.hold_down_after(changes).as_ns();
-                    }
+                if *to == Phase::Standby {
+                    until_ns = at_ns + Limits::hold_down(changes).as_ns();
                 }
-                _ => {}
             }
+            _ => {}
         }
-        takeover.from_ns < until_ns
     }
+    takeover.from_ns < until_ns
 }
 
 /// The end of a gap.
@@ -125,7 +153,7 @@ pub enum EndedBy {
 }
 
 /// A time without an accepted control frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Gap {
     /// The last accepted frame before, ns.
     pub from_ns: u64,
@@ -135,8 +163,10 @@ pub struct Gap {
     pub ended_by: EndedBy,
     /// How long it may be, ms.
     pub bound_ms: f64,
-    /// If it is longer than that: how much of it the machine or the bus stood still, ms.
+    /// If it is longer than that: how much of it stalls excuse, ms.
     pub stalled_ms: f64,
+    /// Those stalls.
+    pub stalls: Vec<Stall>,
 }
 
 impl Gap {
@@ -146,10 +176,16 @@ impl Gap {
         ms_between(self.from_ns, self.to_ns)
     }
 
-    /// Whether it would have kept its bound without the times that stood still.
+    /// Its length without what stalls excuse.
+    #[must_use]
+    pub fn net_ms(&self) -> f64 {
+        self.ms() - self.stalled_ms
+    }
+
+    /// Whether it would have kept its bound without the stalls.
     #[must_use]
     pub fn is_explained(&self) -> bool {
-        self.ms() - self.stalled_ms <= self.bound_ms
+        self.net_ms() <= self.bound_ms
     }
 }
 
@@ -162,7 +198,7 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
 }
 
 /// All times between two accepted frames that overlap these times, ns, and the one from the last
-/// frame to the end of the run, in order. Stalls are looked for only beyond the bound.
+/// frame to the end of the run, in order. Stalls are looked up only beyond the bound.
 #[must_use]
 pub fn periods(
     log: &RunLog,
@@ -181,62 +217,110 @@ pub fn periods(
             ),
             None => (EndedBy::SameSystem, bounds.silent_ms),
         };
-        (pair[0].at_ns, pair[1].at_ns, ended_by, bound_ms)
+        (pair[0], pair[1].at_ns, ended_by, bound_ms)
     });
     let last = accepted.last().zip(log.until_ns());
-    let open = last.map(|(last, end_ns)| {
-        let ended_by = EndedBy::Nothing;
-        (last.at_ns, end_ns, ended_by, bounds.silent_ms)
-    });
+    let open = last.map(|(last, end_ns)| (*last, end_ns, EndedBy::Nothing, bounds.silent_ms));
     between
         .chain(open)
-        .filter(|(from_ns, to_ns, ..)| *to_ns > after_ns && *from_ns < before_ns)
-        .map(|(from_ns, to_ns, ended_by, bound_ms)| {
-            let is_beyond = ms_between(from_ns, to_ns) > bound_ms;
+        .filter(|(from, to_ns, ..)| *to_ns > after_ns && from.at_ns < before_ns)
+        .map(|(from, to_ns, ended_by, bound_ms)| {
+            let from_ns = from.at_ns;
+            let responsible = Responsible {
+                driver: from.system,
+                successor: (matches!(ended_by, EndedBy::Takeover(_))
+                    || stands_by(log, from.system.peer(), from_ns))
+                .then_some(from.system.peer()),
+                until_ns: from_ns.saturating_add((bound_ms * 1e6) as u64),
+                waits: bounds.limits.longest(),
+            };
+            let (stalled_ns, stalls) = if ms_between(from_ns, to_ns) > bound_ms {
+                responsible.excused(log, stalls, [from_ns, to_ns])
+            } else {
+                (0, vec![])
+            };
             Gap {
                 from_ns,
                 to_ns,
                 ended_by,
                 bound_ms,
-                stalled_ms: if is_beyond {
-                    let patience_ns = match ended_by {
-                        EndedBy::Takeover(_) => {
-                            let limit = bounds.limits.stall_limit();
-                            limit.as_ns().saturating_sub(NOT_SEEN_NS)
-                        }
-                        EndedBy::SameSystem | EndedBy::Nothing => u64::MAX,
-                    };
-                    stalled_ms(stalls, [from_ns, to_ns], patience_ns)
-                } else {
-                    0.0
-                },
+                stalled_ms: stalled_ns as f64 * 1e-6,
+                stalls,
             }
         })
         .collect()
 }
 
-/// How much of this time something stood still, ms. Overlapping times count once. After a stall of
-/// a CPU of more than `patience_ns` a standby begins its limits anew, once: all before its end
-/// counts then.
-fn stalled_ms(stalls: &[Stall], [from_ns, to_ns]: [u64; 2], patience_ns: u64) -> f64 {
-    let within = stalls
-        .iter()
-        .map(|stall| (stall.from_ns.max(from_ns), stall.to_ns.min(to_ns)));
-    let mut within: Vec<(u64, u64)> = within.filter(|(from, to)| from < to).collect();
-    let long = stalls
-        .iter()
-        .filter(|stall| matches!(stall.of, Stood::Cpu(_)))
-        .filter(|stall| stall.to_ns - stall.from_ns > patience_ns)
-        .map(|stall| stall.to_ns)
-        .filter(|end_ns| (from_ns..to_ns).contains(end_ns));
-    within.extend(long.min().map(|end_ns| (from_ns, end_ns)));
-    within.sort_unstable();
-    let (mut counted_ns, mut until_ns) = (0, 0);
-    for (from, to) in within {
-        counted_ns += to.saturating_sub(from.max(until_ns));
+/// Whether the system stood by at that time, by its last status frame.
+fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
+    let mut of_system = log.status.iter().rev().filter(|it| it.system == system);
+    let last = of_system.find(|status| status.at_ns <= at_ns);
+    last.is_some_and(|last| last.role == RoleCode::Standby && at_ns - last.at_ns < STATUS_NS)
+}
+
+/// The systems that must drive in a gap.
+struct Responsible {
+    /// The master, up to `until_ns`. Without a successor to the end.
+    driver: SystemId,
+    /// The standby: by `until_ns` it must have replaced the master, whatever held that up.
+    successor: Option<SystemId>,
+    until_ns: u64,
+    /// The longest time that a standby in order waits before it takes over.
+    waits: Duration,
+}
+
+impl Responsible {
+    /// How much of this time, ns, is excused by stalls of the bus and of the CPUs of the systems
+    /// that must drive; and these stalls. What overlaps counts once.
+    ///
+    /// A standby that was held up begins its limits anew, once, because its own absence is no
+    /// evidence: the time that it had waited by then counts as well, but not more than a standby in
+    /// order waits.
+    fn excused(
+        &self,
+        log: &RunLog,
+        stalls: &[Stall],
+        [from_ns, to_ns]: [u64; 2],
+    ) -> (u64, Vec<Stall>) {
+        let (mut counted, mut spans, mut begun_anew) = (vec![], vec![], false);
+        let mut stalls = stalls.to_vec();
+        stalls.sort_unstable_by_key(|stall| stall.to_ns);
+        for stall in stalls {
+            let cpu = |system| Some(stall.of) == log.control_cpu(system).map(Stood::Cpu);
+            let of_successor = self.successor.is_some_and(cpu);
+            let until_ns = match stall.of {
+                Stood::Bus => to_ns,
+                Stood::Cpu(_) if of_successor || self.successor.is_none() && cpu(self.driver) => {
+                    to_ns
+                }
+                Stood::Cpu(_) if cpu(self.driver) => to_ns.min(self.until_ns),
+                Stood::Cpu(_) => continue,
+            };
+            let mut span = [stall.from_ns.max(from_ns), stall.to_ns.min(until_ns)];
+            if span[0] >= span[1] {
+                continue;
+            }
+            let is_long = stall.to_ns - stall.from_ns > HELD_UP_NS && stall.to_ns < to_ns;
+            if of_successor && is_long && !begun_anew {
+                begun_anew = true;
+                span[0] = from_ns.max(span[0].saturating_sub(self.waits.as_ns()));
+            }
+            spans.push(span);
+            counted.push(stall);
+        }
+        (union_ns(spans), counted)
+    }
+}
+
+/// The length of what these spans cover.
+fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
+    spans.sort_unstable();
+    let (mut covered_ns, mut until_ns) = (0, 0);
+    for [from, to] in spans {
+        covered_ns += to.saturating_sub(from.max(until_ns));
         until_ns = until_ns.max(to);
     }
-    counted_ns as f64 * 1e-6
+    covered_ns
 }
 
 /// Time in which both systems transmitted control frames as master, ms, whether the vehicle obeyed
@@ -253,12 +337,12 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
         .map(|frame| (frame.sent_ns, frame.system))
         .collect();
     sent.sort_unstable();
-    // Each row of frames without a silence is a separate mastership.
+    // Frames that follow each other without a silence are one mastership.
     let (mut both, mut row) = (Mastership::default(), 0);
     let mut last: [Option<(u64, u32)>; 2] = [None; 2];
     for (at_ns, system) in sent {
-        let goes_on = |(last_ns, _): &(u64, u32)| at_ns - last_ns <= SILENT_NS;
-        let of = last[system.index()].filter(goes_on).map_or_else(
+        let continues = |(last_ns, _): &(u64, u32)| at_ns - last_ns <= SILENT_NS;
+        let of = last[system.index()].filter(continues).map_or_else(
             || {
                 row += 1;
                 row
@@ -299,19 +383,23 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
         .control
         .iter()
         .filter(|frame| frame.verdict == Ruling::Stale)
-        .filter(|frame| !was_held_up(frame, stalls));
+        .filter(|frame| !was_held_up(log, frame, stalls));
     stale.filter(follows).count()
 }
 
-/// Whether what stood still until this frame was on its way makes up for its delay: without it, the
-/// frame would have come as usual.
-fn was_held_up(frame: &ControlFrame, stalls: &[Stall]) -> bool {
+/// Whether stalls of the bus and of its sender's CPU make up for the delay of this frame: without
+/// them, it would have arrived as usual.
+fn was_held_up(log: &RunLog, frame: &ControlFrame, stalls: &[Stall]) -> bool {
     let max_delay_ms = f64::from(MAX_DELAY_MS);
-    let reaches = |stall: &&Stall| {
-        stall.from_ns < frame.at_ns && ms_between(stall.to_ns, frame.at_ns) < max_delay_ms
-    };
-    let reaching: Vec<Stall> = stalls.iter().filter(reaches).copied().collect();
-    let stalled_ms = stalled_ms(&reaching, [0, frame.at_ns], u64::MAX);
+    let cpu = log.control_cpu(frame.system).map(Stood::Cpu);
+    let reaching = stalls
+        .iter()
+        .filter(|stall| stall.of == Stood::Bus || Some(stall.of) == cpu)
+        .filter(|stall| {
+            stall.from_ns < frame.at_ns && ms_between(stall.to_ns, frame.at_ns) < max_delay_ms
+        })
+        .map(|stall| [stall.from_ns, stall.to_ns.min(frame.at_ns)]);
+    let stalled_ms = union_ns(reaching.collect()) as f64 * 1e-6;
     let under_way_ms = ms_between(frame.sent_ns, frame.at_ns) - stalled_ms;
     stalled_ms + USUAL_WAY_MS > max_delay_ms && under_way_ms < USUAL_WAY_MS
 }
@@ -319,7 +407,8 @@ fn was_held_up(frame: &ControlFrame, stalls: &[Stall]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::Sample;
+    use crate::log::{Header, Sample};
+    use crate::run_log::StatusFrame;
     use crate::takeovers;
     use tandem_bus::ModeCode;
 
@@ -329,8 +418,11 @@ mod tests {
         silent_ms: 20.0,
         power_ms: 16.0,
         mute_ms: 19.0,
-        limits: Config::rt(),
+        limits: Limits::RT,
     };
+    /// The CPUs of core 0 of A and of B: each core has its own.
+    const OF_A: Stood = Stood::Cpu(0);
+    const OF_B: Stood = Stood::Cpu(3);
 
     fn frame(at_ms: u64, system: SystemId, verdict: Ruling) -> ControlFrame {
         ControlFrame {
@@ -348,6 +440,10 @@ mod tests {
     fn log(frames: &[(u64, SystemId)], end_ms: u64) -> RunLog {
         let accepted = |(at_ms, system): &(u64, SystemId)| frame(*at_ms, *system, Ruling::Accepted);
         RunLog {
+            header: Header {
+                cpus: (0..6).collect(),
+                ..Header::default()
+            },
             control: frames.iter().map(accepted).collect(),
             start_ns: Some(0),
             end_ns: Some(end_ms * 1_000_000),
@@ -457,7 +553,7 @@ mod tests {
 
     #[test]
     fn a_run_in_which_no_system_drives_any_more_has_a_gap_to_its_end() {
-        let gap = found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
+        let gap = &found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
         assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
         assert!(!gap.is_explained());
         // A person ended it early: there is no end, but the last state of the world.
@@ -470,37 +566,110 @@ mod tests {
         assert_eq!(found(&early, &[])[0].ms(), 2_000.0);
     }
 
-    #[test]
-    fn a_gap_is_explained_by_a_stall_that_makes_up_for_all_beyond_the_bound() {
-        let log = log(&[(0, A), (50, A)], 50);
-        let cpu = Stood::Cpu(1);
-        let explained = |stalls: &[Stall]| found(&log, stalls)[0].is_explained();
-        assert!(!explained(&[]));
-        assert!(!explained(&[stall(cpu, 5, 34)]), "1 ms too short");
-        assert!(explained(&[stall(cpu, 5, 35)]));
-        assert!(!explained(&[stall(cpu, 60, 90)]), "at another time");
-        assert!(!explained(&[
-            stall(cpu, 0, 20),
-            stall(Stood::Cpu(0), 0, 20)
-        ]));
-        assert!(explained(&[stall(cpu, 0, 20), stall(Stood::Bus, 10, 30)]));
+    /// Whether these stalls excuse the gap from 10 ms to `to_ms`, which `by` ends; B stands by.
+    fn excused(by: SystemId, to_ms: u64, stalls: &[Stall]) -> bool {
+        let mut log = log(&[(0, A), (10, A), (to_ms, by)], to_ms);
+        log.status = vec![StatusFrame {
+            at_ns: 0,
+            system: B,
+            role: RoleCode::Standby,
+            mode: ModeCode::L3,
+        }];
+        let found = found(&log, stalls);
+        assert_eq!(found.len(), 1);
+        found[0].is_explained()
     }
 
-    /// The limits of a standby that was held up count from then on. A master's do not.
     #[test]
-    fn a_standby_that_was_held_up_has_the_bound_from_then_on() {
-        let cpu = Stood::Cpu(1);
-        for (to, stall, is_explained) in [
-            (B, stall(cpu, 19, 22), true),
-            (B, stall(cpu, 21, 22), false),
-            (B, stall(cpu, 5, 8), false),
-            (B, stall(Stood::Bus, 19, 22), false),
-            (A, stall(cpu, 19, 22), false),
-        ] {
-            let log = log(&[(0, A), (10, A), (41, to)], 41);
-            let found = found(&log, &[stall]);
-            assert_eq!(found[0].is_explained(), is_explained, "{to} {stall:?}");
+    fn a_gap_is_explained_by_a_stall_that_makes_up_for_all_beyond_the_bound() {
+        // No system stands by: A alone must drive.
+        let log = log(&[(0, A), (50, A)], 50);
+        let explained = |stalls: &[Stall]| found(&log, stalls)[0].is_explained();
+        assert!(!explained(&[]));
+        assert!(!explained(&[stall(OF_A, 5, 34)]), "1 ms too short");
+        assert!(explained(&[stall(OF_A, 5, 35)]));
+        assert!(!explained(&[stall(OF_A, 60, 90)]), "at another time");
+        assert!(!explained(&[stall(OF_A, 0, 20), stall(Stood::Bus, 0, 20)]));
+        assert!(explained(&[stall(OF_A, 0, 20), stall(Stood::Bus, 10, 30)]));
+    }
+
+    #[test]
+    fn a_stall_of_a_cpu_on_which_no_core_0_runs_explains_nothing() {
+        for cpu in [1, 2, 4, 5, 6] {
+            assert!(!excused(B, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
+            assert!(!excused(A, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
         }
+        // Where the cores are not pinned, no CPU is known to be theirs.
+        let mut log = log(&[(0, A), (50, A)], 50);
+        log.header.cpus.clear();
+        assert!(!found(&log, &[stall(OF_A, 5, 45)])[0].is_explained());
+    }
+
+    /// B must replace A within the bound, whatever A does, and whatever happens to A's CPU later.
+    #[test]
+    fn a_stall_of_the_old_master_counts_until_it_must_have_been_replaced() {
+        assert!(
+            excused(B, 36, &[stall(OF_A, 12, 18)]),
+            "its last heartbeat was late"
+        );
+        assert!(!excused(B, 60, &[stall(OF_A, 12, 60)]));
+        assert!(!excused(B, 60, &[stall(OF_A, 31, 60)]));
+        assert!(
+            !excused(A, 60, &[stall(OF_A, 12, 60)]),
+            "B did not take over"
+        );
+        assert!(excused(A, 60, &[stall(OF_A, 12, 60), stall(OF_B, 20, 50)]));
+    }
+
+    #[test]
+    fn a_short_stall_beside_a_long_gap_does_not_explain_it() {
+        let short = |from_ms: u64| Stall {
+            of: OF_B,
+            from_ns: from_ms * 1_000_000,
+            to_ns: from_ms * 1_000_000 + 1_100_000,
+        };
+        for (to_ms, from_ms) in [(70, 30), (70, 68), (10_010, 20), (10_010, 10_008)] {
+            assert!(!excused(B, to_ms, &[short(from_ms)]), "{to_ms} {from_ms}");
+        }
+    }
+
+    #[test]
+    fn one_stall_does_not_explain_two_gaps() {
+        let log = log(&[(0, A), (40, A), (80, A)], 80);
+        let found = found(&log, &[stall(OF_A, 25, 55)]);
+        let counted: Vec<f64> = found.iter().map(|gap| gap.stalled_ms).collect();
+        assert_eq!(counted, [15.0, 15.0], "30 ms together");
+        assert!(found.iter().all(|gap| !gap.is_explained()));
+    }
+
+    /// The limits of a standby that was held up begin anew, once. That costs the stall and the time
+    /// that it had waited, which is at most a takeover's.
+    #[test]
+    fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
+        for (to_ms, stalls, is_explained) in [
+            (41, &[stall(OF_B, 19, 22)][..], true),
+            (43, &[stall(OF_B, 19, 22)], false),
+            (41, &[stall(OF_B, 21, 22)], false),
+            (41, &[stall(OF_B, 5, 8)], false),
+            (41, &[stall(Stood::Bus, 19, 22)], false),
+            (71, &[stall(OF_B, 49, 52)], false),
+            // The second one costs only its length.
+            (44, &[stall(OF_B, 19, 22), stall(OF_B, 30, 33)], true),
+            (47, &[stall(OF_B, 19, 22), stall(OF_B, 38, 41)], false),
+        ] {
+            assert_eq!(
+                excused(B, to_ms, stalls),
+                is_explained,
+                "{to_ms} {stalls:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_stall_of_the_bus_process_counts_for_its_length() {
+        assert!(excused(B, 51, &[stall(Stood::Bus, 20, 41)]));
+        assert!(!excused(B, 52, &[stall(Stood::Bus, 20, 41)]));
+        assert!(excused(A, 51, &[stall(Stood::Bus, 20, 41)]));
     }
 
     /// T-CHIP-7, T-RED-9: counted before the vehicle fences off any frame.
@@ -581,13 +750,14 @@ mod tests {
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
         log.control.push(frame(900, B, Ruling::Stale));
-        let cpu = |from_ms, to_ms| stall(Stood::Cpu(0), from_ms, to_ms);
+        let cpu = |from_ms, to_ms| stall(OF_B, from_ms, to_ms);
         let count = |log: &RunLog, stalls: &[Stall]| stale_frames(log, &takeovers(log), stalls);
         for (stalls, stale) in [
             (&[cpu(838, 899)][..], 0),
             (&[cpu(838, 950)], 0),
             (&[cpu(860, 880), stall(Stood::Bus, 870, 895)], 0),
             (&[cpu(869, 899)], 1),
+            (&[stall(OF_A, 838, 899)], 1),
             (&[cpu(790, 859)], 1),
             (&[cpu(901, 990)], 1),
         ] {

@@ -8,6 +8,7 @@
 pub mod description;
 pub mod file;
 pub mod gap;
+pub mod limits;
 pub mod log;
 pub mod reaction;
 pub mod roles;

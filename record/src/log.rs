@@ -13,6 +13,9 @@ pub struct Header {
     pub duration_s: f64,
     /// Time of day minus the run's clock, µs since 1970: the CAN log uses the time of day.
     pub epoch_us: u64,
+    /// The CPU that each core is pinned to, in the order A0, A1, … B2; empty if they are not.
+    #[serde(default)]
+    pub cpus: Vec<usize>,
 }
 
 /// The lanes around the own vehicle at one time.

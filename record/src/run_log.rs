@@ -234,6 +234,13 @@ impl RunLog {
         (at_ns as f64 - start as f64) * 1e-9
     }
 
+    /// The CPU that core 0 of a system is pinned to: it alone transmits and takes over.
+    #[must_use]
+    pub fn control_cpu(&self, system: SystemId) -> Option<usize> {
+        let core = system.index() * CoreId::COUNT + CoreId::CONTROL.index();
+        self.header.cpus.get(core).copied()
+    }
+
     /// The end of the run, or of what there is of a run that was ended early, ns.
     #[must_use]
     pub fn until_ns(&self) -> Option<u64> {

@@ -3,15 +3,19 @@
 //! A run, its report, a campaign of faults and a judged scenario apply the same rules. The table in
 //! `docs/verdict.md` is generated from [`RULES`].
 
-pub mod limits;
+pub mod figures;
+pub mod modes;
 
 use core::fmt::{self, Write as _};
 
 use Bound::{AtMost, Given};
 use InRun::{Campaign, Fails, Reported};
 use serde::{Deserialize, Serialize};
+use tandem_board::Duration;
+use tandem_redundancy::Config;
 
-pub use limits::Limits;
+pub use crate::limits::{self, Limits};
+pub use figures::{Beside, Figures};
 
 /// What a finding does to a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -205,6 +209,18 @@ impl Finding {
             evidence: String::new(),
             excused: false,
         }
+    }
+
+    /// The findings of a product whose own limits permit more than these.
+    pub fn of_limits(limits: Limits, product: &Config) -> impl Iterator<Item = Self> + use<> {
+        limits.exceeded_by(product).map(move |(what, here, most)| {
+            let [here, most] = [here, most].map(Duration::as_ms_f64);
+            let words = format!(
+                "the product's limits permit a {what} of {here} ms; profile {} permits {most} ms",
+                limits.profile
+            );
+            Self::new(Rule::Limits, [here, most], words)
+        })
     }
 
     /// A finding of a rule whose words say it all.
@@ -482,6 +498,19 @@ mod tests {
         );
         let hit = verdict(&[gap, Rule::Collision.exceeded(1.0).unwrap()]);
         assert_eq!(hit.outcome, Outcome::Failed);
+    }
+
+    /// A product that waits for 400 ms too long for a control frame does not choose its own bound.
+    #[test]
+    fn a_product_with_longer_limits_is_found() {
+        let product = Config {
+            control_margin: Duration::from_ms(400),
+            ..Config::rt()
+        };
+        let found: Vec<Finding> = Finding::of_limits(Limits::RT, &product).collect();
+        let mute = |finding: &Finding| finding.words.contains("mute master of 412 ms");
+        assert!(found.iter().any(mute), "{found:?}");
+        assert!(found.iter().all(Finding::fails_run));
     }
 
     #[test]

@@ -13,6 +13,7 @@ use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
 use tandem_record::gap::{Bounds, Gap, both_transmitted_ms, gaps};
+use tandem_record::verdict::Limits;
 use tandem_record::{Entry, RunLog, Takeover, takeovers};
 use tandem_redundancy::{Geometry, Loaded, StateStore, SystemState};
 use tandem_vehicle::{Scenario, World};
@@ -185,15 +186,8 @@ impl Drive {
     /// The gaps beyond the bounds of their causes, of a board whose timers are never late.
     #[must_use]
     pub fn gaps_beyond(&self) -> Vec<Gap> {
-        let limits = tandem_cores::Config::rt().redundancy;
         // The vehicle hears what was on the bus once a millisecond.
-        let heard = |bound: Duration| bound.as_ms_f64() + 1.0;
-        let bounds = Bounds {
-            silent_ms: heard(limits.gap_bound()),
-            power_ms: heard(limits.gap_bound_power()),
-            mute_ms: heard(limits.gap_bound_mute()),
-            limits,
-        };
+        let bounds = Bounds::new(Limits::RT, Duration::from_ms(1), Duration::ZERO);
         gaps(&self.seen.borrow().log, &self.takeovers(), &bounds, &[])
     }
 

@@ -8,15 +8,14 @@ use maud::{Markup, html};
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
 use tandem_record::roles::State;
+use tandem_record::verdict::Grade;
 use tandem_record::{RunLog, Takeover, description, takeovers};
 
-use crate::metrics::{GapMetrics, Metrics};
+use crate::metrics::Metrics;
 use crate::timeline::Timeline;
 
 /// Rows of the event log; more would bury what matters.
 const EVENT_ROWS: usize = 200;
-/// Gaps that the verdict tells one by one; `metrics.json` has all.
-const TOLD_GAPS: usize = 5;
 
 /// The whole page.
 pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> String {
@@ -43,176 +42,51 @@ pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> Stri
     tandem_page::document(&metrics.scenario, &content)
 }
 
-/// The violations, in words; empty if the run was good.
-pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
-    let mut objections = Vec::new();
-    let mut object = |wrong: bool, text: String| {
-        if wrong {
-            objections.push(text);
-        }
-    };
-    object(
-        metrics.control_frames == 0,
-        "no control frame was ever accepted".into(),
-    );
-    object(!metrics.complete, "the run did not reach its end".into());
-    object(
-        metrics.drive.collisions > 0,
-        format!("{} collision(s)", metrics.drive.collisions),
-    );
-    object(
-        metrics.drive.excursion_max_m > 0.0,
-        format!("{:.2} m beside its lanes", metrics.drive.excursion_max_m),
-    );
-    object(
-        metrics.two_masters_ms > 0.0,
-        format!("two masters for {:.1} ms", metrics.two_masters_ms),
-    );
-    object(
-        metrics.both_transmitted_ms > metrics.hand_over_ms,
-        format!(
-            "both systems transmitted for {:.1} ms",
-            metrics.both_transmitted_ms
-        ),
-    );
-    object(
-        metrics.drive.outside_domain_s > 0.0,
-        format!(
-            "The vehicle drove outside of the operational design domain for {:.1} s",
-            metrics.drive.outside_domain_s
-        ),
-    );
-    object(
-        metrics.stale_frames > 0,
-        format!(
-            "{} control frame(s) after a takeover were too old to act",
-            metrics.stale_frames
-        ),
-    );
-    object(
-        metrics.false_takeovers > 0,
-        format!(
-            "{} takeover(s) from a master that had not failed",
-            metrics.false_takeovers
-        ),
-    );
-    object(
-        !metrics.leftovers.is_empty(),
-        format!("{} leftover(s)", metrics.leftovers.len()),
-    );
-    let unexplained: Vec<&GapMetrics> = metrics.gaps.iter().filter(|gap| !gap.explained).collect();
-    objections.extend(unexplained.iter().take(TOLD_GAPS).map(|gap| {
-        let evidence = match gap.evidence.as_str() {
-            "" => "no stall explains it".to_owned(),
-            found => format!("{found} does not explain it"),
-        };
-        format!("{}; {evidence}", without_control(gap))
-    }));
-    if let Some(more @ 1..) = unexplained.len().checked_sub(TOLD_GAPS) {
-        objections.push(format!("and {more} more gaps beyond their bounds"));
-    }
-    objections
-}
-
-/// What the machine did to a run that has no fault of the product, in words; empty if it did
-/// nothing that anyone drove without.
-pub(crate) fn machine_stalled(metrics: &Metrics) -> Vec<String> {
-    let stalled = |evidence: &str, what| format!("machine stalled (evidence: {evidence}): {what}");
-    let explained = metrics.gaps.iter().filter(|gap| gap.explained);
-    let gaps = explained.map(|gap| stalled(&gap.evidence, without_control(gap)));
-    let changes = metrics.takeovers.iter();
-    let unneeded = changes.filter(|it| it.is_false && !it.is_needless());
-    let unneeded = unneeded.map(|it| {
-        let what = format!(
-            "{} took over at {:.3} s from a master that had not failed",
-            it.to, it.at_s
-        );
-        stalled(&it.evidence, what)
-    });
-    gaps.chain(unneeded).collect()
-}
-
-/// How automated driving ended by itself, or asked to be ended; `None` if it did not.
-fn ended_by_itself(metrics: &Metrics) -> Option<String> {
-    let drive = &metrics.drive;
-    let asked = drive
-        .takeover_asked_s
-        .map(|at_s| format!("The function asked the driver to take over at {at_s:.1} s"));
-    let stopped = drive
-        .safe_stop_s
-        .map(|at_s| format!("The function made its minimal-risk stop at {at_s:.1} s"));
-    let parts: Vec<String> = asked.into_iter().chain(stopped).collect();
-    (!parts.is_empty()).then(|| parts.join(". "))
-}
-
-fn without_control(gap: &GapMetrics) -> String {
-    format!(
-        "no system drove for {:.1} ms from {:.3} s on, up to {} (bound {:.0} ms)",
-        gap.gap_ms, gap.at_s, gap.ended_by, gap.bound_ms
-    )
-}
-
-/// The verdict in words, each part with the class of its colour.
-pub(crate) fn verdict(metrics: &Metrics) -> Vec<(&'static str, String)> {
-    let mut parts: Vec<_> = objections(metrics)
-        .into_iter()
-        .map(|objection| ("bad", objection))
-        .collect();
-    let stalled = machine_stalled(metrics);
-    parts.extend(ended_by_itself(metrics).map(|part| ("warn", part)));
-    if parts.is_empty() && stalled.is_empty() {
-        let all_well = "The vehicle was under control from start to end".to_owned();
-        return vec![("good", all_well)];
-    }
-    let unkept = stalled.len().saturating_sub(TOLD_GAPS);
-    parts.extend(
-        stalled
-            .into_iter()
-            .take(TOLD_GAPS)
-            .map(|part| ("warn", part)),
-    );
-    if unkept > 0 {
-        parts.push(("warn", format!("and {unkept} more stalls of the machine")));
-    }
-    parts
-}
-
 fn header(metrics: &Metrics) -> Markup {
     html! {
         h1 { "Scenario " (metrics.scenario) }
         p.sub {
             (format!("{:.1} s", metrics.duration_s)) " driven of "
             (format!("{:.1} s", metrics.duration_asked_s)) " asked for"
-            " · seed " (metrics.seed) " · " (metrics.control_frames) " control frames"
+            " · seed " (metrics.seed) " · " (metrics.figures.control_frames) " control frames"
         }
-        @for (class, part) in verdict(metrics) {
-            div class=(format!("verdict {class}")) { (part) }
+        @for (grade, part) in metrics.verdict.parts() {
+            div class=(format!("verdict {}", class(grade))) { (part) }
         }
+    }
+}
+
+/// The class of a part's colour.
+const fn class(grade: Grade) -> &'static str {
+    match grade {
+        Grade::Good => "good",
+        Grade::Reported => "warn",
+        Grade::Bad => "bad",
     }
 }
 
 fn tiles(metrics: &Metrics) -> Markup {
     let ms = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
-    let last = metrics.takeovers.last();
+    let last = metrics.figures.takeovers.last();
     let takeover_remark = last.map_or(String::new(), |t| {
         format!("last: {} → {} at {:.1} s", t.from, t.to, t.at_s)
     });
     let lateral = format!("{:.2}", metrics.drive.lateral_error_max_m);
-    let period_remark = format!("median {} ms", ms(metrics.control_period_p50_ms));
+    let period_remark = format!("median {} ms", ms(metrics.figures.control_period_p50_ms));
     let reaction_remark = format!("median; p99 {} ms", ms(metrics.reaction_p99_ms));
     let age_remark = format!("median; p99 {} ms", ms(metrics.sensor_age_p99_ms));
     let fenced = format!("{} frame(s) fenced off", metrics.fenced_frames);
-    let false_ones = format!("{} of them false", metrics.false_takeovers);
-    let takeover_remark = if metrics.false_takeovers > 0 {
+    let false_ones = format!("{} of them false", metrics.figures.false_takeovers);
+    let takeover_remark = if metrics.figures.false_takeovers > 0 {
         false_ones
     } else {
         takeover_remark
     };
     let state = |good: bool| if good { "good" } else { "bad" };
     let remark = |text: &str| html! { div.remark { (text) } };
-    let takeovers = metrics.takeovers.len().to_string();
-    let two_masters = format!("{:.1}", metrics.two_masters_ms);
-    let is_false = metrics.false_takeovers > 0;
+    let takeovers = metrics.figures.takeovers.len().to_string();
+    let two_masters = format!("{:.1}", metrics.figures.two_masters_ms);
+    let is_false = metrics.figures.false_takeovers > 0;
     html! {
         div.tiles.large {
             (tile("Collisions", state(metrics.drive.collisions == 0), &metrics.drive.collisions.to_string(), "",
@@ -223,7 +97,7 @@ fn tiles(metrics: &Metrics) -> Markup {
                 &remark(&takeover_remark)))
             (tile("Largest control gap", "", &ms(metrics.control_gap_max_ms), "ms",
                 &remark("between accepted frames")))
-            (tile("Two masters", state(metrics.two_masters_ms <= 0.0), &two_masters, "ms",
+            (tile("Two masters", state(metrics.figures.two_masters_ms <= 0.0), &two_masters, "ms",
                 &remark(&fenced)))
             (tile("Control period p99", "", &ms(metrics.control_period_p99_ms), "ms",
                 &remark(&period_remark)))
@@ -296,7 +170,7 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> Markup {
         }
     };
     let period = [
-        metrics.control_period_p50_ms,
+        metrics.figures.control_period_p50_ms,
         metrics.control_period_p99_ms,
         metrics.control_period_p99_9_ms,
         metrics.control_period_max_ms,
@@ -338,7 +212,7 @@ fn takeover_table(metrics: &Metrics) -> Markup {
     html! {
         section {
             h2 { "Takeovers" }
-            @if metrics.takeovers.is_empty() {
+            @if metrics.figures.takeovers.is_empty() {
                 p.note { "None: the same system drove from start to end." }
             } @else {
                 table {
@@ -347,7 +221,7 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                         th.num { "bound" } th.num { "without control" } th.num { "bound" }
                         th { "" }
                     }
-                    @for takeover in &metrics.takeovers {
+                    @for takeover in &metrics.figures.takeovers {
                         tr {
                             td.time { (format!("{:.3} s", takeover.at_s)) }
                             td { (system(&takeover.from)) " → " (system(&takeover.to)) }
@@ -390,7 +264,7 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Lost trace records", metrics.lost_trace.to_string()))
                     (row("The world stood still", format!("{:.0} ms", metrics.stalled_ms)))
                     (row("Stalls of the machine", stalls(metrics)))
-                    (row("Left behind", match metrics.leftovers.as_slice() {
+                    (row("Left behind", match metrics.figures.leftovers.as_slice() {
                         [] => "nothing".to_owned(),
                         found => found.join(", "),
                     }))

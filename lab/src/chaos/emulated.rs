@@ -14,7 +14,6 @@ use tandem_board::{
 use tandem_board_host::{BusFault, Wire};
 use tandem_board_qemu::{EmulatedWorld, Layout, MachineError, Options};
 use tandem_bus::Control;
-use tandem_record::gap::Bounds;
 use tandem_sim::faults::{Act, BusFaults, Sequence};
 use tandem_vehicle::Scenario;
 
@@ -24,7 +23,6 @@ use super::leg::{self, HEALED_WITHIN, Injected, Line, SUSPENDED_FOR, driver, set
 use crate::emulated;
 use tandem::collected::read;
 use tandem::files::RunFiles;
-use tandem::metrics::Surroundings;
 use tandem::recorder::Recorder;
 use tandem::run::{Recorded, surroundings};
 use tandem::run_config::{LimitProfile, RunConfig};
@@ -70,16 +68,13 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
     let scenario = Scenario::load(&config.scenario)?;
     vehicle::drive(&config, &scenario, &mut disturbed, recorder)?;
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP))?;
-    let around = surroundings(&config, "emulated machines".to_owned());
-    let bounds = Bounds {
-        silent_ms: around.bounds.silent_ms + BETWEEN_MACHINES_MS,
-        power_ms: around.bounds.power_ms + BETWEEN_MACHINES_MS,
-        mute_ms: around.bounds.mute_ms + BETWEEN_MACHINES_MS,
-        ..around.bounds
-    };
+    let mut around = surroundings(&config, "emulated machines".to_owned());
+    for bound_ms in around.beside.bounds.all_mut() {
+        *bound_ms += BETWEEN_MACHINES_MS;
+    }
     let recorded = Recorded {
         log,
-        around: Surroundings { bounds, ..around },
+        around,
         done: disturbed.done,
     };
     let (outcomes, wrong) = judge::judge(source, &recorded)?;

@@ -5,15 +5,16 @@ use tandem_board::SystemId;
 use tandem_board_host::Wire;
 use tandem_cores::trace::Event;
 use tandem_record::gap::{
-    Gap, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
+    Bounds, HAND_OVER_MS, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
 };
 use tandem_record::run_log::Stall;
+use tandem_record::verdict::figures::{GapFigures, both_transmitted};
+use tandem_record::verdict::{Finding, Rule, Watch};
 use tandem_record::{RunLog, Takeover, ms_between, takeovers};
 use tandem_sim::faults::{Fault, Kind, Row, Sequence, Way, row};
 
 use super::Source;
 use super::leg::Injected;
-use tandem::metrics::{self, GapMetrics};
 use tandem::run::Recorded;
 
 /// The outcome of one sequence of faults.
@@ -46,17 +47,13 @@ pub(super) fn judge(
     source: &Source<'_>,
     recorded: &Recorded<Vec<Injected>>,
 ) -> anyhow::Result<(Vec<Outcome>, Vec<String>)> {
-    let (log, around) = (&recorded.log, &recorded.around);
+    let (log, beside) = (&recorded.log, &recorded.around.beside);
     let run = Run {
         log,
         takeovers: takeovers(log),
-        beyond: Vec::new(),
-        stalls: [&around.machine.stalls[..], &log.held_up].concat(),
-        bounds: &around.bounds,
-    };
-    let run = Run {
-        beyond: metrics::gaps(log, &run.takeovers, around),
-        ..run
+        stalls: beside.evidence(log),
+        bounds: &beside.bounds,
+        watch: beside.watch,
     };
     let mut outcomes = Vec::new();
     for (index, injected) in recorded.done.iter().enumerate() {
@@ -66,11 +63,12 @@ pub(super) fn judge(
         let (sequence, _) = source.sequence(injected.number)?;
         outcomes.push(run.outcome(&sequence, injected, until_ns));
     }
-    let wrong = around.leftovers.iter();
-    Ok((
-        outcomes,
-        wrong.map(|it| format!("left behind: {it}")).collect(),
-    ))
+    let left = beside.leftovers.iter();
+    let mut wrong: Vec<String> = left.map(|it| format!("left behind: {it}")).collect();
+    let limits = beside.product.iter();
+    let limits = limits.flat_map(|product| Finding::of_limits(beside.bounds.limits, product));
+    wrong.extend(limits.map(|finding| finding.to_string()));
+    Ok((outcomes, wrong))
 }
 
 /// How an old master learns of the new one. The later, the greater.
@@ -96,10 +94,9 @@ impl Hears {
 struct Run<'r> {
     log: &'r RunLog,
     takeovers: Vec<Takeover>,
-    /// The gaps beyond their bounds.
-    beyond: Vec<GapMetrics>,
     stalls: Vec<Stall>,
-    bounds: &'r tandem_record::gap::Bounds,
+    bounds: &'r Bounds,
+    watch: Watch,
 }
 
 impl Run<'_> {
@@ -116,51 +113,36 @@ impl Run<'_> {
         );
         // One that the next fault ends belongs to that.
         times.retain(|gap| gap.to_ns <= until_ns);
-        let net_ms = |gap: &Gap| match gap.ms() > gap.bound_ms {
-            true => gap.ms() - gap.stalled_ms,
-            false => gap.ms(),
-        };
-        let longest = times.iter().max_by(|a, b| net_ms(a).total_cmp(&net_ms(b)));
+        let longest = times
+            .iter()
+            .max_by(|a, b| a.net_ms().total_cmp(&b.net_ms()));
         let (gap_ms, bound_ms) = longest.map_or((0.0, self.bounds.silent_ms), |gap| {
-            (net_ms(gap), gap.bound_ms)
+            (gap.net_ms(), gap.bound_ms)
         });
         let last = log
             .accepted()
             .take_while(|frame| frame.at_ns <= at_ns)
             .last();
-        let [from_s, until_s] = [at_ns, until_ns].map(|ns| log.seconds(ns));
-        let of_this = |gap: &&GapMetrics| {
-            let to_s = gap.at_s + gap.gap_ms * 1e-3;
-            to_s > from_s && to_s <= until_s
-        };
-        let told = |gap: &GapMetrics| {
-            let (ms, bound, by) = (gap.gap_ms, gap.bound_ms, &gap.ended_by);
-            format!("{ms:.1} ms without control (bound {bound:.0} ms, ended by {by})")
-        };
-        let (explained, beyond): (Vec<&GapMetrics>, Vec<_>) = self
-            .beyond
-            .iter()
-            .filter(of_this)
-            .partition(|gap| gap.explained);
+        let beyond = times.iter().filter(|gap| gap.ms() > gap.bound_ms);
+        let beyond = beyond.map(|gap| GapFigures::of(log, gap).finding());
+        let (excused, mut findings): (Vec<Finding>, Vec<_>) = beyond.partition(|it| it.excused);
         // Where the bus stands still by a fault, that is no stall of the machine.
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
-        let explained = explained.into_iter().filter(|_| is_machine);
+        let excused = excused.into_iter().filter(|_| is_machine);
         let hears = sequence.faults.iter().map(|fault| Hears::under(fault.kind));
         let hears = hears.max().unwrap_or(Hears::All);
-        let unexplained = |gap: &GapMetrics| match gap.evidence.is_empty() {
-            true => told(gap),
-            false => format!("{}; {} does not explain it", told(gap), gap.evidence),
-        };
-        let mut violations: Vec<String> = beyond.into_iter().map(unexplained).collect();
-        violations.extend(self.of_masters(&within, spares_control, hears));
-        if log.collisions_ns.iter().any(|ns| within(*ns)) {
-            violations.push("the vehicle touched another one".to_owned());
-        }
+        findings.extend(self.of_masters(&within, spares_control, hears));
+        let collisions = log.collisions_ns.iter().filter(|ns| within(**ns)).count();
+        findings.extend(Rule::Collision.exceeded(collisions as f64));
         if injected.healed_ns.is_none() {
-            let roles = injected.roles;
-            violations.push(format!("not master and standby again: {roles:?}"));
+            let words = format!("not master and standby again: {:?}", injected.roles);
+            findings.push(Finding::new(Rule::NoStandby, [1.0, 0.0], words));
         }
+        let violation = |finding: &Finding| match self.watch {
+            Watch::Ordinary => format!("not judged: no real time: {finding}"),
+            Watch::Virtual | Watch::Urgent => finding.to_string(),
+        };
         Outcome {
             number: injected.number,
             class: class(sequence),
@@ -170,20 +152,18 @@ impl Run<'_> {
             bound_ms,
             phase_ms: last.map_or(0.0, |last| ms_between(last.at_ns, at_ns)),
             power_cycles: injected.power_cycles,
-            explained: explained
-                .map(|gap| format!("{}: {}", told(gap), gap.evidence))
-                .collect(),
-            violations,
+            explained: excused.map(|finding| finding.to_string()).collect(),
+            violations: findings.iter().map(violation).collect(),
         }
     }
 
-    /// Violations by the systems that drove.
+    /// Findings about the systems that drove.
     fn of_masters(
         &self,
         within: &dyn Fn(u64) -> bool,
         spares_control: bool,
         hears: Hears,
-    ) -> Vec<String> {
+    ) -> Vec<Finding> {
         let log = RunLog {
             control: self
                 .log
@@ -192,6 +172,7 @@ impl Run<'_> {
                 .filter(|frame| within(frame.at_ns))
                 .copied()
                 .collect(),
+            header: self.log.header.clone(),
             ..RunLog::default()
         };
         let takeovers: Vec<Takeover> = self
@@ -200,37 +181,28 @@ impl Run<'_> {
             .filter(|takeover| within(takeover.at_ns))
             .copied()
             .collect();
-        let mut wrong = Vec::new();
         let two_ms = log.mastership().two_masters_ns() as f64 * 1e-6;
-        if two_ms > 0.0 {
-            wrong.push(format!("two masters for {two_ms:.1} ms"));
-        }
-        let both_ms = both_transmitted_ms(&log);
-        let limits = &self.bounds.limits;
-        let longest_ms = match hears {
+        let mut found: Vec<Finding> = Rule::TwoMasters.exceeded(two_ms).into_iter().collect();
+        let permitted_ms = match hears {
             Hears::All => hand_over_ms(&takeovers),
             Hears::OverTheLink => {
-                hand_overs(&takeovers) as f64 * limits.deaf_hand_over().as_ms_f64()
+                let one_ms = self.bounds.limits.deaf_hand_over.as_ms_f64();
+                hand_overs(&takeovers) as f64 * one_ms
             }
-            Hears::WhenMended => {
-                let next_frame = limits.control_period + limits.poll_interval;
-                takeovers.len() as f64 * next_frame.as_ms_f64()
-            }
+            // It hears the next frame.
+            Hears::WhenMended => takeovers.len() as f64 * HAND_OVER_MS,
         };
-        if both_ms > longest_ms {
-            wrong.push(format!("both systems transmitted for {both_ms:.1} ms"));
-        }
+        found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
         let stale = stale_frames(&log, &takeovers, &self.stalls);
-        if stale > 0 {
-            wrong.push(format!("{stale} control frames too old to act"));
-        }
+        found.extend(Rule::StaleFrames.exceeded(stale as f64));
         // A stalled machine is another matter: then the old master found that it was held up.
         let mut needless = takeovers.iter().filter(|it| !it.held_up);
         if spares_control && let Some(takeover) = needless.next_back() {
             let (from, cause) = (takeover.from, takeover.cause_in_words());
-            wrong.push(format!("{from} was relieved, though it was sound: {cause}"));
+            let words = format!("{from} was relieved, though it was sound: {cause}");
+            found.push(Finding::new(Rule::Needless, [1.0, 0.0], words));
         }
-        wrong
+        found
     }
 
     /// From the injection to the first change of phase of the system that did not fail.

@@ -6,6 +6,7 @@ use anyhow::Result;
 use tandem_board::Duration;
 use tandem_record::file::candump_line;
 use tandem_record::gap::Bounds;
+use tandem_record::verdict::{Beside, Limits};
 use tandem_sim::faults::{Bench, Profile};
 
 use tandem::collected::Collected;
@@ -20,18 +21,16 @@ pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> 
     }
     let Profile { limits, time, .. } = profile;
     // The vehicle hears what was on the bus once a millisecond.
-    let ms = |bound: Duration| (bound + time.allowance()).as_ms_f64() + 1.0;
+    let on_bus = time.allowance() + Duration::from_ms(1);
     let around = Surroundings {
         granted: format!("virtual time, {time:?}; the world is not recorded").to_lowercase(),
         timing: "virtual".to_owned(),
-        detection_bound_ms: Some(ms(limits.takeover_bound())),
-        bounds: Bounds {
-            silent_ms: ms(limits.gap_bound()),
-            power_ms: ms(limits.gap_bound_power()),
-            mute_ms: ms(limits.gap_bound_mute()),
-            limits,
+        detection_bound_ms: Some((limits.takeover_bound() + on_bus).as_ms_f64()),
+        beside: Beside {
+            bounds: Bounds::new(Limits::of_profile(&limits), on_bus, Duration::ZERO),
+            product: Some(limits),
+            ..Beside::default()
         },
-        // Nothing stands still in virtual time.
         ..Surroundings::default()
     };
     let collected = Collected::of(out, bench.recording(), &candump)?;

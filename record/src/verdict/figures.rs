@@ -1,0 +1,320 @@
+//! The figures of a run that the rules read, and the findings that follow from them.
+
+use serde::Serialize;
+use tandem_redundancy::Config;
+use tandem_vehicle::Ruling;
+
+use super::modes::{self, Stop};
+use super::{Finding, Rule, Verdict, Watch};
+use crate::gap::{self, Bounds, EndedBy, Gap};
+use crate::run_log::{Stall, Stood};
+use crate::{RunLog, Takeover, description, ms_between, takeovers};
+
+/// The knowledge of a run beside its recording, as far as the rules need it.
+#[derive(Clone, Debug, Default)]
+pub struct Beside {
+    /// How long the vehicle may be without control, by cause.
+    pub bounds: Bounds,
+    /// The limits of the product that drove; `None` if it has none, as a made-up run.
+    pub product: Option<Config>,
+    /// What watched for stalls of the machine.
+    pub watch: Watch,
+    /// The times in which a CPU was gone.
+    pub stalls: Vec<Stall>,
+    /// Files and processes that were still there after the end.
+    pub leftovers: Vec<String>,
+}
+
+impl Beside {
+    /// All stalls that are evidence: of CPUs, and of the bus. Those that a process of ordinary
+    /// priority has seen are none.
+    #[must_use]
+    pub fn evidence(&self, log: &RunLog) -> Vec<Stall> {
+        match self.watch {
+            Watch::Ordinary => vec![],
+            Watch::Virtual | Watch::Urgent => [&self.stalls[..], &log.held_up].concat(),
+        }
+    }
+}
+
+/// The figures that the rules read. Scripts rely on the names.
+#[derive(Clone, Debug, Serialize)]
+pub struct Figures {
+    /// The run went to its end.
+    pub complete: bool,
+    /// Control frames that the vehicle obeyed.
+    pub control_frames: usize,
+    /// Median of the time between two control frames of one mastership, by the sender's clock, ms.
+    pub control_period_p50_ms: Option<f64>,
+    /// Time in which frames of both systems were accepted, ms.
+    pub two_masters_ms: f64,
+    /// Time in which both systems transmitted control frames as master, ms, whether or not the
+    /// vehicle obeyed them.
+    pub both_transmitted_ms: f64,
+    /// How much of that the hand-overs of this run explain at most, ms.
+    pub hand_over_ms: f64,
+    /// Control frames after a takeover that were too old to act, and no stall explains it.
+    pub stale_frames: usize,
+    /// Times without control beyond the bound of their cause.
+    pub gaps: Vec<GapFigures>,
+    /// Changes of the system that is obeyed.
+    pub takeovers: Vec<TakeoverFigures>,
+    /// How many of them replaced a master that had not failed, and no stall explains it.
+    pub false_takeovers: usize,
+    /// The longest time in which the mode of the master did not fit the redundancy, s.
+    pub wrong_mode_s: f64,
+    /// Scenario time since which no system stood by, up to the end, s; `None` if one did.
+    pub redundancy_lost_s: Option<f64>,
+    /// Files and processes that were still there after the end.
+    pub leftovers: Vec<String>,
+}
+
+/// One entry of [`Figures::gaps`].
+#[derive(Clone, Debug, Serialize)]
+pub struct GapFigures {
+    /// Scenario time of the last accepted frame before it, s.
+    pub at_s: f64,
+    /// Its length, ms.
+    pub gap_ms: f64,
+    /// How long it may be, ms.
+    pub bound_ms: f64,
+    /// What ended it: the sign of a takeover, the same system, or the end of the run.
+    pub ended_by: String,
+    /// How much of it stalls of the bus and of the systems that must drive excuse, ms.
+    pub stalled_ms: f64,
+    /// Those stalls, in words; empty if there were none.
+    pub evidence: String,
+    /// Without them it would have kept its bound.
+    pub explained: bool,
+}
+
+impl GapFigures {
+    /// The figures of a gap.
+    #[must_use]
+    pub fn of(log: &RunLog, gap: &Gap) -> Self {
+        Self {
+            at_s: log.seconds(gap.from_ns),
+            gap_ms: gap.ms(),
+            bound_ms: gap.bound_ms,
+            ended_by: match gap.ended_by {
+                EndedBy::SameSystem => "the same system".to_owned(),
+                EndedBy::Nothing => "the end of the run".to_owned(),
+                EndedBy::Takeover(None) => "a takeover, sign not reported".to_owned(),
+                EndedBy::Takeover(Some(sign)) => {
+                    format!("a takeover: {}", description::evidence(sign))
+                }
+            },
+            stalled_ms: gap.stalled_ms,
+            evidence: words(log, &gap.stalls),
+            explained: gap.is_explained(),
+        }
+    }
+
+    /// Its finding.
+    #[must_use]
+    pub fn finding(&self) -> Finding {
+        let words = format!(
+            "no system drove for {:.1} ms from {:.3} s on, up to {} (bound {:.0} ms)",
+            self.gap_ms, self.at_s, self.ended_by, self.bound_ms
+        );
+        Finding::new(Rule::Gap, [self.gap_ms, self.bound_ms], words)
+            .at(self.at_s)
+            .beside(self.evidence.clone(), self.explained)
+    }
+}
+
+/// One entry of [`Figures::takeovers`].
+#[derive(Clone, Debug, Serialize)]
+pub struct TakeoverFigures {
+    /// The system that drove before: `A` or `B`.
+    pub from: String,
+    /// The system that drove then.
+    pub to: String,
+    /// Scenario time of the new master's first frame, s.
+    pub at_s: f64,
+    /// The sign by which the new master knew that the old one had failed.
+    pub cause: String,
+    /// From its last sign of life to the decision, ms.
+    pub detected_ms: Option<f64>,
+    /// From the old master's last accepted frame to the new one's first, ms.
+    pub gap_ms: f64,
+    /// How long that may be on this sign, ms.
+    pub bound_ms: f64,
+    /// The old master had not failed.
+    pub is_false: bool,
+    /// What held up the old master or the bus for longer than is tolerated before a false takeover,
+    /// in words; empty if nothing did.
+    pub evidence: String,
+    /// The old master found later that its core had been held up: frozen, or not scheduled.
+    pub held_up: bool,
+}
+
+impl TakeoverFigures {
+    fn of(log: &RunLog, takeover: &Takeover, bounds: &Bounds, stalls: &[Stall]) -> Self {
+        let tolerated_ns = bounds.limits.tolerated_stall().as_ns();
+        let since_ns = takeover
+            .at_ns
+            .saturating_sub((bounds.silent_ms * 1e6) as u64);
+        let cpu = log.control_cpu(takeover.from).map(Stood::Cpu);
+        let held_up = |stall: &&Stall| {
+            (stall.of == Stood::Bus || Some(stall.of) == cpu)
+                && stall.from_ns < takeover.at_ns
+                && since_ns < stall.to_ns
+                && stall.to_ns - stall.from_ns >= tolerated_ns
+        };
+        let held_up: Vec<_> = stalls.iter().filter(held_up).copied().collect();
+        Self {
+            from: takeover.from.to_string(),
+            to: takeover.to.to_string(),
+            at_s: log.seconds(takeover.at_ns),
+            cause: takeover.cause_in_words().to_owned(),
+            detected_ms: takeover.detected_ms,
+            gap_ms: takeover.gap_ms,
+            bound_ms: bounds.of_takeover(log, takeover),
+            is_false: takeover.is_false,
+            evidence: match takeover.is_false {
+                true => words(log, &held_up),
+                false => String::new(),
+            },
+            held_up: takeover.held_up,
+        }
+    }
+
+    /// The old master had not failed, and no stall explains the takeover.
+    const fn is_needless(&self) -> bool {
+        self.is_false && self.evidence.is_empty()
+    }
+}
+
+/// The finding that both systems transmitted for longer than their hand-overs permit, ms.
+#[must_use]
+pub fn both_transmitted(both_ms: f64, permitted_ms: f64) -> Option<Finding> {
+    let words = format!("both systems transmitted for {both_ms:.1} ms (bound {permitted_ms} ms)");
+    (both_ms > permitted_ms)
+        .then(|| Finding::new(Rule::BothTransmitted, [both_ms, permitted_ms], words))
+}
+
+/// Stalls in words.
+fn words(log: &RunLog, stalls: &[Stall]) -> String {
+    let each = stalls.iter().map(|stall| {
+        let what = match stall.of {
+            Stood::Cpu(cpu) => format!("CPU {cpu}"),
+            Stood::Bus => "the vehicle's process".to_owned(),
+        };
+        let (ms, at_s) = (
+            ms_between(stall.from_ns, stall.to_ns),
+            log.seconds(stall.from_ns),
+        );
+        format!("{what} gone for {ms:.1} ms at {at_s:.3} s")
+    });
+    each.collect::<Vec<_>>().join(", ")
+}
+
+impl Figures {
+    /// The figures of a run, with the median of its control period.
+    #[must_use]
+    pub fn of(log: &RunLog, beside: &Beside, control_period_p50_ms: Option<f64>) -> Self {
+        let (takeovers, stalls) = (takeovers(log), beside.evidence(log));
+        let bounds = &beside.bounds;
+        let gaps = gap::gaps(log, &takeovers, bounds, &stalls);
+        let changes = takeovers
+            .iter()
+            .map(|it| TakeoverFigures::of(log, it, bounds, &stalls));
+        let changes: Vec<_> = changes.collect();
+        let accepted = |verdict| {
+            log.control
+                .iter()
+                .filter(|it| it.verdict == verdict)
+                .count()
+        };
+        Self {
+            complete: log.end_ns.is_some(),
+            control_frames: accepted(Ruling::Accepted),
+            control_period_p50_ms,
+            two_masters_ms: log.mastership().two_masters_ns() as f64 * 1e-6,
+            both_transmitted_ms: gap::both_transmitted_ms(log),
+            hand_over_ms: gap::hand_over_ms(&takeovers),
+            stale_frames: gap::stale_frames(log, &takeovers, &stalls),
+            gaps: gaps.iter().map(|gap| GapFigures::of(log, gap)).collect(),
+            false_takeovers: changes.iter().filter(|it| it.is_needless()).count(),
+            takeovers: changes,
+            wrong_mode_s: modes::wrong_mode_s(log),
+            redundancy_lost_s: modes::redundancy_lost_s(log),
+            leftovers: beside.leftovers.clone(),
+        }
+    }
+
+    /// The verdict on the run that has these figures.
+    #[must_use]
+    pub fn verdict(&self, log: &RunLog, beside: &Beside) -> Verdict {
+        let drive = &log.figures;
+        let figures = [
+            (Rule::Collision, f64::from(drive.collisions)),
+            (Rule::LeftLane, drive.excursion_max_m),
+            (Rule::LateralError, drive.lateral_error_max_m),
+            (Rule::OutsideDomain, drive.outside_domain_s),
+            (Rule::TwoMasters, self.two_masters_ms),
+            (Rule::StaleFrames, self.stale_frames as f64),
+            (Rule::SlowControl, self.control_period_p50_ms.unwrap_or(0.0)),
+            (Rule::WrongMode, self.wrong_mode_s),
+            (Rule::Leftovers, self.leftovers.len() as f64),
+        ];
+        let mut findings: Vec<_> = figures
+            .into_iter()
+            .filter_map(|(rule, measured)| rule.exceeded(measured))
+            .collect();
+        let whole = [
+            (Rule::NoControl, self.control_frames > 0),
+            (Rule::CutShort, self.complete),
+        ];
+        let broken = whole.into_iter().filter(|(_, holds)| !holds);
+        findings.extend(broken.map(|(rule, _)| Finding::of(rule)));
+        findings.extend(both_transmitted(
+            self.both_transmitted_ms,
+            self.hand_over_ms,
+        ));
+        findings.extend(self.gaps.iter().map(GapFigures::finding));
+        findings.extend(self.takeovers.iter().filter(|it| it.is_false).map(|it| {
+            let words = format!(
+                "{} took over at {:.3} s from a master that had not failed",
+                it.to, it.at_s
+            );
+            Finding::new(Rule::Needless, [1.0, 0.0], words)
+                .at(it.at_s)
+                .beside(it.evidence.clone(), !it.evidence.is_empty())
+        }));
+        let product = beside.product.iter();
+        findings
+            .extend(product.flat_map(|product| Finding::of_limits(beside.bounds.limits, product)));
+        findings.extend(match modes::stop(log) {
+            Some(Stop::Standing(for_s)) => Rule::Stopped.exceeded(for_s),
+            Some(Stop::SafeStop(at_s)) => {
+                let words = format!(
+                    "{}: minimal-risk stop at {at_s:.1} s",
+                    Rule::Stopped.row().words
+                );
+                Some(Finding::new(Rule::Stopped, [1.0, 0.0], words).at(at_s))
+            }
+            None => None,
+        });
+        for (rule, at_s, what) in [
+            (
+                Rule::NoStandby,
+                self.redundancy_lost_s,
+                "to the end: no system stood by",
+            ),
+            (Rule::TakeoverAsked, drive.takeover_asked_s, ""),
+            (Rule::SafeStop, drive.safe_stop_s, ""),
+        ] {
+            let words = match rule {
+                Rule::NoStandby => "redundancy was lost",
+                _ => rule.row().words,
+            };
+            findings.extend(at_s.map(|at_s| {
+                let words = format!("{words} at {at_s:.1} s {what}");
+                Finding::new(rule, [at_s, 0.0], words.trim_end()).at(at_s)
+            }));
+        }
+        Verdict::new(findings, beside.watch)
+    }
+}

@@ -1,0 +1,261 @@
+//! Whether the function that drove fits the systems that there were.
+
+use tandem_board::{CoreId, SupplyEvent, SystemId};
+use tandem_bus::{ModeCode, RoleCode};
+use tandem_cores::trace::Event;
+use tandem_redundancy::{Evidence, Phase};
+
+use crate::RunLog;
+use crate::roles::{State, timeline};
+use crate::run_log::{ControlFrame, CoreEvent};
+
+/// A system without a status frame for longer than this does not stand by, ns: they arrive every
+/// 100 ms.
+const THERE_NS: u64 = 350_000_000;
+/// A run may end this long after the last sign of a standby that is still there, s.
+const SIGN_S: f64 = 0.25;
+
+/// A stop without a reason.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stop {
+    /// The vehicle stood for this long, s, though nothing was near ahead.
+    Standing(f64),
+    /// The function made its minimal-risk stop at this scenario time, s, though no core had
+    /// reported a failure and the driver was not asked.
+    SafeStop(f64),
+}
+
+/// The stop of this run that has no reason; `None` if there is none. Reasons for a minimal-risk
+/// stop are a failure, a core that was late, and a bus that stood still.
+#[must_use]
+pub fn stop(log: &RunLog) -> Option<Stop> {
+    let drive = &log.figures;
+    let by_hand = || log.accepted().any(|frame| frame.mode == ModeCode::None);
+    match (drive.safe_stop_s, drive.takeover_asked_s) {
+        (None, None) if drive.standing_s > 0.0 && !by_hand() => {
+            Some(Stop::Standing(drive.standing_s))
+        }
+        (Some(at_s), None) => {
+            let late = log.events.iter().filter(|it| match it.event {
+                Event::Phase { on, .. } => on == Evidence::Stalled,
+                Event::DeadlineMiss { task, .. } => task.is_control(),
+                _ => false,
+            });
+            let late = late.map(|event| event.at_ns);
+            let stood = log.held_up.iter().map(|stall| stall.from_ns);
+            let mut reasons = failure_ns(log).into_iter().chain(late).chain(stood);
+            let has_reason = reasons.any(|at_ns| log.seconds(at_ns) <= at_s);
+            (!has_reason).then_some(Stop::SafeStop(at_s))
+        }
+        _ => None,
+    }
+}
+
+/// When the first failure was recorded, ns: one that a core reported or a supply saw, or a system
+/// without power.
+fn failure_ns(log: &RunLog) -> Option<u64> {
+    let fails = |event: &Event| match *event {
+        Event::Phase { on, .. } => matches!(
+            on,
+            Evidence::FaultReset | Evidence::FaultStop | Evidence::FaultSuspend
+        ),
+        Event::Sensors { missing } => missing != 0,
+        Event::Agreement { stage, .. } => stage > 0,
+        Event::WrongCommand { .. }
+        | Event::ClockWrong { .. }
+        | Event::CoreSilent { .. }
+        | Event::OutputFault { .. } => true,
+        _ => false,
+    };
+    let died =
+        |event: &SupplyEvent| matches!(event, SupplyEvent::CoreDied { .. } | SupplyEvent::Reset(_));
+    let reported = log
+        .events
+        .iter()
+        .filter(|it| fails(&it.event))
+        .map(|it| it.at_ns);
+    let seen = log.supplies.iter().filter(|it| died(&it.2)).map(|it| it.0);
+    let off = log
+        .power
+        .iter()
+        .filter(|power| !power.on)
+        .map(|power| power.at_ns);
+    reported.chain(seen).chain(off).min()
+}
+
+/// Scenario time since which no system stood by, up to the end of the run, s; `None` if one did, or
+/// if no system ever drove.
+#[must_use]
+pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
+    log.accepted().next()?;
+    let spans = SystemId::ALL.map(|system| timeline(log, system)).concat();
+    let stood_by = spans.iter().filter(|span| span.state == State::Standby);
+    let last_s = stood_by.map(|span| span.to_s).fold(0.0, f64::max);
+    (log.driven_s() - last_s > SIGN_S).then_some(last_s)
+}
+
+/// The longest time in which the mode of the accepted control frames did not fit the redundancy, s.
+///
+/// L3 needs a second system: its status frames show whether there is one. A degraded master beside
+/// a standby needs a cause: a change of its phase, or a failure. That the master does not hear its
+/// standby is no cause, because the standby's frames are on the bus.
+#[must_use]
+pub fn wrong_mode_s(log: &RunLog) -> f64 {
+    let start_ns = log.start_ns.unwrap_or(0);
+    let failure_ns = failure_ns(log).unwrap_or(u64::MAX);
+    let of_core_0 = |event: &&CoreEvent| event.core == CoreId::CONTROL;
+    let mut events = log.events.iter().filter(of_core_0).peekable();
+    let mut status = log.status.iter().peekable();
+    // Of each system: its last status frame as master or standby, and whether its last change of
+    // phase is a cause to be degraded.
+    let (mut seen, mut has_cause) = ([(start_ns, RoleCode::Starting); 2], [true; 2]);
+    let (mut longest_ns, mut wrong): (u64, Option<(ControlFrame, u64)>) = (0, None);
+    for frame in log.accepted() {
+        while let Some(it) = status.next_if(|it| it.at_ns <= frame.at_ns) {
+            if matches!(it.role, RoleCode::Standby | RoleCode::Master) {
+                seen[it.system.index()] = (it.at_ns.max(start_ns), it.role);
+            }
+        }
+        while let Some(it) = events.next_if(|it| it.at_ns <= frame.at_ns) {
+            if let Event::Phase { to, on, .. } = it.event {
+                has_cause[it.system.index()] = to != Phase::Master && on != Evidence::StandbyMute;
+            }
+        }
+        let (seen_ns, role) = seen[frame.system.peer().index()];
+        let stands_by =
+            role == RoleCode::Standby && frame.at_ns.saturating_sub(seen_ns) <= THERE_NS;
+        let has_cause = has_cause[frame.system.index()] || failure_ns <= frame.at_ns;
+        let since_ns = match frame.mode {
+            ModeCode::L3 if !stands_by => seen_ns,
+            ModeCode::DegradedL2 if stands_by && !has_cause => frame.at_ns,
+            _ => {
+                wrong = None;
+                continue;
+            }
+        };
+        let is_same = |(first, _): &(ControlFrame, u64)| {
+            (first.system, first.mode) == (frame.system, frame.mode)
+        };
+        let begun = wrong.filter(is_same).unwrap_or((*frame, since_ns));
+        wrong = Some(begun);
+        longest_ns = longest_ns.max(frame.at_ns.saturating_sub(begun.1));
+    }
+    longest_ns as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run_log::{PowerChange, StatusFrame};
+    use tandem_vehicle::Ruling;
+
+    const MS: u64 = 1_000_000;
+    const A: SystemId = SystemId::A;
+    const B: SystemId = SystemId::B;
+
+    /// A drives in this mode for 10 s, and B stands by until this time.
+    fn log(mode: ModeCode, until_ms: u64) -> RunLog {
+        let control = (0..1_000).map(|cycle| ControlFrame {
+            at_ns: cycle * 10 * MS,
+            sent_ns: cycle * 10 * MS,
+            system: A,
+            term: 2,
+            mode,
+            age_ns: None,
+            verdict: Ruling::Accepted,
+        });
+        let status = |system, role| {
+            move |tenth| StatusFrame {
+                at_ns: tenth * 100 * MS,
+                system,
+                role,
+                mode,
+            }
+        };
+        let mut log = RunLog {
+            start_ns: Some(0),
+            end_ns: Some(10_000 * MS),
+            control: control.collect(),
+            status: (0..100).map(status(A, RoleCode::Master)).collect(),
+            ..RunLog::default()
+        };
+        log.status
+            .extend((0..until_ms / 100).map(status(B, RoleCode::Standby)));
+        log.status.sort_by_key(|status| status.at_ns);
+        log
+    }
+
+    fn phase(to: Phase, on: Evidence) -> CoreEvent {
+        let from = Phase::Master;
+        CoreEvent {
+            at_ns: 1_000 * MS,
+            system: A,
+            core: CoreId::CONTROL,
+            event: Event::Phase { from, to, on },
+        }
+    }
+
+    #[test]
+    fn redundancy_is_lost_from_the_last_time_at_which_a_system_stood_by() {
+        assert_eq!(redundancy_lost_s(&log(ModeCode::L3, 10_000)), None);
+        let lost_s = redundancy_lost_s(&log(ModeCode::L3, 6_000)).unwrap();
+        assert!((lost_s - 6.0).abs() < 0.2, "{lost_s}");
+        assert_eq!(redundancy_lost_s(&log(ModeCode::L3, 0)), Some(0.0));
+        // A system that loses its power is off at once.
+        let mut off = log(ModeCode::L3, 10_000);
+        off.power.push(PowerChange {
+            at_ns: 9_500 * MS,
+            system: B,
+            on: false,
+        });
+        off.status
+            .retain(|status| status.system == A || status.at_ns < 9_500 * MS);
+        assert_eq!(redundancy_lost_s(&off), Some(9.5));
+        assert_eq!(redundancy_lost_s(&RunLog::default()), None);
+    }
+
+    #[test]
+    fn l3_of_one_system_alone_is_a_wrong_mode() {
+        assert!(wrong_mode_s(&log(ModeCode::L3, 10_000)) < 0.5);
+        let alone_s = wrong_mode_s(&log(ModeCode::L3, 6_000));
+        assert!((alone_s - 4.0).abs() < 0.2, "{alone_s}");
+        assert_eq!(wrong_mode_s(&log(ModeCode::DegradedL2, 6_000)), 0.0);
+    }
+
+    #[test]
+    fn a_degraded_master_beside_a_standby_needs_a_cause() {
+        use Phase::{DegradedMaster, Master};
+        for (phase_, is_wrong) in [
+            (phase(Master, Evidence::HandshakeDone), true),
+            (phase(DegradedMaster, Evidence::StandbyMute), true),
+            (phase(DegradedMaster, Evidence::BeatsSilent), false),
+            (phase(DegradedMaster, Evidence::FaultStop), false),
+        ] {
+            let mut log = log(ModeCode::DegradedL2, 10_000);
+            log.control.retain(|frame| frame.at_ns >= 1_000 * MS);
+            log.events = vec![phase_];
+            assert_eq!(wrong_mode_s(&log) > 8.0, is_wrong, "{phase_:?}");
+            log.events.push(CoreEvent {
+                event: Event::Sensors { missing: 1 },
+                ..phase_
+            });
+            assert_eq!(wrong_mode_s(&log), 0.0, "it has lost a sensor");
+        }
+    }
+
+    #[test]
+    fn a_stop_needs_a_reason() {
+        let mut log = log(ModeCode::L3, 10_000);
+        assert_eq!(stop(&log), None);
+        log.figures.standing_s = 2.5;
+        assert_eq!(stop(&log), Some(Stop::Standing(2.5)));
+        log.figures.safe_stop_s = Some(4.0);
+        assert_eq!(stop(&log), Some(Stop::SafeStop(4.0)));
+        log.events = vec![phase(Phase::DegradedMaster, Evidence::FaultStop)];
+        assert_eq!(stop(&log), None);
+        log.events[0].at_ns = 5_000 * MS;
+        assert!(stop(&log).is_some(), "the failure came later");
+        log.figures.takeover_asked_s = Some(3.0);
+        assert_eq!(stop(&log), None);
+    }
+}
