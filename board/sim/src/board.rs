@@ -1,17 +1,17 @@
 //! The simulated machine as one core sees it.
 
 use crate::baton::Baton;
-use crate::config::Defect;
 use crate::event::SystemEventKind;
+use crate::flash::Flash;
 use crate::machine::{Attention, Shared};
 use crate::outbox::Output;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use tandem_board::{
-    Board, Can, CanErrors, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Duration, Edge,
-    FaultSource, FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line,
-    Lines, Link, LinkFull, LmuWord, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp,
-    Supply, SystemId, TraceRecord, Traced, TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Edge, FaultSource,
+    FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
+    LinkFull, LmuWord, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply,
+    SystemId, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::data_flash;
@@ -64,10 +64,6 @@ impl Port {
         let Some(baton) = &self.baton else {
             panic!("a polled core cannot wait; see `blocking`")
         };
-        let deadline = match self.shared.has(Defect::EarlyDeadline) {
-            true => self.halfway(deadline),
-            false => deadline,
-        };
         if let Some(wake) = self.woken(deadline) {
             self.look();
             return wake;
@@ -91,19 +87,10 @@ impl Port {
             core.attention = Attention::Waits;
             return None;
         }
-        let defect = self.shared.config.defect;
         Some(match pending {
-            true if defect == Some(Defect::WrongWake) => Wake::Deadline,
             true => Wake::Interrupt,
-            false if defect == Some(Defect::SpuriousForEver) => Wake::Interrupt,
             false => Wake::Deadline,
         })
-    }
-
-    /// A defect: the middle between now and the deadline.
-    fn halfway(&self, deadline: Instant) -> Instant {
-        let now = self.shared.glance.local(self.place.system);
-        now + Duration::from_ns(deadline.since(now).as_ns() / 2)
     }
 
     fn awake(&self) {
@@ -239,14 +226,11 @@ impl Board for SimBoard {
     fn now(&self) -> Instant {
         self.port.look();
         let Port { shared, place, .. } = &self.port;
-        match shared.config.defect {
-            None => shared.glance.local(place.system),
-            Some(_) => shared.lock().look(*place),
-        }
+        shared.glance.local(place.system)
     }
 
     fn lmu(&self) -> &[LmuWord] {
-        self.port.shared.lmu(self.port.place)
+        self.port.shared.lmu(self.port.place.system)
     }
 
     fn ring(&self, to: CoreId) {
@@ -258,7 +242,7 @@ impl Board for SimBoard {
         assert!(self.port.is_control(), "only core 0 releases cores");
         let system = self.port.place.system;
         self.port
-            .alive(|machine| machine.release_core(CoreAddress { system, core }));
+            .alive(|machine| machine.release(CoreAddress { system, core }));
     }
 
     fn output_diagnosis(&self) -> OutputDiagnosis {
@@ -432,7 +416,7 @@ impl Link for SimLink {
         let waits = self.0.shared.glance.link(system);
         let datagram = waits.load(Ordering::Relaxed).then(|| {
             self.0
-                .alive(|machine| machine.receive_link(system, words.len()))
+                .alive(|machine| machine.receive_link(system))
                 .flatten()
         });
         let Some(datagram) = datagram.flatten() else {
@@ -462,14 +446,20 @@ impl DataFlash for SimFlash {
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
         assert!(self.0.is_control(), "only core 0 programs the flash");
         self.0
-            .alive(|machine| machine.start_erase(self.0.place.system, sector))
+            .alive(|machine| {
+                let start = |flash: &mut Flash, now| flash.start_erase(sector, now);
+                machine.start_flash(self.0.place.system, start)
+            })
             .unwrap_or(Err(FlashError::Failed))
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
         assert!(self.0.is_control(), "only core 0 programs the flash");
         self.0
-            .alive(|machine| machine.start_program(self.0.place.system, offset, data))
+            .alive(|machine| {
+                let start = |flash: &mut Flash, now| flash.start_program(offset, data, now);
+                machine.start_flash(self.0.place.system, start)
+            })
             .unwrap_or(Err(FlashError::Failed))
     }
 
@@ -494,11 +484,13 @@ impl Supply for SimSupply {
     const FIRST_SERVICE_US: u32 = Window::TARGET.first_us;
 
     fn reset_cause(&self) -> ResetCause {
-        self.0.shared.lock().reset_cause(self.0.place.system)
+        let mut machine = self.0.shared.lock();
+        machine.system(self.0.place.system).supply.cause()
     }
 
     fn watchdog_question(&self) -> u8 {
-        self.0.shared.lock().watchdog_question(self.0.place.system)
+        let mut machine = self.0.shared.lock();
+        machine.system(self.0.place.system).supply.question()
     }
 
     fn service_watchdog(&self, answer: u8) {

@@ -1,6 +1,6 @@
 //! The configuration of a simulated run.
 
-use tandem_board::{CanFrame, Duration, HardwareFault};
+use tandem_board::{CanFrame, Duration};
 use tandem_peripherals::network::{LINK_DATAGRAMS, WireTimes};
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
@@ -72,6 +72,8 @@ pub struct Config {
     pub order: Order,
     /// Whether the supplies reset a system whose watchdog is not serviced.
     pub watchdog: bool,
+    /// When a service of the watchdog is in time.
+    pub window: Window,
     /// How long a supply holds its system in reset.
     pub reset_hold: Duration,
     /// Virtual time that a blocking core pays for reading the clock, a line, an empty receiver, or
@@ -85,8 +87,6 @@ pub struct Config {
     pub trace_records: usize,
     /// What the connections take.
     pub wires: WireTimes,
-    /// A deliberate fault of the board itself, which the conformance suite must find.
-    pub defect: Option<Defect>,
 }
 
 impl Default for Config {
@@ -105,208 +105,26 @@ impl Default for Config {
             ],
             order: Order::Fixed,
             watchdog: true,
+            window: Window::TARGET,
             reset_hold: supply::Config::TARGET.hold,
             look_at_clock: Duration::from_us(2),
             can_fifo_frames: 512,
             link_datagrams: LINK_DATAGRAMS,
             trace_records: 1 << 16,
             wires: WireTimes::default(),
-            defect: None,
         }
     }
 }
 
 impl Config {
-    /// The configuration of the supplies, with the defects of the watchdog's window.
-    pub(crate) fn supply(&self) -> supply::Config {
-        let mut window = Window::TARGET;
-        match self.defect {
-            Some(Defect::WindowIgnored) => window.opens_us = 0,
-            Some(Defect::WindowLate) => window.opens_us += 1_000,
-            Some(Defect::WatchdogSleeps) => {
-                (window.closes_us, window.first_us) = (u32::MAX, u32::MAX)
-            }
-            _ => {}
-        }
+    /// The configuration of the supplies.
+    pub(crate) const fn supply(&self) -> supply::Config {
         supply::Config {
-            window,
+            window: self.window,
             watches: self.watchdog,
             hold: self.reset_hold,
             longest_hold: self.reset_hold,
             ..supply::Config::TARGET
         }
     }
-}
-
-/// A way in which a board can break its contract.
-///
-/// Exists for one purpose: each defect must make the conformance suite fail.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Defect {
-    /// A ring that arrives while the core is awake is lost.
-    LostRing,
-    /// A ring goes to the next core.
-    MisdirectedRing,
-    /// `wait` ends before its deadline.
-    EarlyDeadline,
-    /// `wait` says "deadline" for an interrupt.
-    WrongWake,
-    /// `wait` says "interrupt" for a deadline.
-    SpuriousForEver,
-    /// The clock sometimes goes back.
-    ClockGoesBack,
-    /// The cores of a system have different clocks.
-    SkewedCores,
-    /// Each core has an LMU of its own.
-    PrivateLmu,
-    /// The systems share one LMU.
-    OneLmu,
-    /// The LMU is not zero at power-on.
-    DirtyLmu,
-    /// The generation does not begin at 1.
-    WrongGeneration,
-    /// All cores start with core 0.
-    NoneHeld,
-    /// A release has no effect.
-    NeverReleased,
-    /// A release releases all cores.
-    ReleasesAll,
-    /// A core that is released twice starts twice.
-    ReleasesAgain,
-    /// A core receives the CAN frames that it sends.
-    SelfReception,
-    /// The other system does not hear this system's CAN frames.
-    NoBroadcast,
-    /// A discard of the frames that wait also discards the next one.
-    DiscardsLaterFrame,
-    /// Two CAN frames change places.
-    CanReordered,
-    /// System B hears its own frames before those of system A.
-    CanTwoOrders,
-    /// The end of a long CAN FD frame is lost.
-    FdTruncated,
-    /// Lost CAN frames are not counted.
-    OverrunNotCounted,
-    /// A received CAN frame does not wake.
-    NoWakeOnReceive,
-    /// A received CAN frame wakes a core that did not ask for it.
-    AlwaysWakeOnReceive,
-    /// Falling edges count as rising ones.
-    WrongEdge,
-    /// Edges come back on the sender's own counters.
-    LineLoopback,
-    /// An edge on the start line does not interrupt.
-    SilentStart,
-    /// The level line does not show that the other system is on.
-    LevelStuckLow,
-    /// The level line does not fall.
-    LevelStuckHigh,
-    /// A change of the level line does not interrupt.
-    SilentLevel,
-    /// Words of two datagrams are mixed.
-    LinkTorn,
-    /// Datagrams overtake each other.
-    LinkReordered,
-    /// A full link drops datagrams silently.
-    LinkDrops,
-    /// The rest of a datagram that is too long for a receiver's buffer arrives as the next
-    /// datagram.
-    LinkSplits,
-    /// Erase fills with zeros.
-    EraseToZero,
-    /// Programming need not be aligned to pages.
-    MisalignedProgram,
-    /// A new operation replaces the one under way.
-    NeverBusy,
-    /// Programming sets bits.
-    ProgramSets,
-    /// An operation that a reset interrupts destroys its whole sector.
-    ResetDisturbs,
-    /// Programming a page disturbs the page behind it.
-    ProgramDisturbs,
-    /// A reset erases the flash.
-    FlashForgets,
-    /// The watchdog resets the system although it was serviced well.
-    WatchdogRefuses,
-    /// The watchdog always asks the same question.
-    SameQuestion,
-    /// A wrong answer to the watchdog has no effect.
-    AnyAnswer,
-    /// An early service is accepted.
-    WindowIgnored,
-    /// The window of the watchdog opens too late.
-    WindowLate,
-    /// A missing service has no effect.
-    WatchdogSleeps,
-    /// The reset cause is always power-on.
-    CauseForgotten,
-    /// A requested reset does not happen.
-    RequestIgnored,
-    /// A reset leaves core 2 running.
-    PartialReset,
-    /// A fault of the hardware has no effect.
-    FaultWithoutEffect(HardwareFault),
-}
-
-impl Defect {
-    /// All defects.
-    pub const ALL: [Self; 57] = [
-        Self::LostRing,
-        Self::MisdirectedRing,
-        Self::EarlyDeadline,
-        Self::WrongWake,
-        Self::SpuriousForEver,
-        Self::ClockGoesBack,
-        Self::SkewedCores,
-        Self::PrivateLmu,
-        Self::OneLmu,
-        Self::DirtyLmu,
-        Self::WrongGeneration,
-        Self::NoneHeld,
-        Self::NeverReleased,
-        Self::ReleasesAll,
-        Self::ReleasesAgain,
-        Self::SelfReception,
-        Self::NoBroadcast,
-        Self::DiscardsLaterFrame,
-        Self::CanReordered,
-        Self::CanTwoOrders,
-        Self::FdTruncated,
-        Self::OverrunNotCounted,
-        Self::NoWakeOnReceive,
-        Self::AlwaysWakeOnReceive,
-        Self::WrongEdge,
-        Self::LineLoopback,
-        Self::SilentStart,
-        Self::LevelStuckLow,
-        Self::LevelStuckHigh,
-        Self::SilentLevel,
-        Self::LinkTorn,
-        Self::LinkReordered,
-        Self::LinkDrops,
-        Self::LinkSplits,
-        Self::EraseToZero,
-        Self::MisalignedProgram,
-        Self::NeverBusy,
-        Self::ProgramSets,
-        Self::ResetDisturbs,
-        Self::ProgramDisturbs,
-        Self::FlashForgets,
-        Self::WatchdogRefuses,
-        Self::SameQuestion,
-        Self::AnyAnswer,
-        Self::WindowIgnored,
-        Self::WindowLate,
-        Self::WatchdogSleeps,
-        Self::CauseForgotten,
-        Self::RequestIgnored,
-        Self::PartialReset,
-        Self::FaultWithoutEffect(HardwareFault::OpenLoad),
-        Self::FaultWithoutEffect(HardwareFault::ShortCircuit),
-        Self::FaultWithoutEffect(HardwareFault::CanTransmit),
-        Self::FaultWithoutEffect(HardwareFault::CanReceive),
-        Self::FaultWithoutEffect(HardwareFault::ErrorPin),
-        Self::FaultWithoutEffect(HardwareFault::Undervoltage),
-        Self::FaultWithoutEffect(HardwareFault::Overvoltage),
-    ];
 }

@@ -1,24 +1,16 @@
 //! The connections between the two systems: lines, data link, CAN bus.
 
-use crate::config::Defect;
 use crate::event::OnBus;
 use crate::machine::Machine;
 use crate::outbox::Output;
 use std::sync::atomic::Ordering;
-use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
-};
-use tandem_peripherals::codec::Sender;
+use tandem_board::{CanFrame, CoreAddress, Edge, Line, LinkFull, Received, SystemId, TransmitFull};
 use tandem_peripherals::network::{Arrival, Carried, Wire};
 use tandem_peripherals::supply::Power;
 
 impl Machine {
     pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
-        let to = if self.has(Defect::LineLoopback) {
-            from
-        } else {
-            from.peer()
-        };
+        let to = from.peer();
         if self.systems[to.index()].supply.power() == Power::Off {
             return;
         }
@@ -30,14 +22,9 @@ impl Machine {
 
     /// An edge arrives.
     pub(crate) fn count_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
-        let counted = if self.has(Defect::WrongEdge) {
-            Edge::Rising
-        } else {
-            edge
-        };
-        let count = self.glance.edges(to, line, counted);
+        let count = self.glance.edges(to, line, edge);
         count.fetch_add(1, Ordering::Relaxed);
-        if line.interrupts() && !self.has(Defect::SilentStart) {
+        if line.interrupts() {
             self.raise_peer(to.peer());
         }
     }
@@ -57,38 +44,22 @@ impl Machine {
     pub(crate) fn put_in_inbox(
         &mut self,
         to: SystemId,
-        mut datagram: Vec<u32>,
+        datagram: Vec<u32>,
     ) -> Result<(), LinkFull> {
-        let (limit, torn) = (self.config.link_datagrams, self.has(Defect::LinkTorn));
-        let (overtakes, drops) = (self.has(Defect::LinkReordered), self.has(Defect::LinkDrops));
+        let limit = self.config.link_datagrams;
         let inbox = &mut self.system(to).inbox;
         if inbox.len() >= limit {
-            return if drops { Ok(()) } else { Err(LinkFull) };
-        }
-        if let (true, Some(last)) = (torn, inbox.back_mut()) {
-            let half = last.len().min(datagram.len()) / 2;
-            last[..half].swap_with_slice(&mut datagram[..half]);
+            return Err(LinkFull);
         }
         inbox.push_back(datagram);
         self.glance.link(to).store(true, Ordering::Relaxed);
-        let inbox = &mut self.system(to).inbox;
-        if overtakes {
-            inbox.make_contiguous().reverse();
-        }
         Ok(())
     }
 
-    /// The next datagram, for a buffer of `room` words.
-    pub(crate) fn receive_link(&mut self, system: SystemId, room: usize) -> Option<Vec<u32>> {
-        let splits = self.has(Defect::LinkSplits);
+    /// The next datagram.
+    pub(crate) fn receive_link(&mut self, system: SystemId) -> Option<Vec<u32>> {
         let inbox = &mut self.system(system).inbox;
         let datagram = inbox.pop_front();
-        if let Some(datagram) = &datagram
-            && splits
-            && datagram.len() > room
-        {
-            inbox.push_front(datagram[room..].to_vec());
-        }
         let waits = !inbox.is_empty();
         self.glance.link(system).store(waits, Ordering::Relaxed);
         datagram
@@ -99,7 +70,6 @@ impl Machine {
         let core = self.core(from);
         core.outbox
             .retain(|(_, output)| !matches!(output, Output::Frame(_)));
-        self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
     }
 
     pub(crate) fn send_can(
@@ -108,9 +78,6 @@ impl Machine {
         frame: &CanFrame,
     ) -> Result<(), TransmitFull> {
         let now = self.at();
-        if core::mem::take(&mut self.core(from).loses_next) {
-            return Ok(());
-        }
         let tamper = self.systems[from.system.index()].tamper;
         let frame = &tamper.map_or(*frame, |tamper| tamper(frame));
         let sent = self
@@ -137,51 +104,27 @@ impl Machine {
             self.bus.push(on_bus);
             self.unheard.push(on_bus);
             for place in CoreAddress::ALL {
-                let deaf = self.has(Defect::NoBroadcast)
-                    && matches!(sender, Sender::Core(from) if from.system != place.system);
-                let own = self.has(Defect::SelfReception) && sender == Sender::Core(place);
-                if carried.reach.has(place) && !deaf || own {
-                    self.hear_can(place, sender, &frame);
+                if carried.reach.has(place) {
+                    self.hear_can(place, frame);
                 }
             }
         }
     }
 
-    fn hear_can(&mut self, place: CoreAddress, sender: Sender, frame: &CanFrame) {
+    fn hear_can(&mut self, place: CoreAddress, frame: CanFrame) {
         let at = self.local(place.system);
-        if !self.core(place).alive {
+        let depth = self.config.can_fifo_frames;
+        let core = self.core(place);
+        if !core.alive {
             return;
         }
-        let depth = self.config.can_fifo_frames;
-        let uncounted = self.has(Defect::OverrunNotCounted);
-        let hasty = |core| {
-            let from = CoreAddress::new(SystemId::B, core);
-            sender == Sender::Core(from) && place.system == SystemId::B
-        };
-        let swapped = self.has(Defect::CanReordered) && self.bus.len().is_multiple_of(5)
-            || self.has(Defect::CanTwoOrders) && hasty(CoreId::CONTROL);
-        let (mute, eager) = (
-            self.has(Defect::NoWakeOnReceive),
-            self.has(Defect::AlwaysWakeOnReceive),
-        );
-        let frame = if self.has(Defect::FdTruncated) {
-            truncated(frame)
-        } else {
-            *frame
-        };
-        let core = self.core(place);
+        core.pending |= core.can_wakes;
         if core.can_fifo.len() >= depth {
-            core.overruns = core.overruns.wrapping_add(u32::from(!uncounted));
+            core.overruns = core.overruns.wrapping_add(1);
         } else {
             core.can_fifo.push_back(Received { frame, at });
             self.glance.can(place).store(true, Ordering::Relaxed);
-            let core = self.core(place);
-            if let (true, Some(before)) = (swapped, core.can_fifo.len().checked_sub(2)) {
-                core.can_fifo.swap(before, before + 1);
-            }
         }
-        let core = self.core(place);
-        core.pending |= (core.can_wakes && !mute) || eager;
     }
 
     pub(crate) fn receive_can(&mut self, place: CoreAddress) -> Option<Received> {
@@ -193,11 +136,10 @@ impl Machine {
     }
 
     pub(crate) fn wake_on_receive(&mut self, place: CoreAddress, on: bool) {
-        let mute = self.has(Defect::NoWakeOnReceive);
         let core = self.core(place);
         core.can_wakes = on;
         // Level, not edge: a frame that arrived before the request is also pending.
-        core.pending |= on && !mute && !core.can_fifo.is_empty();
+        core.pending |= on && !core.can_fifo.is_empty();
     }
 }
 
@@ -242,10 +184,4 @@ impl Machine {
             Output::Service(answer) => self.service_watchdog(from.system, answer),
         }
     }
-}
-
-fn truncated(frame: &CanFrame) -> CanFrame {
-    let data = frame.data();
-    let kept = if data.len() > 8 { 8 } else { data.len() };
-    CanFrame::new(frame.id(), frame.is_fd(), &data[..kept]).unwrap_or(*frame)
 }

@@ -1,6 +1,6 @@
 //! Faults: power, cores, wires, the bus, the flash, the clock.
 
-use crate::config::{Clock, Defect, Tamper};
+use crate::config::{Clock, Tamper};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
@@ -149,9 +149,6 @@ impl SimPair {
 
 impl Machine {
     pub(crate) fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
-        if self.has(Defect::FaultWithoutEffect(fault)) {
-            return;
-        }
         let now = self.at();
         let faults = &mut self.conditions().hardware[of.index()];
         faults.set(fault, present);

@@ -2,7 +2,7 @@
 
 use rand::Rng;
 use tandem_board::{FlashError, Instant};
-use tandem_peripherals::data_flash::{ERASED, Operation, PAGE_BYTES, SIZE, range};
+use tandem_peripherals::data_flash::{ERASED, Operation, SIZE, range};
 
 /// The operation under way.
 #[derive(Clone, Debug)]
@@ -104,26 +104,12 @@ impl Flash {
         Ok(())
     }
 
-    /// Applies a defect to the operation under way: the page behind its range, its result.
-    pub(crate) fn spoil(&mut self, change: impl FnOnce(&mut [u8], &mut [u8])) {
-        if let Some(under_way) = &mut self.under_way {
-            let end = under_way.operation.range().end;
-            let page = (end + PAGE_BYTES as usize).min(self.bytes.len());
-            change(&mut self.bytes[end..page], &mut under_way.target);
-        }
-    }
-
     /// Ends the operation under way if it is due; returns how many bytes it changed.
     pub(crate) fn settle(&mut self, now_ns: u64) -> u64 {
         if self.ends_ns().is_none_or(|ends| now_ns < ends) {
             return 0;
         }
         self.finish()
-    }
-
-    /// A defect: forgets the operation under way.
-    pub(crate) fn abandon(&mut self) {
-        self.under_way = None;
     }
 
     /// Ends the operation under way at once; returns how many bytes it changed.

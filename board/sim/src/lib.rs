@@ -28,7 +28,7 @@ mod world;
 pub use baton::CoreKilled;
 pub use blocking::blocking;
 pub use board::{Poller, SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
-pub use config::{Clock, Config, Defect, Order, Tamper};
+pub use config::{Clock, Config, Order, Tamper};
 pub use event::{OnBus, SystemEvent, SystemEventKind};
 pub use pair::SimPair;
 pub use tandem_peripherals::codec::Sender;

@@ -1,6 +1,6 @@
 //! The state of the two systems and of their connections.
 
-use crate::config::{Config, Defect, Tamper};
+use crate::config::{Config, Tamper};
 use crate::digest::Digest;
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use crate::flash::Flash;
@@ -47,15 +47,12 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
-    /// A defect: the next frame is lost.
-    pub(crate) loses_next: bool,
     /// An interrupt has caused the present poll.
     pub(crate) interrupted: bool,
     /// What the core sends belongs to this job.
     pub(crate) job: Option<u8>,
     /// What leaves when its job ends.
     pub(crate) outbox: Vec<(u8, Output)>,
-    looks: u32,
 }
 
 impl Core {
@@ -73,11 +70,9 @@ impl Core {
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
-            loses_next: false,
             interrupted: false,
             job: None,
             outbox: Vec::new(),
-            looks: 0,
         }
     }
 
@@ -206,14 +201,14 @@ const LINE_BYTES: usize = 64;
 /// The machine, shared by the pair and its boards.
 pub(crate) struct Shared {
     pub(crate) config: Config,
-    lmus: Vec<Vec<LmuWord>>,
+    lmus: [Vec<LmuWord>; 2],
     pub(crate) glance: Arc<Glance>,
     machine: Mutex<Machine>,
 }
 
 impl Shared {
     pub(crate) fn new(config: Config) -> Self {
-        let lmu = || {
+        let lmu = |_| {
             // One extra line, so that `lmu` can start at a line.
             (0..LMU_WORDS + LINE_BYTES / size_of::<LmuWord>())
                 .map(|_| LmuWord::new(0xDEAD_BEEF))
@@ -240,16 +235,9 @@ impl Shared {
         for system in SystemId::ALL {
             machine.show_level(system);
         }
-        // The cores of a system share one, unless a defect gives each its own.
-        let own = config.defect == Some(Defect::PrivateLmu);
-        let lmu_of = |place: CoreAddress| {
-            let has_one = own || place.core == CoreId::CONTROL;
-            if has_one { lmu() } else { Vec::new() }
-        };
-        let lmus = CoreAddress::ALL.map(lmu_of).into();
         Self {
             config,
-            lmus,
+            lmus: SystemId::ALL.map(lmu),
             glance,
             machine: Mutex::new(machine),
         }
@@ -260,22 +248,8 @@ impl Shared {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn has(&self, defect: Defect) -> bool {
-        self.config.defect == Some(defect)
-    }
-
-    pub(crate) fn lmu(&self, place: CoreAddress) -> &[LmuWord] {
-        let system = if self.has(Defect::OneLmu) {
-            SystemId::A
-        } else {
-            place.system
-        };
-        let core = if self.has(Defect::PrivateLmu) {
-            place.core
-        } else {
-            CoreId::CONTROL
-        };
-        let words = &self.lmus[CoreAddress { system, core }.index()];
+    pub(crate) fn lmu(&self, system: SystemId) -> &[LmuWord] {
+        let words = &self.lmus[system.index()];
         &words[words.as_ptr().align_offset(LINE_BYTES)..][..LMU_WORDS]
     }
 
@@ -284,25 +258,15 @@ impl Shared {
         if machine.systems[system.index()].supply.power() != Power::Off {
             return;
         }
-        let own = self.has(Defect::PrivateLmu);
-        for core in &CoreId::ALL[..if own { CoreId::COUNT } else { 1 }] {
-            let lmu = self.lmu(CoreAddress::new(system, *core));
-            // Relaxed: the lock orders the stores before the start of the cores.
-            for word in lmu {
-                word.store(0, Ordering::Relaxed);
-            }
-            let dirt = u32::from(self.has(Defect::DirtyLmu));
-            lmu[LMU_WORDS - 7].store(dirt, Ordering::Relaxed);
+        // Relaxed: the lock orders the stores before the start of the cores.
+        for word in self.lmu(system) {
+            word.store(0, Ordering::Relaxed);
         }
         machine.power_on(system);
     }
 }
 
 impl Machine {
-    pub(crate) fn has(&self, defect: Defect) -> bool {
-        self.config.defect == Some(defect)
-    }
-
     pub(crate) fn at(&self) -> Instant {
         Instant::from_ns(self.now_ns)
     }
@@ -350,20 +314,6 @@ impl Machine {
         self.glance.local(system)
     }
 
-    /// The time on a core's clock, with the defects of that clock.
-    pub(crate) fn look(&mut self, place: CoreAddress) -> Instant {
-        let now = self.local(place.system);
-        let defect = self.config.defect;
-        let core = self.core(place);
-        core.looks = core.looks.wrapping_add(1);
-        let behind_ns = match defect {
-            Some(Defect::ClockGoesBack) if core.looks.is_multiple_of(7) => 1_000_000,
-            Some(Defect::SkewedCores) => 200_000 * place.core.index() as u64,
-            _ => 0,
-        };
-        Instant::from_ns(now.as_ns().saturating_sub(behind_ns))
-    }
-
     /// Moves the cores that are due to the front of `places`, in their order; returns how many.
     pub(crate) fn due(&self, places: &mut [CoreAddress]) -> usize {
         let mut count = 0;
@@ -398,14 +348,6 @@ impl Machine {
     }
 
     pub(crate) fn ring(&mut self, system: SystemId, to: CoreId) {
-        let core = match self.has(Defect::MisdirectedRing) {
-            true => CoreId::ALL[(to.index() + 1) % CoreId::COUNT],
-            false => to,
-        };
-        let place = CoreAddress { system, core };
-        if self.has(Defect::LostRing) && self.core(place).attention == Attention::Runs {
-            return;
-        }
-        self.raise(place);
+        self.raise(CoreAddress { system, core: to });
     }
 }

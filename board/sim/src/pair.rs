@@ -64,7 +64,7 @@ impl SimPair {
             .into_iter()
             .for_each(|system| pair.power_on(system));
         for place in CoreAddress::ALL {
-            pair.shared.lock().release_core(place);
+            pair.shared.lock().release(place);
         }
         pair.follow_incarnations();
         pair
@@ -299,10 +299,7 @@ impl SimPair {
     /// The LMU of a system.
     #[must_use]
     pub fn lmu(&self, system: SystemId) -> &[LmuWord] {
-        self.shared.lmu(CoreAddress {
-            system,
-            core: CoreId::CONTROL,
-        })
+        self.shared.lmu(system)
     }
 
     /// The content of a system's flash, without the operation under way.

@@ -1,14 +1,12 @@
 //! The supplies: power, resets, watchdogs, and the effect of a power loss on the flash.
 
-use crate::config::Defect;
 use crate::event::SystemEventKind;
 use crate::flash::Flash;
 use crate::machine::{Core, Machine};
 use std::sync::atomic::Ordering;
 use tandem_board::{
-    CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
+    CoreAddress, CoreId, FlashError, Instant, ResetCause, ResetRequest, RoleLamp, SystemId,
 };
-use tandem_peripherals::data_flash::PAGE_BYTES;
 use tandem_peripherals::network::Wire;
 use tandem_peripherals::supply::{Change, Supply};
 
@@ -19,9 +17,8 @@ impl Machine {
 
     /// The level line of `system`, seen by its peer.
     pub(crate) fn level(&self, system: SystemId) -> bool {
-        let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
-        let stuck = self.has(Defect::LevelStuckHigh);
-        self.network.conditions.level(system, shown || stuck)
+        let is_on = self.is_powered(system);
+        self.network.conditions.level(system, is_on)
     }
 
     /// Runs an action of a supply; a change of the level line interrupts the other system.
@@ -39,7 +36,7 @@ impl Machine {
             Some(Change::Suspend) => self.stop(system, SystemEventKind::Suspended),
             Some(Change::PowerOff) => self.stop(system, SystemEventKind::PowerLost),
         }
-        if self.show_level(system) != before && !self.has(Defect::SilentLevel) {
+        if self.show_level(system) != before {
             self.raise_peer(system);
         }
     }
@@ -69,41 +66,16 @@ impl Machine {
 
     /// Core 0 of a system begins a new incarnation; the others wait for its release.
     fn start(&mut self, system: SystemId, cause: ResetCause) {
-        let skipped = u32::from(self.has(Defect::WrongGeneration));
-        let all = self.has(Defect::NoneHeld);
         let state = self.system(system);
         state.lamp = RoleLamp::Starting;
-        // All are dead here, unless a defect leaves one running.
-        for core in state.cores.iter_mut().filter(|core| !core.alive) {
-            (core.held, core.generation) = (true, core.generation + 1 + skipped);
+        for core in &mut state.cores {
+            (core.held, core.generation) = (true, core.generation + 1);
         }
-        for core in CoreId::ALL {
-            if all || core == CoreId::CONTROL {
-                self.release(CoreAddress { system, core });
-            }
-        }
+        self.release(CoreAddress::new(system, CoreId::CONTROL));
         self.log(system, SystemEventKind::Started(cause));
     }
 
-    /// A release by core 0, with the defects of the release.
-    pub(crate) fn release_core(&mut self, place: CoreAddress) {
-        let others = [CoreId::PERCEPTION, CoreId::PLANNING];
-        match self.config.defect {
-            Some(Defect::NeverReleased) => {}
-            Some(Defect::ReleasesAll) => {
-                for core in others {
-                    self.release(CoreAddress { core, ..place });
-                }
-            }
-            Some(Defect::ReleasesAgain) => {
-                self.core(place).held = true;
-                self.release(place);
-            }
-            _ => self.release(place),
-        }
-    }
-
-    fn release(&mut self, place: CoreAddress) {
+    pub(crate) fn release(&mut self, place: CoreAddress) {
         self.incarnations += 1;
         let core = self.core(place);
         if core.held {
@@ -115,26 +87,15 @@ impl Machine {
     /// Stops the cores of a system and its operations.
     fn stop(&mut self, system: SystemId, why: SystemEventKind) {
         let now = self.at();
-        let resets = matches!(why, SystemEventKind::Reset(_));
-        let partial = resets && self.has(Defect::PartialReset);
-        let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
-        let interrupted = resets && state.flash.is_busy();
         let changed = state.flash.lose_power(now, &mut self.noise);
         state.flash_bytes_to_live = state
             .flash_bytes_to_live
             .map(|left| left - changed.min(left));
         state.inbox.clear();
-        if forgets {
-            state.flash = Flash::new();
+        for core in &mut state.cores {
+            (core.alive, core.held) = (false, false);
         }
-        if interrupted && self.config.defect == Some(Defect::ResetDisturbs) {
-            state.flash.bytes_mut().fill(0);
-        }
-        let reached = if partial { 2 } else { CoreId::COUNT };
-        state.cores[..reached]
-            .iter_mut()
-            .for_each(|core| (core.alive, core.held) = (false, false));
         self.incarnations += 1;
         self.network.stop(system, now);
         self.log(system, why);
@@ -168,41 +129,15 @@ impl Machine {
     }
 
     pub(crate) fn request_reset(&mut self, place: CoreAddress, request: ResetRequest) {
-        if !self.has(Defect::RequestIgnored) {
-            self.system(place.system).supply.request(request);
-        }
+        self.system(place.system).supply.request(request);
         self.log(
             place.system,
             SystemEventKind::Requested(place.core, request),
         );
     }
 
-    /// The reset cause that the system's cores read.
-    pub(crate) fn reset_cause(&self, system: SystemId) -> ResetCause {
-        match self.has(Defect::CauseForgotten) {
-            true => ResetCause::PowerOn,
-            false => self.systems[system.index()].supply.cause(),
-        }
-    }
-
-    /// The question of the functional watchdog, as a core reads it.
-    pub(crate) fn watchdog_question(&self, system: SystemId) -> u8 {
-        match self.has(Defect::SameQuestion) {
-            true => 0,
-            false => self.systems[system.index()].supply.question(),
-        }
-    }
-
     pub(crate) fn service_watchdog(&mut self, system: SystemId, answer: u8) {
         let now = self.at();
-        let question = self.systems[system.index()].supply.question();
-        let right = watchdog_answer(question);
-        let answer = match self.config.defect {
-            Some(Defect::AnyAnswer) => right,
-            Some(Defect::SameQuestion) if answer == watchdog_answer(0) => right,
-            Some(Defect::WatchdogRefuses) if question == 8 => !answer,
-            _ => answer,
-        };
         self.with_supply(system, |supply| supply.service(now, now, Some(answer)));
     }
 
@@ -262,47 +197,17 @@ impl Machine {
     }
 }
 
-/// Core 0's flash operations, with the defects of the medium.
+/// Core 0's flash operations.
 impl Machine {
-    pub(crate) fn start_erase(&mut self, system: SystemId, sector: u32) -> Result<(), FlashError> {
-        let (now, defect) = (self.at(), self.config.defect);
-        let flash = &mut self.system(system).flash;
-        if defect == Some(Defect::NeverBusy) {
-            flash.abandon();
-        }
-        flash.start_erase(sector, now)?;
-        self.glance.flash(system).store(true, Ordering::Relaxed);
-        let flash = &mut self.system(system).flash;
-        if defect == Some(Defect::EraseToZero) {
-            flash.spoil(|_, target| target.fill(0));
-        }
-        Ok(())
-    }
-
-    pub(crate) fn start_program(
+    /// Begins the operation of the flash that `start` starts.
+    pub(crate) fn start_flash(
         &mut self,
         system: SystemId,
-        offset: u32,
-        data: &[u8],
+        start: impl FnOnce(&mut Flash, Instant) -> Result<(), FlashError>,
     ) -> Result<(), FlashError> {
-        let (now, defect) = (self.at(), self.config.defect);
-        let flash = &mut self.system(system).flash;
-        if defect == Some(Defect::NeverBusy) {
-            flash.abandon();
-        }
-        let offset = match defect {
-            Some(Defect::MisalignedProgram) => offset & !(PAGE_BYTES - 1),
-            _ => offset,
-        };
-        flash.start_program(offset, data, now)?;
+        let now = self.at();
+        start(&mut self.system(system).flash, now)?;
         self.glance.flash(system).store(true, Ordering::Relaxed);
-        let flash = &mut self.system(system).flash;
-        if defect == Some(Defect::ProgramSets) {
-            flash.spoil(|_, target| target.copy_from_slice(data));
-        }
-        if defect == Some(Defect::ProgramDisturbs) {
-            flash.spoil(|behind, _| behind.fill(0));
-        }
         Ok(())
     }
 }

@@ -1,6 +1,9 @@
 //! The simulated board passes the conformance suite, and the suite finds every defect of a board.
 #![allow(clippy::unwrap_used, reason = "all of it is a test")]
 
+mod bent;
+
+use bent::{Bent, Common, Defect};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::{Arc, Mutex};
@@ -8,7 +11,7 @@ use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
     Case, Failure, Outcome, Part, Rig, Setting, Summary, case_of, cases, run_all, run_role,
 };
-use tandem_board_sim::{Config, Defect, Order, SimBoard, SimPair, SystemEventKind, blocking};
+use tandem_board_sim::{Config, Order, SimPair, SystemEventKind, blocking};
 
 /// Virtual time after which a case counts as hung: longer than a role's patience.
 const HANGS_AFTER: Duration = Duration::from_ms(60_000);
@@ -16,6 +19,7 @@ const HANGS_AFTER: Duration = Duration::from_ms(60_000);
 /// Runs each case that `takes` accepts on a separate pair, each role as a blocking core.
 struct SimRig<'a> {
     config: Config,
+    defect: Option<Defect>,
     takes: &'a dyn Fn(&str) -> bool,
 }
 
@@ -39,21 +43,21 @@ impl fmt::Display for Fault {
 
 type Results = Arc<Mutex<Vec<Option<Result<(), Failure>>>>>;
 
-fn part_of(identity: Identity, parts: &[Part<SimBoard>]) -> Option<usize> {
+fn part_of(identity: Identity, parts: &[Part<Bent>]) -> Option<usize> {
     parts
         .iter()
         .position(|part| part.place == identity.address())
 }
 
 impl Rig for SimRig<'_> {
-    type Board = SimBoard;
+    type Board = Bent;
     type Fault = Fault;
 
-    fn takes(&self, case: &Case<SimBoard>) -> bool {
+    fn takes(&self, case: &Case<Bent>) -> bool {
         (self.takes)(case.name)
     }
 
-    fn play(&mut self, number: usize, case: &Case<SimBoard>) -> Result<(), Fault> {
+    fn play(&mut self, number: usize, case: &Case<Bent>) -> Result<(), Fault> {
         let watchdog = case.setting.watches();
         let suspends = case.setting == Setting::Suspends;
         let config = Config {
@@ -61,15 +65,17 @@ impl Rig for SimRig<'_> {
             ..self.config.clone()
         };
         let results: Results = Arc::new(Mutex::new(vec![None; case.parts.len()]));
-        let (parts, told) = (case.parts, Arc::clone(&results));
+        let (parts, reported) = (case.parts, Arc::clone(&results));
+        let (defect, common) = (self.defect, Arc::new(Common::new(self.defect)));
         let mut pair = SimPair::new(config, move |board| {
             let Some(index) = part_of(board.identity(), parts) else {
                 return Box::new(|_| Instant::NEVER);
             };
-            let told = Arc::clone(&told);
+            let (reported, common) = (Arc::clone(&reported), Arc::clone(&common));
             blocking(board, move |board| {
-                let result = run_role(number, index, board);
-                told.lock().unwrap()[index] = Some(result);
+                let board = Bent::new(board, defect, &common);
+                let result = board.play(|board| run_role(number, index, board));
+                reported.lock().unwrap()[index] = Some(result);
             })
         });
         SystemId::ALL
@@ -87,7 +93,7 @@ impl Rig for SimRig<'_> {
         let hung = pair.run_while(Instant::ORIGIN + HANGS_AFTER, |pair| {
             let results = results.lock().unwrap();
             let failed = results.iter().any(|result| matches!(result, Some(Err(_))));
-            let awaited = |(part, result): (&Part<SimBoard>, &Option<_>)| {
+            let awaited = |(part, result): (&Part<Bent>, &Option<_>)| {
                 result.is_none() && !(suspends && part.place.system == SystemId::A)
             };
             !failed && reset(pair).is_none() && parts.iter().zip(results.iter()).any(awaited)
@@ -113,13 +119,25 @@ fn config() -> Config {
 }
 
 fn run(config: Config) -> (Summary, Vec<String>) {
-    run_some(config, &|_| true)
+    run_some(config, None, &|_| true)
 }
 
 /// Runs the cases whose names `takes` accepts.
-fn run_some(config: Config, takes: &dyn Fn(&str) -> bool) -> (Summary, Vec<String>) {
+fn run_some(
+    mut config: Config,
+    defect: Option<Defect>,
+    takes: &dyn Fn(&str) -> bool,
+) -> (Summary, Vec<String>) {
+    if let Some(defect) = defect {
+        defect.configure(&mut config);
+    }
     let mut failed = Vec::new();
-    let summary = run_all(&mut SimRig { config, takes }, |case, outcome| {
+    let mut rig = SimRig {
+        config,
+        defect,
+        takes,
+    };
+    let summary = run_all(&mut rig, |case, outcome| {
         if let Outcome::Failed(fault) = outcome {
             failed.push(format!("{}: {fault}", case.name));
         }
@@ -157,11 +175,8 @@ const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
 #[test]
 fn conformance_catches_defects() {
     let mut fallible = BTreeSet::new();
-    for defect in Defect::ALL {
-        let run = |takes: &dyn Fn(&str) -> bool| {
-            let defect = Some(defect);
-            run_some(Config { defect, ..config() }, takes).1
-        };
+    for defect in Defect::all() {
+        let run = |takes: &dyn Fn(&str) -> bool| run_some(config(), Some(defect), takes).1;
         let must_find = match defect {
             Defect::FaultWithoutEffect(fault) => Some(case_of(fault)),
             _ => None,
@@ -181,7 +196,7 @@ fn conformance_catches_defects() {
                 .filter_map(|line| Some(line.split_once(':')?.0.to_string())),
         );
     }
-    let infallible: Vec<_> = cases::<SimBoard>()
+    let infallible: Vec<_> = cases::<Bent>()
         .iter()
         .map(|case| case.name)
         .filter(|name| !fallible.contains(*name))
@@ -191,6 +206,6 @@ fn conformance_catches_defects() {
 
 #[test]
 fn names_of_cases_are_unique() {
-    let names: BTreeSet<_> = cases::<SimBoard>().iter().map(|case| case.name).collect();
-    assert_eq!(names.len(), cases::<SimBoard>().len());
+    let names: BTreeSet<_> = cases::<Bent>().iter().map(|case| case.name).collect();
+    assert_eq!(names.len(), cases::<Bent>().len());
 }
