@@ -12,14 +12,14 @@ use tandem_vehicle::sensors::NoSensorFault;
 const EXAMPLES: &str = "\
 The three jobs:
   benchmark  tandem bench --quick
-             latency between cores, beside the hardware's floor and what else one would use
+             latency between cores, beside the hardware's floor and other libraries
   kill       tandem run                       in one terminal
              kill -9 $(tandem ps --json | jq '.[] | select(.kind == \"supply\"
                                               and .role == \"master\") | .pid')
-             the other system drives on, and the report shows how
-  reuse      the crates shm, redundancy, cores and bus are no_std: see README.md
+             the other system continues to drive; the report shows how
+  reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
-Exit status: 0 all well; 1 the run failed (collision, no controller, two masters, ...);
+Exit status: 0 success; 1 the run failed (collision, no controller, two masters, ...);
 2 the command line or an input was wrong and nothing was started; 130 ended by Ctrl-C.";
 
 const RUN_EXAMPLES: &str = "\
@@ -29,13 +29,13 @@ Examples:
   tandem run --scenario path/to/USA_US101-3_3_T-1.xml --out us101
   tandem run --json --quiet | jq .control_gap_max_ms
 
-With --board qemu the same controller runs bare-metal in emulated machines: time is the emulator's,
-and the report says so. Their processes are named at the start, and can be killed too.
+With --board qemu the same controller runs bare-metal in emulated machines. Time is the emulator's,
+and the report says so. The run prints the emulators' process ids; you can kill those too.
 
-Kill any process of the run while it drives (tandem ps lists them). The report is written at the
-end into the folder that --out names: report.html, metrics.json, candump.log and two .hgrm files.";
+Kill any process of the run while it drives (tandem ps lists them). At the end the run writes a report
+into the folder that --out names: report.html, metrics.json, candump.log and two .hgrm files.";
 
-/// A fail-operational controller: two systems of three cores each, and the vehicle that they drive.
+/// A fail-operational controller: two systems of three cores each, and the vehicle that they drive
 #[derive(Debug, Parser)]
 #[command(name = "tandem", version, after_help = EXAMPLES, max_term_width = 100)]
 pub struct Cli {
@@ -49,55 +49,55 @@ pub struct Cli {
 pub enum Command {
     /// Drive a scenario with both systems, and write a report
     Run(RunArgs),
-    /// List the processes of all runs, so that you can kill one
+    /// List the processes of all runs
     Ps(PsArgs),
     /// Watch a run live, and inject faults by keys
     Top(PassedArguments),
-    /// Publish a run for observers: what `tandem run` starts
+    /// Publish a run for observers; `tandem run` starts this
     #[command(hide = true)]
     Publish,
     /// Cut a wire of a run while it drives
     Cut(WireArgs),
-    /// Mend a wire that was cut
+    /// Restore a wire that was cut
     Mend(WireArgs),
-    /// Switch a system of a run off, or on again, while it drives
+    /// Switch a system of a run off or on while it drives
     Power(PowerArgs),
-    /// Do to a running system what no signal to a process can do
+    /// Inject a hardware fault that no signal to a process can cause
     Fault(FaultArgs),
     /// Show, initialise or clear the data flashes that `tandem run --dflash` keeps
     Dflash(DflashArgs),
-    /// List the scenarios that are built in
+    /// List the built-in scenarios
     Scenarios,
-    /// Drive a folder of scenarios in virtual time, and say how each went
+    /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(PassedArguments),
-    /// Measure the time from one core to another, beside the floor and what else one would use
+    /// Measure the latency between cores, beside the hardware's floor and other libraries
     Bench(PassedArguments),
     /// Try faults on the control cores of both systems, in virtual time
     Sim(PassedArguments),
-    /// Inject faults into the processes and wires of real runs, and report what each kind cost
+    /// Inject faults into the processes and wires of real runs, and report the gap of each kind
     Chaos(PassedArguments),
-    /// Run the experiments of the thesis, and print its figures beside those of here
+    /// Run the thesis's experiments and print its figures beside the measured ones
     Thesis(PassedArguments),
-    /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
+    /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(PassedArguments),
-    /// Download the smallest application over CAN to an empty controller, start it, and show the
-    /// frames of its three cores
+    /// Download the smallest application over CAN to an empty controller, start it, and show a frame
+    /// of each core
     BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
     Flash(PassedArguments),
-    /// Run the bootloader of one system on a flash file, and say what it would start
+    /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(PassedArguments),
 }
 
 /// Arguments of `tandem boot-demo`.
 #[derive(Debug, Args)]
 pub struct BootDemoArgs {
-    /// What the controller is
+    /// What the controller runs on
     #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
     pub board: DemoBoard,
 
-    /// The folder of the images for the emulated board
-    /// [default: where `cargo xtask firmware build` makes them]
+    /// Folder of the images for the emulated board
+    /// [default: the output folder of `cargo xtask firmware build`]
     #[arg(long, value_name = "FOLDER")]
     pub images: Option<PathBuf>,
 }
@@ -114,22 +114,22 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value_t = BoardKind::Host)]
     pub board: BoardKind,
 
-    /// Keep the program flash of both systems in this folder, and the key that signs for them;
-    /// what is missing is made [default: a new flash with a factory image, for this run only]
+    /// Keep both systems' program flash, and the signing key, in this folder; creates what is
+    /// missing [default: a new flash with a factory image, for this run only]
     #[arg(long, value_name = "FOLDER")]
     pub program_flash: Option<PathBuf>,
 
-    /// Bring both systems this release while they drive: the standby first, then the master, which
-    /// hands over; needs --reintegrate for the second
+    /// Update both systems to this release while they drive: first the standby, then the master,
+    /// which hands over; the second update needs --reintegrate
     #[arg(long, value_name = "RELEASE")]
     pub update: Option<u32>,
 
-    /// Start the controller at once, to see what its bootloader takes of the start
+    /// Start the controller without its bootloader, to measure what the bootloader costs
     #[arg(long, conflicts_with_all = ["program_flash", "update"])]
     pub no_bootloader: bool,
 
     /// The controller's image for an emulated board
-    /// [default: what `cargo xtask firmware build` made]
+    /// [default: built by `cargo xtask firmware build`]
     #[arg(long, value_name = "FILE")]
     pub firmware: Option<PathBuf>,
 
@@ -138,7 +138,7 @@ pub struct RunArgs {
           allow_hyphen_values = true)]
     pub duration: f64,
 
-    /// The limits of time: by what the machine grants, real time or none, or one of the two
+    /// Time limits: those of real time, those of a desktop, or by what the machine grants
     #[arg(long, value_enum, default_value_t = Timing::Auto)]
     pub timing: Timing,
 
@@ -146,7 +146,7 @@ pub struct RunArgs {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 
-    /// Folder of the report; one that exists must be empty or an earlier report
+    /// Folder of the report; an existing folder must be empty or hold an earlier report
     #[arg(long, value_name = "DIR", default_value = "tandem-report")]
     pub out: PathBuf,
 
@@ -154,37 +154,37 @@ pub struct RunArgs {
     #[arg(long, value_name = "DIR")]
     pub dflash: Option<PathBuf>,
 
-    /// CPUs of the cores, as 0,1 or 0-3: core i runs on the i-th, modulo their number
+    /// CPUs of the cores, as 0,1 or 0-3; core i runs on the i-th of them, modulo their number
     /// [default: all]
     #[arg(long, value_name = "LIST", value_parser = parse_cpus)]
     pub cpus: Option<CpuList>,
 
-    /// Let a system that comes back become the standby of the running one
+    /// Let a system that has restarted rejoin as standby
     #[arg(long)]
     pub reintegrate: bool,
 
-    /// The driver overrides the function from the one scenario time to the other, s: 10-15
+    /// The driver overrides the function between these scenario times, in seconds: 10-15
     #[arg(long, value_name = "FROM-TO", value_parser = parse_span)]
     pub overrides: Option<(f64, f64)>,
 
-    /// The driver answers a takeover request after this time: 4s [default: never]
+    /// Time after which the driver answers a takeover request: 4s [default: never]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub answers: Option<f64>,
 
-    /// A sensor that sends nothing, or 400 ms too late, from the one scenario time to the other, s:
+    /// Make a sensor send nothing, or 400 ms late, between two scenario times in seconds:
     /// camera-front:lost:10-15 or radar-front:late:10-15; may be repeated
     #[arg(long, value_name = "SENSOR:KIND:FROM-TO", value_parser = parse_sensor_fault)]
     pub sensor_fault: Vec<String>,
 
-    /// Switch system A on this long after B: 40ms
+    /// Switch system A on this long after system B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub stagger: Option<f64>,
 
-    /// Print the contents of metrics.json at the end, and nothing else on stdout
+    /// Print only the contents of metrics.json on stdout
     #[arg(long)]
     pub json: bool,
 
-    /// Say nothing but errors
+    /// Print only errors
     #[arg(long, short)]
     pub quiet: bool,
 }
@@ -192,17 +192,25 @@ pub struct RunArgs {
 /// Arguments of `tandem cut` and `tandem mend`.
 #[derive(Debug, Args)]
 pub struct WireArgs {
-    /// Which wire
+    /// The wire
     #[arg(value_enum, value_name = "WIRE")]
     pub wire: WireName,
 
-    /// Only what comes from this system [default: both ways]
+    /// Only the direction from this system [default: both]
     #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
     pub from: Option<SystemId>,
 
+    /// The run
+    #[command(flatten)]
+    pub run: RunChoice,
+}
+
+/// Which run a command acts on.
+#[derive(Debug, Args)]
+pub struct RunChoice {
     /// Which run: its name, or the process id of its `tandem run` [default: the only one]
-    #[arg(long, value_name = "RUN")]
-    pub run: Option<String>,
+    #[arg(long = "run", value_name = "RUN")]
+    pub name: Option<String>,
 }
 
 /// Wires between the systems and to the bus.
@@ -216,7 +224,7 @@ pub enum WireName {
     Heartbeat2,
     /// The start line
     Start,
-    /// The power level: it reads as high
+    /// The power level line, which then reads as high
     Level,
     /// The data link
     Link,
@@ -227,7 +235,7 @@ pub enum WireName {
 /// Arguments of `tandem power`.
 #[derive(Debug, Args)]
 pub struct PowerArgs {
-    /// What to do
+    /// On or off
     #[arg(value_enum)]
     pub switch: Switch,
 
@@ -235,68 +243,67 @@ pub struct PowerArgs {
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
     pub system: SystemId,
 
-    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
-    #[arg(long, value_name = "RUN")]
-    pub run: Option<String>,
+    /// The run
+    #[command(flatten)]
+    pub run: RunChoice,
 }
 
 /// Off or on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Switch {
-    /// A system that was switched off, or whose supply was killed, starts again
+    /// Restart a system that was switched off or whose supply was killed
     On,
-    /// The system loses its power at once
+    /// Cut the power of the system
     Off,
 }
 
 /// Arguments of `tandem fault`.
 #[derive(Debug, Args)]
 pub struct FaultArgs {
-    /// What happens
+    /// The fault
     #[arg(value_enum)]
     pub fault: FaultKind,
 
-    /// The system that it comes from
+    /// The system with the fault
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
     pub system: SystemId,
 
-    /// End a fault that lasts
+    /// End a lasting fault
     #[arg(long)]
     pub mend: bool,
 
-    /// Decides on the words
+    /// Seed of the words that `lmu` writes
     #[arg(long, default_value_t = 1)]
     pub seed: u32,
 
-    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
-    #[arg(long, value_name = "RUN")]
-    pub run: Option<String>,
+    /// The run
+    #[command(flatten)]
+    pub run: RunChoice,
 }
 
-/// Faults that no signal to a process makes.
+/// Faults that no signal to a process can cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FaultKind {
-    /// A core scribbles over the whole shared memory of its system
+    /// A core overwrites the whole shared memory of its system
     Lmu,
-    /// An edge of the start line that is a handshake, and was not sent
+    /// A stray handshake edge on the start line
     Handshake,
-    /// An edge of the start line that is a sync, and was not sent
+    /// A stray sync edge on the start line
     Sync,
-    /// The output driver finds an open load, until it is mended
+    /// The output driver reports an open load, until restored
     OpenLoad,
-    /// The output driver finds a short circuit, until it is mended
+    /// The output driver reports a short circuit, until restored
     ShortCircuit,
-    /// The bus destroys each frame that the system sends, until it is mended: its CAN controller
-    /// goes bus-off
+    /// The bus destroys each frame that the system sends, so its CAN controller goes bus-off, until
+    /// restored
     BusOff,
-    /// The CAN receiver finds an error in each frame, until it is mended
+    /// The CAN receiver finds an error in each frame, until restored
     CanReceive,
-    /// The chip shows an error on the error pin to its supply, until it is mended
+    /// The chip signals an error on the error pin to its supply, until restored
     ErrorPin,
-    /// A rail of the supply has too little voltage, until it is mended
+    /// The voltage of a supply rail is too low, until restored
     Undervoltage,
-    /// A rail of the supply has too much voltage, until it is mended; then switch the system off
-    /// and on
+    /// The voltage of a supply rail is too high, until restored; then switch the system off and on
     Overvoltage,
 }
 
@@ -317,13 +324,13 @@ pub struct DflashArgs {
 pub enum DflashCommand {
     /// Print the state of both systems
     Show,
-    /// Write the state of a new controller: one system master, all else zero
+    /// Write the state of a new controller: one system is master, all counts are zero
     Init {
         /// The system that is master
         #[arg(long, value_name = "SYSTEM", default_value = "A", value_parser = parse_system)]
         master: SystemId,
     },
-    /// Erase the data flash of one system or of both
+    /// Erase the data flash of one system or both
     Clear {
         /// The system [default: both]
         #[arg(value_name = "SYSTEM", value_parser = parse_system)]
@@ -342,25 +349,25 @@ pub struct PsArgs {
 /// Values of `--timing`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Timing {
-    /// Real time if the machine grants it; limits that follow from its stalls, measured for 0.5 s
+    /// Real time if the machine grants it, with limits from its stalls, measured for 0.5 s
     Auto,
-    /// Real time, or an error
+    /// Real time; fails if the machine does not grant it
     Rt,
     /// No real time
     Desktop,
 }
 
-/// Numbers of CPUs, at least one, each once.
+/// At least one CPU number, none of them twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CpuList(pub Vec<usize>);
 
-/// The longest run, s: what the log of a run may fill.
+/// The longest run, s. Limits the size of a run's log.
 const DURATION_MAX_S: f64 = 3600.0;
 
-/// A time in seconds: 20, 20s, 500ms, 1.5m.
+/// Parses a time such as 20, 20s, 500ms or 1.5m. Returns seconds.
 ///
 /// # Errors
-/// If it is none, or no run may be that long.
+/// If the text is no time, or the time is longer than a run may be.
 pub fn parse_duration(text: &str) -> Result<f64, String> {
     let text = text.trim();
     let unit_at = text
@@ -394,7 +401,7 @@ fn parse_span(text: &str) -> Result<(f64, f64), String> {
         (Some(from), Some(to)) if (0.0..to).contains(&from) && to <= DURATION_MAX_S => {
             Ok((from, to))
         }
-        _ => Err("write it as 10-15: seconds, the first below the second".to_owned()),
+        _ => Err("write it as 10-15: in seconds, the first before the second".to_owned()),
     }
 }
 
@@ -402,7 +409,11 @@ fn parse_sensor_fault(text: &str) -> Result<String, NoSensorFault> {
     text.parse::<SensorFault>().map(|_| text.to_owned())
 }
 
-fn parse_system(text: &str) -> Result<SystemId, String> {
+/// Parses the name of a system, A or B, in either case.
+///
+/// # Errors
+/// If the text is neither.
+pub fn parse_system(text: &str) -> Result<SystemId, String> {
     let named = |system: &SystemId| system.to_string().eq_ignore_ascii_case(text);
     let found = SystemId::ALL.into_iter().find(named);
     found.ok_or_else(|| "it is A or B".to_owned())

@@ -1,4 +1,5 @@
-//! Programs beside this one: commands that need what no drive needs, built when first asked for.
+//! Programs beside this one: commands with dependencies that no drive needs. Each is built when it is
+//! first used.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::CommandExt as _;
@@ -10,14 +11,14 @@ use anyhow::{Context as _, anyhow};
 
 use crate::failure::Failure;
 
-/// Cargo takes less to find that nothing is to be built.
-const NOTHING_TO_BUILD: Duration = Duration::from_millis(500);
-const LOOK_AGAIN: Duration = Duration::from_millis(5);
+/// Cargo finds in less time than this that everything is up to date.
+const UP_TO_DATE_WITHIN: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// A program that has the same command line, and some of the commands.
+/// A program that shares the command line and implements some of the commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Program {
-    /// The benchmark, with its peers.
+    /// The benchmark, with the libraries that it compares.
     Bench,
     /// Virtual time, emulators, campaigns and experiments.
     Lab,
@@ -42,7 +43,7 @@ impl Program {
     }
 }
 
-/// Arguments of a command of another program, as that program reads them.
+/// Arguments of a command that another program implements, passed on unchanged.
 #[derive(Clone, Debug, clap::Args)]
 #[command(disable_help_flag = true)]
 pub struct PassedArguments {
@@ -55,25 +56,26 @@ pub struct PassedArguments {
     words: Vec<OsString>,
 }
 
-/// Becomes the program, with these arguments; returns only if it cannot. In a folder of cargo's
-/// beside the sources, cargo builds it first: it is never older than the sources. Where cargo
-/// cannot, the program that lies there is as old as a line on stderr says.
+/// Replaces this process by the program, with these arguments. Returns only on failure.
+///
+/// If this program runs from cargo's target folder and its sources exist, cargo first brings the other
+/// program up to date. If cargo fails, the existing program runs, with a warning on stderr.
 ///
 /// # Errors
-/// [`Failure::Usage`] if it is missing.
+/// [`Failure::Usage`] if the program is missing.
 pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Failure> {
     let this = std::env::current_exe().context("where this program is");
     let folder = this.map_err(Failure::Usage)?.with_file_name("");
     let path = folder.join(program.name());
     let is_there = path.exists();
     match build(program, &folder) {
-        Err(error) if is_there => eprintln!("{} may be old: {error:#}", path.display()),
+        Err(error) if is_there => eprintln!("{} may be out of date: {error:#}", path.display()),
         built => built.map_err(Failure::Usage)?,
     }
     let error = Command::new(&path).args(arguments).exec();
     let (shown, package) = (path.display(), program.package());
     Err(Failure::Usage(anyhow!(
-        "{shown}: {error}; put it there: cargo build --release -p {package}"
+        "{shown}: {error}; build it: cargo build --release -p {package}"
     )))
 }
 
@@ -86,20 +88,20 @@ fn build(program: Program, folder: &Path) -> anyhow::Result<()> {
     let profile = match folder.file_name().and_then(OsStr::to_str) {
         Some("debug") => "dev",
         Some(name) => name,
-        None => anyhow::bail!("{} is no folder of a profile", folder.display()),
+        None => anyhow::bail!("{} is not the folder of a build profile", folder.display()),
     };
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    // Both packages: with the features of both, cargo uses what it has built for this program.
+    // Name both packages: cargo then unifies features as it did for this program, and reuses that build.
     command.args(["build", "--quiet", "-p", "tandem", "-p", program.package()]);
     command.args(["--bin", program.name(), "--profile", profile]);
     command.arg("--target-dir").arg(target);
-    // The settings of the sources' folder count, and not those of the caller's.
+    // Use cargo's configuration of the source folder, not that of the caller's folder.
     command.current_dir(sources);
     let mut cargo = command.spawn().with_context(|| format!("{command:?}"))?;
-    let patience = Instant::now() + NOTHING_TO_BUILD;
-    while cargo.try_wait()?.is_none() && Instant::now() < patience {
-        std::thread::sleep(LOOK_AGAIN);
+    let deadline = Instant::now() + UP_TO_DATE_WITHIN;
+    while cargo.try_wait()?.is_none() && Instant::now() < deadline {
+        std::thread::sleep(POLL_INTERVAL);
     }
     if cargo.try_wait()?.is_none() {
         eprintln!("building {}", program.name());

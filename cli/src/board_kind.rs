@@ -1,4 +1,4 @@
-//! Which board the controller runs on, as an argument.
+//! The board that the controller runs on, as an argument.
 
 use clap::ValueEnum;
 
@@ -8,10 +8,10 @@ pub enum BoardKind {
     /// Processes of this machine, in real time
     Host,
     /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time; core
-    /// 0 under FreeRTOS
+    /// 0 runs under FreeRTOS
     Qemu,
-    /// Firmware in one emulated machine with both systems in it, in the emulator's time; all cores
-    /// bare
+    /// Firmware in one emulated machine that holds both systems, in the emulator's time; no core
+    /// runs a kernel
     QemuOne,
 }
 

@@ -1,5 +1,5 @@
-//! The first program of each core of a run: the bootloader on core 0, a jump to its slot on the
-//! others. And the program flashes that they start from. T-BOOT-1, T-BOOT-2
+//! The first program of each core of a run (the bootloader on core 0, a jump to the slot on the
+//! others), and the program flashes that they start from. T-BOOT-1, T-BOOT-2
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -19,47 +19,43 @@ use tandem_boot::{
 };
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 
-/// What RFC 8410 puts before the 32 bytes of a private key.
+/// The DER header of a private Ed25519 key (RFC 8410); its 32 bytes follow.
 pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
-/// The name of the controller in the slots of a run.
+/// Name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
-/// An application that is tried before the image approves itself: one second with a role.
+/// An application on trial approves its image after this time with a role.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
-/// The program flashes of a run, as its processes are told.
+/// The program flashes of a run, as its processes receive them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgramFlashes {
     /// By [`SystemId::index`].
     pub files: [PathBuf; 2],
-    /// Whom the bootloaders believe.
+    /// The public key that the bootloaders trust.
     public: [u8; 32],
 }
 
 impl ProgramFlashes {
-    /// The flashes in these files. Those that are missing are made as a factory makes them:
-    /// release 1 of the controller, signed with this key.
+    /// Opens the flashes in these files. Creates a missing one as a factory would: with release 1 of
+    /// the controller, signed with this key.
     ///
     /// # Errors
-    /// If a file cannot be read or made, or is no flash.
+    /// If a file cannot be read or created, or is not a flash.
     pub fn of(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
-        for file in &files {
-            if !file.exists() {
-                let image = application(CONTROLLER, Slot::A, 1, key);
-                let flash = FlashFile::open(file).with_context(|| file.display().to_string())?;
-                flash
-                    .load(image.place(), &image.bytes)
-                    .with_context(|| file.display().to_string())?;
-            }
+        for file in files.iter().filter(|file| !file.exists()) {
+            let image = application(CONTROLLER, Slot::A, 1, key);
+            FlashFile::open(file)
+                .and_then(|flash| flash.load(image.place(), &image.bytes))
+                .with_context(|| file.display().to_string())?;
         }
-        let public = key.public();
-        Ok(Self { files, public })
+        Self::empty(files, key)
     }
 
-    /// Flashes that hold nothing, in these files.
+    /// Opens the flashes in these files. Creates a missing one erased.
     ///
     /// # Errors
-    /// If one cannot be made.
+    /// If a file cannot be read or created, or is not a flash.
     pub fn empty(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
         for file in &files {
             FlashFile::open(file).with_context(|| file.display().to_string())?;
@@ -73,8 +69,8 @@ impl ProgramFlashes {
         FlashFile::open(path).with_context(|| path.display().to_string())
     }
 
-    /// The records that bring this release of the controller to a system: for the slot that does
-    /// not boot.
+    /// Returns the records that update a system to this release of the controller, for the slot
+    /// that does not boot.
     ///
     /// # Errors
     /// If the flash cannot be read.
@@ -92,7 +88,7 @@ impl ProgramFlashes {
         Ok(records(CONTROLLER, &[&image]))
     }
 
-    /// Waits until the application has proved itself, and approves its image. U-3
+    /// Waits until the application has had a role for long enough, then approves its image. U-3
     fn approve_in_time(&self, backplane: Backplane, system: SystemId) -> anyhow::Result<()> {
         let has_role = || {
             let role = backplane.role(system);
@@ -108,7 +104,7 @@ impl ProgramFlashes {
     }
 }
 
-/// A release of an application of this executable, for a slot.
+/// Returns the image of an application of this executable, for a slot.
 pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
     let release = ReleaseInfo {
         version,
@@ -124,10 +120,10 @@ pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Im
     )
 }
 
-/// The key in this file; made if there is none.
+/// Reads the key in this file; creates one if the file is missing.
 ///
 /// # Errors
-/// If it cannot be read or written, or is no key.
+/// If the file cannot be read or written, or holds no key.
 pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     if !path.exists() {
         let key = new_key()?;
@@ -145,22 +141,22 @@ pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     Ok(SigningKey { number: 0, seed })
 }
 
-/// The 32 bytes of a key in this file of DER, behind this beginning.
+/// Reads the 32 bytes of a key from a DER file that begins with `prefix`.
 ///
 /// # Errors
-/// If it cannot be read, or is no such key.
+/// If the file cannot be read, or holds no such key.
 pub fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let key = bytes
         .strip_prefix(prefix)
         .and_then(|key| key.try_into().ok());
-    key.ok_or_else(|| anyhow!("{} is no Ed25519 key in DER", path.display()))
+    key.ok_or_else(|| anyhow!("{} is not an Ed25519 key in DER", path.display()))
 }
 
-/// A key of this run alone.
+/// Generates a key.
 ///
 /// # Errors
-/// If the system gives no random numbers.
+/// If the operating system gives no random numbers.
 pub fn new_key() -> anyhow::Result<SigningKey> {
     let mut seed = [0; 32];
     let mut random = File::open("/dev/urandom").context("/dev/urandom")?;
@@ -168,10 +164,11 @@ pub fn new_key() -> anyhow::Result<SigningKey> {
     Ok(SigningKey { number: 0, seed })
 }
 
-/// Runs the first program of a core, which becomes the application in a slot.
+/// Runs the first program of a core, and then replaces the process by the application in a slot.
+/// Returns only on failure.
 ///
 /// # Errors
-/// If the run is over, or the slot cannot be read or executed. It does not return otherwise.
+/// If the run is over, or the slot cannot be read or executed.
 pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
     let system = args.identity.system;
     let mut file = flash.open(system)?;
@@ -188,7 +185,7 @@ pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
     Err(jump::jump(&program, args)).with_context(|| format!("executing slot {slot:?}"))
 }
 
-/// The bootloader, until core 0 leaves it.
+/// Runs the bootloader until core 0 leaves it.
 fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow::Result<Slot> {
     let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
     let trust = Trust {
@@ -196,7 +193,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
         mode: TrustMode::Strict,
     };
     let keeper = BetweenSteps::new(&board);
-    // A file without a bootloader has this program in its place.
+    // A file without a bootloader: this program takes its place.
     let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
     loop {
         match start(&board, &mut *file, trust, bank, &keeper) {
@@ -206,7 +203,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
     }
 }
 
-/// What a slot holds for a core: from its entry to the end of that part.
+/// Returns what a slot holds for a core: the bytes from its entry to the end of that part.
 fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec<u8>> {
     let place = FlashRegion::Target(ImageTarget::Application(slot))
         .range()
@@ -225,7 +222,7 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     Ok(program)
 }
 
-/// Approves the running image when it has proved itself, on a thread of its own.
+/// Spawns a thread that approves the running image once it has had a role for long enough.
 ///
 /// # Errors
 /// If the thread cannot be started.

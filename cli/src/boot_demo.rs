@@ -15,24 +15,24 @@ use tandem_boot_host::{FileSender, ToDo, records};
 use crate::boot::{self, ProgramFlashes};
 use crate::files::RunFiles;
 use crate::run::this_program;
-use crate::run_config::{LimitProfile, RunConfig, write_lines};
+use crate::run_config::{RunConfig, write_lines};
 pub use crate::three_frames::NAME;
 
-/// The controller under test; the other one has an empty flash and waits.
+/// The system under test. The other one has an empty flash and waits.
 pub const SYSTEM: SystemId = SystemId::A;
-/// Records under way.
+/// Records that may be unacknowledged.
 const WINDOW: u8 = 16;
-/// Frames in a millisecond: what a bus of 500 kbit/s carries.
+/// Frames per millisecond that a bus of 500 kbit/s carries.
 const FRAMES_PER_MS: usize = 3;
-/// Download and start take seconds.
+/// The longest time for download and start, which take seconds.
 const PATIENCE: Duration = Duration::from_ms(120_000);
 
-/// A download to an empty controller, and what its three cores sent then.
+/// A download to an empty controller, and the first frames of its three cores.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Downloaded {
-    /// S-records of the file.
+    /// Number of S-records in the file.
     pub records: usize,
-    /// From the ignition to the acknowledgement of the last record, ms of the board's time.
+    /// Time from the ignition to the acknowledgement of the last record, ms on the board's clock.
     pub download_ms: f64,
     /// By [`CoreId::index`].
     pub frames: [FirstFrame; CoreId::COUNT],
@@ -41,7 +41,7 @@ pub struct Downloaded {
 /// The first frame of a core.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct FirstFrame {
-    /// Since the last record was acknowledged, ms of the board's time.
+    /// Time since the acknowledgement of the last record, ms on the board's clock.
     pub after_ms: f64,
     /// Identifier on CAN.
     pub id: u16,
@@ -65,11 +65,11 @@ impl fmt::Display for Downloaded {
     }
 }
 
-/// The experiment of T-BOOT-8 with processes: downloads the smallest application to an empty
+/// Runs the experiment of T-BOOT-8 with processes: downloads the smallest application to an empty
 /// controller, starts it, and waits for a frame of each core.
 ///
 /// # Errors
-/// If the board cannot be started, the download is refused, or a frame does not come.
+/// If the board does not start, the download is refused, or a frame does not arrive.
 pub fn on_host() -> anyhow::Result<Downloaded> {
     let key = &boot::new_key()?;
     let mut launcher = Launcher::prepare()?;
@@ -79,20 +79,9 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
     write_lines(&demo[0], &lines)?;
     let flashes = SystemId::ALL.map(|system| files.program_flash(system));
     let config = RunConfig {
-        scenario: String::new(),
-        seed: 0,
-        duration_s: 0.0,
-        profile: LimitProfile::Desktop,
-        stall_us: None,
-        reintegrate: false,
-        overrides_s: None,
-        answers_after_s: None,
-        sensor_faults: vec![],
         program_flash: Some(ProgramFlashes::empty(flashes, key)?),
-        update: None,
         demo: Some(demo.clone()),
-        cpus: vec![],
-        stall_timers: vec![],
+        ..RunConfig::default()
     };
     let plan = Plan {
         schedule: Schedule::default(),
@@ -101,18 +90,18 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
     };
     launcher.start(&plan, &|args| this_program(args))?;
     let ended = launcher.wait();
-    let told = fs::read_to_string(&demo[1]);
+    let result = fs::read_to_string(&demo[1]);
     launcher.finish();
     ensure!(!ended.interrupted, "ended early");
-    let told = told.map_err(|_| anyhow!("the vehicle has seen no application"))?;
-    Ok(serde_json::from_str(&told)?)
+    let result = result.map_err(|_| anyhow!("the vehicle received no frame of an application"))?;
+    Ok(serde_json::from_str(&result)?)
 }
 
-/// The vehicle's part on the host.
+/// Runs the vehicle's part on the host: `lines` are the records, `result` is the file to write.
 ///
 /// # Errors
 /// As [`download`], or if the run is over.
-pub(crate) fn play(args: &VehicleArgs, [lines, told]: &[PathBuf; 2]) -> anyhow::Result<()> {
+pub(crate) fn play(args: &VehicleArgs, [lines, result]: &[PathBuf; 2]) -> anyhow::Result<()> {
     let mut port =
         HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
     let text = fs::read_to_string(lines).with_context(|| lines.display().to_string())?;
@@ -120,13 +109,13 @@ pub(crate) fn play(args: &VehicleArgs, [lines, told]: &[PathBuf; 2]) -> anyhow::
     let shown = download(&mut port, lines);
     port.set_ignition(false);
     let text = serde_json::to_string(&shown?)?;
-    fs::write(told, text).with_context(|| told.display().to_string())
+    fs::write(result, text).with_context(|| result.display().to_string())
 }
 
 /// Downloads to an empty controller, and waits for a frame of each core.
 ///
 /// # Errors
-/// If the board fails, the download is refused, or a frame does not come.
+/// If the board fails, the download is refused, or a frame does not arrive.
 pub fn download<P>(port: &mut P, lines: Vec<String>) -> anyhow::Result<Downloaded>
 where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
@@ -134,15 +123,15 @@ where
     let count = lines.len();
     let mut sender = FileSender::new(lines, Some(SYSTEM), WINDOW);
     let mut accepted = None;
-    let mut came: [Option<(Instant, u16, u8)>; CoreId::COUNT] = [None; CoreId::COUNT];
+    let mut first: [Option<(Instant, u16, u8)>; CoreId::COUNT] = [None; CoreId::COUNT];
     port.set_ignition(true);
     let begin = port.now();
-    while came.iter().any(Option::is_none) {
+    while first.iter().any(Option::is_none) {
         port.tick()?;
         let now = port.now();
         ensure!(
             now.since(begin) < PATIENCE,
-            "not all cores send: {came:?}, records {:?}",
+            "not all cores send: {first:?}, records {:?}",
             sender.progress()
         );
         ensure!(!port.stop_requested(), "ended early");
@@ -153,7 +142,7 @@ where
                 system == SYSTEM && sent.frame.id() == CanId::Standard(id),
                 sent.frame.data(),
             ) {
-                came[core.index()].get_or_insert((now, id, number));
+                first[core.index()].get_or_insert((now, id, number));
             }
         });
         port.drain_trace(&mut |_| {});
@@ -173,19 +162,19 @@ where
         }
         port.ring_receivers();
     }
-    let accepted = accepted.context("an application runs that was not downloaded")?;
+    let accepted = accepted.context("an application that was not downloaded sends frames")?;
     let ms = |from: Instant, to: Instant| to.since(from).as_ms_f64();
     let frame = |(at, id, core)| FirstFrame {
         after_ms: ms(accepted, at),
         id,
         core,
     };
-    let [Some(first), Some(second), Some(third)] = came else {
-        bail!("not all cores send: {came:?}");
+    let [Some(a), Some(b), Some(c)] = first else {
+        bail!("not all cores send: {first:?}");
     };
     Ok(Downloaded {
         records: count,
         download_ms: ms(begin, accepted),
-        frames: [first, second, third].map(frame),
+        frames: [a, b, c].map(frame),
     })
 }

@@ -1,4 +1,4 @@
-//! Core 0 of a run: its tasks under FreeRTOS, and the thread that waits at its doorbell.
+//! Core 0 of a run: its tasks under FreeRTOS, and the thread that waits for its doorbell.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -18,12 +18,12 @@ const STACK_BYTES: usize = 64 << 10;
 /// How many times the doorbell's thread has merged rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// The sleep of a thread that watches this CPU for stalls: each end of it is a wake-up. Two ticks
-/// of core 0: so the timer that core 0 postpones is never the next one of its CPU, which the
-/// kernel would have to program again at each tick.
+/// How long the thread sleeps that watches this CPU for stalls; each end of a sleep is a wake-up. Two
+/// ticks of core 0: the timer that core 0 postpones is then never the next one of its CPU, which the
+/// kernel would have to reprogram at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
-/// Postpones the end of that sleep at each tick from now on. Called once.
+/// Postpones the end of that sleep at each tick from now on. Only the first call has an effect.
 pub(crate) fn postpone_at_ticks(alarm: Alarm) {
     static ALARM: OnceLock<Alarm> = OnceLock::new();
     if ALARM.set(alarm).is_ok() {
@@ -44,7 +44,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
     thread::Builder::new()
         .name("doorbell".to_owned())
         .spawn(move || listen(board, grant))
-        .context("the thread at the doorbell")?;
+        .context("the doorbell's thread")?;
     let options = Options {
         stack_bytes: STACK_BYTES,
         held_back: &HELD_BACK,
@@ -59,7 +59,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
 /// sleep until the distance is over, so a doorbell that rings without a pause cannot take the CPU
 /// from the core. Rings in that time are merged into one.
 fn listen(board: &HostBoard, grant: Grant) -> ! {
-    // More urgent than the core, whose task it is to interrupt; the CPU is inherited.
+    // More urgent than the core, because this thread interrupts it. The CPU is inherited.
     let _ = realtime::claim(Claim {
         priority: grant.fifo.map(|priority| priority.saturating_add(1)),
         cpu: None,

@@ -11,18 +11,18 @@ use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 
-/// Runs the core until its supply ends it: first the bootloader, then what the slot holds. Returns
-/// only if it cannot start.
+/// Runs the core until its supply ends it: first the bootloader, then the application in the slot.
+/// Returns only if the core cannot start.
 ///
 /// # Errors
-/// If the run that it belongs to is gone, or its arguments are not this program's.
+/// If the core's run is over, or its arguments are not this program's.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let run = RunConfig::from_extra(&args.common.extra)?;
     let grant = args.claim();
     match (&args.application, &run.program_flash) {
         (None, Some(flash)) => return boot::run(args, flash),
         (Some(name), _) if name == three_frames::NAME => return three_frames::run(args),
-        (Some(name), _) if name != boot::CONTROLLER => bail!("no application {name:?} here"),
+        (Some(name), _) if name != boot::CONTROLLER => bail!("there is no application {name:?}"),
         (Some(_), _) | (None, None) => {}
     }
     let config = config(&run);
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     }
 }
 
-/// The limits of a run.
+/// Returns the limits of a run.
 pub(crate) fn config(run: &RunConfig) -> Config {
     let mut config = match run.profile {
         LimitProfile::Rt => Config::rt(),

@@ -1,5 +1,5 @@
-//! `tandem dflash`: what lies in the data flashes of a controller, and how they are initialised. It
-//! is the thesis's initialisation tool. T-RED-1
+//! `tandem dflash`: shows and initialises the data flashes of a controller. This is the thesis's
+//! initialisation tool. T-RED-1
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,10 +11,10 @@ use tandem_redundancy::{FlashOp, Geometry, Loaded, StateStore, SystemState};
 
 use crate::args::{DflashArgs, DflashCommand};
 
-/// What is done, and what to print.
+/// Carries out the command and returns the text to print.
 ///
 /// # Errors
-/// If there is no such folder, or a file is no data flash, belongs to a run, or cannot be written.
+/// If the folder does not exist, or a file is not a data flash, is in use, or cannot be written.
 pub fn run(args: &DflashArgs) -> anyhow::Result<String> {
     let shown = args.folder.display();
     let makes_it = matches!(args.command, DflashCommand::Init { .. });
@@ -98,14 +98,14 @@ fn show(text: &mut String, system: SystemId, path: &Path) -> anyhow::Result<()> 
         Loaded::Blank => {
             let _ = writeln!(
                 text,
-                "{system}  blank: the next start makes the factory's state"
+                "{system}  blank: the next start writes the factory state"
             );
             return Ok(());
         }
         Loaded::Lost => {
             let _ = writeln!(
                 text,
-                "{system}  no valid record: `tandem dflash init` mends it"
+                "{system}  no valid record: `tandem dflash init` repairs it"
             );
             return Ok(());
         }

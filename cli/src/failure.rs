@@ -1,26 +1,26 @@
-//! How the command ends when it does not end well.
+//! The ways in which a command fails, and their exit statuses.
 
 use std::process::ExitCode;
 
-/// Why the command ends with another exit status than 0.
+/// Why the command ends with an exit status other than 0.
 #[derive(Debug)]
 pub enum Failure {
-    /// The command line, an input or the machine does not permit it; nothing was started.
+    /// The command line, an input or the machine does not permit the command; nothing was started.
     Usage(anyhow::Error),
     /// The run failed.
     Run(anyhow::Error),
-    /// The run came to its end, and not all was as it must be. The report says more.
+    /// The run ended, but broke these rules. The report has the details.
     Objections(Vec<String>),
-    /// A person ended it before anything was driven.
+    /// The user ended it before anything was driven.
     Interrupted,
-    /// A person ended the drive after this scenario time, s; the report has what was driven.
+    /// The user ended the drive after this scenario time, s; the report shows the drive until then.
     DrivenUntil(f64),
-    /// A person ended it, and what there was until then is shown.
+    /// The user ended it; the figures until then are shown.
     CutShort,
 }
 
 impl Failure {
-    /// Says on stderr what was wrong.
+    /// Prints on stderr what was wrong.
     pub fn say(&self) {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),
@@ -30,14 +30,12 @@ impl Failure {
                 eprintln!("interrupted after {driven_s:.1} s: the report shows what was driven");
             }
             Self::Interrupted => {
-                eprintln!(
-                    "interrupted: everything is stopped, nothing is left, no report was written"
-                );
+                eprintln!("interrupted: everything is stopped and removed, no report was written");
             }
         }
     }
 
-    /// The exit status.
+    /// Returns the exit status.
     pub fn code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Run(_) | Self::Objections(_) => 1,

@@ -1,5 +1,5 @@
-//! Where the working data of a run lie: in the run's own shared memory, gone with its last process,
-//! or in a folder.
+//! Paths of the working files of a run: in the run's shared memory, which vanishes with its last
+//! process, or in a folder.
 
 use std::path::{Path, PathBuf};
 
@@ -9,20 +9,20 @@ use tandem_board_host::RunName;
 /// The files of a run.
 #[derive(Clone, Debug)]
 pub struct RunFiles {
-    /// The beginning of all their paths.
+    /// The common prefix of their paths.
     prefix: String,
 }
 
 impl RunFiles {
     /// The files of this run.
     pub fn of(run: &RunName) -> Self {
-        // The board wipes what begins with the run's name.
+        // The board removes files whose name begins with the run's name.
         Self {
             prefix: format!("/dev/shm/{run}_"),
         }
     }
 
-    /// The files of a run that has a folder of its own.
+    /// The files of a run with its own folder.
     pub fn within(folder: &Path) -> Self {
         Self {
             prefix: format!("{}/", folder.display()),
@@ -34,32 +34,32 @@ impl RunFiles {
         self.path("recording")
     }
 
-    /// How the run stands, for those who watch.
+    /// The current state of the run, for display.
     pub fn live(&self) -> PathBuf {
         self.path("live.json")
     }
 
-    /// The messages of processes that fail.
+    /// Error messages of processes.
     pub fn errors(&self) -> PathBuf {
         self.path("errors.txt")
     }
 
-    /// Data flash of a system, unless a folder keeps it.
+    /// Data flash of a system, unless the user keeps it in a folder.
     pub fn flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.dflash"))
     }
 
-    /// Program flash of a system, unless a folder keeps it.
+    /// Program flash of a system, unless the user keeps it in a folder.
     pub fn program_flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.pflash"))
     }
 
-    /// The records of an update of a system.
+    /// The records that update a system.
     pub fn update(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.update"))
     }
 
-    /// How the updates ended, a line each.
+    /// The results of the updates, one line each.
     pub fn updated(&self) -> PathBuf {
         self.path("updated.txt")
     }

@@ -7,12 +7,12 @@ use tandem_board_host::injection::Injection;
 
 use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
 
-/// Cuts a wire, or mends it.
+/// Cuts a wire or restores it.
 ///
 /// # Errors
 /// If the run cannot be reached.
 pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.name.as_deref())?;
     let from = match args.from {
         Some(system) => vec![system],
         None => SystemId::ALL.to_vec(),
@@ -24,9 +24,9 @@ pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
 /// Switches a system off or on.
 ///
 /// # Errors
-/// If the run cannot be reached, or the system is so already.
+/// If the run cannot be reached, or the system is already in that state.
 pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.name.as_deref())?;
     match args.switch {
         Switch::On => injection.power_on(args.system)?,
         Switch::Off => injection.power_off(args.system)?,
@@ -34,15 +34,15 @@ pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Does what no signal to a process can do.
+/// Injects or ends a hardware fault.
 ///
 /// # Errors
-/// If the run cannot be reached, or the fault cannot be mended.
+/// If the run cannot be reached, or the fault does not last and so cannot be ended.
 pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.as_deref())?;
+    let injection = Injection::on(args.run.name.as_deref())?;
     let hardware = match args.fault {
         FaultKind::Lmu | FaultKind::Handshake | FaultKind::Sync if args.mend => {
-            bail!("this fault is over at once: there is nothing to mend")
+            bail!("this fault does not last: there is nothing to mend")
         }
         FaultKind::Lmu => return injection.scribble(args.system, args.seed).context("LMU"),
         FaultKind::Handshake => {

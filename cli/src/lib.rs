@@ -1,4 +1,4 @@
-//! What `tandem` and the programs beside it share: a run with its processes, its recording and its
+//! Shared by `tandem` and the programs beside it: a run with its processes, its recording and its
 //! report.
 #![forbid(unsafe_code)]
 
@@ -26,8 +26,6 @@ pub mod run;
 pub mod run_config;
 pub mod stall_watch;
 mod summary;
-#[cfg(test)]
-mod synthetic;
 mod three_frames;
 mod timeline;
 mod update;
@@ -49,8 +47,8 @@ use tandem_rtos::host::TaskAllocator;
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
-/// Is a process of a run if the arguments say so, and else does what `command` says. For each
-/// program that starts runs: their processes are this program with hidden arguments.
+/// Runs a process of a run if the arguments ask for one; otherwise runs `command`. Every program that
+/// starts runs uses this, because the processes of a run are this program with hidden arguments.
 pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
     if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
         return match process(args) {
@@ -70,7 +68,7 @@ pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
     }
 }
 
-/// One process of a run, until it ends.
+/// Runs one process of a run until it ends.
 fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
     match args? {
         ProcessArgs::Supply(args) => {
@@ -92,7 +90,7 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
     }
 }
 
-/// Writes to stdout; a reader that has seen enough is no error.
+/// Writes to stdout. A closed pipe is not an error.
 ///
 /// # Errors
 /// If stdout cannot be written.
@@ -101,4 +99,9 @@ pub fn print(text: &str) -> anyhow::Result<()> {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error).context("stdout"),
         _ => Ok(()),
     }
+}
+
+#[cfg(test)]
+mod tests {
+    pub(crate) mod synthetic;
 }

@@ -1,4 +1,4 @@
-//! How a run stands: written by the vehicle some times a second, shown by `tandem run`.
+//! The current state of a run: written by the vehicle ten times a second, shown by `tandem run`.
 
 use std::fs;
 use std::io::{IsTerminal as _, stderr};
@@ -13,36 +13,36 @@ use serde::{Deserialize, Serialize};
 
 const REFRESH: Duration = Duration::from_millis(100);
 
-/// How a run stands.
+/// The current state of a run.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Live {
     /// Scenario time, s.
     pub time_s: f64,
     /// m/s
     pub speed: f64,
-    /// Bumper to bumper to the vehicle ahead in the lane, m.
+    /// Distance from bumper to bumper to the vehicle ahead in the lane, m.
     pub lead_gap: Option<f64>,
-    /// Roles of A and B as they show them.
+    /// Roles of A and B, as their role outputs show them.
     pub roles: [String; 2],
     /// Longest time between two accepted control frames so far, ms.
     pub gap_max_ms: f64,
-    /// How often the accepted system has changed.
+    /// Number of changes of the system that the vehicle obeys.
     pub takeovers: u32,
 }
 
 impl Live {
-    /// Writes it so that a reader sees the old or the new one, never a part.
+    /// Replaces the file atomically: a reader sees the old or the new state, never a part.
     ///
     /// # Errors
-    /// If the file system refuses.
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> std::io::Result<()> {
         let next = path.with_extension("next");
         fs::write(&next, serde_json::to_vec(self)?)?;
         fs::rename(&next, path)
     }
 
-    /// What the driver sees, in one line of one width: time, speed, distance to the vehicle ahead,
-    /// the roles; then the largest time without control, and the takeovers.
+    /// Returns one line of fixed columns: time, speed, distance to the vehicle ahead, roles, the
+    /// largest gap, and the number of takeovers.
     fn line(&self, duration_s: f64) -> String {
         let ahead = match self.lead_gap {
             Some(gap) if gap < 999.5 => format!("{gap:3.0} m"),
@@ -63,7 +63,7 @@ impl Live {
     }
 }
 
-/// A line on the terminal that follows the run; nothing if there is no terminal.
+/// A line on the terminal that follows the run. Without a terminal it shows nothing.
 pub struct Progress {
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -84,13 +84,13 @@ impl Progress {
     pub fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It only shows; if it has panicked, the run is not affected.
+            // The thread only displays: a panic in it does not affect the run.
             let _ = thread.join();
         }
     }
 }
 
-/// To the first column of the terminal, and clears the line.
+/// Moves to the first column of the terminal and clears the line.
 const CLEAR: &str = "\r\x1b[2K";
 
 fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
@@ -110,8 +110,7 @@ fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
 mod tests {
     use super::*;
 
-    /// The columns stay where they are while the values change, and all fits on a terminal of 80
-    /// columns.
+    /// The columns do not move while the values change, and the line fits on a terminal of 80 columns.
     #[test]
     fn the_line_keeps_its_columns() {
         let line = |speed, lead_gap, role: &str| {

@@ -18,7 +18,8 @@ fn main() -> ExitCode {
     })
 }
 
-/// The command line. `help COMMAND` is `COMMAND --help`: other programs have some of the commands.
+/// Returns the command line. Turns `help COMMAND` into `COMMAND --help`, because other programs
+/// implement some of the commands.
 fn words() -> Vec<OsString> {
     let mut words: Vec<_> = std::env::args_os().collect();
     if words.len() == 3 && words[1] == "help" {

@@ -274,7 +274,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic;
+    use crate::tests::synthetic;
 
     #[test]
     fn scripts_find_the_names_that_they_rely_on() {

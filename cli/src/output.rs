@@ -1,4 +1,4 @@
-//! The folder of a report: it is replaced as a whole, and only if it holds nothing but a report.
+//! The folder of a report. It is replaced as a whole, and only if it holds nothing but a report.
 
 use std::fs;
 use std::io;
@@ -11,9 +11,9 @@ use tempfile::TempDir;
 
 use crate::metrics::SCHEMA;
 
-/// The page.
+/// The report's page.
 pub const REPORT: &str = "report.html";
-/// The figures; by its content a folder is known as a report.
+/// The figures. Its content identifies a folder as a report.
 pub const METRICS: &str = "metrics.json";
 /// The CAN log.
 pub const CANDUMP: &str = "candump.log";
@@ -21,7 +21,7 @@ pub const CANDUMP: &str = "candump.log";
 pub const CONTROL_PERIOD: &str = "control-period.hgrm";
 /// Distribution of the chain's latency.
 pub const CHAIN: &str = "chain.hgrm";
-/// What ran when on which core, for <https://ui.perfetto.dev>.
+/// The timeline of all cores, for <https://ui.perfetto.dev>.
 pub const TRACE: &str = "trace.perfetto-trace";
 
 const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE];
@@ -29,19 +29,19 @@ const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE
 /// A place where a report can be put.
 #[derive(Debug)]
 pub struct ReportFolder {
-    /// The folder, without symbolic links.
+    /// Path of the folder, with symbolic links resolved.
     path: PathBuf,
     /// Its parent.
     parent: PathBuf,
 }
 
 impl ReportFolder {
-    /// Checks that a report can be put at `path`, without changing anything.
+    /// Checks that a report can be written at `path`. Changes nothing.
     ///
     /// # Errors
-    /// The obstacle, and how to remove it.
+    /// Names the obstacle and the remedy.
     pub fn check(path: &Path) -> anyhow::Result<Self> {
-        // A folder behind a symbolic link is replaced where it is, so that the link stays.
+        // Replace the target of a symbolic link, so that the link stays.
         let path = match fs::canonicalize(path) {
             Ok(path) => path,
             Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path)?,
@@ -64,7 +64,7 @@ impl ReportFolder {
         if path.exists() {
             check_replaceable(&path)?;
         }
-        // Permissions, read-only file systems and full disks: only trying it tells.
+        // Only an attempt shows missing permissions, a read-only file system or a full disk.
         TempDir::new_in(parent)
             .with_context(|| format!("--out: cannot write in {}", parent.display()))?;
         Ok(Self {
@@ -78,14 +78,14 @@ impl ReportFolder {
         &self.path
     }
 
-    /// A temporary folder beside it, to be filled and handed to [`ReportFolder::put`].
+    /// Creates a temporary folder beside it, to be filled and passed to [`ReportFolder::put`].
     ///
     /// # Errors
     /// If it cannot be created.
     pub fn stage(&self) -> anyhow::Result<TempDir> {
         tempfile::Builder::new()
             .prefix(".tandem-report-")
-            // As readable as any new folder of this user, less what the umask takes.
+            // The mode of any new folder of this user: the umask applies.
             .permissions(fs::Permissions::from_mode(0o777))
             .tempdir_in(&self.parent)
             .with_context(|| format!("cannot write in {}", self.parent.display()))
@@ -96,7 +96,7 @@ impl ReportFolder {
     /// # Errors
     /// If the old one is no longer a report, or cannot be replaced.
     pub fn put(&self, stage: TempDir) -> anyhow::Result<()> {
-        // Another run may put its report there at the same time: then the later one wins.
+        // Another run may write its report there at the same time: the later one wins.
         for _ in 0..10 {
             if self.path.exists() {
                 check_replaceable(&self.path)?;
@@ -111,7 +111,7 @@ impl ReportFolder {
             }
             match fs::rename(stage.path(), &self.path) {
                 Ok(()) => {
-                    // It is no longer temporary.
+                    // The folder has moved: it must not be deleted.
                     let _ = stage.keep();
                     return Ok(());
                 }
@@ -128,11 +128,11 @@ impl ReportFolder {
     }
 }
 
-/// The path of a folder that does not exist, in a parent that must.
+/// Returns the full path of a folder that does not exist. Its parent must exist.
 fn absent(path: &Path) -> anyhow::Result<PathBuf> {
     if path.symlink_metadata().is_ok() {
         bail!(
-            "--out {}: a symbolic link that leads nowhere",
+            "--out {}: a symbolic link whose target does not exist",
             path.display()
         );
     }
@@ -153,7 +153,7 @@ fn absent(path: &Path) -> anyhow::Result<PathBuf> {
     Ok(parent.join(name))
 }
 
-/// An existing folder may be replaced if it is empty or holds a report and nothing else.
+/// Checks that an existing folder is empty, or holds a report and nothing else.
 fn check_replaceable(path: &Path) -> anyhow::Result<()> {
     let shown = path.display();
     if !path.is_dir() {
@@ -172,7 +172,7 @@ fn check_replaceable(path: &Path) -> anyhow::Result<()> {
         .find(|name| !FILES.iter().any(|known| name == known))
     {
         bail!(
-            "--out {shown}: it holds {}, which no report does, and would be replaced; \
+            "--out {shown}: it holds {}, which is not part of a report and would be deleted; \
              name another folder",
             foreign.display()
         );

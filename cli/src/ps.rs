@@ -18,7 +18,7 @@ struct Row {
     cpu: Option<u32>,
 }
 
-/// What the board calls a master that drives alone.
+/// The board's name for the role of a master that drives alone.
 const DEGRADED: &str = "degraded";
 
 fn row(process: &Process) -> Row {

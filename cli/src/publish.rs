@@ -1,8 +1,8 @@
-//! What a run publishes: a thread of `tandem run` reads the recording as it grows, and
-//! a process of its own publishes it.
+//! Publishing of a run: a thread of `tandem run` reads the recording as it grows, and a separate
+//! process publishes it.
 //!
-//! The run does not know of either. The thread hands over what fits and never waits; the process is
-//! outside of the run's `/dev/shm`, where observers are, so it is started before the run.
+//! The run depends on neither. The thread never waits: it drops what does not fit into the socket. The
+//! process must share `/dev/shm` with the observers, so it starts before the run gets its own.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -29,22 +29,22 @@ use tandem_record::roles::State;
 use tandem_record::{Entry, description, file};
 use tandem_vehicle::LoggedFrame;
 
-/// How soon the thread looks again when it found nothing, or a part of an entry.
-const LOOK_AGAIN: Duration = Duration::from_millis(10);
-/// The same when it found something. The vehicle writes each 100 ms: a little less, so that the
-/// look stays just behind the writing, and is only seldom too early.
-const LOOK_FOR_MORE: Duration = Duration::from_millis(99);
-/// The most that is handed over at once, bytes. A longer entry is left out.
-const AT_ONCE: usize = 48 << 10;
-/// The most that is read at once, bytes.
-const LIMIT: usize = 4 << 20;
+/// Time to the next read after one that found nothing, or only part of an entry.
+const RETRY_INTERVAL: Duration = Duration::from_millis(10);
+/// Time to the next read after one that found entries. The vehicle writes every 100 ms; a little less
+/// than that keeps each read just behind a write.
+const READ_INTERVAL: Duration = Duration::from_millis(99);
+/// The largest message to the publisher, bytes. A longer entry is dropped.
+const MESSAGE_MAX: usize = 48 << 10;
+/// The largest read, bytes.
+const READ_MAX: usize = 4 << 20;
 /// How long the publisher may take to end.
 const ENDS_WITHIN: Duration = Duration::from_secs(1);
-/// How often the publisher looks whether `tandem run` still lives.
-const ALIVE_EVERY: Duration = Duration::from_millis(200);
-/// Without a word from `tandem run` for this many of these times, it is taken for dead.
-const SILENT_FOR: u32 = 300;
-/// A core without a sign for this long is shown as dead, ns.
+/// How often the publisher checks that `tandem run` still lives.
+const CHECK_INTERVAL: Duration = Duration::from_millis(200);
+/// After this many checks without a message, the publisher takes `tandem run` for dead.
+const SILENT_CHECKS: u32 = 300;
+/// A core that has written no trace record for this long is shown as dead, ns.
 const ALIVE_NS: u64 = 300_000_000;
 
 /// The first message to the publisher.
@@ -63,8 +63,8 @@ pub(crate) struct Publishing {
 }
 
 impl Publishing {
-    /// Starts the process, before the run has a place of its own. `None` if it cannot be started:
-    /// then the run is not published.
+    /// Starts the process, before the run gets its own `/dev/shm`. Returns `None` if it does not
+    /// start; the run is then not published.
     pub(crate) fn prepare() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
         to.set_nonblocking(true).ok()?;
@@ -74,7 +74,7 @@ impl Publishing {
             .stdin(Stdio::from(OwnedFd::from(from)))
             .stdout(Stdio::null())
             .stderr(Stdio::null())
-            // Ctrl-C in the terminal ends the run, which ends this.
+            // Ctrl-C in the terminal must not reach it: the run ends it.
             .process_group(0)
             .spawn()
             .ok()?;
@@ -86,7 +86,7 @@ impl Publishing {
         })
     }
 
-    /// Publishes this run from now on.
+    /// Starts publishing this run.
     pub(crate) fn follow(&mut self, run: &RunName, recording: PathBuf, duration_s: f64) {
         let begin = Begin {
             run: run.to_string(),
@@ -103,16 +103,16 @@ impl Publishing {
         self.thread = named.spawn(move || hand_over(&recording, &to, &over)).ok();
     }
 
-    /// Ends it. What does not end is killed.
+    /// Ends the thread and the process. Kills a process that does not end.
     pub(crate) fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // If it has panicked, the run is not affected.
+            // A panic in the thread does not affect the run.
             let _ = thread.join();
         }
         let begin = Instant::now();
         while matches!(self.process.try_wait(), Ok(None)) {
-            // An empty message is the end. It may not fit if the process stands still.
+            // An empty message means the end. It does not fit if the process is stopped.
             let _ = self.to.send(&[]);
             if begin.elapsed() > ENDS_WITHIN {
                 let _ = self.process.kill();
@@ -123,44 +123,44 @@ impl Publishing {
     }
 }
 
-/// Reads the recording as it grows, and hands over whole entries.
+/// Reads the recording as it grows, and sends whole entries to the publisher.
 fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
     let (mut from, mut left) = (None, Vec::new());
     while !over.load(Ordering::Relaxed) {
         from = from.or_else(|| File::open(recording).ok());
         let more = from
             .as_mut()
-            .and_then(|from: &mut File| from.take(LIMIT as u64).read_to_end(&mut left).ok());
-        while let Some(end) = file::whole_entries(&left, AT_ONCE) {
-            if end <= AT_ONCE {
-                // A publisher that is behind loses these; without one nothing is to be done.
+            .and_then(|from: &mut File| from.take(READ_MAX as u64).read_to_end(&mut left).ok());
+        while let Some(end) = file::whole_entries(&left, MESSAGE_MAX) {
+            if end <= MESSAGE_MAX {
+                // A publisher that is too slow loses these; without a publisher the error is harmless.
                 let _ = to.send(&left[..end]);
             }
             left.drain(..end);
         }
         let more = more.unwrap_or(0);
-        if more < LIMIT {
+        if more < READ_MAX {
             let found = more > 0 && left.is_empty();
-            std::thread::sleep(if found { LOOK_FOR_MORE } else { LOOK_AGAIN });
+            std::thread::sleep(if found { READ_INTERVAL } else { RETRY_INTERVAL });
         }
     }
 }
 
-/// The publisher's process: publishes what `tandem run` hands over, until that ends.
+/// Runs the publisher's process: publishes what `tandem run` sends, until that ends.
 ///
 /// # Errors
-/// If it was not started by `tandem run`, or iceoryx2 refuses.
+/// If `tandem run` did not start it, or iceoryx2 fails.
 pub fn run() -> anyhow::Result<()> {
-    // Less urgent than anything else on a machine without real time.
+    // On a machine without real time, let everything else run first.
     let _ = rustix::process::nice(10);
     let parent = getppid();
     let stdin = std::io::stdin().as_fd().try_clone_to_owned();
     let from = UnixDatagram::from(stdin.context("stdin")?);
-    from.set_read_timeout(Some(ALIVE_EVERY))
-        .context("stdin: `tandem run` starts this")?;
-    let mut buffer = vec![0; 2 * AT_ONCE];
+    from.set_read_timeout(Some(CHECK_INTERVAL))
+        .context("stdin: only `tandem run` starts this command")?;
+    let mut buffer = vec![0; 2 * MESSAGE_MAX];
     let mut next = move || {
-        for _ in 0..SILENT_FOR {
+        for _ in 0..SILENT_CHECKS {
             match from.recv(&mut buffer) {
                 Ok(0) => return None,
                 Ok(length) => return Some(buffer[..length].to_vec()),
@@ -186,12 +186,12 @@ pub fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The messages to observers, from the entries of a recording.
+/// Turns the entries of a recording into messages to observers.
 struct News {
     roles: Roles,
-    /// The last accepted control frame: when, ns, and of which system.
+    /// Time, ns, and system of the last accepted control frame.
     last: Option<(u64, SystemId)>,
-    /// The last sign of life of each core, ns.
+    /// Time of the last trace record of each core, ns.
     seen_ns: [u64; CoreAddress::COUNT],
     start_ns: Option<u64>,
 }
@@ -282,7 +282,7 @@ impl News {
                     return;
                 };
                 self.roles.state[system.index()] = code(State::of(status.role, status.mode));
-                // It tells of the lines that come from the other one.
+                // A system reports the lines that it receives: those from its peer.
                 let heard =
                     [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));
                 self.roles.beats[system.peer().index()] = heard[0] | heard[1] << 1;
@@ -292,7 +292,7 @@ impl News {
     }
 }
 
-/// As [`Roles::state`] has it.
+/// Returns the number of [`Roles::state`].
 const fn code(state: State) -> u8 {
     match state {
         State::Off => 0,

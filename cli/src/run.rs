@@ -153,7 +153,7 @@ pub fn run_elsewhere(
 
 fn tell_updates(args: &RunArgs, files: &RunFiles) {
     if args.update.is_some() && !args.quiet {
-        eprint!("{}", UpdateFiles::told(files));
+        eprint!("{}", UpdateFiles::results(files));
     }
 }
 

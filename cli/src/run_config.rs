@@ -17,18 +17,19 @@ use crate::args::RunArgs;
 use crate::boot::ProgramFlashes;
 use crate::files::RunFiles;
 
-/// The time limits of the cores.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// The profile of the cores' time limits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LimitProfile {
     /// Real-time priority was granted: tight limits.
     Rt,
-    /// It was not: limits that a desktop's scheduler can keep.
+    /// Real-time priority was not granted: limits that a desktop's scheduler can keep.
+    #[default]
     Desktop,
 }
 
 impl LimitProfile {
-    /// As the command line and `metrics.json` write it.
+    /// Its name on the command line and in `metrics.json`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rt => "rt",
@@ -37,31 +38,8 @@ impl LimitProfile {
     }
 }
 
-impl RunConfig {
-    /// The source of the time limits.
-    pub fn budget(&self) -> Budget {
-        let budget = match self.profile {
-            LimitProfile::Rt => Budget::RT,
-            LimitProfile::Desktop => Budget::DESKTOP,
-        };
-        match self.stall_us {
-            Some(us) => budget.measured(Duration::from_us(us.into())),
-            None => budget,
-        }
-    }
-
-    /// The limits that the requirement sets to a run with this profile, on this machine.
-    pub fn required(&self) -> Limits {
-        let limits = match self.profile {
-            LimitProfile::Rt => Limits::RT,
-            LimitProfile::Desktop => Limits::DESKTOP,
-        };
-        limits.with_stall(self.budget().stall)
-    }
-}
-
 /// The configuration of all processes of a run, as one argument.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunConfig {
     /// Name or path of the scenario.
     pub scenario: String,
@@ -69,13 +47,13 @@ pub struct RunConfig {
     pub seed: u64,
     /// Seconds of scenario time.
     pub duration_s: f64,
-    /// The limits of time.
+    /// The profile of time limits.
     pub profile: LimitProfile,
-    /// The longest stall that was measured, us; `None`: that of the profile.
+    /// The longest measured stall, µs; `None` for the profile's own.
     pub stall_us: Option<u32>,
-    /// Whether a system that comes back may become the standby of a running pair.
+    /// Whether a restarted system may rejoin as standby.
     pub reintegrate: bool,
-    /// The driver overrides the function from the one scenario time to the other, s.
+    /// The driver overrides the function between these scenario times, s.
     pub overrides_s: Option<(f64, f64)>,
     /// The driver answers a takeover request after this time, s.
     pub answers_after_s: Option<f64>,
@@ -83,20 +61,20 @@ pub struct RunConfig {
     pub sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board that has its own.
     pub program_flash: Option<ProgramFlashes>,
-    /// Records that are sent to each system while the other drives.
+    /// The update that each system receives while the other drives.
     pub update: Option<UpdateFiles>,
-    /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
+    /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
     /// The CPU of each core, in the order A0, A1, … B2; empty on another board.
     pub cpus: Vec<usize>,
-    /// The timers of the threads that watch for stalls, which each core 0 postpones.
+    /// Timers of the threads that watch for stalls; each core 0 postpones that of its CPU.
     pub stall_timers: Vec<StallTimer>,
 }
 
 /// An inherited [`Alarm`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StallTimer {
-    /// The number of the CPU that is watched.
+    /// The watched CPU.
     pub cpu: usize,
     /// The number of the descriptor.
     pub descriptor: i32,
@@ -107,12 +85,12 @@ pub struct StallTimer {
 pub struct UpdateFiles {
     /// The records for each system.
     pub lines: [PathBuf; 2],
-    /// How the updates ended: a line each.
+    /// The file for the results of the updates, one line each.
     pub ended: PathBuf,
 }
 
 impl UpdateFiles {
-    /// Writes the records for each system where the vehicle finds them.
+    /// Writes the records for each system to the files that the vehicle reads.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -127,8 +105,8 @@ impl UpdateFiles {
         })
     }
 
-    /// How the updates ended, to print.
-    pub fn told(files: &RunFiles) -> String {
+    /// Returns the results of the updates, to print.
+    pub fn results(files: &RunFiles) -> String {
         let ended = fs::read_to_string(files.updated()).unwrap_or_default();
         if ended.is_empty() {
             return "no system was updated\n".to_owned();
@@ -137,7 +115,7 @@ impl UpdateFiles {
     }
 }
 
-/// Writes the records of a download where the vehicle finds them.
+/// Writes the records of a download to a file.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -153,32 +131,48 @@ impl RunConfig {
             seed: args.seed,
             duration_s: args.duration,
             profile,
-            stall_us: None,
             reintegrate: args.reintegrate,
             overrides_s: args.overrides,
             answers_after_s: args.answers,
             sensor_faults: args.sensor_fault.clone(),
-            program_flash: None,
-            update: None,
-            demo: None,
-            cpus: vec![],
-            stall_timers: vec![],
+            ..Self::default()
         }
     }
 
-    /// The timer that a core 0 on this CPU postpones. Only if it is pinned there, and less urgent
-    /// than the thread that waits, it cannot hide a stall. Without a timer that thread wakes more
-    /// often.
+    /// Returns the budget that the time limits follow from.
+    pub fn budget(&self) -> Budget {
+        let budget = match self.profile {
+            LimitProfile::Rt => Budget::RT,
+            LimitProfile::Desktop => Budget::DESKTOP,
+        };
+        match self.stall_us {
+            Some(us) => budget.measured(Duration::from_us(us.into())),
+            None => budget,
+        }
+    }
+
+    /// Returns the limits that the requirement sets to a run with this profile, on this machine.
+    pub fn required(&self) -> Limits {
+        let limits = match self.profile {
+            LimitProfile::Rt => Limits::RT,
+            LimitProfile::Desktop => Limits::DESKTOP,
+        };
+        limits.with_stall(self.budget().stall)
+    }
+
+    /// Returns the timer that a core 0 pinned to this CPU postpones. Core 0 is less urgent than the
+    /// thread that waits for the timer, so it cannot hide a stall from that thread. Without a timer
+    /// the thread wakes more often.
     pub(crate) fn stall_alarm(&self, cpu: Option<usize>) -> Option<Alarm> {
         let mut timers = self.stall_timers.iter();
         let own = timers.find(|timer| Some(timer.cpu) == cpu)?;
         Alarm::inherited(own.descriptor).ok()
     }
 
-    /// The argument.
+    /// Encodes the configuration as a process's argument.
     ///
     /// # Errors
-    /// Never in practice: it has no content that JSON cannot hold.
+    /// Never in practice: JSON can hold all of it.
     pub fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
         Ok(vec![
             serde_json::to_string(self)
@@ -187,10 +181,10 @@ impl RunConfig {
         ])
     }
 
-    /// The configuration from a process's argument.
+    /// Decodes the configuration from a process's argument.
     ///
     /// # Errors
-    /// If this program has not made it.
+    /// If the argument is missing or was not made by [`RunConfig::to_extra`].
     pub fn from_extra(extra: &[OsString]) -> anyhow::Result<Self> {
         let text = extra
             .first()

@@ -113,7 +113,7 @@ fn takeovers(metrics: &Metrics) -> String {
 mod tests {
     use super::*;
     use crate::metrics::{Surroundings, compute};
-    use crate::synthetic;
+    use crate::tests::synthetic;
     use crate::timeline::Timeline;
 
     #[test]

@@ -6,10 +6,10 @@ use tandem_board_host::{CoreArgs, HostBoard, HostSupply};
 
 /// Its name in a slot.
 pub const NAME: &str = "three-frames";
-/// How often each core sends, and core 0 services the watchdog.
+/// Period at which each core sends, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(20);
 
-/// Is a core of it, until its supply ends it.
+/// Runs a core of the application until its supply ends it.
 ///
 /// # Errors
 /// If the run is over.

@@ -1,5 +1,5 @@
-//! The programming host of a vehicle: brings both systems a new release, one after the other, each
-//! while the other drives. U-3, U-5
+//! The programming host of a vehicle: updates both systems, one after the other, each while the other
+//! drives. U-3, U-5
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -11,31 +11,31 @@ use tandem_boot_host::{FileSender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
-/// How long the roles must have stayed before an update begins. A system that was updated before
-/// has approved its image by then: it does so after a second or two with a role, and dual operation
+/// How long the roles must be stable before an update begins. By then a system that was just updated
+/// has approved its image: it does so one to two seconds after it has a role, and dual operation
 /// resumes after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
-/// Frames of a download in a millisecond: what a bus of 500 kbit/s carries of them.
+/// Frames of a download per millisecond that a bus of 500 kbit/s carries.
 const FRAMES_PER_MS: usize = 3;
-/// Records under way.
+/// Records that may be unacknowledged.
 const WINDOW: u8 = 8;
 
-/// Both updates.
+/// The updates of both systems.
 pub(crate) struct Update {
-    /// Where the end of each is noted.
+    /// The file for the results.
     ended: PathBuf,
-    /// What each system is to get; taken when it begins.
+    /// The records for each system; taken when its update begins.
     lines: [Option<Vec<String>>; 2],
     under_way: Option<(SystemId, FileSender)>,
-    /// Since when a system could be updated.
+    /// Since when each system could be updated.
     ready_since: [Option<Instant>; 2],
 }
 
 impl Update {
-    /// The updates in these files.
+    /// Reads the updates from these files.
     ///
     /// # Errors
-    /// If one cannot be read.
+    /// If a file cannot be read.
     pub(crate) fn read(files: &UpdateFiles) -> anyhow::Result<Self> {
         let read = |path: &PathBuf| {
             let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
@@ -52,14 +52,14 @@ impl Update {
         })
     }
 
-    /// A frame that was on the bus.
+    /// Takes a frame from the bus.
     pub(crate) fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if let Some((_, sender)) = &mut self.under_way {
             sender.on_frame(now, frame);
         }
     }
 
-    /// Sends what is due in this millisecond, given what the systems show of their roles.
+    /// Sends the frames of this millisecond. `roles` are the roles that the systems show.
     pub(crate) fn poll(
         &mut self,
         now: Instant,
@@ -89,8 +89,8 @@ impl Update {
         }
     }
 
-    /// The standby comes first. The master follows in dual operation with one that was updated: it
-    /// hands over when it hears the request.
+    /// Begins an update if one is due: first that of the standby; then, in dual operation with the
+    /// updated system, that of the master, which hands over when it hears the request.
     fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
             let peer = system.peer();
@@ -113,7 +113,7 @@ impl Update {
     }
 }
 
-/// Adds a line. One that is lost is missed at the end of the run.
+/// Appends a line. The end of the run reports an update whose line is missing.
 fn note(path: &Path, line: &str) {
     let file = File::options().create(true).append(true).open(path);
     let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));

@@ -16,16 +16,15 @@ use crate::run_config::RunConfig;
 use crate::update::Update;
 use crate::world_record;
 
-/// The recording gets the state of the world every 20 ticks, the other vehicles and the road less
-/// often.
+/// Ticks between two records of the world's state, of the other vehicles, and of the road.
 const SAMPLE_TICKS: u64 = 20;
 const OTHERS_TICKS: u64 = 100;
 const ROAD_TICKS: u64 = 5_000;
-/// The recorder gets what was collected every 100 ticks.
+/// Ticks between two hand-overs of collected records to the recorder.
 const HAND_OVER_TICKS: u64 = 100;
-/// A period that begins later than this was held up, ns.
+/// A period that begins later than this counts as held up, ns.
 const HELD_UP_NS: u64 = 2_000_000;
-/// If no control frame was accepted by then, none will be, ms of 1 kHz ticks.
+/// Ticks of 1 ms after which a run without an accepted control frame ends.
 const GIVE_UP_TICKS: u64 = 15_000;
 
 /// Drives the scenario to its end.
@@ -35,7 +34,7 @@ const GIVE_UP_TICKS: u64 = 15_000;
 pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
-    // Not before the recorder runs: that must not get this thread's priority.
+    // Start the recorder first: its thread must not inherit this thread's priority.
     let _ = args.claim();
     let mut port =
         HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
@@ -64,9 +63,9 @@ where
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEnd {
-    /// After its whole duration, or because no controller drove: the recording is complete.
+    /// After its whole duration, or because no controller drove. The recording is complete.
     ByItself,
-    /// A person asked for it.
+    /// On the user's request.
     Stopped,
 }
 
@@ -82,7 +81,7 @@ struct Drive<'p, P> {
     collides: bool,
     powered: [bool; 2],
     lost_trace: u64,
-    /// Until when the bus was held up, ns.
+    /// End of the last time in which the bus was held up, ns.
     held_up_ns: u64,
 }
 
@@ -134,7 +133,7 @@ where
         self.port.set_ignition(true);
         loop {
             let now = self.port.now();
-            // A programming host sends in each period.
+            // A programming host sends in every period.
             let event = match self.update {
                 Some(_) => now,
                 None => Instant::from_ns(self.world.next_frame(now.as_ns())),
@@ -174,7 +173,7 @@ where
                         sent_ns = sent_ns.min(logged.sent.as_ns());
                         seen(logged);
                     });
-                    // Each frame wakes the bus: it was held up while one waited.
+                    // Each frame wakes the bus, so the bus was held up while a frame waited.
                     self.note_lateness(sent_ns);
                     continue;
                 }
@@ -183,7 +182,7 @@ where
             if let Pass::Period(_) = pass {
                 self.drain_traces();
             }
-            self.look(due.as_ns());
+            self.record_period(due.as_ns());
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
             if time_s >= self.duration_s || (!self.running && self.ticks >= GIVE_UP_TICKS) {
@@ -192,11 +191,11 @@ where
         }
     }
 
-    /// Notes a period that begins late: the bus carried nothing in that time.
+    /// Records a period that begins late: the bus carried nothing in that time.
     fn note_lateness(&mut self, due_ns: u64) {
         let to_ns = self.port.now().as_ns();
         let from_ns = due_ns.max(self.held_up_ns);
-        // The periods that follow at once to catch up were held up by the same.
+        // The periods that follow at once, to catch up, belong to the same delay.
         if to_ns.saturating_sub(from_ns) > HELD_UP_NS {
             self.held_up_ns = to_ns;
             self.recorder
@@ -224,8 +223,8 @@ where
         port.ring_receivers();
     }
 
-    /// Everything that the recording needs of a period.
-    fn look(&mut self, now_ns: u64) {
+    /// Records the state of the world and the power of the systems after a period.
+    fn record_period(&mut self, now_ns: u64) {
         let recorder = &mut self.recorder;
         for system in SystemId::ALL {
             let on = self.port.is_powered(system);
@@ -262,7 +261,7 @@ where
         }
     }
 
-    /// The trace records of cores and supplies.
+    /// Moves the trace records of cores and supplies to the recorder.
     fn drain_traces(&mut self) {
         let Self { port, recorder, .. } = self;
         let mut lost = 0;
@@ -330,7 +329,7 @@ where
         }
     }
 
-    /// Ends the run for all, and the recording.
+    /// Ends the run for all processes, and completes the recording.
     fn finish(mut self, ended: DriveEnd) -> anyhow::Result<()> {
         let at_ns = self.port.now().as_ns();
         self.port.set_ignition(false);

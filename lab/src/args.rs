@@ -10,7 +10,7 @@ use crate::boot_args::{BootloaderArgs, FlashArgs};
 use crate::chaos_args::ChaosArgs;
 use crate::sim::SimArgs;
 
-/// What runs in virtual time or in emulators, campaigns of faults, and experiments: of `tandem`.
+/// The commands of `tandem` for virtual time, emulators, fault campaigns and experiments
 #[derive(Debug, Parser)]
 #[command(name = "tandem", bin_name = "tandem", version, max_term_width = 100)]
 pub(crate) struct Cli {
@@ -24,25 +24,25 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     /// Drive a scenario with both systems, and write a report
     Run(RunArgs),
-    /// Publish a run for observers: what a run starts
+    /// Publish a run for observers; a run starts this
     #[command(hide = true)]
     Publish,
-    /// Drive a folder of scenarios in virtual time, and say how each went
+    /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(JudgeArgs),
     /// Try faults on the control cores of both systems, in virtual time
     Sim(SimArgs),
-    /// Inject faults into the processes and wires of real runs, and report what each kind cost
+    /// Inject faults into the processes and wires of real runs, and report the gap of each kind
     Chaos(ChaosArgs),
-    /// Run the experiments of the thesis, and print its figures beside those of here
+    /// Run the thesis's experiments and print its figures beside the measured ones
     Thesis(ThesisArgs),
-    /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
+    /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(RtosDemoArgs),
-    /// Download the smallest application over CAN to an empty controller, start it, and show the
-    /// frames of its three cores
+    /// Download the smallest application over CAN to an empty controller, start it, and show a frame
+    /// of each core
     BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
     Flash(FlashArgs),
-    /// Run the bootloader of one system on a flash file, and say what it would start
+    /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(BootloaderArgs),
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct ThesisArgs {
     #[arg(long, value_enum, default_value_t = ThesisBoard::Host)]
     pub(crate) board: ThesisBoard,
 
-    /// Write the figures to this file, too
+    /// Also write the figures to this file
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 
@@ -74,7 +74,7 @@ pub(crate) enum ThesisBoard {
 }
 
 impl ThesisBoard {
-    /// As the command line writes it.
+    /// Its name on the command line.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Host => "host",
@@ -87,11 +87,11 @@ impl ThesisBoard {
 /// Arguments of `tandem judge`.
 #[derive(Debug, Args)]
 pub(crate) struct JudgeArgs {
-    /// The folder: every file *.xml in it is a CommonRoad scenario
+    /// A folder of CommonRoad scenarios: every file *.xml in it
     #[arg(value_name = "DIR")]
     pub(crate) folder: PathBuf,
 
-    /// How long to drive each, in scenario time: 20, 20s, 1m
+    /// How long to drive each scenario, in scenario time: 20, 20s, 1m
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = tandem::args::parse_duration)]
     pub(crate) duration: f64,
 
@@ -99,7 +99,7 @@ pub(crate) struct JudgeArgs {
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
 
-    /// Scenarios at the same time [default: one for each CPU]
+    /// Scenarios to drive in parallel [default: one for each CPU]
     #[arg(long, value_name = "N")]
     pub(crate) jobs: Option<std::num::NonZero<usize>>,
 
@@ -119,11 +119,11 @@ pub(crate) struct RtosDemoArgs {
     #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
     pub(crate) board: DemoBoard,
 
-    /// The image for the emulated board [default: what `cargo xtask firmware build` made]
+    /// The image for the emulated board [default: built by `cargo xtask firmware build`]
     #[arg(long, value_name = "FILE")]
     pub(crate) firmware: Option<PathBuf>,
 
-    /// Write the pictures to this file, too
+    /// Also write the pictures to this file
     #[arg(long, value_name = "FILE")]
     pub(crate) svg: Option<PathBuf>,
 }
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
     use clap::CommandFactory as _;
 
-    /// `tandem` lists each command in the words with which this program explains it.
+    /// `tandem` describes each command in the same words as this program.
     #[test]
     fn both_command_lines_say_the_same() {
         Cli::command().debug_assert();

@@ -3,19 +3,22 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use anyhow::Context as _;
+use clap::Args;
+use tandem::args::parse_system;
 use tandem_board::SystemId;
+use tandem_boot_host::udp_bus::{GROUP, PORT, UdpBus};
 
 const FLASH_EXAMPLES: &str = "\
 Examples:
   tandem flash app.srec --key key.der --release 7      sign it and send it
   tandem flash app.srec --key key.der --release 7 --sign-only app.signed.srec
-  tandem flash app.signed.srec --to B --resume         continue what broke off
+  tandem flash app.signed.srec --to B --resume         continue an interrupted transfer
   tandem bootloader --flash a.flash --public key.pub.der --requested
-                                                       something to send it to
+                                                       a bootloader to send it to
 
-The file holds the data of one slot, behind its first 256 bytes. Protocol, addresses and what a
-refusal means: docs/boot.md.";
+The file holds the data of one slot, after its first 256 bytes. For the protocol, the addresses and the
+meaning of refusals see docs/boot.md.";
 
 /// Arguments of `tandem flash`.
 #[derive(Debug, Args)]
@@ -32,7 +35,7 @@ pub(crate) struct FlashArgs {
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     pub(crate) key_number: u8,
 
-    /// Number of the release; a bootloader refuses lower ones than it has approved
+    /// Number of the release; a bootloader refuses a lower one than it has approved
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     pub(crate) release: u32,
 
@@ -40,15 +43,15 @@ pub(crate) struct FlashArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) sign_only: Option<PathBuf>,
 
-    /// The system to send it to [default: whichever listens]
-    #[arg(long, value_enum, ignore_case = true, value_name = "SYSTEM")]
-    pub(crate) to: Option<System>,
+    /// The system to send it to [default: the one that listens]
+    #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
+    pub(crate) to: Option<SystemId>,
 
-    /// Records under way without an answer; 0 waits for each
+    /// Records to send without waiting for an answer; 0 waits after each record
     #[arg(long, value_name = "RECORDS", default_value_t = 16)]
     pub(crate) window: u8,
 
-    /// Continue a transfer that broke off
+    /// Continue an interrupted transfer
     #[arg(long)]
     pub(crate) resume: bool,
 
@@ -56,67 +59,58 @@ pub(crate) struct FlashArgs {
     #[arg(long, value_name = "SECONDS", default_value_t = 30)]
     pub(crate) wait: u32,
 
-    /// Multicast group of the CAN bus, as python-can's udp_multicast
-    #[arg(long, default_value_t = tandem_boot_host::udp_bus::GROUP)]
-    pub(crate) group: Ipv4Addr,
-
-    /// Its port
-    #[arg(long, default_value_t = tandem_boot_host::udp_bus::PORT)]
-    pub(crate) port: u16,
-}
-
-/// One of the two systems.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum System {
-    /// System A
-    #[value(name = "A")]
-    A,
-    /// System B
-    #[value(name = "B")]
-    B,
-}
-
-impl From<System> for SystemId {
-    fn from(system: System) -> Self {
-        match system {
-            System::A => Self::A,
-            System::B => Self::B,
-        }
-    }
+    /// The bus
+    #[command(flatten)]
+    pub(crate) bus: BusArgs,
 }
 
 /// Arguments of `tandem bootloader`.
 #[derive(Debug, Args)]
 pub(crate) struct BootloaderArgs {
-    /// The program flash of the system; made if it is missing
+    /// The program flash of the system; created if missing
     #[arg(long, value_name = "FILE")]
     pub(crate) flash: PathBuf,
 
-    /// A public key that it believes (Ed25519, DER); the first one has number 0
+    /// A public key that it trusts (Ed25519, DER); the first one has number 0
     #[arg(long, value_name = "FILE")]
     pub(crate) public: Vec<PathBuf>,
 
     /// Which system
-    #[arg(long, value_enum, ignore_case = true, default_value_t = System::A)]
-    pub(crate) system: System,
+    #[arg(long, value_name = "SYSTEM", default_value = "A", value_parser = parse_system)]
+    pub(crate) system: SystemId,
 
-    /// The application asked for a download: wait 10 s for a host, not 20 ms
+    /// As if the application had requested a download: wait 10 s for a host, not 20 ms
     #[arg(long)]
     pub(crate) requested: bool,
 
-    /// Take and start what is not signed, and log it
+    /// Accept and start unsigned images, and log it
     #[arg(long)]
     pub(crate) monitor: bool,
 
-    /// Approve what is on trial, as the application does, and end
+    /// Approve the image on trial, as the application does, and exit
     #[arg(long)]
     pub(crate) approve: bool,
 
-    /// Multicast group of the CAN bus
-    #[arg(long, default_value_t = tandem_boot_host::udp_bus::GROUP)]
+    /// The bus
+    #[command(flatten)]
+    pub(crate) bus: BusArgs,
+}
+
+/// The CAN bus over UDP multicast.
+#[derive(Debug, Args)]
+pub(crate) struct BusArgs {
+    /// Multicast group of the CAN bus, as in python-can's udp_multicast
+    #[arg(long, default_value_t = GROUP)]
     pub(crate) group: Ipv4Addr,
 
-    /// Its port
-    #[arg(long, default_value_t = tandem_boot_host::udp_bus::PORT)]
+    /// Port of the multicast group
+    #[arg(long, default_value_t = PORT)]
     pub(crate) port: u16,
+}
+
+impl BusArgs {
+    /// Joins the bus.
+    pub(crate) fn join(&self) -> anyhow::Result<UdpBus> {
+        UdpBus::join(self.group, self.port).context("CAN over UDP multicast")
+    }
 }

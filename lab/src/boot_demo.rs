@@ -12,11 +12,11 @@ use tandem_boot_host::{FlashFile, SigningKey, records};
 
 use crate::emulated;
 
-/// The experiment. `images`: folder of the images for the emulated board; `None` is where `cargo
-/// xtask firmware build` makes them.
+/// Runs the experiment. `images` is the folder of the images for the emulated board; `None` means the
+/// output folder of `cargo xtask firmware build`.
 ///
 /// # Errors
-/// If the board cannot be started, the download is refused, or a frame does not come.
+/// If the board does not start, the download is refused, or a frame does not arrive.
 pub(crate) fn experiment(board: DemoBoard, images: Option<&Path>) -> anyhow::Result<Downloaded> {
     match board {
         DemoBoard::Host => on_host(),

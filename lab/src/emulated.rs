@@ -21,27 +21,27 @@ use tandem::run;
 use tandem::run_config::{RunConfig, UpdateFiles};
 use tandem::vehicle::{self, DriveEnd};
 
-/// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
+/// Output folder of `cargo xtask firmware build`, relative to the target folder.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
 
-/// The image that is to run: the one of this name, unless a person chose another.
+/// Returns the path of the image to run: `chosen`, or the built one of this name.
 ///
 /// # Errors
-/// If there is none.
+/// If there is no such file.
 pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf> {
     let image = match chosen {
         Some(image) => image.to_owned(),
         None => std::env::current_exe()
-            .context("where this program lies")?
+            .context("the path of this program")?
             .ancestors()
             .nth(2)
-            .context("this program lies in no build folder: name the image by --firmware")?
+            .context("this program is not in a build folder: name the image with --firmware")?
             .join(IMAGES)
             .join(name),
     };
     ensure!(
         image.is_file(),
-        "there is no image at {}: build it by `cargo xtask firmware build`, or name one by \
+        "there is no image at {}: build it with `cargo xtask firmware build`, or name one with \
          --firmware",
         image.display()
     );
@@ -49,10 +49,10 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
     std::fs::canonicalize(&image).with_context(|| image.display().to_string())
 }
 
-/// An application for the emulated board.
+/// Signs an application for the emulated board.
 ///
 /// # Errors
-/// If the file is no image for a slot.
+/// If the file is not an image for a slot.
 pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
     let release = ReleaseInfo {
         version,
@@ -64,9 +64,9 @@ pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Resu
 
 /// The images of the controller.
 pub(crate) enum Images {
-    /// One that starts alone.
+    /// One image that starts without a bootloader.
     Alone(PathBuf),
-    /// One in the slot of each system, which the bootloader starts.
+    /// An image in the slot of each system, which the bootloader starts.
     Booting {
         bootloader: PathBuf,
         /// By slot: the factory image, and the update.
@@ -75,11 +75,11 @@ pub(crate) enum Images {
 }
 
 impl Images {
-    /// Those that a run starts: with a bootloader, unless both systems are in one machine or a
-    /// person chose an image.
+    /// Returns the images of a run: with a bootloader, unless both systems share one machine or the
+    /// arguments say otherwise.
     ///
     /// # Errors
-    /// If there is none.
+    /// If an image is missing.
     pub(crate) fn of(args: &RunArgs) -> anyhow::Result<Self> {
         if args.firmware.is_some() || args.no_bootloader || args.board == BoardKind::QemuOne {
             return Ok(Self::Alone(image("controller", args.firmware.as_deref())?));
@@ -93,8 +93,8 @@ impl Images {
         })
     }
 
-    /// Starts the machines; the program flashes are made in `folder`. Also returns the update that
-    /// the systems are to get.
+    /// Starts the machines, with program flashes in `folder`. Also returns the update that the systems
+    /// will receive.
     fn start(
         &self,
         layout: Layout,
@@ -163,10 +163,10 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     })
 }
 
-/// Drives to the end, or until a person ends it; a line on how the time went.
+/// Drives to the end, or until the user ends the run. Returns a line on the run's clock and duration.
 ///
 /// # Errors
-/// If the emulator cannot be started, hangs or fails.
+/// If the emulator does not start, hangs or fails.
 fn drive(
     args: &RunArgs,
     images: &Images,
@@ -202,12 +202,12 @@ fn drive(
     }
     let ended = ended?;
     if !args.quiet && args.update.is_some() {
-        // Which slot each system has started, and that it has approved it.
+        // The slot that each system has started, and its approval.
         let log = world.log();
         let of_slots = log.lines().filter(|line| line.contains(" slot"));
         of_slots.for_each(|line| eprintln!("{line}"));
     }
-    let told = format!(
+    let summary = format!(
         "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
          took {:.0} s of this machine's",
         match layout {
@@ -220,5 +220,5 @@ fn drive(
         },
         begin.elapsed().as_secs_f64()
     );
-    Ok((told, ended))
+    Ok((summary, ended))
 }

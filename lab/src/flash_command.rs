@@ -1,5 +1,5 @@
-//! `tandem flash`: signs a file, sends it to a bootloader over CAN, and shows how far it is; and a
-//! bootloader on this machine to send it to. The protocol is `docs/boot.md`.
+//! `tandem flash`: signs a file, sends it to a bootloader over CAN, and shows the progress. `tandem
+//! bootloader`: a bootloader on this machine to send it to. `docs/boot.md` describes the protocol.
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
 use anyhow::{Context as _, anyhow, bail};
@@ -13,11 +13,11 @@ use tandem_boot::{
     Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
 };
 use tandem_boot_host::{
-    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, TransferError, UdpBus, records,
+    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, TransferError, records,
     send_file, serve,
 };
 
-/// What RFC 8410 puts before the 32 bytes of a public key.
+/// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
 
 /// Sends a file, or only signs it.
@@ -32,7 +32,7 @@ pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
     send(args, lines).map_err(Failure::Run)
 }
 
-/// The records to send: those of a signed file as they are, else signed ones.
+/// Returns the records to send: those of a signed file unchanged, otherwise signed ones.
 fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     let name = args.file.display();
     let text = fs::read_to_string(&args.file).with_context(|| name.to_string())?;
@@ -48,7 +48,7 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     }
     let Some(path) = &args.key else {
         bail!(
-            "{name} is not signed: name a key with --key (openssl genpkey -algorithm ed25519 \
+            "{name} is not signed: give a key with --key (openssl genpkey -algorithm ed25519 \
              -outform DER)"
         );
     };
@@ -66,10 +66,10 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
 }
 
 fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
-    let wire = UdpBus::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let wire = args.bus.join()?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} records, {eta} left");
     let bar = ProgressBar::new(lines.len() as u64).with_style(style?);
-    let mut sender = FileSender::new(lines, args.to.map(Into::into), args.window);
+    let mut sender = FileSender::new(lines, args.to, args.window);
     if args.resume {
         sender = sender.resuming();
     }
@@ -82,7 +82,7 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
     tandem::print("verified by the bootloader, on trial from its next start\n")
 }
 
-/// A system's bootloader on its flash file, until it has decided what to start.
+/// Runs a system's bootloader on its flash file, until it has decided what to start.
 pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     let name = args.flash.display();
     let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
@@ -91,7 +91,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     }
     let keys = args.public.iter().map(|path| key(path, &PUBLIC_DER));
     let keys = keys.collect::<anyhow::Result<Vec<_>>>()?;
-    let wire = UdpBus::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let wire = args.bus.join()?;
     let mut setup = Setup {
         trust: Trust {
             keys: &keys,
@@ -101,7 +101,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
                 TrustMode::Strict
             },
         },
-        system: args.system.into(),
+        system: args.system,
         bank: bank(&mut flash),
         cause: if args.requested {
             ResetCause::Download
@@ -124,7 +124,8 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     }
 }
 
-/// The bank that the boot ROM starts. A file without a bootloader has this program in its place.
+/// Returns the bank that the boot ROM starts. In a file without a bootloader this program takes the
+/// place of the primary one.
 fn bank(flash: &mut FlashFile) -> Bank {
     rom_choice(flash).unwrap_or(Bank::Primary)
 }

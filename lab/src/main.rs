@@ -1,5 +1,5 @@
-//! `tandem-lab`: the commands of `tandem` that need what no drive needs. `tandem` has it built and
-//! becomes it.
+//! `tandem-lab`: the commands of `tandem` with dependencies that no drive needs. `tandem` lets cargo
+//! build it, and then replaces itself by it.
 #![forbid(unsafe_code)]
 
 mod args;
@@ -12,6 +12,7 @@ mod flash_command;
 mod judge;
 mod rtos_demo;
 mod sim;
+mod square_waves;
 mod thesis;
 
 use std::process::ExitCode;

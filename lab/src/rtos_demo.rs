@@ -1,33 +1,28 @@
 //! `tandem rtos-demo`: two tests of the kernel as pictures of digital outputs. T-RTOS-3, T-RTOS-4
 //!
-//! Three tasks toggle an output each, as the thesis has them before an oscilloscope. The tasks note
-//! each change with its time, in this process or as firmware in an emulated machine; the picture is
-//! drawn from these notes.
+//! Each of three tasks toggles an output, which the thesis watches with an oscilloscope. The tasks
+//! record the time of each change, in this process or as firmware in an emulated machine. The picture
+//! is drawn from these records.
 
 use anyhow::{Context as _, Result, ensure};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use tandem_page::chart::{WIDTH, plain, round_ticks};
-use tandem_page::svg::{Anchor, Color, Stroke, Svg};
+use tandem_page::svg::Color;
 use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test, toggle};
 use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
 
 use crate::args::RtosDemoArgs;
 use crate::emulated;
+use crate::square_waves::{self, SquareWaves, Trace};
 use tandem::board_kind::DemoBoard;
 
 /// Columns of a trace in the terminal.
 const COLUMNS: usize = 90;
 /// Colours of the outputs.
 const COLORS: [Color; 3] = [Color::A, Color::B, Color::GOOD];
-/// Sizes in the picture: one output, one test, its title, the space at both sides.
-const ROW: f64 = 72.0;
-const HEIGHT: f64 = 330.0;
-const TITLE: f64 = 44.0;
-const SIDE: f64 = 24.0;
-/// Between an output's change and the note of it, ms.
+/// Longest time between an output's change and its record, ms.
 const EDGE_MS: f64 = 0.05;
 /// The image of this demonstration.
 const IMAGE: &str = "rtos-demo";
@@ -35,18 +30,18 @@ const HERE: &str = "this machine's time";
 const VIRTUAL: &str = "virtual time";
 const EMULATED: &str = "the emulator's time (QEMU, riscv32): an instruction takes 1 ns";
 
-/// Times of the changes of each output, ms; all begin low.
+/// Times of the changes of each output, ms. All outputs begin low.
 type Changes = Vec<Vec<f64>>;
 
 /// One picture.
 pub(crate) struct Picture {
     test: &'static Test,
-    /// Whose time it is.
+    /// The clock of the times, in words.
     clock: &'static str,
     changes: Changes,
 }
 
-/// Runs both tests and shows them; writes them to a file as well if there is one.
+/// Runs both tests and returns the text to show. Also writes the pictures to a file if one is named.
 pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
     let pictures = pictures(args.board, args.firmware.as_deref())?;
     if let Some(path) = &args.svg {
@@ -55,10 +50,10 @@ pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
     Ok(pictures.iter().map(show).collect())
 }
 
-/// Runs both tests on this board; `firmware` is the image for the emulated one.
+/// Runs both tests on this board. `firmware` is the image for the emulated board.
 ///
 /// # Errors
-/// If the kernel or the emulator does not start, or there is no image.
+/// If the kernel or the emulator does not start, or the image is missing.
 pub(crate) fn pictures(board: DemoBoard, firmware: Option<&Path>) -> Result<Vec<Picture>> {
     match board {
         DemoBoard::Host => TESTS.iter().map(|test| here(test, Clock::Wall)).collect(),
@@ -69,7 +64,7 @@ pub(crate) fn pictures(board: DemoBoard, firmware: Option<&Path>) -> Result<Vec<
     }
 }
 
-/// Runs both tests in this process, in time that passes only while tasks work or all wait.
+/// Runs both tests in this process, in virtual time.
 ///
 /// # Errors
 /// If the kernel does not start.
@@ -80,11 +75,11 @@ pub(crate) fn simulated() -> Result<Vec<Picture>> {
         .collect()
 }
 
-/// The log of firmware, as pictures.
+/// Converts the log of the firmware to pictures.
 fn pictures_of(log: &str) -> Result<Vec<Picture>> {
     ensure!(
         log.lines().any(|line| line == COMPLETE),
-        "the firmware did not reach its end, or is of another version: {log}"
+        "the firmware did not reach its end, or has another version: {log}"
     );
     let mut pictures: Vec<_> = TESTS
         .iter()
@@ -109,7 +104,7 @@ fn here(test: &'static Test, clock: Clock) -> Result<Picture> {
         let options = TaskOptions::new(output.name, Priority::new(output.priority));
         let note = move || {
             let at_ms = elapsed_ns() as f64 * 1e-6;
-            // The lock is the standard library's: no other task may meet it.
+            // A lock of the standard library: no other task may run while it is held.
             deferred(|| {
                 notes.lock().unwrap_or_else(PoisonError::into_inner)[number].push(at_ms);
             });
@@ -132,7 +127,7 @@ fn here(test: &'static Test, clock: Clock) -> Result<Picture> {
 }
 
 impl Picture {
-    /// Whether an output is up at this time.
+    /// Whether an output is high at this time.
     fn is_up(&self, channel: usize, at_ms: f64) -> bool {
         self.changes[channel]
             .iter()
@@ -142,8 +137,8 @@ impl Picture {
             == 1
     }
 
-    /// Shortest, mean and longest time between two changes, ms: in the same direction for a task
-    /// that works, any two for one that toggles.
+    /// Returns the shortest, mean and longest period, ms: between two changes in the same direction
+    /// for a task that works, between any two changes for a task that toggles.
     fn periods(&self, channel: usize) -> Option<(f64, f64, f64)> {
         let step = 1 + usize::from(self.test.outputs[channel].burn_ms.is_some());
         let starts: Vec<f64> = self.changes[channel]
@@ -162,7 +157,7 @@ impl Picture {
         })
     }
 
-    /// Largest deviation of an output's mean period from that of its task, ms; not a number if an
+    /// Returns the largest deviation of an output's mean period from that of its task, ms; NaN if an
     /// output never changed.
     pub(crate) fn off_ms(&self) -> f64 {
         let off = (0..self.test.outputs.len()).map(|channel| {
@@ -173,16 +168,27 @@ impl Picture {
         off.fold(0.0, |worst, off| if off <= worst { worst } else { off })
     }
 
-    /// How often a lower task changed its output while the highest one worked.
+    /// Counts the changes of the outputs of lower tasks while the highest task worked.
     pub(crate) fn changes_while_burning(&self) -> f64 {
         let lower = self.changes[1..].iter().flatten();
-        // At the very edge the highest task has just begun, or just ended.
+        // Close to an edge the highest task has just begun or just ended.
         let within = |at_ms: &&f64| {
             [-EDGE_MS, EDGE_MS]
                 .iter()
                 .all(|margin| self.is_up(0, **at_ms + margin))
         };
         lower.filter(within).count() as f64
+    }
+
+    fn traces(&self) -> Vec<Trace> {
+        let channels = COLORS.into_iter().zip(&self.changes).enumerate();
+        let trace = |(channel, (color, changes)): (usize, (Color, &Vec<f64>))| Trace {
+            color,
+            label: self.label(channel),
+            changes: changes.clone(),
+            note: None,
+        };
+        channels.map(trace).collect()
     }
 
     fn title(&self) -> String {
@@ -196,17 +202,17 @@ impl Picture {
         let Some((min, mean, max)) = self.periods(channel) else {
             return name.to_owned();
         };
-        // The mean of what others hold up depends on where the picture ends.
+        // The mean period of a task that others preempt depends on where the picture ends.
         if max - min > f64::from(period_ms) / 2.0 {
             let count = self.changes[channel].len();
-            format!("{name}: held up, {min:.2} to {max:.2} ms apart, {count} in {SPAN_MS} ms")
+            format!("{name}: preempted, {min:.2} to {max:.2} ms apart, {count} in {SPAN_MS} ms")
         } else {
             format!("{name}: {mean:.2} ms ({min:.2} to {max:.2})")
         }
     }
 }
 
-/// The picture for a terminal.
+/// Returns the picture for a terminal.
 pub(crate) fn show(picture: &Picture) -> String {
     let mut text = format!("{}\n", picture.title());
     for channel in 0..picture.test.outputs.len() {
@@ -232,51 +238,15 @@ pub(crate) fn show(picture: &Picture) -> String {
     text
 }
 
-/// Both pictures as one SVG.
+/// Returns the pictures as one SVG.
 fn draw(pictures: &[Picture]) -> String {
-    let mut svg = Svg::new(WIDTH, HEIGHT * pictures.len() as f64);
-    for (number, picture) in pictures.iter().enumerate() {
-        draw_one(&mut svg, HEIGHT * number as f64, picture);
-    }
-    svg.into_file()
-}
-
-fn draw_one(svg: &mut Svg, top: f64, picture: &Picture) {
-    let span = f64::from(SPAN_MS);
-    let x = |at_ms: f64| SIDE + at_ms / span * (WIDTH - 2.0 * SIDE);
-    let bottom = top + TITLE + ROW * picture.test.outputs.len() as f64;
-    svg.text(
-        (SIDE, top + 26.0),
-        Anchor::Start,
-        Color::INK,
-        &picture.title(),
-    );
-    for tick_ms in round_ticks((0.0, span), 12) {
-        let line = ((x(tick_ms), top + TITLE), (x(tick_ms), bottom));
-        svg.line(line.0, line.1, Stroke::new(Color::GRID, 1.0));
-        let place = (x(tick_ms), bottom + 18.0);
-        svg.text(place, Anchor::Middle, Color::MUTED, &plain(tick_ms));
-    }
-    let clock = format!("ms of {}", picture.clock);
-    svg.text((SIDE, bottom + 38.0), Anchor::Start, Color::MUTED, &clock);
-    for (channel, color) in COLORS.into_iter().enumerate() {
-        let low = top + TITLE + ROW * (channel + 1) as f64 - 8.0;
-        let mut y = low;
-        let mut points = vec![(x(0.0), y)];
-        for change in &picture.changes[channel] {
-            points.push((x(*change), y));
-            y = 2.0 * low - 32.0 - y;
-            points.push((x(*change), y));
-        }
-        points.push((x(span), y));
-        svg.polyline(points.into_iter(), Stroke::new(color, 1.5), "");
-        svg.text(
-            (SIDE + 4.0, low - 40.0),
-            Anchor::Start,
-            color,
-            &picture.label(channel),
-        );
-    }
+    let waves = pictures.iter().map(|picture| SquareWaves {
+        title: picture.title(),
+        axis: format!("ms of {}", picture.clock),
+        span: f64::from(SPAN_MS),
+        traces: picture.traces(),
+    });
+    square_waves::file(&waves.collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -326,7 +296,7 @@ mod tests {
         let pictures = pictures_of(&format!("{edges}{COMPLETE}\n")).unwrap();
         assert_eq!(pictures[0].changes, [vec![], vec![], vec![20.0001]]);
         assert!(pictures[1].is_up(0, 10.0) && !pictures[1].is_up(0, 20.1));
-        // An image that has broken off shows nothing.
+        // An incomplete log is refused.
         assert!(pictures_of(edges).is_err());
     }
 }

@@ -248,7 +248,7 @@ fn outputs_of_the_firmware_are_drawn() {
             assert!(text.contains(part), "{part}: {text}");
         }
         assert!(text.contains("priority 3: 30.00 ms"), "{text}");
-        assert!(text.contains("priority 2: held up"), "{text}");
+        assert!(text.contains("priority 2: preempted"), "{text}");
         assert!(text.contains("time (QEMU, riscv32)"), "{text}");
     }
 }

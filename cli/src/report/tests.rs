@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::metrics::Surroundings;
+use crate::tests::synthetic;
 use crate::timeline::Timeline;
-use crate::{metrics, synthetic, timeline};
+use crate::{metrics, timeline};
 use tandem_board::Duration;
 use tandem_bus::ModeCode;
 use tandem_record::gap::Bounds;

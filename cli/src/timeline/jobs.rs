@@ -1,4 +1,4 @@
-//! The figures of each task: how often it ran, how long, and whether in time.
+//! Figures of each task: how often it ran, for how long, and whether it met its deadline.
 
 use std::collections::BTreeMap;
 
@@ -21,38 +21,38 @@ pub(crate) struct TaskMetrics {
     pub(crate) task: String,
     /// Time between two releases, ms; `None` if events release it.
     pub(crate) period_ms: Option<f64>,
-    /// A job must be done within this time after its release, ms; `None` without a deadline.
+    /// Time from release to deadline, ms; `None` without a deadline.
     pub(crate) deadline_ms: Option<f64>,
-    /// Jobs that were begun.
+    /// Number of jobs that have begun.
     pub(crate) jobs: u64,
-    /// Releases that no job answered, as the task was late by whole periods.
+    /// Releases without a job, because the task was late by whole periods.
     pub(crate) missed_releases: u64,
-    /// Jobs that were done after their deadline, and missed releases of tasks that have one.
+    /// Jobs that ended after their deadline, plus missed releases of tasks with a deadline.
     pub(crate) deadline_misses: u64,
-    /// Jobs that never ended: the core died, or the run was over.
+    /// Jobs without an end, because the core died or the run ended.
     pub(crate) cut: u64,
-    /// How often a more urgent task took the CPU from it within a job.
+    /// Number of preemptions by more urgent tasks within jobs.
     pub(crate) preemptions: u64,
-    /// Jobs whose release is known: those that the times of response are about.
+    /// Jobs with a known release: the sample count of the response times.
     pub(crate) responses: u64,
-    /// From the release of a job to its end, half of them within, ms.
+    /// Median time from the release of a job to its end, ms.
     pub(crate) response_p50_ms: Option<f64>,
-    /// 99 of 100 are within, ms.
+    /// Its 99th percentile, ms.
     pub(crate) response_p99_ms: Option<f64>,
-    /// The longest, ms.
+    /// Its maximum, ms.
     pub(crate) response_max_ms: Option<f64>,
-    /// Time on the CPU without that of tasks and handlers within it, half of the jobs, ms. On the
-    /// host it includes what the machine's own scheduler took away.
+    /// Median time on the CPU, without that of tasks and handlers that ran in between, ms. On the host
+    /// it includes time that the machine's own scheduler took away.
     pub(crate) execution_p50_ms: Option<f64>,
-    /// 99 of 100 jobs, ms.
+    /// Its 99th percentile, ms.
     pub(crate) execution_p99_ms: Option<f64>,
-    /// The longest, ms.
+    /// Its maximum, ms.
     pub(crate) execution_max_ms: Option<f64>,
-    /// Bytes of its stack that were never used; `None` where it is not measured.
+    /// Bytes of its stack that were never used; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
-    /// Longest time in which it held a lock that others may wait for, with what interrupted it, ms;
-    /// `None` where it is not measured.
+    /// Longest time for which it held a lock that other tasks may wait for, including interruptions,
+    /// ms; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) lock_held_max_ms: Option<f64>,
 }
@@ -62,17 +62,17 @@ pub(crate) struct TaskMetrics {
 pub(crate) struct WakeMetrics {
     /// `A` or `B`.
     pub(crate) system: String,
-    /// The core that signals.
+    /// The sending core.
     pub(crate) from: u8,
-    /// The core that is signalled.
+    /// The receiving core.
     pub(crate) to: u8,
-    /// Signals that were taken up.
+    /// Number of signals that a task received.
     pub(crate) count: u64,
-    /// From just before the signal until its task runs, half of them within, ms.
+    /// Median time from just before the signal until its task runs, ms.
     pub(crate) latency_p50_ms: Option<f64>,
-    /// 99 of 100 are within, ms.
+    /// Its 99th percentile, ms.
     pub(crate) latency_p99_ms: Option<f64>,
-    /// The longest, ms.
+    /// Its maximum, ms.
     pub(crate) latency_max_ms: Option<f64>,
 }
 
@@ -87,15 +87,15 @@ pub(crate) struct InterruptMetrics {
     pub(crate) interrupt: String,
     /// How often the handler ran.
     pub(crate) count: u64,
-    /// Time in the handler, half of them within, ms.
+    /// Median time in the handler, ms.
     pub(crate) execution_p50_ms: Option<f64>,
-    /// 99 of 100 are within, ms.
+    /// Its 99th percentile, ms.
     pub(crate) execution_p99_ms: Option<f64>,
-    /// The longest, ms.
+    /// Its maximum, ms.
     pub(crate) execution_max_ms: Option<f64>,
 }
 
-/// The figures of all handlers of a core.
+/// Returns the figures of all handlers of a core.
 pub(super) fn interrupts(line: &CoreLine) -> Vec<InterruptMetrics> {
     let mut by_code: BTreeMap<IrqCode, Vec<f64>> = BTreeMap::new();
     for slice in line.slices.iter().filter(|slice| !slice.cut) {
@@ -121,7 +121,7 @@ pub(super) fn interrupts(line: &CoreLine) -> Vec<InterruptMetrics> {
     by_code.into_iter().map(one).collect()
 }
 
-/// The figures of all pairs of cores that signal each other.
+/// Returns the figures of all pairs of cores that signal each other.
 pub(super) fn wakes(flows: &[Flow]) -> Vec<WakeMetrics> {
     let mut pairs: BTreeMap<[usize; 3], Vec<f64>> = BTreeMap::new();
     for flow in flows {
@@ -167,7 +167,7 @@ struct Job {
     release_ns: Option<u64>,
     own_ns: u64,
     begun: bool,
-    /// When the task gave the CPU up, if the kernel has not said why.
+    /// When the task left the CPU, if the kernel did not record why.
     gave_ns: Option<u64>,
 }
 
@@ -182,7 +182,7 @@ impl Jobs {
         self.tasks.entry(code).or_default()
     }
 
-    /// A job is released, if none is under way.
+    /// Records the release of a job, unless one is under way.
     pub(super) fn ready(&mut self, code: TaskCode, at_ns: u64) {
         self.done_if_it_gave(code);
         let job = &mut self.task(code).job;
@@ -192,13 +192,13 @@ impl Jobs {
         });
     }
 
-    /// The task has the CPU.
+    /// Records that the task got the CPU.
     pub(super) fn begin(&mut self, code: TaskCode, at_ns: u64, begin: Begin) {
         let task = self.task(code);
         if let Begin::Released { late_ns, missed } = begin {
             task.missed += u64::from(missed);
             if task.job.is_some_and(|job| job.begun) {
-                // Its end was lost.
+                // The record of its end was lost.
                 task.cut += 1;
             }
             task.job = Some(Job {
@@ -214,7 +214,7 @@ impl Jobs {
         }
     }
 
-    /// The running job answers a signal that was sent then.
+    /// Records that a signal, sent at `sent_ns`, released the running job.
     pub(super) fn released(&mut self, code: TaskCode, sent_ns: u64) {
         if let Some(job) = &mut self.task(code).job
             && job.release_ns.is_none()
@@ -223,28 +223,29 @@ impl Jobs {
         }
     }
 
-    /// The task had the CPU for this time.
+    /// Adds time on the CPU.
     pub(super) fn ran(&mut self, code: TaskCode, own_ns: u64) {
         if let Some(job) = &mut self.task(code).job {
             job.own_ns += own_ns;
         }
     }
 
-    /// The task gave the CPU up, and the kernel does not say why.
+    /// Records that the task left the CPU, for a reason that the kernel did not record.
     pub(super) fn gave(&mut self, code: TaskCode, at_ns: u64) {
         if let Some(job) = &mut self.task(code).job {
             job.gave_ns = Some(at_ns);
         }
     }
 
-    /// What is made ready, or never seen again, has waited since it gave the CPU up.
+    /// Ends the job of a task that left the CPU, and then became ready or did not run again: it had
+    /// finished its job.
     fn done_if_it_gave(&mut self, code: TaskCode) {
         if let Some(gave_ns) = self.task(code).job.and_then(|job| job.gave_ns) {
             self.done(code, gave_ns);
         }
     }
 
-    /// The job is done.
+    /// Records the end of a job.
     pub(super) fn done(&mut self, code: TaskCode, at_ns: u64) {
         let task = self.task(code);
         let Some(job) = task.job.take() else { return };
@@ -256,7 +257,7 @@ impl Jobs {
             .extend(response_ns.map(|response_ns| response_ns as f64 * 1e-6));
     }
 
-    /// The core's incarnation is over, and so is every job.
+    /// Cuts all jobs: the core's incarnation has ended.
     pub(super) fn cut(&mut self) {
         let codes: Vec<TaskCode> = self.tasks.keys().copied().collect();
         codes
@@ -269,24 +270,24 @@ impl Jobs {
         }
     }
 
-    /// This much of a task's stack was never used.
+    /// Records the unused part of a task's stack.
     pub(super) fn stack(&mut self, code: TaskCode, free_bytes: u32) {
         let least = &mut self.task(code).stack_free_bytes;
         *least = Some(least.map_or(free_bytes, |least| least.min(free_bytes)));
     }
 
-    /// A more urgent task takes the CPU.
+    /// Records a preemption.
     pub(super) fn preempted(&mut self, code: TaskCode) {
         self.task(code).preemptions += 1;
     }
 
-    /// The task never held a lock for longer.
+    /// Records the longest time for which the task held a lock.
     pub(super) fn held(&mut self, code: TaskCode, longest_ns: u32) {
         let longest = &mut self.task(code).held_ns;
         *longest = Some(longest.map_or(longest_ns, |longest| longest.max(longest_ns)));
     }
 
-    /// The figures, in the order of the core's table.
+    /// Returns the figures, in the order of the core's task table.
     pub(super) fn metrics(&self, system: SystemId, core: CoreId) -> Vec<TaskMetrics> {
         let rank = |code: TaskCode| {
             let known = task_table::tasks(core);

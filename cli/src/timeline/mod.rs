@@ -1,8 +1,8 @@
-//! The timeline of a run: which task ran when on which core, from the trace records.
+//! The timeline of a run, from its trace records: which task ran when on which core.
 //!
-//! Records are told apart by source and taken in the order of each. A slice is a task or a handler
-//! from its coming to the CPU to its leaving; slices of a core nest and never cross, whatever
-//! records are missing: a slice whose end never came ends with its core.
+//! The records of each core are processed in their own order. A slice is the time from when a task or
+//! handler gets the CPU to when it leaves it. Slices of a core nest and never cross, even if records
+//! are missing: a slice without a recorded end ends with its core.
 
 mod jobs;
 mod perfetto;
@@ -31,7 +31,7 @@ pub(crate) enum Work {
 }
 
 impl Work {
-    /// Its name on this core.
+    /// Returns its name on this core.
     pub(crate) fn name(self, core: CoreId) -> String {
         match self {
             Self::Task(code) => task_name(core, code),
@@ -40,7 +40,7 @@ impl Work {
     }
 }
 
-/// The name of a task of this core.
+/// Returns the name of a task of this core.
 pub(crate) fn task_name(core: CoreId, code: TaskCode) -> String {
     match task_table::task(core, code) {
         Some(info) => info.name.to_owned(),
@@ -48,43 +48,43 @@ pub(crate) fn task_name(core: CoreId, code: TaskCode) -> String {
     }
 }
 
-/// The name of an interrupt.
+/// Returns the name of an interrupt.
 pub(crate) fn irq_name(code: IrqCode) -> String {
     let named = code.name().map(|name| format!("interrupt: {name}"));
     named.unwrap_or_else(|| format!("interrupt {}", code.0))
 }
 
-/// A span of time in which a core did something.
+/// A span of time in which a core ran a task or a handler.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Slice {
-    /// What.
+    /// The task or handler.
     pub(crate) work: Work,
-    /// From, on the run's clock, ns.
+    /// Begin, ns on the run's clock.
     pub(crate) begin_ns: u64,
-    /// To, ns; never before `begin_ns`.
+    /// End, ns; never before `begin_ns`.
     pub(crate) end_ns: u64,
-    /// How many slices stand around it.
+    /// Number of enclosing slices.
     pub(crate) depth: usize,
-    /// How late it began, if it began a job whose release it knows, ns.
+    /// Delay after the release, ns, if the slice began a job with a known release.
     pub(crate) late_ns: Option<u32>,
-    /// Releases before it that no job answered.
+    /// Releases before it without a job.
     pub(crate) missed: u32,
-    /// Its end never came: the core died, or the run ended, or records were lost.
+    /// No end was recorded: the core died, the run ended, or records were lost.
     pub(crate) cut: bool,
 }
 
 /// A moment on a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Mark {
-    /// When, ns.
+    /// Time, ns.
     pub(crate) at_ns: u64,
-    /// What.
+    /// What happened.
     pub(crate) event: Event,
-    /// The arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 is none.
+    /// Number of the arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 for none.
     pub(crate) flow: u64,
 }
 
-/// The order of what begins, ends and happens on a core: places in its lists.
+/// One step in the order of events on a core; the number is an index of `slices` or `marks`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     /// A slice begins.
@@ -106,12 +106,12 @@ pub(crate) struct CoreLine {
     pub(crate) slices: Vec<Slice>,
     /// Its moments by time.
     pub(crate) marks: Vec<Mark>,
-    /// Both in one order; times never go back along it.
+    /// Slices and moments in one order, with ascending times.
     pub(crate) steps: Vec<Step>,
 }
 
 impl CoreLine {
-    /// When a step was, ns.
+    /// Returns the time of a step, ns.
     pub(crate) fn at_ns(&self, step: Step) -> u64 {
         match step {
             Step::Begin(slice) => self.slices[slice].begin_ns,
@@ -121,14 +121,14 @@ impl CoreLine {
     }
 }
 
-/// A signal from core to core that was sent and taken up.
+/// A signal from core to core that was sent and received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Flow {
-    /// In which system.
+    /// The system.
     pub(crate) system: SystemId,
-    /// From, with the time in ns.
+    /// Sending core and time, ns.
     pub(crate) from: (CoreId, u64),
-    /// To, with the time in ns; never before `from`.
+    /// Receiving core and time, ns; never before `from`.
     pub(crate) to: (CoreId, u64),
 }
 
@@ -139,20 +139,20 @@ pub(crate) struct Timeline {
     pub(crate) cores: Vec<CoreLine>,
     /// The events of the supplies, by time, ns.
     pub(crate) supplies: Vec<(u64, SystemId, SupplyEvent)>,
-    /// Signals from core to core; the flow of a mark is its place here plus 1.
+    /// Signals from core to core; the flow of a mark is its index here plus 1.
     pub(crate) flows: Vec<Flow>,
     /// Figures of each task of each core.
     pub(crate) tasks: Vec<TaskMetrics>,
 }
 
 impl Timeline {
-    /// Puts the records of a run together.
+    /// Builds the timeline from the records of a run.
     pub(crate) fn new(log: &RunLog) -> Self {
         let supplies = log.supplies.clone();
         let mut by_core: Vec<Vec<(u64, Event)>> = vec![Vec::new(); 2 * CoreId::COUNT];
         for traced in &log.trace {
             let records = &mut by_core[place(traced.system, traced.core)];
-            // Times of one core never go back, whatever it says.
+            // Force ascending times on each core: its records are not trusted.
             let last_ns = records.last().map_or(0, |(last_ns, _)| *last_ns);
             let event = Event::decode(traced.record);
             records.extend(event.map(|event| (traced.at.as_ns().max(last_ns), event)));
@@ -183,17 +183,17 @@ impl Timeline {
         timeline
     }
 
-    /// Figures of the handlers of interrupts.
+    /// Returns the figures of the interrupt handlers.
     pub(crate) fn interrupts(&self) -> Vec<InterruptMetrics> {
         self.cores.iter().flat_map(jobs::interrupts).collect()
     }
 
-    /// Figures of the signals from core to core.
+    /// Returns the figures of the signals from core to core.
     pub(crate) fn wakes(&self) -> Vec<WakeMetrics> {
         jobs::wakes(&self.flows)
     }
 
-    /// Gives each signal that was taken up the number of its arrow.
+    /// Gives the mark of each received signal the number of its arrow.
     fn mark_wakes(&mut self, wakes: &Wakes) {
         for line in &mut self.cores {
             for mark in &mut line.marks {
@@ -210,7 +210,7 @@ const fn place(system: SystemId, core: CoreId) -> usize {
     system.index() * CoreId::COUNT + core.index()
 }
 
-/// When a core's incarnation ended, as its supply saw it, ns.
+/// Returns the ends of a core's incarnations, as its supply recorded them, ns.
 fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId) -> Vec<u64> {
     let ends = |event: &SupplyEvent| match event {
         SupplyEvent::CoreDied { core: died, .. } => *died == core,
@@ -224,10 +224,10 @@ fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId
         .collect()
 }
 
-/// From a core of a system to another one, with the number of the signal.
+/// System, sending core, receiving core, and number of the signal.
 type SignalKey = (SystemId, CoreId, CoreId, u32);
 
-/// All signals that were sent: when, and by which arrow they arrived.
+/// All sent signals: time of sending, and number of the arrow; 0 if not received.
 struct Wakes {
     sent: HashMap<SignalKey, Vec<(u64, u64)>>,
 }
@@ -248,10 +248,11 @@ impl Wakes {
         Self { sent }
     }
 
-    /// The time of the last such signal before `at_ns` if it has no arrow yet; it gets this one.
+    /// Finds the last such signal before `at_ns`. If it has no arrow yet, gives it this one and
+    /// returns the time at which it was sent.
     fn arrive(&mut self, key: SignalKey, at_ns: u64, arrow: u64) -> Option<u64> {
         let sent = self.sent.get_mut(&key)?;
-        // Numbers begin anew in each incarnation, so there may be several.
+        // Numbers restart in each incarnation, so several signals may share one.
         let before = sent.partition_point(|(sent_ns, _)| *sent_ns <= at_ns);
         let (sent_ns, given) = sent.get_mut(before.checked_sub(1)?)?;
         (*given == 0).then(|| {
@@ -270,10 +271,9 @@ impl Wakes {
 /// Builds the line of one core.
 struct LineBuilder {
     line: CoreLine,
-    /// Ends of incarnations, by time, that lie ahead.
+    /// Ends of incarnations that are still ahead, by time.
     ends: std::iter::Peekable<std::vec::IntoIter<u64>>,
-    /// Slices that have begun and not ended, the innermost last, each with the time of slices
-    /// within it, ns.
+    /// Open slices, the innermost last, each with the time of its inner slices, ns.
     open: Vec<(usize, u64)>,
     last_ns: u64,
     jobs: Jobs,
@@ -330,14 +330,14 @@ impl LineBuilder {
             }
             Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
             Event::Held { task, longest_ns } => self.jobs.held(task, longest_ns),
-            // A counter, and the figures of the control task's own slice.
+            // Shown as counters or moments.
             _ => self.mark(at_ns, event, 0),
         }
         self.last_ns = at_ns;
     }
 
     fn task_in(&mut self, at_ns: u64, task: TaskCode, begin: Begin) {
-        // One that never went out: the record was lost.
+        // If it is still open, the record of its end was lost.
         self.end(at_ns, Work::Task(task));
         self.jobs.begin(task, at_ns, begin);
         let (late_ns, missed) = match begin {
@@ -384,8 +384,8 @@ impl LineBuilder {
         self.open.push((slice, 0));
     }
 
-    /// Ends the innermost slice of this work, and what is open within it, whose ends were lost.
-    /// Returns its time without that of slices within it, ns; `None` if it never began.
+    /// Ends the innermost slice of this work, and the slices within it, whose ends were lost. Returns
+    /// its time without that of inner slices, ns; `None` if it never began.
     fn end(&mut self, at_ns: u64, work: Work) -> Option<u64> {
         let is_it = |(slice, _): &(usize, u64)| self.line.slices[*slice].work == work;
         let from = self.open.iter().rposition(is_it)?;
@@ -413,8 +413,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// The core's incarnation ended before `until_ns`: so do its slices, when the supply saw it or
-    /// else with its last record.
+    /// Ends all slices: the core's incarnation ended before `until_ns`, when its supply recorded it, or
+    /// else at its last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

@@ -1,8 +1,7 @@
 //! The timeline as a trace that <https://ui.perfetto.dev> opens.
 //!
-//! A system and the vehicle are each a process, a core and a supply a thread. Times are those of
-//! the run's one clock. Everything stands in one sequence of packets, which says its names once,
-//! at its begin.
+//! Each system and the vehicle is a process, each core and supply a thread. Times are those of the
+//! run's one clock. All packets form one sequence, which lists its names once, at its beginning.
 
 use std::collections::HashMap;
 
@@ -24,7 +23,7 @@ const SEQUENCE: u32 = 1;
 const PACKET_KEY: u8 = 0x0A;
 const VEHICLE_PID: i32 = 3;
 
-/// The whole trace.
+/// Encodes the whole trace.
 pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Vec<u8> {
     let mut trace = Trace::default();
     let markers = trace.track(None, "events");
@@ -86,7 +85,7 @@ impl Names {
 #[derive(Debug, Default)]
 struct Trace {
     tracks: Vec<TrackDescriptor>,
-    /// When, ns, and what; of each track in order of time.
+    /// Time, ns, and event; the events of each track are in order of time.
     events: Vec<(u64, TrackEvent)>,
     names: Names,
     categories: Names,
@@ -117,7 +116,7 @@ impl Trace {
         self.add_track(TrackDescriptor {
             thread: Some(ThreadDescriptor {
                 pid: Some(pid),
-                // Unique over all processes, and no process's own.
+                // Unique over all processes, and different from every process id.
                 tid: Some(i64::from(100 * pid + number)),
                 thread_name: Some(name.to_owned()),
             }),
@@ -144,7 +143,7 @@ impl Trace {
         })
     }
 
-    /// An event of this kind, see [`event_type`]; one without a name has an empty one.
+    /// Adds an event of this kind, see [`event_type`]. An empty name means none.
     fn event(&mut self, track: u64, at_ns: u64, kind: i32, name: &str) -> &mut TrackEvent {
         let place = self.events.len();
         let event = TrackEvent {
@@ -229,7 +228,7 @@ impl Trace {
         }
     }
 
-    /// Role and function as slices: from one change to the next, or to the end of the core's
+    /// Adds role and function as slices, from one change to the next or to the end of the core's
     /// incarnation.
     fn roles(&mut self, log: &RunLog, system: SystemId, process: u64) {
         let track = self.track(Some(process), "role");
@@ -271,7 +270,7 @@ impl Trace {
         change(self, end_ns, None);
     }
 
-    /// Counters of core 0.
+    /// Adds the counters of core 0.
     fn control(&mut self, timeline: &Timeline, system: SystemId, process: u64) {
         let period = self.counter(process, "control period", "ms");
         let lateness = self.counter(process, "control lateness", "µs");
@@ -313,7 +312,7 @@ impl Trace {
             let verdict = match frame.verdict {
                 Ruling::Accepted => "obeyed",
                 Ruling::Fenced => "fenced off",
-                Ruling::NotMaster => "not a master's",
+                Ruling::NotMaster => "not from a master",
                 Ruling::Invalid => "invalid",
                 Ruling::Stale => "too old",
                 Ruling::Implausible => "implausible",
@@ -362,7 +361,7 @@ impl Trace {
         let mut bytes = Vec::new();
         let mut put = |packet: &TracePacket| {
             bytes.push(PACKET_KEY);
-            // A vector grows as it must, so this cannot fail.
+            // Writing to a vector cannot fail.
             let _ = packet.encode_length_delimited(&mut bytes);
         };
         let packet = |flags: u32| TracePacket {
@@ -384,7 +383,7 @@ impl Trace {
                 ..packet(NEEDS_STATE)
             });
         }
-        // Stable: what is at one time on one track stays in its order.
+        // A stable sort: events of one track at one time stay in order.
         self.events.sort_by_key(|(at_ns, _)| *at_ns);
         for (at_ns, event) in self.events {
             put(&TracePacket {
@@ -397,7 +396,7 @@ impl Trace {
     }
 }
 
-/// Category and name of a moment on a core; `None` if counters show it.
+/// Returns category and name of a moment on a core; `None` if counters show it.
 fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
     Some(match event {
         Event::Interrupted { irq } => ("interrupt", irq_name(irq)),

@@ -10,7 +10,7 @@ use tandem_record::Entry;
 
 use super::schema::{TracePacket, event_type};
 use super::*;
-use crate::synthetic;
+use crate::tests::synthetic;
 
 const A: SystemId = SystemId::A;
 const CONTROL: CoreId = CoreId::CONTROL;

@@ -8,7 +8,7 @@ use tandem_board::{CoreId, SystemId};
 use tandem_board_host::RunName;
 use tandem_board_host::processes::{self, Kind};
 
-/// The keys, and what each does to the selected system.
+/// The keys and their effect on the selected system.
 pub(super) const KEYS: &str =
     "Tab system p/o power off/on 0-2 kill core h hang c CAN b beats l link m mend q";
 /// A hang ends after this time.

@@ -14,7 +14,8 @@ use anyhow::{Context as _, anyhow};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use tandem_board_host::services::Observer;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Parser, Subcommand};
+use tandem::args::RunChoice;
 use tandem::failure::Failure;
 
 use keys::Keys;
@@ -23,7 +24,7 @@ use picture::Picture;
 /// How often the screen is drawn.
 const REFRESH: Duration = Duration::from_millis(100);
 
-/// The part of `tandem` that this program is.
+/// The part of `tandem` that this program implements.
 #[derive(Debug, Parser)]
 #[command(name = "tandem", bin_name = "tandem", version, max_term_width = 100)]
 struct Cli {
@@ -34,20 +35,12 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Watch a run live, and inject faults by keys
-    Top(TopArgs),
-}
-
-/// Arguments of `tandem top`.
-#[derive(Debug, Args)]
-struct TopArgs {
-    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
-    #[arg(long, value_name = "RUN")]
-    run: Option<String>,
+    Top(RunChoice),
 }
 
 fn main() -> ExitCode {
-    let Command::Top(args) = Cli::parse().command;
-    match run(&args) {
+    let Command::Top(choice) = Cli::parse().command;
+    match run(&choice) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             failure.say();
@@ -56,16 +49,16 @@ fn main() -> ExitCode {
     }
 }
 
-/// Shows the run until a person presses q.
+/// Shows the run until the user presses q.
 ///
 /// # Errors
-/// [`Failure::Usage`] if there is no terminal, or no run that publishes.
-fn run(args: &TopArgs) -> Result<(), Failure> {
+/// [`Failure::Usage`] if stdout is no terminal, or no run publishes.
+fn run(choice: &RunChoice) -> Result<(), Failure> {
     if !std::io::stdout().is_terminal() {
         let reason = "tandem top needs a terminal; `tandem ps` lists the processes without one";
         return Err(Failure::Usage(anyhow!(reason)));
     }
-    let observer = Observer::on(args.run.as_deref());
+    let observer = Observer::on(choice.name.as_deref());
     let observer = observer.map_err(|error| Failure::Usage(error.into()))?;
     let mut terminal = ratatui::try_init()
         .context("the terminal")

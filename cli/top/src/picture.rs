@@ -1,4 +1,4 @@
-//! What `tandem top` knows of a run, from what the run publishes.
+//! The state that `tandem top` shows, collected from what a run publishes.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -6,15 +6,15 @@ use std::time::Duration;
 use tandem_board::SystemId;
 use tandem_board_host::services::{Event, News, Roles, Vehicle};
 
-/// Events and gaps that are kept: what the screen can show.
+/// Number of events and gaps kept: as many as the screen can show.
 const EVENTS: usize = 32;
 const GAPS: usize = 76;
-/// An accepted control frame, as [`tandem_board_host::services::Frame::verdict`] has it.
+/// The value of [`tandem_board_host::services::Frame::verdict`] for an accepted control frame.
 const ACCEPTED: u8 = 1;
 /// Without news for this long, the run has ended.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// All that is shown.
+/// The state that is shown.
 pub(super) struct Picture {
     pub(super) run: String,
     pub(super) roles: Option<Roles>,
@@ -30,7 +30,7 @@ pub(super) struct Picture {
     pub(super) selected: SystemId,
     /// The last action.
     pub(super) said: String,
-    /// When the last accepted frame came, ns.
+    /// Time of the last accepted frame, ns.
     accepted_ns: Option<u64>,
     counted: u32,
     longest_ms: f64,
@@ -56,17 +56,17 @@ impl Picture {
         }
     }
 
-    /// Whether nothing comes any more.
+    /// Whether the run has stopped publishing.
     pub(super) fn has_ended(&self) -> bool {
         self.silent >= SILENT
     }
 
-    /// Frames on the bus in a second.
+    /// Returns the number of frames on the bus per second.
     pub(super) fn frames_per_s(&self) -> u64 {
         u64::from(self.frames) * 1_000_000_000 / self.span_ns.max(1)
     }
 
-    /// So much time has passed without a key.
+    /// Records that this time has passed without a key press.
     pub(super) fn tick(&mut self, span: Duration) {
         self.silent += span;
     }
@@ -76,7 +76,7 @@ impl Picture {
         match news {
             News::Roles(roles) => {
                 let before_ns = self.roles.replace(*roles).map_or(0, |before| before.at_ns);
-                // Of several that came at once, the first one sums up.
+                // Of several that arrive at once, only the first has frames to count.
                 if self.counted == 0 {
                     return;
                 }

@@ -1,4 +1,4 @@
-//! The screen of `tandem top`: 80 by 24, and more where there is more.
+//! The screen of `tandem top`: 80 by 24 characters, or larger if the terminal is.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -11,7 +11,7 @@ use tandem_board_host::services::{Event, Roles};
 use super::keys::KEYS;
 use super::picture::Picture;
 
-/// Names of the states of a system, and their colours, as [`Roles::state`] numbers them.
+/// Names and colours of a system's states, in the order of the numbers of [`Roles::state`].
 const STATES: [(&str, Color); 7] = [
     ("off", Color::DarkGray),
     ("starting", Color::Yellow),
@@ -21,11 +21,11 @@ const STATES: [(&str, Color); 7] = [
     ("SAFE STOP", Color::Red),
     ("suspended", Color::Red),
 ];
-/// Half of what is shown of the lane's width, m: lanes of motorways are 3.5 to 3.75 m wide.
+/// Half of the shown width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
 const HALF_LANE_M: f64 = 1.85;
 /// Half of the vehicle's width, m.
 const HALF_VEHICLE_M: f64 = 0.9;
-/// The chart of gaps ends at this value, ms.
+/// Upper end of the chart of gaps, ms.
 const GAP_TOP_MS: f64 = 25.0;
 
 /// Draws the screen.
@@ -78,7 +78,7 @@ fn title(picture: &Picture) -> Line<'static> {
     ])
 }
 
-/// A sign of life, or its absence.
+/// Returns a green lamp if `on`, a red one otherwise.
 fn lamp(name: String, on: bool) -> [Span<'static>; 2] {
     let (sign, colour) = match on {
         true => ("● ", Color::Green),
@@ -124,7 +124,7 @@ fn draw_system(picture: &Picture, system: SystemId, area: Rect, frame: &mut Fram
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
-/// The lane from above: its edges, its centre, and the vehicle.
+/// Draws the lane from above: its edges, its centre, and the vehicle.
 fn draw_lane(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
     let width = usize::from(area.width.saturating_sub(2));
     let Some(vehicle) = picture.vehicle.filter(|_| width > 20) else {
@@ -183,7 +183,7 @@ fn draw_events(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
     let begin_ns = picture.roles.map_or(0, |roles| {
         roles.at_ns.saturating_sub((roles.time_s * 1e9) as u64)
     });
-    let told = |event: &Event| {
+    let line = |event: &Event| {
         let at_s = event.at_ns.saturating_sub(begin_ns) as f64 * 1e-9;
         let system = if event.system == 0 { 'A' } else { 'B' };
         let of = match event.core {
@@ -192,7 +192,7 @@ fn draw_events(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
         };
         Line::from(format!("{at_s:8.2} s  {system} {of:6}  {}", event.text()))
     };
-    let newest = picture.events.iter().rev().take(rows).map(told);
+    let newest = picture.events.iter().rev().take(rows).map(line);
     let block = Block::bordered().title(" events, the newest first ");
     let shown = Paragraph::new(newest.collect::<Vec<_>>()).block(block);
     frame.render_widget(shown, area);
@@ -299,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Nothing is known yet, and a terminal may be of any size.
+    /// No message has arrived yet, and the terminal has any size.
     #[test]
     fn a_run_without_news_and_a_tiny_terminal_are_drawn() {
         let empty = Picture::new("tandem-1-a");

@@ -10,16 +10,16 @@ use super::outputs::Done;
 use super::two_cores::{Counted, Exchange};
 use crate::emulated::image;
 
-/// Steps of a millisecond: A is switched on this much later than B, as in the thesis; between two
-/// faults; and the longest wait for a state of the systems.
+/// In steps of a millisecond: the delay of switching A on after B, as in the thesis; the pause between
+/// two faults; and the longest wait for a state of the systems.
 const STAGGER: u32 = 40;
 const PAUSE: u32 = 1_000;
 const PATIENCE: u32 = 10_000;
 
-/// The messages and the counts of the image `thesis`, without the lock and with it.
+/// Returns the messages of the image `thesis`, and its counts without the lock and with it.
 pub(super) fn two_cores() -> anyhow::Result<(Vec<Exchange>, [Counted; 2])> {
     let log = tandem_board_qemu::run_to_end(&image("thesis", None)?)?;
-    parse(&log).with_context(|| format!("the image is of another version: {log}"))
+    parse(&log).with_context(|| format!("the image has another version: {log}"))
 }
 
 fn parse(log: &str) -> Option<(Vec<Exchange>, [Counted; 2])> {
@@ -57,7 +57,7 @@ fn parse(log: &str) -> Option<(Vec<Exchange>, [Counted; 2])> {
     ))
 }
 
-/// Both systems as firmware, and the vehicle.
+/// Both systems as firmware, with the vehicle.
 struct Emulated {
     systems: EmulatedWorld,
     vehicle: World,
@@ -90,12 +90,12 @@ impl Emulated {
             self.step()?;
         }
         let shown = shown(self);
-        anyhow::bail!("the systems are {shown:?}, and not {lamps:?}")
+        anyhow::bail!("the systems are {shown:?} instead of {lamps:?}")
     }
 }
 
 impl Emulated {
-    /// The systems in this many machines, started one after the other: A drives.
+    /// Starts the systems one after the other, in this many machines. A then drives.
     fn start(layout: Layout) -> anyhow::Result<Self> {
         let options = Options {
             reintegrate: true,
@@ -122,14 +122,14 @@ impl Emulated {
     }
 }
 
-/// The start. Both systems are in one machine: from one machine to another an edge takes 1 to 2 ms,
-/// more than is to be measured.
+/// Records a start. Both systems run in one machine: between two machines an edge takes 1 to 2 ms,
+/// longer than the time to be measured.
 pub(super) fn start() -> anyhow::Result<RunLog> {
     Emulated::start(Layout::One)?.end()
 }
 
-/// Core 0 of A ends with an exception, A is reset and comes back as standby, and B loses its power.
-/// Each system is a machine of its own, with its tasks under FreeRTOS.
+/// Records two takeovers: core 0 of A raises an exception, so A is reset and returns as standby; then
+/// B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut of = Emulated::start(Layout::Two)?;
     let reset_ns = of.systems.reported().as_ns();

@@ -14,10 +14,10 @@ use crate::args::{Cli, Command};
 use tandem::args::RunArgs;
 use tandem::run;
 
-const LOOK_AGAIN: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Longest wait for a state of the systems.
 const PATIENCE: Duration = Duration::from_secs(40);
-/// Between two faults: the systems do nothing but drive.
+/// Time of undisturbed driving between two faults.
 const PAUSE: Duration = Duration::from_millis(1_500);
 
 /// The run in which the faults happen.
@@ -26,12 +26,12 @@ fn arguments() -> anyhow::Result<RunArgs> {
         "tandem run --scenario free-lane --duration 90s --reintegrate --quiet --stagger 40ms";
     match Cli::try_parse_from(line.split(' '))?.command {
         Command::Run(args) => Ok(args),
-        _ => anyhow::bail!("`{line}` is no run"),
+        _ => anyhow::bail!("`{line}` is not a run"),
     }
 }
 
-/// Start one after the other; then core 0 of A is killed, which resets A; A comes back as standby,
-/// and the supply of B is killed.
+/// Records a staggered start and two takeovers: core 0 of A is killed, which resets A; when A has
+/// returned as standby, the supply of B is killed.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let recorded = run::recorded(&arguments()?, |injection, _| {
         let done = act(injection.backplane());
@@ -61,8 +61,8 @@ fn wait(backplane: Backplane, lamps: [RoleLamp; 2]) -> anyhow::Result<()> {
     let shown = || SystemId::ALL.map(|system| backplane.role(system));
     while shown() != lamps {
         let late = begin.elapsed() > PATIENCE;
-        ensure!(!late, "the systems are {:?}, and not {lamps:?}", shown());
-        std::thread::sleep(LOOK_AGAIN);
+        ensure!(!late, "the systems are {:?} instead of {lamps:?}", shown());
+        std::thread::sleep(POLL_INTERVAL);
     }
     Ok(())
 }
@@ -72,9 +72,9 @@ fn kill(pid: u32) -> anyhow::Result<()> {
     kill_process(pid.context("there is no process")?, Signal::KILL).context("kill")
 }
 
-/// Two CPUs for the experiments between two cores; the same one twice if there is only one.
+/// Returns two CPUs for the experiments between two cores; the same one twice if there is only one.
 pub(super) fn cpus() -> anyhow::Result<[usize; 2]> {
-    let ids = core_affinity::get_core_ids().context("cannot tell which CPUs there are")?;
+    let ids = core_affinity::get_core_ids().context("cannot list the CPUs")?;
     let first = ids.first().context("there is no CPU")?;
     Ok([first.id, ids.get(1).unwrap_or(first).id])
 }

@@ -1,4 +1,4 @@
-//! `tandem thesis`: the experiments of the thesis's chapter 6, its figures beside those of here.
+//! `tandem thesis`: the experiments of chapter 6 of the thesis, its figures beside the measured ones.
 
 mod emulated;
 mod host;
@@ -20,10 +20,10 @@ use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 use two_cores::{Counted, Exchange};
 
-/// The figures of the thesis, and the limits here.
+/// The figures of the thesis, and the bounds of the measured ones.
 const SYNC_NS: f64 = 660.0;
 const SKEW_US: f64 = 572.0;
-/// Both systems must see the sync edge within a heartbeat period, or its first beats are missed.
+/// Both systems must see the sync edge within a heartbeat period, or they miss the first heartbeats.
 const SKEW_BOUND_US: f64 = 1_000.0;
 const RESET_MS: f64 = 2.08;
 const POWER_MS: f64 = 4.04;
@@ -32,14 +32,14 @@ const RESPONSE_BOUND_MS: f64 = 10.0;
 /// A tick of the kernel.
 const PERIOD_BOUND_MS: f64 = 1.0;
 
-/// Messages of the experiment with 4 bytes. The payload counts in one byte, as in the thesis.
+/// Messages of the experiment with 4 bytes. One byte of the payload counts, as in the thesis.
 const MESSAGES: u32 = 250;
 /// Increments of each core.
 const INCREMENTS: u32 = 10_000;
 const INCREMENTS_SIMULATED: u32 = 100;
-/// Attempts to see an increment lost: on a busy machine the two cores may not run at once.
+/// Attempts to lose an increment: on a busy machine the two cores may not run at the same time.
 const ATTEMPTS: u32 = 20;
-/// Lines of a log that are shown.
+/// Number of messages that are printed.
 const SHOWN: usize = 11;
 
 /// One result.
@@ -48,13 +48,13 @@ struct Row {
     name: &'static str,
     /// The figure of the thesis.
     thesis: f64,
-    /// The figure that was measured now.
+    /// The measured figure.
     here: f64,
     /// The limit of `here`.
     bound: f64,
     unit: &'static str,
     ok: bool,
-    /// What the figure of here is.
+    /// What the measured figure is.
     means: String,
 }
 
@@ -76,14 +76,14 @@ impl Row {
         Self { means, ..self }
     }
 
-    /// The same, not well unless this holds besides.
+    /// Requires that this also holds.
     fn and(self, also: bool) -> Self {
         let ok = self.ok && also;
         Self { ok, ..self }
     }
 }
 
-/// The rows and what is shown of each experiment.
+/// The rows, the text and the picture of the experiments.
 #[derive(Default)]
 struct Shown {
     rows: Vec<Row>,
@@ -97,7 +97,7 @@ struct Json<'a> {
     results: &'a [Row],
 }
 
-/// Runs the experiments, prints what they showed, and writes the files.
+/// Runs the experiments, prints their results, and writes the files.
 ///
 /// # Errors
 /// [`Failure::Run`] if an experiment cannot be run, [`Failure::Objections`] if a figure is beyond
@@ -145,7 +145,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     let mut shown = Shown::default();
     match args.board {
         ThesisBoard::Host => {
-            // Forks come first: a process with threads is not forked.
+            // Fork first: a process with threads must not fork.
             let cpus = host::cpus()?;
             shown.exchange(
                 &two_cores::exchanges(cpus, MESSAGES)?,
@@ -185,7 +185,8 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     Ok(shown)
 }
 
-/// Repeats the count without lock until an increment is lost, as it is when both cores run at once.
+/// Repeats the count without the lock until an increment is lost, which needs both cores to run at
+/// the same time.
 fn attempts(count: impl Fn() -> anyhow::Result<Counted>) -> anyhow::Result<Counted> {
     let mut counted = count()?;
     for _ in 1..ATTEMPTS {
@@ -261,11 +262,11 @@ impl Shown {
             locked.increments,
             free.lost()
         );
-        // The control group must show the error.
+        // Without the lock the error must occur, or the experiment shows nothing.
         self.rows.push(row.means(means).and(free.lost() > 0));
     }
 
-    /// 6.5.1: how far apart the systems leave the start protocol.
+    /// 6.5.1: the time between the ends of the start protocol in both systems.
     fn start(&mut self, log: &RunLog, means: &str) -> anyhow::Result<()> {
         let skew_ns = start::skew_ns(log);
         let skew_us = skew_ns.context("the systems did not start together")? as f64 * 1e-3;
@@ -306,7 +307,7 @@ impl Shown {
         Ok(())
     }
 
-    /// 6.4.1: periods of 60, 40 and 20 ms, and who keeps whom waiting.
+    /// 6.4.1: periods of 60, 40 and 20 ms, and preemption.
     fn periods(&mut self, pictures: &[rtos_demo::Picture], means: &str) {
         self.text += "6.4.1  tasks of FreeRTOS\n";
         for picture in pictures {
@@ -334,15 +335,15 @@ impl Shown {
         let cores = tandem_board::CoreId::COUNT as f64;
         let row = Row::new("boot/download", [3.0, frames, cores], "frames");
         self.rows
-            .push(row.means("cores whose frame came after the download"));
+            .push(row.means("cores that sent a frame after the download"));
         Ok(())
     }
 }
 
-/// Thesis, here and bound, a line for each result.
+/// Returns a table of the results: figure of the thesis, measured figure, bound.
 fn table(rows: &[Row]) -> String {
     let mut text = format!(
-        "{:<16} {:>9} {:>9} {:>9}  {:<7}     what the figure of here is\n",
+        "{:<16} {:>9} {:>9} {:>9}  {:<7}     what is measured here\n",
         "", "thesis", "here", "bound", ""
     );
     for row in rows {

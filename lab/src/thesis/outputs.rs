@@ -1,23 +1,18 @@
 //! Figure 6.21 of the thesis: a digital output of each system over time, and the response times
 //! between their edges.
 //!
-//! The output of a system is high while the system drives. It falls when the system fails, and that
-//! of the other rises when the other has found the failure and taken over.
+//! The output of a system is high while the system drives. It falls when the system fails. The output
+//! of the other system rises when that has detected the failure and taken over.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
-use tandem_page::chart::{WIDTH, plain, round_ticks};
-use tandem_page::svg::{Anchor, Color, Stroke, Svg};
+use tandem_page::svg::Color;
 use tandem_record::{RunLog, ms_between};
 
-/// Sizes in the picture: one output, its title, the space at both sides.
-const ROW: f64 = 110.0;
-const TITLE: f64 = 56.0;
-const SIDE: f64 = 24.0;
-const HEIGHT: f64 = TITLE + 2.0 * ROW + 60.0;
+use crate::square_waves::{self, SquareWaves, Trace};
 
-/// What was done to the systems, ns on the run's clock.
+/// Times of the injected faults, ns on the run's clock.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Done {
     /// System A, the master, was reset.
@@ -37,7 +32,7 @@ pub(super) struct Outputs {
     clock: &'static str,
 }
 
-/// When core 0 of a system said for the first time that it is master, from `from_ns` on.
+/// Returns when core 0 of a system first recorded, from `from_ns` on, that it is master.
 fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
     let of_system = log
         .events
@@ -50,7 +45,7 @@ fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
 }
 
 impl Outputs {
-    /// The outputs; `None` if a system did not take over.
+    /// Reads the outputs from a recording; `None` if a system did not take over.
     pub(super) fn new(log: &RunLog, done: Done, clock: &'static str) -> Option<Self> {
         let begins = leads(log, SystemId::A, 0)?;
         let second = leads(log, SystemId::B, done.reset_ns)?;
@@ -68,25 +63,25 @@ impl Outputs {
         })
     }
 
-    /// From the reset of A to the takeover by B, ms.
+    /// Returns the time from the reset of A to the takeover by B, ms.
     pub(super) fn reset_ms(&self) -> f64 {
         ms_between(self.done.reset_ns, self.edges[1][0])
     }
 
-    /// From B's loss of power to the takeover by A, ms.
+    /// Returns the time from B's loss of power to the takeover by A, ms.
     pub(super) fn power_ms(&self) -> f64 {
         ms_between(self.done.off_ns, self.edges[0][2])
     }
 
-    /// The four events of the experiment, a line each.
+    /// Returns the events of the experiment, one line each.
     pub(super) fn events(&self) -> String {
-        let at_s = |ns: u64| (ns as f64 - self.begin_ns as f64) * 1e-9;
+        let at_s = |ns: u64| self.at_s(ns);
         format!(
             "  {:8.3} s  A drives, B is its standby\n\
              \x20 {:8.3} s  A is reset: its output falls\n\
-             \x20 {:8.3} s  B has found it and drives: its output rises, {:.2} ms later\n\
-             \x20 {:8.3} s  B, to which A is standby again, loses its power: its output falls\n\
-             \x20 {:8.3} s  A has found it and drives: its output rises, {:.2} ms later\n",
+             \x20 {:8.3} s  B has detected it and drives: its output rises, {:.2} ms later\n\
+             \x20 {:8.3} s  B loses its power, with A as standby again: its output falls\n\
+             \x20 {:8.3} s  A has detected it and drives: its output rises, {:.2} ms later\n",
             at_s(self.edges[0][0]),
             at_s(self.done.reset_ns),
             at_s(self.edges[1][0]),
@@ -97,61 +92,36 @@ impl Outputs {
         )
     }
 
-    /// The picture.
+    /// Draws the outputs over time.
     pub(super) fn draw(&self) -> String {
-        let mut svg = Svg::new(WIDTH, HEIGHT);
-        let span_s = (self.end_ns as f64 - self.begin_ns as f64) * 1e-9;
-        let seconds = |ns: u64| (ns as f64 - self.begin_ns as f64) * 1e-9;
-        let x = |at_s: f64| SIDE + at_s / span_s * (WIDTH - 2.0 * SIDE);
-        let bottom = TITLE + 2.0 * ROW;
-        let title = "Digital outputs: high while the system drives";
-        svg.text((SIDE, 28.0), Anchor::Start, Color::INK, title);
-        for tick in round_ticks((0.0, span_s), 12) {
-            let stroke = Stroke::new(Color::GRID, 1.0);
-            svg.line((x(tick), TITLE), (x(tick), bottom), stroke);
-            let place = (x(tick), bottom + 20.0);
-            svg.text(place, Anchor::Middle, Color::MUTED, &plain(tick));
-        }
-        let unit = format!("s of {}", self.clock);
-        svg.text((SIDE, bottom + 44.0), Anchor::Start, Color::MUTED, &unit);
-        let notes = [
-            (
-                "A",
-                Color::A,
-                self.done.off_ns,
-                self.power_ms(),
-                "loss of B's power",
-            ),
-            (
-                "B",
-                Color::B,
-                self.done.reset_ns,
-                self.reset_ms(),
-                "reset of A",
-            ),
-        ];
-        for (row, (name, color, at_ns, took_ms, what)) in notes.into_iter().enumerate() {
-            let low = TITLE + ROW * (row + 1) as f64 - 14.0;
-            let mut y = low;
-            let mut points = vec![(x(0.0), y)];
-            for edge in &self.edges[row] {
-                points.push((x(seconds(*edge)), y));
-                y = 2.0 * low - 40.0 - y;
-                points.push((x(seconds(*edge)), y));
-            }
-            points.push((x(span_s), y));
-            svg.polyline(points.into_iter(), Stroke::new(color, 2.0), "");
-            let place = (SIDE + 4.0, low - 62.0);
-            svg.text(place, Anchor::Start, color, &format!("system {name}"));
-            let text = format!("{took_ms:.2} ms after the {what}");
-            svg.text(
-                (x(seconds(at_ns)), low - 62.0),
-                Anchor::Middle,
-                color,
-                &text,
-            );
-        }
-        svg.into_file()
+        let trace = |system: SystemId, color, at_ns, took_ms: f64, what| Trace {
+            color,
+            label: format!("system {system}"),
+            changes: self.edges[system.index()]
+                .iter()
+                .map(|ns| self.at_s(*ns))
+                .collect(),
+            note: Some((
+                self.at_s(at_ns),
+                format!("{took_ms:.2} ms after the {what}"),
+            )),
+        };
+        let Done { reset_ns, off_ns } = self.done;
+        let (a, b) = (SystemId::A, SystemId::B);
+        square_waves::file(&[SquareWaves {
+            title: "Digital outputs: high while the system drives".to_owned(),
+            axis: format!("s of {}", self.clock),
+            span: self.at_s(self.end_ns),
+            traces: vec![
+                trace(a, Color::A, off_ns, self.power_ms(), "loss of B's power"),
+                trace(b, Color::B, reset_ns, self.reset_ms(), "reset of A"),
+            ],
+        }])
+    }
+
+    /// Returns a time since the begin of the picture, s.
+    fn at_s(&self, ns: u64) -> f64 {
+        (ns as f64 - self.begin_ns as f64) * 1e-9
     }
 }
 

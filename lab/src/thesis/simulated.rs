@@ -18,13 +18,13 @@ use tandem_vehicle::{Scenario, World};
 use super::outputs::Done;
 use super::two_cores::{Counted, Exchange, LAYOUT, LOCK, MAILBOX, payload};
 
-/// The word of the LMU that both cores increment: behind the regions.
+/// The word of the LMU that both cores increment: after the regions.
 const COUNTER_AT: usize = 8191;
-/// B is switched on first, as in the thesis, A this much later.
+/// Delay of switching A on after B, as in the thesis.
 const STAGGER: Duration = Duration::from_ms(40);
 const STEP: Duration = Duration::from_ms(10);
 
-/// Runs the pair until `reached`; an error if that takes longer than `limit`.
+/// Runs the pair until `reached`. Fails if that takes longer than `limit`.
 fn until(
     pair: &mut SimPair,
     log: &Rc<RefCell<RunLog>>,
@@ -35,7 +35,7 @@ fn until(
     while !reached(pair) {
         ensure!(
             pair.now() < end,
-            "the systems did not get there in {limit:?}"
+            "the systems did not reach the state within {limit:?}"
         );
         pair.run_for(STEP);
         keep(pair, log);
@@ -52,7 +52,8 @@ fn keep(pair: &mut SimPair, log: &Rc<RefCell<RunLog>>) {
     pair.take_bus_log();
 }
 
-/// Start one after the other; then A is reset, comes back as standby, and B loses its power.
+/// Records a staggered start and two takeovers: A is reset; when it has returned as standby, B loses
+/// its power.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut config = tandem_cores::Config::rt();
     config.redundancy.reintegrate = true;
@@ -74,7 +75,7 @@ pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let second = Duration::from_ms(1_000);
     let dual = [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
     until(&mut pair, &log, limit, |pair| lamps(pair) == dual)?;
-    // Not at a beat of any period.
+    // Avoid the phase of any periodic task.
     pair.run_for(second + Duration::from_us(3_700));
     keep(&mut pair, &log);
     let reset_ns = pair.now().as_ns();
@@ -92,7 +93,7 @@ pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     Ok((log, Done { reset_ns, off_ns }))
 }
 
-/// What core 0 of system A, and core 1, do in an experiment between the two.
+/// Builds a pair in which only cores 0 and 1 of system A run, with these programs.
 fn two_cores(core_0: impl FnMut(&SimBoard) -> Poller + 'static) -> SimPair {
     let config = Config {
         watchdog: false,
@@ -114,7 +115,7 @@ fn two_cores(core_0: impl FnMut(&SimBoard) -> Poller + 'static) -> SimPair {
     pair
 }
 
-/// The LMU as a core of system A sees it; core 0 formats it.
+/// Attaches a core of system A to its LMU, which core 0 formats.
 fn attach(board: &SimBoard) -> Option<(Map<'_>, Incarnation)> {
     let identity = board.identity();
     let map = match Map::attach(board.lmu(), LAYOUT) {
@@ -134,9 +135,9 @@ struct Messages {
     received: Vec<(u32, f64)>,
 }
 
-/// Core 0 sends 4 bytes each millisecond and rings; the doorbell wakes core 1, whose task takes
-/// them. The time of an exchange is what the code of both ends took on this machine: virtual time
-/// stands still while a core computes.
+/// Core 0 sends 4 bytes every millisecond and rings; the doorbell wakes core 1, whose task receives
+/// them. The time of an exchange is the execution time of both ends on this machine, because virtual
+/// time stands still while a core computes.
 pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
     let messages = Arc::new(Mutex::new(Messages::default()));
     let shared = Arc::clone(&messages);
@@ -153,7 +154,7 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
                 let Some(to) = to.as_mut().filter(|_| number <= count) else {
                     return Instant::NEVER;
                 };
-                // The first poll is the core's start: core 1 is not there yet.
+                // The first poll is the core's start: core 1 does not run yet.
                 if number > 0 {
                     let data = payload(number);
                     let begin = Wall::now();
@@ -202,8 +203,8 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
         .collect())
 }
 
-/// Cores 0 and 1 increment one counter `each` times. Between reading and writing back each looks at
-/// its clock, and the other core runs.
+/// Cores 0 and 1 increment one counter `each` times. Between reading and writing back, each core reads
+/// its clock, which lets the other core run.
 pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
     let seen = Arc::new(Mutex::new([Vec::new(), Vec::new()]));
     let shared = Arc::clone(&seen);
@@ -218,10 +219,10 @@ pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
             };
             let counter = &board.lmu()[COUNTER_AT];
             for _ in 0..each {
-                let look = |_pauses| {
+                let read_clock = |_pauses| {
                     board.now();
                 };
-                let guard = locked.then(|| lock.lock(u32::MAX, look));
+                let guard = locked.then(|| lock.lock(u32::MAX, read_clock));
                 let value = counter.load(std::sync::atomic::Ordering::Relaxed) + 1;
                 board.now();
                 counter.store(value, std::sync::atomic::Ordering::Relaxed);
@@ -238,7 +239,7 @@ pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
     let seen = seen.lock().unwrap_or_else(PoisonError::into_inner).clone();
     ensure!(
         seen.iter().all(|seen| seen.len() == each as usize),
-        "a core did not end its increments: {seen:?}"
+        "a core did not finish its increments: {seen:?}"
     );
     Some(Counted {
         increments: 2 * each,

@@ -1,8 +1,8 @@
-//! Two experiments between two cores, here processes on two CPUs: 4 bytes to a woken task, and a
-//! counter with and without the lock. T-SYNC-4, T-LOCK-2
+//! Two experiments between two cores, here processes on two CPUs: 4 bytes to a task that they wake,
+//! and a counter with and without the lock. T-SYNC-4, T-LOCK-2
 #![allow(
     clippy::expect_used,
-    reason = "an end that cannot start panics; its process dies and the experiment has failed"
+    reason = "a core that cannot start panics; its process dies, and the experiment fails"
 )]
 
 use std::io;
@@ -19,9 +19,9 @@ use tandem_two_cores::worker::{BatchPart, PartContext, perform};
 pub(super) const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
 pub(super) const LOCK: Region<SharedLock> = MAILBOX.then("lock");
 pub(super) const LAYOUT: Layout = LOCK.end();
-/// Between two messages, ns: long enough for the receiver to have waited for some time.
+/// Time between two messages, ns: long enough that the receiver is already waiting.
 const PAUSE_NS: u64 = 20_000;
-/// A receiver that has heard nothing for this many polls gives the CPU to others.
+/// After this many polls without a message the receiver yields the CPU.
 const POLLS: u32 = 1 << 16;
 
 /// One message of 4 bytes.
@@ -31,17 +31,17 @@ pub(super) struct Exchange {
     pub(super) sent: u32,
     /// What the task on core 1 received.
     pub(super) received: u32,
-    /// From the sender's call to the first line of the woken task, ns.
+    /// Time from the sender's call to the first line of the task, ns.
     pub(super) took_ns: f64,
 }
 
-/// The data of a message: the number in the lowest byte, as in the thesis.
+/// Returns the data of a message: the number in the lowest byte, as in the thesis.
 pub(super) fn payload(number: u32) -> u32 {
     u32::from_le_bytes([number as u8, 1, 2, 3])
 }
 
-/// Core 0 sends `count` messages, each with other data, and core 1's task takes each. The cores
-/// are processes on these CPUs and wait by spinning.
+/// Core 0 sends `count` different messages, and a task of core 1 receives each. The cores are
+/// processes on these CPUs and wait by spinning.
 pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let sender = BatchPart::on(cpus[0], |role: &mut PartContext<'_>| {
@@ -51,7 +51,7 @@ pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange
             pause(PAUSE_NS);
             let data = payload(number);
             let at = ticks();
-            // The receiver spins: no doorbell is needed.
+            // The receiver spins, so it needs no doorbell.
             let _: Ring = to.signal_with(TaskId::FIRST, data);
             role.log.push(0, data);
             role.log.push(1, at);
@@ -109,26 +109,26 @@ fn pause(ns: u64) {
     }
 }
 
-/// What two cores saw that increment one counter.
+/// The result of two cores incrementing one counter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Counted {
     /// Increments of both cores together.
     pub(super) increments: u32,
     /// The counter at the end.
     pub(super) counter: u32,
-    /// The counter as each core read it after its increments: the first of core 0 and of core 1.
+    /// The first values of the counter that core 0 and core 1 read after their increments.
     pub(super) seen: [Vec<u32>; 2],
 }
 
 impl Counted {
-    /// Increments that are not in the counter.
+    /// Returns the number of lost increments.
     pub(super) const fn lost(&self) -> u32 {
         self.increments - self.counter
     }
 }
 
-/// Two cores, processes on these CPUs, increment one counter `each` times, with or without the
-/// lock.
+/// Two cores, which are processes on these CPUs, increment one counter `each` times, with or without
+/// the lock.
 pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let part = |core: usize| {

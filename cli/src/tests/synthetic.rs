@@ -1,4 +1,4 @@
-//! A made-up run for the tests of the figures and of the report.
+//! A synthetic run for the tests of the figures and of the report.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::{ModeCode, RoleCode};
@@ -12,7 +12,7 @@ use tandem_vehicle::Ruling;
 /// The clock at the start of the world.
 const START_NS: u64 = 1_700_000_000;
 
-/// A small generator of noise that is the same in every run.
+/// A small deterministic noise generator.
 struct Noise(u64);
 
 impl Noise {
@@ -86,7 +86,7 @@ fn push(log: &mut RunLog, record: VehicleRecord) {
     log.push(record.into());
 }
 
-/// Where the middle of the road is at `x`.
+/// Returns the middle of the road at `x`.
 fn road(x: f64) -> f64 {
     12.0 * (x / 220.0).sin()
 }
@@ -147,7 +147,7 @@ fn add_samples(log: &mut RunLog, end_ns: u64) {
     }
 }
 
-/// What drives at a time: the system, its term and its mode.
+/// Returns the driving system at a time, its term and its mode.
 const fn master(at_ns: u64, middle_ns: u64) -> (SystemId, u32, ModeCode) {
     if at_ns < middle_ns {
         (SystemId::A, 2, ModeCode::L3)
