@@ -1,9 +1,9 @@
-//! Takes the records of a file, checks each before it acts, and writes images to free slots.
+//! Receives the records of a file, checks each one, and writes images to free slots.
 //!
-//! The manifest of an image comes first and is checked before anything is erased. It is written
-//! last, when the body has been read back: a slot whose manifest can be read has a firm body, also
-//! if the power fell while the manifest was written. After everything else, one write of the boot
-//! environment changes which slot boots. T-BOOT-5, U-3, U-5
+//! The manifest of an image arrives first and is checked before anything is erased. It is written
+//! last, after the body has been read back. So a slot with a readable manifest has a firm body, even
+//! if power was lost while the manifest was written. Finally, one write of the boot environment
+//! changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program};
@@ -19,12 +19,12 @@ use embedded_storage::nor_flash::NorFlash;
 /// The most images in one file: application, configuration, bootloader.
 const MAX_IMAGES: usize = 3;
 
-/// The state of the controller that a download needs.
+/// The state of the controller, as far as a download needs it.
 #[derive(Debug)]
 pub(crate) struct Ground<'k> {
     pub(crate) trust: Trust<'k>,
     pub(crate) store: EnvironmentStore,
-    /// The slots that boot, and that no download may touch.
+    /// The slots that boot. No download may touch them.
     pub(crate) keep: Selection,
 }
 
@@ -38,7 +38,7 @@ impl Ground<'_> {
         }
     }
 
-    /// The environment must not name what is about to be erased.
+    /// Removes a trial from the environment if it names the target, which is about to be erased.
     fn forget(&mut self, flash: &mut impl NorFlash, target: ImageTarget) -> Result<(), FlashFault> {
         let mut environment = *self.store.get();
         let selection = environment.trial.map(|trial| trial.selection);
@@ -61,11 +61,11 @@ impl Ground<'_> {
 struct Image {
     target: ImageTarget,
     manifest_bytes: [u8; MANIFEST_BYTES],
-    /// Bytes of the manifest so far.
+    /// Received bytes of the manifest.
     filled: usize,
-    /// The manifest, when all of it has come and is accepted.
+    /// The manifest, once it is complete and accepted.
     manifest: Option<Manifest>,
-    /// The part that comes next, and how much of it has come.
+    /// Index of the part being received, and its received bytes.
     part: usize,
     done: u32,
 }
@@ -75,7 +75,7 @@ impl Image {
         FlashRegion::Target(self.target).range().start
     }
 
-    /// The offset at which data must come next; `None` if all have come.
+    /// Returns the offset of the next data; `None` if all have been received.
     fn expects(&self) -> Option<u32> {
         let Some(manifest) = &self.manifest else {
             return Some(self.place() + self.filled as u32);
@@ -84,7 +84,7 @@ impl Image {
         Some(self.place() + part.offset + self.done)
     }
 
-    /// How many bytes may come there.
+    /// Returns how many bytes may follow there.
     fn room(&self) -> usize {
         let part = self
             .manifest
@@ -100,11 +100,11 @@ impl Image {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Download {
     images: [Option<Image>; MAX_IMAGES],
-    /// Which of them is being received.
+    /// Index of the image being received.
     current: usize,
-    /// Where the last record lay.
+    /// Range of the last record.
     last: Range<u32>,
-    /// Data records so far.
+    /// Number of data records so far.
     count: u32,
     /// The sector that was erased last.
     erased: Range<u32>,
@@ -112,7 +112,7 @@ pub(crate) struct Download {
 }
 
 impl Download {
-    /// Takes a record. `Ok(true)` says that the file has ended and is on trial.
+    /// Takes a record. Returns `Ok(true)` if the file has ended and is on trial.
     pub(crate) fn take(
         &mut self,
         record: &SRecord,
@@ -190,7 +190,7 @@ impl Download {
         Ok(())
     }
 
-    /// The first thing that changes the flash: the place's first sector is erased.
+    /// Erases the first sector of an image's place. Nothing has changed the flash before.
     fn prepare(
         &mut self,
         target: ImageTarget,
@@ -218,7 +218,7 @@ impl Download {
         if !complete || images.clone().next().is_none() {
             return Err(Refusal::Incomplete);
         }
-        // Files without an entry of their own end with an entry of 0.
+        // A file without an entry ends with an entry of 0.
         let entry_of = |image: &Image| Some(image.place() + image.manifest?.entries[0]);
         let known = images
             .clone()
@@ -237,7 +237,7 @@ impl Download {
         for image in self.images.iter().flatten() {
             let manifest = image.manifest.as_ref().ok_or(Refusal::Incomplete)?;
             let place = image.place();
-            // Only the ROM needs the checksum, and only of a bootloader.
+            // Only the boot ROM uses the checksum, and only that of a bootloader.
             let right = is_intact(flash, place, manifest).map_err(fault)?
                 && (image.target != ImageTarget::Staging
                     || body_crc(flash, place, manifest.length).map_err(fault)? == manifest.crc);
@@ -262,7 +262,7 @@ impl Download {
     }
 }
 
-/// Which place an address begins, and whether it may be written.
+/// Finds the place that begins at an address, and checks that it may be written.
 fn begin(
     before: Option<&Image>,
     at: u32,
@@ -336,7 +336,7 @@ fn accept(
     Ok(manifest)
 }
 
-/// A record behind what has come already.
+/// Returns the refusal for a record that lies before the end of the received data.
 fn behind(end: u32, last: &Range<u32>) -> Refusal {
     if end > last.start {
         Refusal::Overlap
@@ -345,7 +345,7 @@ fn behind(end: u32, last: &Range<u32>) -> Refusal {
     }
 }
 
-/// Programs a page; erases its sector if it is the first one there.
+/// Programs a page. Erases its sector first if that was not erased for this download.
 fn program_in(
     flash: &mut impl NorFlash,
     erased: &mut Range<u32>,
@@ -359,7 +359,7 @@ fn program_in(
     program(flash, at, page)
 }
 
-/// 0 for slot A, 1 for B, 2 for either: which slot is free beside one that is kept.
+/// Returns the slot that is free beside the kept one: 0 for A, 1 for B, 2 for either.
 pub(crate) const fn free_slot(keep: Option<Slot>) -> u8 {
     match keep {
         Some(kept) => kept.other() as u8,

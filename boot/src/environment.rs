@@ -1,12 +1,11 @@
-//! The boot environment: what boots, what is on trial, what is refused. Kept twice. U-2, U-3
+//! The boot environment, in two copies: what boots, what is on trial, what is refused. U-2, U-3
 //!
-//! Each copy has a sector of its own. A change is written to one copy and then to the other, and
-//! each time the sector is erased first: a page that a loss of power left half programmed may read
-//! as erased, as right, or differently each time, so no page is ever programmed in a later life
-//! than the one that erased it. A copy is a record and a confirmation page behind it, which is
-//! programmed when the record has been read back. A confirmation that reads as right, even by
-//! luck, proves that its record is firm. `docs/boot.md` says why two copies survive any two losses
-//! of power in a row.
+//! Each copy has its own sector. A change is written to one copy and then to the other, and each write
+//! erases the sector first. A page that a loss of power left half programmed may read as erased, as
+//! right, or differently each time. Therefore a page is programmed only in the life that erased it. A
+//! copy is a record, followed by a confirmation page that is programmed after the record has been read
+//! back. A confirmation that reads as right, even by luck, proves that its record is firm.
+//! `docs/boot.md` explains why two copies survive any two losses of power in a row.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, Slot};
@@ -17,10 +16,10 @@ use strum::{FromRepr, VariantArray};
 const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 const MAGIC: [u8; 4] = *b"TENV";
 const CONFIRMED: [u8; 4] = *b"FIRM";
-/// A record that differs between this many reads is not a record.
+/// A record counts only if this many reads agree.
 const READS: usize = 3;
 
-/// Which slots; `None` for "none yet", or "as before" in a trial.
+/// A choice of slots; `None` means none yet, or in a trial unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Selection {
     /// The slot of the application.
@@ -29,49 +28,49 @@ pub struct Selection {
     pub configuration: Option<Slot>,
 }
 
-/// Images that were downloaded and have not approved themselves.
+/// Downloaded images that have not approved themselves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trial {
-    /// What is new.
+    /// The slots with new images.
     pub selection: Selection,
-    /// Whether it was started.
+    /// Whether they were started.
     pub executed: bool,
 }
 
-/// How far an update of the bootloader itself is. Each state is left by a write of the
-/// environment, and what is done in it may be done again from its beginning. U-4
+/// The progress of an update of the bootloader itself. A write of the environment ends each state, and
+/// the work of a state may be repeated from its beginning. U-4
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum LoaderUpdate {
-    /// There is none.
+    /// No update.
     #[default]
     Idle,
-    /// The new one lies in staging, verified. Next: copy the running one to the backup.
+    /// The new bootloader is in staging, verified. Next: copy the running one to the backup bank.
     Staged,
-    /// The backup is whole. Next: write the new one to the primary bank, not sealed.
+    /// The backup is complete. Next: write the new bootloader to the primary bank, not sealed.
     Installing,
-    /// The primary bank holds the new one, not sealed, so the backup boots and starts it.
+    /// The primary bank holds the new bootloader, not sealed. So the backup boots and starts it.
     Trial,
-    /// The new one was started. If the backup boots again, it has failed.
+    /// The new bootloader was started. If the backup boots again, the new one has failed.
     TrialExecuted,
-    /// The new one has approved itself. Next: seal it.
+    /// The new bootloader has approved itself. Next: seal it.
     Sealing,
-    /// The new one has failed. Next: copy the backup to the primary bank, sealed.
+    /// The new bootloader has failed. Next: copy the backup to the primary bank, sealed.
     Restoring,
 }
 
 /// The content of the boot environment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Environment {
-    /// What has approved itself and boots.
+    /// The approved images, which boot.
     pub active: Selection,
-    /// What is to approve itself, if anything.
+    /// The images on trial, if any.
     pub trial: Option<Trial>,
     /// The update of the bootloader itself.
     pub loader: LoaderUpdate,
-    /// The highest version that has approved itself, by kind. Lower ones are not taken.
+    /// The highest approved version of each kind. Lower versions are refused.
     pub versions: [u32; 3],
-    /// The lowest key that is accepted.
+    /// The number of the lowest accepted key.
     pub lowest_key: u8,
 }
 
@@ -124,12 +123,12 @@ impl Environment {
             lowest_key: bytes[14],
         };
         let sequence = word(4);
-        // One encoding for each environment, with its magic number and its checksum.
+        // Each environment has one encoding: this checks magic number, checksum and unused bytes.
         (environment.encode(sequence) == *bytes).then_some((environment, sequence))
     }
 }
 
-/// What one copy reads as.
+/// The content of one copy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Copy {
     environment: Environment,
@@ -137,26 +136,27 @@ struct Copy {
     confirmed: bool,
 }
 
-/// The environment as it is in the flash.
+/// The environment in the flash.
 #[derive(Clone, Debug)]
 pub struct EnvironmentStore {
     current: Environment,
     sequence: u32,
-    /// The copy that stays while the other one is written.
+    /// The copy that is kept while the other one is written.
     base: u8,
     /// Both copies hold the current environment, confirmed.
     settled: bool,
 }
 
 impl EnvironmentStore {
-    /// Reads both copies. `None` if neither holds a record: a new controller, or both were lost.
+    /// Reads both copies. Returns `None` if neither holds a record: the controller is new, or lost
+    /// both.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be read.
     pub fn load(flash: &mut impl NorFlash) -> Result<Option<Self>, FlashFault> {
         let copies = [read_copy(flash, 0)?, read_copy(flash, 1)?];
         let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
-        // Of equal copies the second stays: a change begins with the first.
+        // Of two equal copies keep the second: a change writes the first copy first.
         let base = match copies.map(|copy| copy.as_ref().map(rank)) {
             [first, second] if first > second => 0,
             _ => 1,
@@ -169,7 +169,7 @@ impl EnvironmentStore {
         }))
     }
 
-    /// An environment where there is none; [`EnvironmentStore::settle`] writes it.
+    /// Creates an environment where there is none; [`EnvironmentStore::settle`] writes it.
     #[must_use]
     pub const fn new(environment: Environment) -> Self {
         Self {
@@ -180,17 +180,16 @@ impl EnvironmentStore {
         }
     }
 
-    /// The environment that counts.
+    /// Returns the valid environment.
     #[must_use]
     pub const fn get(&self) -> &Environment {
         &self.current
     }
 
-    /// Makes both copies equal again after a loss of power. Nothing may act on the environment
-    /// before.
+    /// Makes both copies equal after a loss of power. Call it before anything acts on the environment.
     ///
     /// # Errors
-    /// [`FlashFault`] if the flash does not take it.
+    /// [`FlashFault`] if the flash cannot be written.
     pub fn settle(&mut self, flash: &mut impl NorFlash) -> Result<(), FlashFault> {
         if !self.settled {
             self.write_copy(flash, 1 - self.base)?;
@@ -200,12 +199,12 @@ impl EnvironmentStore {
         Ok(())
     }
 
-    /// Replaces the environment, in both copies. Atomic: after a loss of power at any moment the
-    /// old or the new one is read.
+    /// Replaces the environment in both copies. Atomic: after a loss of power at any moment, the old
+    /// or the new environment is read.
     ///
     /// # Errors
-    /// [`FlashFault`] if the flash does not take it; the environment is then the old or the new
-    /// one.
+    /// [`FlashFault`] if the flash cannot be written; the flash then holds the old or the new
+    /// environment.
     pub fn write(
         &mut self,
         flash: &mut impl NorFlash,
@@ -232,7 +231,7 @@ impl EnvironmentStore {
     }
 }
 
-/// The page behind a record, made from the record.
+/// Returns the confirmation page of a record.
 fn confirmation(record: &[u8; RECORD_BYTES]) -> [u8; PAGE_BYTES] {
     let mut page = [0; PAGE_BYTES];
     page[..4].copy_from_slice(&CONFIRMED);
@@ -290,7 +289,7 @@ mod tests {
             prop_assert_eq!(Environment::decode(&bytes), Some((environment, sequence)));
         }
 
-        /// U-5: no change of a record is taken for a record.
+        /// U-5: a changed record is refused.
         #[test]
         fn a_changed_record_is_none(place in 0..RECORD_BYTES, value: u8) {
             let mut bytes = Environment::default().encode(7);

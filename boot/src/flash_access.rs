@@ -1,4 +1,4 @@
-//! What the bootloader does with flash, on any `NorFlash` of the TC297's geometry.
+//! Operations of the bootloader on any `NorFlash` with the TC297's geometry.
 
 use crate::manifest::{BODY_OFFSET, Manifest};
 use crate::map::{Bank, FlashRegion, PAGE_BYTES, sector_at};
@@ -7,11 +7,11 @@ use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 use sha2::{Digest, Sha256};
 
-/// The flash does not do what it was asked for, or does not read back what was programmed.
+/// An operation of the flash failed, or programmed data did not read back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashFault;
 
-/// Reads bytes. Noise is what the caller checks for; only a fault of the medium is an error.
+/// Reads bytes. The caller must check for noise; only a failed read is an error.
 pub(crate) fn read<const N: usize>(
     flash: &mut impl NorFlash,
     offset: u32,
@@ -21,7 +21,7 @@ pub(crate) fn read<const N: usize>(
     Ok(bytes)
 }
 
-/// Erases the sectors of a range that begins and ends with one.
+/// Erases a range of whole sectors.
 pub(crate) fn erase(flash: &mut impl NorFlash, range: Range<u32>) -> Result<(), FlashFault> {
     let mut at = range.start;
     while at < range.end {
@@ -49,7 +49,7 @@ pub(crate) fn program(
     }
 }
 
-/// Whether every part of an image has the digest that its manifest says.
+/// Whether every part of an image has the digest in its manifest.
 pub(crate) fn is_intact(
     flash: &mut impl NorFlash,
     place: u32,
@@ -73,7 +73,7 @@ pub(crate) fn is_intact(
     Ok(true)
 }
 
-/// CRC-32 of the `length` bytes behind a manifest, as the boot ROM computes it.
+/// Returns the CRC-32 of the `length` bytes after a manifest, as the boot ROM computes it.
 pub(crate) fn body_crc(
     flash: &mut impl NorFlash,
     place: u32,
@@ -88,8 +88,8 @@ pub(crate) fn body_crc(
     Ok(digest.finalize())
 }
 
-/// Copies a bootloader to a bank: everything but its first page, then, with `seal`, the first page.
-/// The boot ROM starts a bank only by its first page, so what is half written never runs.
+/// Copies a bootloader to a bank: first all pages but the first, then, with `seal`, the first page.
+/// The boot ROM starts no bank without its first page, so a partial copy never runs.
 pub(crate) fn copy_to_bank(
     flash: &mut impl NorFlash,
     from: u32,
@@ -111,10 +111,10 @@ pub(crate) fn copy_to_bank(
     Ok(())
 }
 
-/// What the boot ROM does at every start: it takes the first bank whose first page is sound and
-/// whose body has the checksum that this page says. `None` bricks the controller.
+/// Chooses the bank to start, as the boot ROM does at every start: the first bank with a valid first
+/// page whose checksum matches the body. `None` means a bricked controller.
 ///
-/// On the TC297 this is the evaluation of the boot mode headers: a page of 32 bytes with a checksum
+/// On the TC297 this is the evaluation of the boot mode headers: pages of 32 bytes with a checksum
 /// over a range, tried in a fixed order.
 pub fn rom_choice(flash: &mut impl NorFlash) -> Option<Bank> {
     [Bank::Primary, Bank::Backup].into_iter().find(|bank| {

@@ -1,4 +1,4 @@
-//! The bootloader: what it does from the reset to the jump. T-BOOT-1, T-BOOT-2, U-3, U-4, E-4
+//! The bootloader from the reset to the jump. T-BOOT-1, T-BOOT-2, U-3, U-4, E-4
 
 mod own_update;
 
@@ -14,42 +14,42 @@ use crate::trust::{Trust, TrustMode};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{CanFrame, CoreId, Duration, Instant, ResetCause, SystemId};
 
-/// How long a host may connect after power-on. It fits into the start limit of the pair (2.5 s):
-/// both systems still find each other, and a host that repeats its request every 5 ms meets it.
+/// How long a host may connect after power-on. Short beside the start limit of the pair (2.5 s), so
+/// both systems still find each other; long enough for a host that repeats its request every 5 ms.
 pub const CONNECT_WINDOW: Duration = Duration::from_ms(20);
-/// How long a loader that an application asked for a download waits for a host, and how long any
-/// host may be silent.
+/// How long the loader waits for a host if the application requested a download, and how long a
+/// connected host may be silent.
 pub const HOST_SILENCE: Duration = Duration::from_ms(10_000);
-/// How long the last answer of a download, good or bad, may be asked for again.
+/// How long a host may request the last answer of a download again.
 const FAREWELL: Duration = Duration::from_ms(50);
 
-/// What the bootloader is told about this start.
+/// The circumstances of this start.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup<'k> {
     /// The keys that it trusts.
     pub trust: Trust<'k>,
     /// Which system this is.
     pub system: SystemId,
-    /// Which bank the running bootloader was started from.
+    /// The bank of the running bootloader.
     pub bank: Bank,
-    /// Why the system started.
+    /// Why the system was reset.
     pub cause: ResetCause,
 }
 
 /// When a host may connect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Entry {
-    /// Not at all: boot.
+    /// Not at all: the loader boots.
     Never,
-    /// Until this moment; then boot.
+    /// Until this moment; then the loader boots.
     Until(Instant),
-    /// Nothing can boot: wait.
+    /// At any time: nothing can boot.
     Always,
 }
 
-/// The entry rule of T-BOOT-1. A host may connect at power-on for [`CONNECT_WINDOW`], and for
-/// [`HOST_SILENCE`] if the application asked for it with an orderly reset, which it does at
-/// standstill or as standby only. Never after an abnormal reset: a failover does not wait.
+/// The entry rule of T-BOOT-1. A host may connect for [`CONNECT_WINDOW`] after power-on, and for
+/// [`HOST_SILENCE`] if the application requested it by an orderly reset, which it does only at
+/// standstill or as standby. It may never connect after an abnormal reset: a failover must not wait.
 const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
     match setup.cause {
         ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
@@ -66,7 +66,7 @@ const fn after(now: Instant, span: Duration) -> Instant {
     Instant::from_ns(now.as_ns() + span.as_ns())
 }
 
-/// Where to jump.
+/// The application to start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Launch {
     /// The application's slot.
@@ -75,23 +75,23 @@ pub struct Launch {
     pub configuration: Option<Slot>,
     /// Version of the application.
     pub version: u32,
-    /// Where each core begins, as offset in the flash. Core 0 jumps and then releases the others.
+    /// Entry of each core, as an offset in the flash. Core 0 jumps and then releases the others.
     pub entries: [Option<u32>; CoreId::COUNT],
 }
 
-/// What the board does next.
+/// The next action of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Next {
-    /// Hand over frames as they come; call again at this moment at the latest.
+    /// Pass on each received frame; call again no later than this.
     Wait(Instant),
     /// Send this frame, then call again at once.
     Send(CanFrame),
-    /// Clean up (T-BOOT-7: clear RAM, reset the CAN module, interrupts off), then jump.
+    /// Clean up (T-BOOT-7: clear RAM, reset the CAN module, disable interrupts), then jump.
     Jump(Launch),
-    /// Start the bootloader in the primary bank: it is on trial. Clean up as before a jump.
+    /// Clean up as before a jump, then start the bootloader in the primary bank, which is on trial.
     StartPrimary,
-    /// Reset the system in an orderly way.
+    /// Request an orderly reset.
     Reset,
 }
 
@@ -104,16 +104,16 @@ pub struct Loader<'k, F> {
     session: Session,
     entry: Entry,
     answer: Option<CanFrame>,
-    /// Decided before any host may connect.
+    /// The final action, once it is decided.
     verdict: Option<Next>,
     refusal_logged: bool,
-    /// A frame was taken since the last [`Loader::next`].
+    /// A frame was processed since the last [`Loader::next`].
     was_busy: bool,
 }
 
 impl<'k, F: NorFlash> Loader<'k, F> {
-    /// Reads the boot environment, repairs what a loss of power left, rolls back what did not
-    /// approve itself, and goes one step further with an update of the bootloader.
+    /// Reads the boot environment, repairs it after a loss of power, rolls back an image that did not
+    /// approve itself, and takes the next step of an update of the bootloader.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
@@ -123,7 +123,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             Some(store) => store,
             None => EnvironmentStore::new(rebuild(&mut flash, &setup)),
         };
-        // Sectors that fail for good must not keep the controller from booting.
+        // Sectors that are worn out must not prevent booting.
         let settled = store.settle(&mut flash);
         if loaded.is_none() && settled.is_ok() {
             let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
@@ -151,13 +151,13 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         Ok(loader)
     }
 
-    /// What to do now.
+    /// Returns the next action.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
     pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
         if core::mem::take(&mut self.was_busy) {
-            // While the flash works, the loader does not read CAN: this is no silence of the host.
+            // The loader does not read CAN while the flash is busy: that time is no silence of the host.
             self.session.hear(now);
         }
         if let Some(frame) = self.answer.take() {
@@ -215,7 +215,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         match self.session.refusal() {
             Some(refusal) if !self.refusal_logged => {
                 self.refusal_logged = true;
-                // The host is told anyway.
+                // The host gets its answer even if the log fails.
                 let _ = append(&mut self.flash, LogEvent::DownloadRefused, refusal as u32);
             }
             Some(_) => {}
@@ -224,8 +224,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Both loaders hear a host that names no system. At power-on only A answers it; a loader that
-    /// an application or an empty slot keeps waiting is alone in that, and answers.
+    /// Whether to answer a request. Both loaders hear a host that names no system. At power-on only A
+    /// answers it. A loader that waits because of a request or an empty slot waits alone, and answers.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;
@@ -234,17 +234,17 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         })
     }
 
-    /// The flash.
+    /// Returns the flash.
     pub const fn flash(&self) -> &F {
         &self.flash
     }
 
-    /// Gives the flash back.
+    /// Ends the loader and returns the flash.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
-    /// An image that was started and has not approved itself is taken for crashed. U-3
+    /// Forgets an image on trial that was started and did not approve itself: it has crashed. U-3
     fn roll_back(&mut self) -> Result<(), FlashFault> {
         let environment = *self.ground.store.get();
         if environment.trial.is_some_and(|trial| trial.executed) {
@@ -263,8 +263,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         Ok(())
     }
 
-    /// The active slots that can boot, which no download may touch. If the active application is
-    /// damaged, the other one becomes active.
+    /// Determines the active slots that can boot; no download may touch them. If the active
+    /// application is damaged, the other slot becomes active.
     fn choose_active(&mut self) -> Result<(), FlashFault> {
         let mut environment = *self.ground.store.get();
         let active = environment.active;
@@ -303,8 +303,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         image.is_some()
     }
 
-    /// Boot-load mode: the image on trial if it is whole, else the active one. `None` if nothing
-    /// can boot; the loader then waits for a download.
+    /// Boot-load mode: starts the image on trial if it is intact, otherwise the active one. Returns
+    /// `None` if nothing can boot; the loader then waits for a download.
     fn boot(&mut self) -> Result<Option<Next>, FlashFault> {
         let environment = *self.ground.store.get();
         let mut selection = Selection {
@@ -351,7 +351,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }))
     }
 
-    /// Monitor mode starts a damaged image rather than none. E-4
+    /// In monitor mode, starts a damaged image rather than none. E-4
     fn last_resort(&mut self) -> Option<Next> {
         if self.setup.trust.mode == TrustMode::Strict {
             return None;
@@ -365,19 +365,19 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.ground.store.write(&mut self.flash, environment)
     }
 
-    /// A log that does not take an entry must not keep anything from booting.
+    /// Adds an entry to the log. Ignores errors, because the log must not prevent booting.
     fn log(&mut self, event: LogEvent, value: u32) {
         let _ = append(&mut self.flash, event, value);
     }
 }
 
-/// An image whose digests are right.
+/// An image with the right digests.
 struct Image {
     manifest: Manifest,
     authentic: bool,
 }
 
-/// The manifest that begins a place, with its bytes.
+/// Returns the manifest at the start of a place, with its bytes.
 fn manifest_at(
     flash: &mut impl NorFlash,
     target: ImageTarget,
@@ -390,8 +390,8 @@ fn manifest_at(
     (fits && ours).then_some((manifest, bytes))
 }
 
-/// The image in a place; `None` if it is damaged or there is none. A key that was retired since
-/// the image was taken still counts here: what has approved itself stays as fallback.
+/// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after the
+/// download still counts here, so that an approved image remains as fallback.
 fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) -> Option<Image> {
     let (manifest, bytes) = manifest_at(flash, target)?;
     let place = FlashRegion::Target(target).range().start;
@@ -404,8 +404,8 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) ->
     })
 }
 
-/// Makes a boot environment from what the slots hold: of two whole images the older one is active
-/// and the newer one on trial. Used by a new controller, and by one that lost both copies.
+/// Derives a boot environment from the slots: of two intact images the older one is active and the
+/// newer one on trial. For a new controller, and for one that lost both copies.
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     let mut environment = Environment::default();
     let mut find = |kind: fn(Slot) -> ImageTarget| {
@@ -454,17 +454,17 @@ fn raise_to_active(flash: &mut impl NorFlash, environment: &mut Environment) {
     }
 }
 
-/// What has approved itself raises what is accepted from now on.
+/// Raises the lowest accepted version and key to those of an approved image.
 fn raise(environment: &mut Environment, manifest: &Manifest) {
     let version = &mut environment.versions[manifest.kind as usize];
     *version = manifest.version.max(*version);
     environment.lowest_key = manifest.lowest_key.max(environment.lowest_key);
 }
 
-/// The running application approves itself, and the configuration that it runs with: from now on
-/// they boot, and older versions are refused. Does nothing if nothing is on trial. U-3
+/// Approves the running application and its configuration: from now on they boot, and older versions
+/// are refused. Does nothing if nothing is on trial. U-3
 ///
-/// Task context of one core, once the application has proved itself; blocks while the flash works.
+/// The application calls it in task context on one core, once it works. Blocks while the flash is busy.
 ///
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read or written; try again.

@@ -1,6 +1,6 @@
-//! The log: what the bootloader did and refused, in two sectors that take turns. U-2
+//! The log of the bootloader's actions and refusals, in two sectors used in turn. U-2
 //!
-//! It is written at best effort: no decision reads it.
+//! Writing is best effort: no decision depends on the log.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};
@@ -20,15 +20,15 @@ pub enum LogEvent {
     DownloadRefused,
     /// An image approved itself. Value: the active slots.
     Approved,
-    /// An image did not approve itself; the one before boots.
+    /// An image did not approve itself; the previous one boots.
     RolledBack,
     /// An image on trial or active is damaged; the other slot boots.
     SlotDamaged,
-    /// `IntegrityOrAuthenticityCheckFailed`, and the image was started: monitor mode. E-4
+    /// `IntegrityOrAuthenticityCheckFailed`; the image was started in monitor mode. E-4
     StartedUntrusted,
-    /// `IntegrityOrAuthenticityCheckFailed`, and the image was not started: strict mode. E-4
+    /// `IntegrityOrAuthenticityCheckFailed`; the image was not started, in strict mode. E-4
     RefusedUntrusted,
-    /// The boot environment was lost and made anew from the slots.
+    /// The boot environment was lost and rebuilt from the slots.
     EnvironmentRebuilt,
     /// A new bootloader was installed and is on trial.
     LoaderInstalled,
@@ -41,11 +41,11 @@ pub enum LogEvent {
 /// One entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LogEntry {
-    /// Rises with each entry.
+    /// Sequence number, ascending.
     pub sequence: u32,
     /// What happened.
     pub event: LogEvent,
-    /// What the event says of it.
+    /// The value that the event describes.
     pub value: u32,
 }
 
@@ -72,7 +72,7 @@ impl LogEntry {
     }
 }
 
-/// Calls `found` for every entry that can be read, and says which page is free behind them.
+/// Calls `found` for every readable entry. Returns the offset of the first free page.
 fn scan(
     flash: &mut impl NorFlash,
     sector: u8,
@@ -92,7 +92,7 @@ fn scan(
     Ok(free)
 }
 
-/// Calls `found` for every entry, from the sector with the older ones on.
+/// Calls `found` for every entry, the sector with the older entries first.
 ///
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read.
@@ -110,11 +110,11 @@ pub fn read_log(
     Ok(())
 }
 
-/// Adds an entry. The page behind the last entry may be one that a loss of power left half
-/// programmed, so a page that does not take the entry is passed over.
+/// Appends an entry. A loss of power may have left the next page half programmed, so a page that does
+/// not read back is skipped.
 ///
 /// # Errors
-/// [`FlashFault`] if the flash takes it nowhere.
+/// [`FlashFault`] if the entry cannot be written anywhere.
 pub(crate) fn append(
     flash: &mut impl NorFlash,
     event: LogEvent,

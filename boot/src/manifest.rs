@@ -1,4 +1,4 @@
-//! The manifest of an image: the first 256 bytes of its place, and what its signature covers.
+//! The manifest of an image, which is the first 256 bytes of its place, and its signature.
 //!
 //! | bytes | what (little endian) |
 //! |---|---|
@@ -7,11 +7,11 @@
 //! | 5 | kind: 0 application, 1 configuration, 2 bootloader |
 //! | 6 | number of parts, 1 to 3 |
 //! | 7 | number of the key that signed it |
-//! | 8..12 | hardware that it is for |
+//! | 8..12 | the hardware that it is for |
 //! | 12..16 | version |
-//! | 16..20 | length of the body: everything behind these 256 bytes |
+//! | 16..20 | length of the body: everything after these 256 bytes |
 //! | 20..24 | CRC-32 of the body |
-//! | 24 | the lowest key that is accepted once this image has approved itself |
+//! | 24 | the lowest key accepted after this image has approved itself |
 //! | 25..28 | 0 |
 //! | 28..32 | CRC-32 of bytes 0..28 |
 //! | 32..44 | entries of cores 0, 1, 2: offsets from the image's place; 0 for none |
@@ -28,13 +28,13 @@ use tandem_board::CoreId;
 
 /// Bytes of a manifest with its signature.
 pub const MANIFEST_BYTES: usize = 256;
-/// Bytes of it that are signed.
+/// The signed bytes of a manifest.
 pub const SIGNED_BYTES: usize = 192;
-/// Where the body of an image begins in its place.
+/// Offset of an image's body in its place.
 pub const BODY_OFFSET: u32 = MANIFEST_BYTES as u32;
 /// The most parts of an image: one for each core.
 pub const MAX_PARTS: usize = 3;
-/// The hardware that this loader is for: TC297 on Tandem's carrier.
+/// The hardware that this loader runs on: TC297 on Tandem's carrier.
 pub const HARDWARE: u32 = 0x0297_0001;
 
 pub(crate) const MAGIC: [u8; 4] = *b"TNDM";
@@ -43,55 +43,55 @@ const FORMAT: u8 = 1;
 /// A run of bytes in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImagePart {
-    /// From the image's place; at least [`BODY_OFFSET`].
+    /// Offset from the image's place; at least [`BODY_OFFSET`].
     pub offset: u32,
-    /// In bytes; 0 for none.
+    /// Length in bytes; 0 for none.
     pub length: u32,
     /// Digest of its bytes.
     pub sha256: [u8; 32],
 }
 
-/// What an image says about itself.
+/// The description of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Manifest {
     /// Its kind.
     pub kind: ImageKind,
-    /// Which key signed it.
+    /// Number of the key that signed it.
     pub key: u8,
-    /// Keys below this are no longer accepted once the image has approved itself.
+    /// Keys below this are refused after the image has approved itself.
     pub lowest_key: u8,
-    /// For which hardware it is.
+    /// The hardware that it is for.
     pub hardware: u32,
     /// Rises with every release.
     pub version: u32,
-    /// Bytes behind the manifest.
+    /// Number of bytes after the manifest.
     pub length: u32,
     /// CRC-32 of these bytes, for the boot ROM.
     pub crc: u32,
-    /// Where each core begins, from the image's place; 0 for a core that is not started.
+    /// Entry of each core, as an offset from the image's place; 0 for a core that is not started.
     pub entries: [u32; CoreId::COUNT],
-    /// In ascending order; the first one of length 0 ends the list.
+    /// The parts in ascending order; the first one of length 0 ends the list.
     pub parts: [ImagePart; MAX_PARTS],
 }
 
 /// Why bytes are not a manifest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ManifestError {
-    /// They begin with something else.
+    /// The magic number is wrong.
     Magic,
-    /// A format, a kind or a count that this loader does not know, or a wrong checksum.
+    /// The format, the kind or the number of parts is unknown, or the checksum is wrong.
     Format,
-    /// Parts that overlap, are out of order or outside the body, or an entry outside the parts.
+    /// Parts overlap, are out of order or outside the body, or an entry is outside the parts.
     Layout,
 }
 
 impl Manifest {
-    /// The parts that it has.
+    /// Returns the parts in use.
     pub fn parts(&self) -> impl Iterator<Item = &ImagePart> {
         self.parts.iter().take_while(|part| part.length > 0)
     }
 
-    /// Writes the bytes that are signed.
+    /// Encodes the signed bytes.
     #[must_use]
     pub fn encode(&self) -> [u8; SIGNED_BYTES] {
         let mut bytes = [0; SIGNED_BYTES];
@@ -125,7 +125,7 @@ impl Manifest {
         bytes
     }
 
-    /// Reads what [`Manifest::encode`] writes, and nothing else.
+    /// Decodes what [`Manifest::encode`] writes. Refuses all other bytes.
     ///
     /// # Errors
     /// [`ManifestError`] says what is wrong with the bytes.
@@ -153,7 +153,7 @@ impl Manifest {
             (part.offset, part.length) = (word(at), word(at + 4));
             part.sha256.copy_from_slice(&bytes[8..]);
         }
-        // One encoding for each manifest: what is unused is 0, what is checked has its checksum.
+        // Each manifest has one encoding: this checks checksum and unused bytes.
         if manifest.encode() != *bytes {
             return Err(ManifestError::Format);
         }
@@ -184,8 +184,8 @@ impl Manifest {
         Ok(())
     }
 
-    /// What the boot ROM reads of a bootloader's first page: length and CRC-32 of the body. `None`
-    /// if the page is not the first of a manifest.
+    /// Returns what the boot ROM reads from a bootloader's first page: length and CRC-32 of the body.
+    /// `None` if the page is not the first one of a manifest.
     #[must_use]
     pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
         let word = |at: usize| word(page, at);

@@ -1,4 +1,4 @@
-//! The map of the program flash: 27 logical sectors, and which region owns them. T-BOOT-6, U-2
+//! The map of the program flash: 27 logical sectors and the regions that own them. T-BOOT-6, U-2
 
 use core::ops::Range;
 use strum::FromRepr;
@@ -12,7 +12,7 @@ pub const SMALLEST_SECTOR: u32 = 0x4000;
 /// Number of logical sectors, S0 to S26.
 pub const SECTORS: u8 = 27;
 
-/// Sectors of one size: the number of the first, its offset, the size.
+/// Groups of sectors of one size: number and offset of the first sector, size.
 const GROUPS: [(u8, u32, u32); 5] = [
     (0, 0x00_0000, 0x4000),
     (8, 0x02_0000, 0x8000),
@@ -21,7 +21,7 @@ const GROUPS: [(u8, u32, u32); 5] = [
     (23, 0x10_0000, 0x4_0000),
 ];
 
-/// The range of logical sector `number`; `None` above S26.
+/// Returns the range of logical sector `number`; `None` above S26.
 #[must_use]
 pub fn sector(number: u8) -> Option<Range<u32>> {
     let in_flash = number < SECTORS;
@@ -31,7 +31,7 @@ pub fn sector(number: u8) -> Option<Range<u32>> {
     Some(start..start + size)
 }
 
-/// The range of the logical sector that holds `offset`.
+/// Returns the range of the logical sector that contains `offset`.
 #[must_use]
 pub fn sector_at(offset: u32) -> Option<Range<u32>> {
     let group = GROUPS.iter().rfind(|(_, start, _)| *start <= offset);
@@ -40,9 +40,9 @@ pub fn sector_at(offset: u32) -> Option<Range<u32>> {
     Some(start..start + size)
 }
 
-/// The offset in the flash that an address of an S-record means: the flash appears at 0 in files
-/// for this loader, at 0x8000_0000 (cached) and at 0xA000_0000 (not cached) in the address space
-/// of the TC297.
+/// Converts an address of an S-record to an offset in the flash. The flash begins at 0 in files for
+/// this loader, and at 0x8000_0000 (cached) and 0xA000_0000 (uncached) in the address space of the
+/// TC297.
 #[must_use]
 pub const fn offset_of(address: u32) -> Option<u32> {
     let offset = address & 0x0FFF_FFFF;
@@ -52,7 +52,7 @@ pub const fn offset_of(address: u32) -> Option<u32> {
     }
 }
 
-/// One of two equal places for an image.
+/// One of two equivalent places for an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
 pub enum Slot {
@@ -76,20 +76,20 @@ impl Slot {
     }
 }
 
-/// The place of a bootloader that can run.
+/// A place from which a bootloader runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bank {
-    /// S0 and S1. The boot ROM starts it if it is sealed and whole.
+    /// S0 and S1. The boot ROM starts it if it is sealed and intact.
     Primary,
     /// S2 and S3. The boot ROM starts it otherwise.
     Backup,
 }
 
-/// What an image is. Each kind has its own place and its own way of updating. U-5
+/// The kind of an image. Each kind has its own places and its own update procedure. U-5
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
 pub enum ImageKind {
-    /// What the three cores run.
+    /// The program of the three cores.
     Application,
     /// Parameters of the application.
     Configuration,
@@ -97,7 +97,7 @@ pub enum ImageKind {
     Bootloader,
 }
 
-/// Where a downloaded image is written.
+/// The place to which a downloaded image is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageTarget {
     /// A slot of the application.
@@ -118,14 +118,14 @@ impl ImageTarget {
         Self::Application(Slot::B),
     ];
 
-    /// The target that holds `offset`.
+    /// Returns the target that contains `offset`.
     #[must_use]
     pub fn at(offset: u32) -> Option<Self> {
         let holds = |target: &Self| FlashRegion::Target(*target).range().contains(&offset);
         Self::ALL.into_iter().find(holds)
     }
 
-    /// What belongs there.
+    /// Returns the kind of image that belongs there.
     #[must_use]
     pub const fn kind(self) -> ImageKind {
         match self {
@@ -136,14 +136,14 @@ impl ImageTarget {
     }
 }
 
-/// What a range of the flash is for. U-2
+/// A region of the flash, by its use. U-2
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashRegion {
-    /// A bootloader that can run: S0–S1, S2–S3.
+    /// A runnable bootloader: S0–S1, S2–S3.
     Bank(Bank),
     /// One of two copies of the boot environment: S4, S5.
     Environment(u8),
-    /// What a download may write: S6, S7 (configuration), S8 (staging), S12–S22 and S23–S25
+    /// A place that a download may write: S6, S7 (configuration), S8 (staging), S12–S22 and S23–S25
     /// (application, 768 KiB each).
     Target(ImageTarget),
     /// One of two sectors of the log: S10, S11.
@@ -151,7 +151,7 @@ pub enum FlashRegion {
 }
 
 impl FlashRegion {
-    /// Its range; begins and ends with a sector.
+    /// Returns its range, which consists of whole sectors.
     #[must_use]
     pub const fn range(self) -> Range<u32> {
         match self {

@@ -1,22 +1,22 @@
-//! Joins data to whole pages; the rest of a page is padded. T-BOOT-5
+//! Collects data into whole pages and pads the rest of a page. T-BOOT-5
 
 use crate::map::PAGE_BYTES;
 
-/// One page of flash as it was programmed or is to be.
+/// One page of flash.
 pub(crate) type Page = [u8; PAGE_BYTES];
 
-/// The checksum of all that lies in the flash. Without a table: a small bootloader comes first.
+/// The checksum of all data in the flash. Computed without a table, to keep the bootloader small.
 pub(crate) const CRC_32: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, _>::new(&ISO_HDLC);
 const ISO_HDLC: crc::Algorithm<u32> = crc::CRC_32_ISO_HDLC;
 
-/// The word at a place, little endian; 0 beyond the end. One copy of it is smaller than many.
+/// Returns the little-endian word at `at`; 0 beyond the end. Not inlined, to save space.
 #[inline(never)]
 pub(crate) fn word(bytes: &[u8], at: usize) -> u32 {
     let word = bytes.get(at..).and_then(<[u8]>::first_chunk);
     word.map_or(0, |word| u32::from_le_bytes(*word))
 }
 
-/// What erased flash reads as, and what pages are padded with.
+/// The value of erased flash, used as padding.
 pub(crate) const ERASED: u8 = 0xFF;
 
 /// The page that is being filled.
@@ -24,7 +24,7 @@ pub(crate) const ERASED: u8 = 0xFF;
 pub(crate) struct PageBuffer(Option<(u32, Page)>);
 
 impl PageBuffer {
-    /// Adds data at `offset`. Each page that is left goes to `program`, padded.
+    /// Adds data at `offset`. Calls `program` with each completed page, padded.
     pub(crate) fn put<E>(
         &mut self,
         offset: u32,
@@ -43,7 +43,7 @@ impl PageBuffer {
         Ok(())
     }
 
-    /// Hands over the page that is not full yet.
+    /// Calls `program` with the page in the buffer, if there is one.
     pub(crate) fn flush<E>(
         &mut self,
         mut program: impl FnMut(u32, &Page) -> Result<(), E>,

@@ -1,6 +1,6 @@
-//! The frames of a download: ids, values, and the extension that old hosts do not notice. T-BOOT-3
+//! The frames of a download: ids, values, and an extension that old hosts do not see. T-BOOT-3
 //!
-//! All values are little endian. `docs/boot.md` has the same as tables, for the author of a host.
+//! All values are little endian. `docs/boot.md` has the same as tables, for authors of host tools.
 
 use strum::{FromRepr, VariantArray};
 use tandem_board::{CanFrame, CanId, SystemId};
@@ -15,7 +15,7 @@ const ACCEPTED: u32 = 0x0021_4B1D;
 const RESEND: u32 = 0x0053_4F53;
 const REFUSED: u32 = 0x0044_454E;
 const CONNECT: u32 = 0x083E_572D;
-/// First byte of the frames of the extension: no record and no value of the thesis begins so.
+/// First byte of the extension's frames. No record and no value of the thesis begins with it.
 const EXTENSION: u8 = b'W';
 const OFFER: u8 = 1;
 const GO_BACK: u8 = 2;
@@ -30,13 +30,13 @@ pub enum Refusal {
     Protected,
     /// The slot that boots; download to the other one.
     SlotInUse,
-    /// The data of a slot do not begin with a manifest at its start: sign the file first.
+    /// The data of a slot do not begin with a manifest: sign the file first.
     NoManifest,
     /// The manifest is damaged, of another kind, for other hardware or too large for the slot.
     BadManifest,
-    /// The signature is not one of a key that is accepted. Strict mode. E-4
+    /// The signature is not by an accepted key. Strict mode. E-4
     Untrusted,
-    /// An older version than one that has approved itself.
+    /// The version is older than an approved one.
     Downgrade,
     /// Data are missing before this record.
     Gap,
@@ -46,44 +46,44 @@ pub enum Refusal {
     Order,
     /// Data that the manifest does not name.
     Unannounced,
-    /// The number in the count record is not that of the data records.
+    /// The count record differs from the number of data records.
     Count,
-    /// The file ends before all data have come.
+    /// The file ends before all data have arrived.
     Incomplete,
-    /// The digest of what was written is not the manifest's.
+    /// The digest of the written data differs from the manifest's.
     Digest,
-    /// The entry in the file is not the manifest's.
+    /// The entry in the file differs from the manifest's.
     Entry,
-    /// Not S-records, however often they were sent.
+    /// The data are no S-records, even after repetition.
     Record,
-    /// The flash does not take it.
+    /// The flash fails.
     Flash,
 }
 
-/// What the bootloader says.
+/// An answer of the bootloader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// The connection stands.
+    /// The connection is established.
     Connected,
-    /// The record was accepted; with a window, `records` data records so far, else 0.
+    /// The record was accepted.
     Accepted {
-        /// Records accepted since the connection, all types.
+        /// With a window, the records of all types accepted since the connection; otherwise 0.
         records: u32,
     },
-    /// The record is wrong; with a window, go back to this record, else 0.
+    /// The record is wrong.
     Resend {
-        /// The first record to send again, counted from 0.
+        /// With a window, the first record to send again, counted from 0; otherwise 0.
         record: u32,
     },
-    /// The download has ended; the connection too.
+    /// The download and the connection have ended.
     Refused(Refusal),
     /// Answer to an offer of a window.
     Window {
-        /// Records that may be sent without an answer, at least 1.
+        /// Number of records to send without waiting for an answer, at least 1.
         records: u8,
-        /// The application's slot that may be written: 0 A, 1 B, 2 either.
+        /// The writable slot of the application: 0 A, 1 B, 2 either.
         application: u8,
-        /// The configuration's slot that may be written, likewise.
+        /// The writable slot of the configuration, likewise.
         configuration: u8,
         /// Records accepted since the connection.
         accepted: u32,
@@ -91,7 +91,7 @@ pub enum Answer {
 }
 
 impl Answer {
-    /// The data of the frame.
+    /// Encodes the data of the frame.
     #[must_use]
     pub fn encode(self) -> [u8; 8] {
         let pair = |low: u32, high: u32| u64::from(low) | u64::from(high) << 32;
@@ -113,7 +113,7 @@ impl Answer {
         value.to_le_bytes()
     }
 
-    /// Reads the data of a frame; `None` if it is no answer.
+    /// Decodes the data of a frame; `None` if it is not an answer.
     #[must_use]
     pub fn decode(data: &[u8]) -> Option<Self> {
         let value = u64::from_le_bytes(data.try_into().ok()?);
@@ -135,31 +135,31 @@ impl Answer {
         }
     }
 
-    /// The frame.
+    /// Returns the frame.
     #[must_use]
     pub fn frame(self) -> Option<CanFrame> {
         CanFrame::new(TO_HOST, false, &self.encode()).ok()
     }
 }
 
-/// What a host says.
+/// A request of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HostRequest<'a> {
     /// Connect.
     Connect {
-        /// Which system; `None`, as old hosts say it, for whichever listens.
+        /// The system; `None`, as sent by old hosts, for any that listens.
         system: Option<SystemId>,
-        /// Continue after what was accepted before the connection broke.
+        /// Continue after the records accepted before the connection broke.
         resume: bool,
     },
-    /// Extension: how many records the host may send before it waits for an answer.
+    /// Extension: the number of records that the host would send without waiting for an answer.
     Offer {
         /// At least 1.
         records: u8,
     },
-    /// Extension: the next record is this one, counted from 0.
+    /// Extension: announces the next record.
     GoBack {
-        /// As the loader asked for.
+        /// Its number, counted from 0, as the loader requested.
         record: u32,
     },
     /// A piece of a record.
@@ -167,7 +167,7 @@ pub enum HostRequest<'a> {
 }
 
 impl<'a> HostRequest<'a> {
-    /// Reads the data of a frame.
+    /// Decodes the data of a frame.
     #[must_use]
     pub fn decode(data: &'a [u8]) -> Self {
         let Ok(bytes) = <[u8; 8]>::try_from(data) else {
@@ -195,7 +195,7 @@ impl<'a> HostRequest<'a> {
         }
     }
 
-    /// The frame; `None` if the data are more than 8 bytes.
+    /// Returns the frame; `None` if the data are more than 8 bytes.
     #[must_use]
     pub fn frame(self) -> Option<CanFrame> {
         let mut bytes = [0; 8];

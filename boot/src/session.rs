@@ -1,8 +1,8 @@
-//! One connection with a host: acknowledges, asks again, keeps a window. T-BOOT-3
+//! A connection with a host: acknowledgements, requests to resend, and the window. T-BOOT-3
 //!
-//! Without a window every record has an answer before the next one comes, as in the thesis. With a
-//! window of n the host sends up to n records ahead, one answer covers n of them, and after an
-//! error the host goes back to the record that the loader names.
+//! Without a window the host waits for the answer to each record, as in the thesis. With a window of n
+//! the host sends up to n records ahead, and one answer covers n records. After an error the host goes
+//! back to the record that the loader names.
 
 use crate::download::{Download, Ground, free_slot};
 use crate::protocol::{Answer, HostRequest, Refusal};
@@ -10,18 +10,18 @@ use crate::srec::{Assembler, SRecord, SRecordType};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{Duration, Instant};
 
-/// Silence inside a record, or inside a window, after which the loader asks again.
+/// After this silence within a record or a window the loader requests a resend.
 pub const RESEND_AFTER: Duration = Duration::from_ms(100);
-/// The largest window. The receive buffer of a CAN controller must hold what the host may send
-/// while the flash erases: 16 records of 14 frames.
+/// The largest window. The receive buffer of a CAN controller must hold what the host sends during an
+/// erase: 16 records of 14 frames.
 pub const MAX_WINDOW: u8 = 16;
-/// How often in a row a record may be wrong before the file is taken for something else.
+/// After this many wrong records in a row the file is refused.
 const MAX_ATTEMPTS: u8 = 8;
 
 /// The state of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// No host yet, or the host was refused.
+    /// No host is connected.
     Closed,
     Open,
     /// The file has ended and is on trial.
@@ -35,16 +35,16 @@ pub(crate) struct Session {
     state: State,
     assembler: Assembler,
     download: Download,
-    /// Records under way at most; 0 without the extension.
+    /// Number of records that the host may send ahead; 0 without the extension.
     window: u8,
     /// Records accepted since the connection.
     accepted: u32,
     /// Records since the last answer.
     unanswered: u8,
-    /// With a window, after an error: nothing counts until the host goes back.
+    /// Ignore data until the host goes back. Set after an error within a window.
     waits_for_go_back: bool,
     attempts: u8,
-    /// The last accepted record: if its acknowledgement was lost, the host sends it again.
+    /// The last accepted record. If its acknowledgement is lost, the host repeats it.
     last: Option<SRecord>,
     heard: Instant,
 }
@@ -69,7 +69,7 @@ impl Session {
         matches!(self.state, State::Finished)
     }
 
-    /// The file was taken, or refused.
+    /// Whether the file was accepted or refused.
     pub(crate) const fn has_ended(&self) -> bool {
         matches!(self.state, State::Finished | State::Refused(_))
     }
@@ -78,12 +78,12 @@ impl Session {
         matches!(self.state, State::Open)
     }
 
-    /// When the host was last heard.
+    /// Returns when the host was last heard.
     pub(crate) const fn heard(&self) -> Instant {
         self.heard
     }
 
-    /// The host counts as heard up to this moment.
+    /// Counts the host as heard until now.
     pub(crate) const fn hear(&mut self, now: Instant) {
         self.heard = now;
     }
@@ -93,13 +93,13 @@ impl Session {
             *self = Self::new();
         }
         (self.state, self.heard) = (State::Open, now);
-        // The host sends again what was under way when the connection broke.
+        // The host repeats the record that it was sending when the connection broke.
         self.assembler = Assembler::default();
         (self.window, self.unanswered, self.waits_for_go_back) = (0, 0, false);
         Answer::Connected
     }
 
-    /// Takes a frame that is no connect request.
+    /// Takes a frame other than a connect request.
     pub(crate) fn on_request(
         &mut self,
         now: Instant,
@@ -129,7 +129,7 @@ impl Session {
             }
             HostRequest::GoBack { .. } => Some(self.ask_again()),
             HostRequest::Data(_) if self.waits_for_go_back => None,
-            // The end of the record before was lost. Without a window the host repeats a record so.
+            // The end of the previous record was lost. Without a window this may be a repetition.
             HostRequest::Data([b'S', ..]) if self.window > 0 && self.assembler.is_inside() => {
                 self.assembler = Assembler::default();
                 Some(self.ask_again())
@@ -157,7 +157,7 @@ impl Session {
             }
             return Some(self.ask_again());
         };
-        // Without a window the host repeats a record whose acknowledgement it did not get.
+        // Without a window the host repeats a record whose acknowledgement was lost.
         let repeated = self.window == 0 && self.last.as_ref() == Some(&record);
         if !repeated && self.state == State::Open {
             match self.download.take(&record, flash, ground) {
@@ -169,7 +169,7 @@ impl Session {
                         self.state = State::Finished;
                     }
                 }
-                // With a window: a whole record, or the frame that goes back, may have been lost.
+                // With a window, a whole record or the go-back frame may have been lost.
                 Err(Refusal::Gap | Refusal::Overlap | Refusal::Order)
                     if self.window > 0 && self.attempts < MAX_ATTEMPTS =>
                 {
@@ -203,13 +203,14 @@ impl Session {
         }
     }
 
-    /// When [`Session::on_silence`] is due; `None` if nothing is under way.
+    /// Returns when [`Session::on_silence`] is due; `None` if no record is incomplete or unanswered.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let under_way = self.assembler.is_inside() || self.unanswered > 0;
         (self.is_open() && under_way).then(|| self.heard + RESEND_AFTER)
     }
 
-    /// Nothing came for [`RESEND_AFTER`] although something was under way: frames were lost.
+    /// Requests a resend: nothing arrived for [`RESEND_AFTER`] although a record was incomplete or
+    /// unanswered, so frames were lost.
     pub(crate) fn on_silence(&mut self, now: Instant) -> Answer {
         self.heard = now;
         self.assembler = Assembler::default();

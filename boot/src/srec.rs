@@ -2,19 +2,19 @@
 
 /// Bytes of the longest record without its line end: `S`, type, and 256 bytes in hex.
 const MAX_LINE: usize = 2 + 2 * 256;
-/// The most data bytes that a record carries: an S1 record of 255 bytes.
+/// The largest number of data bytes in a record: an S1 record of 255 bytes.
 pub const MAX_DATA: usize = 252;
 
-/// What a record is for.
+/// The type of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SRecordType {
-    /// S0: text about the file; its address says nothing.
+    /// S0: text about the file; the address is unused.
     Header,
     /// S1, S2, S3: data at an address.
     Data,
     /// S5, S6: the address is the number of data records before it.
     Count,
-    /// S7, S8, S9: the address is the entry; the file ends here.
+    /// S7, S8, S9: the address is the entry; ends the file.
     Entry,
 }
 
@@ -23,31 +23,31 @@ pub enum SRecordType {
 pub enum SRecordError {
     /// It does not begin with `S` and a digit from 0 to 3 or 5 to 9.
     Type,
-    /// It has another number of digits than its length says, or none for its address.
+    /// The number of digits does not match its length field, or is too small for the address.
     Length,
-    /// Something in it is not a hex digit.
+    /// A character is not a hex digit.
     Digit,
-    /// The checksum is not that of the record.
+    /// The checksum is wrong.
     Checksum,
 }
 
-/// One record, checked.
+/// One record with a valid checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SRecord {
-    /// What it is for.
+    /// Its type.
     pub record_type: SRecordType,
-    /// Its address, its count, or its entry.
+    /// Address, count or entry, depending on the type.
     pub address: u32,
     len: u8,
     bytes: [u8; MAX_DATA],
 }
 
 impl SRecord {
-    /// Reads a line without its line end.
+    /// Parses a line without its line end.
     ///
     /// # Errors
-    /// [`SRecordError`] if it is not a record. A record that was changed on its way fails with any
-    /// of them; the sender is asked for it again.
+    /// [`SRecordError`] if it is not a record. A corrupted record may fail with any of them; request it
+    /// again.
     pub fn parse(line: &[u8]) -> Result<Self, SRecordError> {
         let [b'S', digit, hex @ ..] = line else {
             return Err(SRecordError::Type);
@@ -99,7 +99,7 @@ impl SRecord {
         Ok(record)
     }
 
-    /// The data; empty for a count and an entry.
+    /// Returns the data; empty for a count and an entry.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
@@ -115,14 +115,14 @@ const fn nibble(digit: u8) -> Result<u8, SRecordError> {
     }
 }
 
-/// Joins the data of CAN frames to lines. A frame that begins with `S` begins a record, whatever
-/// came before it; `\n` ends it; what follows in that frame is padding.
+/// Joins the data of CAN frames to lines. A frame that begins with `S` always begins a record; `\n`
+/// ends it; the rest of that frame is padding.
 #[derive(Clone, Debug)]
 pub struct Assembler {
     line: [u8; MAX_LINE],
-    /// Bytes of the line so far; more than fit if the line is too long.
+    /// Length of the line so far; larger than the buffer if the line is too long.
     len: usize,
-    /// The frame that begins the record was seen.
+    /// The first frame of the record was received.
     begun: bool,
 }
 
@@ -150,7 +150,7 @@ impl Assembler {
             if let Some(place) = self.line.get_mut(self.len) {
                 *place = *byte;
             }
-            // One beyond the end says "too long", also with the carriage return.
+            // A length beyond the buffer and the carriage return marks a line that is too long.
             self.len = (self.len + 1).min(MAX_LINE + 2);
         }
         ends?;

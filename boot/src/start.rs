@@ -1,4 +1,4 @@
-//! The bootloader on its board, from the reset to where core 0 goes next. T-BOOT-1, T-BOOT-7
+//! Runs the bootloader on a board, from the reset until core 0 leaves it. T-BOOT-1, T-BOOT-7
 
 use crate::loader::{Launch, Loader, Next, Setup};
 use crate::map::Bank;
@@ -7,29 +7,29 @@ use core::cell::Cell;
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{Board, Can, Duration, Instant, ResetRequest, Supply, watchdog_answer};
 
-/// Where core 0 goes.
+/// Where core 0 continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Leave {
-    /// To the application. Clean up (T-BOOT-7), then jump.
+    /// In the application. Clean up (T-BOOT-7), then jump.
     Jump(Launch),
-    /// To the bootloader in the primary bank, which is on trial. Clean up as before a jump.
+    /// In the bootloader of the primary bank, which is on trial. Clean up as before a jump.
     StartPrimary,
 }
 
-/// Serves the watchdog while the bootloader runs longer than half the limit of the first service.
+/// Services the watchdog if the bootloader runs longer than half the limit of the first service.
 pub trait Keeper {
-    /// Serves the watchdog if it is due. Returns when it is due next; [`Instant::NEVER`] if the
-    /// caller need not call again.
+    /// Services the watchdog if it is due. Returns the next due time; [`Instant::NEVER`] if no further
+    /// call is needed.
     fn keep(&self) -> Instant;
 
-    /// Stops serving. Returns whether an application may take over from here; if not, the
-    /// bootloader ends with a reset.
+    /// Stops servicing. Returns whether an application may continue from here; if not, the bootloader
+    /// ends with a reset.
     fn hand_over(&self) -> bool;
 }
 
-/// Serves between two steps of the bootloader: for a board on which no step takes as long as the
-/// window is open. An application takes over only a watchdog that was not served yet.
+/// Services the watchdog between the steps of the bootloader. For a board on which every step is
+/// shorter than the window is open. An application may continue only before the first service.
 #[derive(Debug)]
 pub struct BetweenSteps<'b, B> {
     board: &'b B,
@@ -37,20 +37,20 @@ pub struct BetweenSteps<'b, B> {
     served: Cell<bool>,
 }
 
-/// Time from a start to the first service of a bootloader.
+/// Returns the time from the start to the bootloader's first service.
 #[must_use]
 pub const fn first_service<S: Supply>() -> Duration {
     Duration::from_us((S::FIRST_SERVICE_US / 2) as u64)
 }
 
-/// Time from one service of a bootloader to the next.
+/// Returns the time between two services of the bootloader.
 #[must_use]
 pub const fn next_service<S: Supply>() -> Duration {
     Duration::from_us((S::WINDOW_OPENS_US / 2 + S::WINDOW_CLOSES_US / 2) as u64)
 }
 
 impl<'b, B: Board> BetweenSteps<'b, B> {
-    /// The system has just started.
+    /// Creates a keeper at the start of the system.
     #[must_use]
     pub fn new(board: &'b B) -> Self {
         Self {
@@ -79,8 +79,8 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
     }
 }
 
-/// Runs the bootloader until core 0 leaves it. Resets the system where the bootloader asks for it,
-/// and when the flash fails. Core 0, task context; blocks.
+/// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests it, and if
+/// the flash fails. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,

@@ -1,15 +1,15 @@
-//! The smallest application, on any board: its three cores each send a CAN frame with their number.
+//! The smallest application, for any board: each of its three cores sends a CAN frame with its number.
 //! T-BOOT-8
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Supply, watchdog_answer,
 };
 
-/// The id of core 0's frames; those of the others follow.
+/// The id of core 0's frames; the other cores use the next ids.
 pub const FIRST_ID: u16 = 0x700;
 
-/// Is this board's core of it, for ever: sends every `period`, in which core 0 also services the
-/// watchdog. The period must lie in the watchdog's window.
+/// Runs the application on this core. Never returns. Sends every `period`; core 0 also services the
+/// watchdog then, so the period must lie in the watchdog's window.
 pub fn three_frames<B: Board>(board: &B, period: Duration) -> ! {
     let core = board.identity().core;
     let number = core.index() as u8;
@@ -26,7 +26,7 @@ pub fn three_frames<B: Board>(board: &B, period: Duration) -> ! {
         if now >= due {
             due = now + period;
             if let Some(frame) = &frame {
-                // Full: the bus is slower, and the next one will do.
+                // If the buffer is full, skip this frame: the next period sends another.
                 let _ = board.can().try_send(frame);
             }
             if core == CoreId::CONTROL {

@@ -1,23 +1,23 @@
-//! The Ed25519 keys that the bootloader trusts, strict and monitor mode. E-4
+//! The Ed25519 keys that the bootloader trusts, and its strict and monitor modes. E-4
 
 use crate::manifest::{MANIFEST_BYTES, SIGNED_BYTES};
 use salty::{CompressedY, EdwardsPoint, Sha512};
 
-/// What happens with an image that is not authentic.
+/// The treatment of an image that is not authentic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrustMode {
-    /// It is neither taken nor started.
+    /// Refuse it and do not start it.
     Strict,
-    /// It is taken and started, and the log says so.
+    /// Accept and start it, and log that.
     Monitor,
 }
 
-/// The trust anchor of a bootloader: it lies in the bootloader's own image.
+/// The trust anchor of a bootloader, part of the bootloader's own image.
 #[derive(Clone, Copy, Debug)]
 pub struct Trust<'k> {
-    /// Public keys, by their numbers. A new key comes with a new bootloader.
+    /// Public keys by number. A new key needs a new bootloader.
     pub keys: &'k [[u8; 32]],
-    /// What happens with an image that is not authentic.
+    /// The treatment of an image that is not authentic.
     pub mode: TrustMode,
 }
 
@@ -28,8 +28,7 @@ const ORDER: [u8; 32] = [
 ];
 
 impl Trust<'_> {
-    /// Whether a manifest is signed by the key that it names, and this key is not below
-    /// `lowest_key`.
+    /// Whether a manifest is signed by the key that it names, and that key is not below `lowest_key`.
     #[must_use]
     pub fn is_authentic(&self, manifest: &[u8; MANIFEST_BYTES], lowest_key: u8) -> bool {
         let number = manifest[7];
@@ -44,7 +43,8 @@ impl Trust<'_> {
 }
 
 /// Verifies an Ed25519 signature (RFC 8032, 5.1.7) with the points and the hash of `salty`. The
-/// verification of `salty` is 5.5 KiB larger, slower, and takes a second form of each signature.
+/// verification of `salty` itself is 5.5 KiB larger and slower, and accepts a second form of each
+/// signature.
 fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     let (point, scalar) = signature.split_at(32);
     let Ok(public) = CompressedY(*key).decompressed() else {
@@ -56,7 +56,8 @@ fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     }
     let hash = Sha512::new().updated(point).updated(key).updated(message);
     let hash = reduced(&hash.finalize());
-    // scalar * base - hash * public, bit by bit at once. All of it is public: time may tell it.
+    // scalar * base - hash * public, both products bit by bit. All inputs are public, so the time may
+    // depend on them.
     let (base, public) = (EdwardsPoint::basepoint(), -&public);
     let both = &base + &public;
     let mut sum = EdwardsPoint::neutral_element();
@@ -76,11 +77,11 @@ fn is_set(number: &[u8], bit: usize) -> bool {
     number[bit / 8] >> (bit % 8) & 1 != 0
 }
 
-/// A little-endian number modulo the order of the group, bit by bit.
+/// Reduces a little-endian number modulo the order of the group, bit by bit.
 fn reduced(number: &[u8]) -> [u8; 32] {
     let mut rest = [0u8; 32];
     for bit in (0..8 * number.len()).rev() {
-        // Twice the rest, and this bit: below 2^254.
+        // Double the rest and add this bit: the result is below 2^254.
         let mut carry = u8::from(is_set(number, bit));
         for byte in &mut rest {
             (*byte, carry) = (*byte << 1 | carry, *byte >> 7);

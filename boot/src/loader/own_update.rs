@@ -9,13 +9,14 @@ use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};
 use embedded_storage::nor_flash::NorFlash;
 
 impl<F: NorFlash> Loader<'_, F> {
-    /// One step of an update of the bootloader; what to do then, or `None` to go on. U-4
+    /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if the
+    /// loader may continue. U-4
     pub(super) fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
         let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
         let backup = FlashRegion::Bank(Bank::Backup).range().start;
         match (self.ground.store.get().loader, self.setup.bank) {
             (LoaderUpdate::Idle, Bank::Primary) => Ok(None),
-            // The ROM found the primary bank damaged: make it whole again.
+            // The ROM found the primary bank damaged: restore it.
             (LoaderUpdate::Idle, Bank::Backup) => {
                 self.set_loader(LoaderUpdate::Restoring)?;
                 self.update_bootloader()
@@ -39,7 +40,7 @@ impl<F: NorFlash> Loader<'_, F> {
                 self.log(LogEvent::LoaderInstalled, 0);
                 Ok(Some(Next::Reset))
             }
-            // Only the backup gets here by itself: the primary bank is not sealed.
+            // The ROM starts only the backup: the primary bank is not sealed.
             (LoaderUpdate::Trial, Bank::Backup) => {
                 self.set_loader(LoaderUpdate::TrialExecuted)?;
                 Ok(Some(Next::StartPrimary))
@@ -63,7 +64,7 @@ impl<F: NorFlash> Loader<'_, F> {
         }
     }
 
-    /// The last step of a new bootloader: it approves itself and is sealed. U-4
+    /// The last step of an update: a new bootloader approves and seals itself. U-4
     pub(super) fn approve_bootloader(&mut self) -> Result<(), FlashFault> {
         if self.ground.store.get().loader != LoaderUpdate::TrialExecuted {
             return Ok(());
