@@ -64,9 +64,9 @@ pub enum ReleasedBy {
 /// What tasks of core 0 share, each behind a lock of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The redundancy, CAN, link, flash and outputs: [`Shared`](crate::core0::Shared).
+    /// The redundancy, CAN, link, flash and outputs: [`SharedState`](crate::core0::SharedState).
     Shared,
-    /// Scene, trajectory and the controllers' state: [`Drive`](crate::core0::Drive).
+    /// Scene, trajectory and the controllers' state: [`Driving`](crate::core0::Driving).
     Drive,
 }
 
@@ -265,7 +265,7 @@ pub const INTERRUPTS: [IrqInfo; 2] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core0::TaskId;
+    use crate::core0::Core0Task;
 
     #[test]
     fn each_code_is_one_task_and_zero_is_none() {
@@ -316,9 +316,9 @@ mod tests {
 
     #[test]
     fn the_ids_of_core_0_are_rows_of_the_table() {
-        assert_eq!(TaskId::ALL.map(|id| *id.info()), CORE_0);
-        for id in TaskId::ALL {
-            assert_eq!(TaskId::of(id.info().code), Some(id));
+        assert_eq!(Core0Task::ALL.map(|id| *id.info()), CORE_0);
+        for id in Core0Task::ALL {
+            assert_eq!(Core0Task::of(id.info().code), Some(id));
         }
     }
 }

@@ -16,7 +16,7 @@ use std::cell::{Cell, RefCell};
 use tandem_board::{Board, Duration, Instant};
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::core0::{
-    DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks,
+    Core0Task, DOORBELL_DISTANCE, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
 };
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -25,12 +25,12 @@ use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_cores::{Config, Core};
 
-const TASKS: usize = TaskId::ALL.len();
+const TASKS: usize = Core0Task::ALL.len();
 
 struct Flow {
     board: &'static SimBoard,
-    shared: RefCell<Shared<'static, SimBoard>>,
-    drive: RefCell<Drive>,
+    shared: RefCell<SharedState<'static, SimBoard>>,
+    drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     held_back: Cell<u32>,
     /// The body that runs has told that it begins a job.
@@ -38,11 +38,11 @@ struct Flow {
 }
 
 impl Executor<'static, SimBoard> for Flow {
-    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, SimBoard>) -> R) -> R {
+    fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'static, SimBoard>) -> R) -> R {
         body(&mut self.shared.borrow_mut())
     }
 
-    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
         body(&mut self.drive.borrow_mut())
     }
 
@@ -54,13 +54,13 @@ impl Executor<'static, SimBoard> for Flow {
         self.held_back.get()
     }
 
-    fn begins(&self, task: TaskId, begin: Begin) {
+    fn begins(&self, task: Core0Task, begin: Begin) {
         self.has_begun.set(true);
         trace_in(self.board, task.info().code, begin);
     }
 
     /// The job ends when its execution is over.
-    fn ends(&self, _: TaskId) {}
+    fn ends(&self, _: Core0Task) {}
 }
 
 fn trace_in(board: &SimBoard, task: TaskCode, begin: Begin) {
@@ -90,7 +90,7 @@ struct TimedCore0 {
     states: [State; TASKS],
     /// The rest of the handlers of interrupts, ns.
     handlers_ns: u64,
-    running: Option<TaskId>,
+    running: Option<Core0Task>,
     last: Instant,
     next_tick: Instant,
     doorbell_opens: Instant,
@@ -169,7 +169,7 @@ impl TimedCore0 {
         }
     }
 
-    fn end(&mut self, task: TaskId) {
+    fn end(&mut self, task: Core0Task) {
         self.states[task as usize].left_ns = None;
         self.running = None;
         self.flow.board.let_go(task as u8);
@@ -196,7 +196,7 @@ impl TimedCore0 {
         if self.doorbell_waits && now >= self.doorbell_opens {
             self.doorbell_waits = false;
             self.doorbell_opens = now + DOORBELL_DISTANCE;
-            for task in TaskId::ALL {
+            for task in Core0Task::ALL {
                 self.states[task as usize].ready |= task.info().is_for_interrupts();
             }
         }
@@ -212,11 +212,11 @@ impl TimedCore0 {
             return;
         }
         loop {
-            let wants = |task: &TaskId| {
+            let wants = |task: &Core0Task| {
                 let state = self.states[*task as usize];
                 state.ready || state.left_ns.is_some()
             };
-            let Some(task) = TaskId::ALL.into_iter().find(wants) else {
+            let Some(task) = Core0Task::ALL.into_iter().find(wants) else {
                 return;
             };
             if self.running == Some(task) {
@@ -234,23 +234,23 @@ impl TimedCore0 {
         }
     }
 
-    fn begin(&mut self, task: TaskId, now: Instant) {
+    fn begin(&mut self, task: Core0Task, now: Instant) {
         let (board, flow, tasks) = (self.flow.board, &self.flow, &mut self.tasks);
         flow.released.set(TaskSet::NONE);
         flow.has_begun.set(false);
         board.hold(Some(task as u8));
         let deadline = match task {
-            TaskId::Roles => tasks.roles.poll(flow),
-            TaskId::Monitoring => tasks.monitoring.poll(flow),
-            TaskId::Control => tasks.control.poll(flow),
-            TaskId::Degraded => tasks.degraded.poll(flow),
-            TaskId::TrajectoryInput => tasks.trajectory_input.poll(flow),
-            TaskId::Status => tasks.status.poll(flow),
+            Core0Task::Roles => tasks.roles.poll(flow),
+            Core0Task::Monitoring => tasks.monitoring.poll(flow),
+            Core0Task::Control => tasks.control.poll(flow),
+            Core0Task::Degraded => tasks.degraded.poll(flow),
+            Core0Task::TrajectoryInput => tasks.trajectory_input.poll(flow),
+            Core0Task::Status => tasks.status.poll(flow),
         };
         board.hold(None);
         let released = flow.released.get();
         for (index, state) in self.states.iter_mut().enumerate() {
-            state.ready |= released.contains(TaskId::ALL[index]);
+            state.ready |= released.contains(Core0Task::ALL[index]);
         }
         self.states[task as usize] = State {
             due: self.wakes(task, deadline, now),
@@ -268,13 +268,13 @@ impl TimedCore0 {
     }
 
     /// The tick at which the kernel wakes a task for its deadline: as in `tandem-runtime`.
-    fn wakes(&self, task: TaskId, deadline: Instant, now: Instant) -> Instant {
+    fn wakes(&self, task: Core0Task, deadline: Instant, now: Instant) -> Instant {
         if deadline == Instant::NEVER {
             return deadline;
         }
         let after_now = self.ticks.before(now) + 1;
         let number = match task {
-            TaskId::Roles => self.ticks.before(deadline).max(after_now),
+            Core0Task::Roles => self.ticks.before(deadline).max(after_now),
             _ => self.ticks.after(deadline),
         };
         self.tick(number)

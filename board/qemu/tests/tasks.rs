@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use tandem_board::{CoreId, Instant, RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, Layout, Options};
-use tandem_cores::core0::TaskId;
+use tandem_cores::core0::Core0Task;
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 
@@ -18,7 +18,7 @@ use tandem_cores::trace::{Begin, Event, Leaves};
 const RUN_MS: u64 = 6_000;
 
 /// Strap `Third` of the image: of `task`, every `every`-th job takes `ms` longer.
-fn overload(task: TaskId, ms: u8, every: u16) -> u32 {
+fn overload(task: Core0Task, ms: u8, every: u16) -> u32 {
     let [low, high] = every.to_le_bytes();
     u32::from_le_bytes([task as u8 + 1, ms, low, high])
 }
@@ -113,9 +113,9 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
-    let (events, _) = run(overload(TaskId::Control, 20, 20));
+    let (events, _) = run(overload(Core0Task::Control, 20, 20));
     let jobs = jobs(&events);
-    let control = TaskId::Control.info();
+    let control = Core0Task::Control.info();
     let burning = |job: &&Job| job.task == control.code && job.to.since(job.from).as_us() >= 20_000;
     let burned: Vec<&Job> = jobs.iter().filter(burning).collect();
     assert!(burned.len() >= 10, "only {} jobs burned", burned.len());
@@ -138,7 +138,7 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
     let waited = events.iter().filter(|(at, event)| match event {
         Event::Ready { task } => {
             let within = |job: &&&Job| job.from < *at && *at < job.to;
-            let info = TaskId::of(*task).map(TaskId::info);
+            let info = Core0Task::of(*task).map(Core0Task::info);
             info.is_some_and(|info| info.priority < control.priority)
                 && burned.iter().find(within).is_some()
         }
@@ -156,7 +156,7 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_kernel_runs_again_after_a_reset_of_the_core() {
-    let (events, log) = run(overload(TaskId::Monitoring, 100, 600));
+    let (events, log) = run(overload(Core0Task::Monitoring, 100, 600));
     let incarnations: Vec<(Instant, u32)> = events
         .iter()
         .filter_map(|(at, event)| match event {
@@ -173,10 +173,10 @@ fn the_kernel_runs_again_after_a_reset_of_the_core() {
             .map_or(Instant::NEVER, |next| next.0);
         let of_incarnation = |job: &&Job| *begin <= job.from && job.from < end;
         for task in [
-            TaskId::Roles,
-            TaskId::Monitoring,
-            TaskId::Control,
-            TaskId::Status,
+            Core0Task::Roles,
+            Core0Task::Monitoring,
+            Core0Task::Control,
+            Core0Task::Status,
         ] {
             let code = task.info().code;
             let count = jobs

@@ -19,7 +19,9 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use doorbell::{Doorbell, Releases};
 use tandem_board::{Board, Duration, Instant};
 use tandem_cores::Config;
-use tandem_cores::core0::{Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
+use tandem_cores::core0::{
+    Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
+};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
@@ -38,7 +40,7 @@ const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 
 /// The task that waits for the end of the distance when the doorbell has rung too early. The other
 /// one that it releases, the roles, runs at every tick.
-const DOORBELL_WAITER: TaskId = TaskId::TrajectoryInput;
+const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 
 /// The choices of the machine.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +59,7 @@ pub struct Options {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overload {
     /// Whose jobs.
-    pub task: TaskId,
+    pub task: Core0Task,
     /// Every `every`-th job is longer. At least 1.
     pub every: u32,
     /// By this much of the task's own time.
@@ -68,7 +70,7 @@ pub struct Overload {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunError {
     /// A task cannot be made.
-    Spawn(TaskId, SpawnError),
+    Spawn(Core0Task, SpawnError),
     /// The doorbell has another handler.
     Doorbell(AttachError),
     /// The kernel does not start.
@@ -93,10 +95,10 @@ impl core::error::Error for RunError {}
 /// The state that all tasks reach.
 struct Runtime<B: Board + 'static> {
     board: &'static B,
-    shared: Mutex<Shared<'static, B>>,
-    drive: Mutex<Drive>,
-    /// By [`TaskId`].
-    states: [TaskState; TaskId::ALL.len()],
+    shared: Mutex<SharedState<'static, B>>,
+    drive: Mutex<Driving>,
+    /// By [`Core0Task`].
+    states: [TaskState; Core0Task::ALL.len()],
     doorbell: Doorbell,
     options: Options,
 }
@@ -113,7 +115,7 @@ struct TaskState {
 }
 
 impl<B: Board> Runtime<B> {
-    fn state(&self, task: TaskId) -> &TaskState {
+    fn state(&self, task: Core0Task) -> &TaskState {
         &self.states[task as usize]
     }
 
@@ -122,14 +124,14 @@ impl<B: Board> Runtime<B> {
     }
 }
 
-/// Handles of tasks by [`TaskId`], as far as they are made.
-type Handles = [Option<TaskHandle>; TaskId::ALL.len()];
+/// Handles of tasks by [`Core0Task`], as far as they are made.
+type Handles = [Option<TaskHandle>; Core0Task::ALL.len()];
 
 /// The executor as one task has it.
 struct OfTask<'a, B: Board + 'static> {
     ctx: &'a TaskContext,
     runtime: &'static Runtime<B>,
-    task: TaskId,
+    task: Core0Task,
     /// Of all less urgent tasks.
     below: Handles,
     /// Jobs until the next one that is overloaded.
@@ -173,16 +175,16 @@ impl<B: Board + Sync> OfTask<'_, B> {
 }
 
 impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
-    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, B>) -> R) -> R {
+    fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'static, B>) -> R) -> R {
         self.locked(&self.runtime.shared, body)
     }
 
-    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
         self.locked(&self.runtime.drive, body)
     }
 
     fn release(&self, tasks: TaskSet) {
-        for (task, handle) in TaskId::ALL.into_iter().zip(&self.below) {
+        for (task, handle) in Core0Task::ALL.into_iter().zip(&self.below) {
             if let (true, Some(handle)) = (tasks.contains(task), handle) {
                 // It never ends.
                 let _ = handle.notify(self.ctx);
@@ -194,7 +196,7 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
         self.runtime.options.held_back.load(Relaxed)
     }
 
-    fn begins(&self, task: TaskId, begin: Begin) {
+    fn begins(&self, task: Core0Task, begin: Begin) {
         self.ctx.critical(|| {
             let code = task.info().code;
             self.runtime.trace(Event::TaskIn { task: code, begin });
@@ -202,7 +204,7 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
         });
     }
 
-    fn ends(&self, task: TaskId) {
+    fn ends(&self, task: Core0Task) {
         self.overload();
         self.ctx.critical(|| {
             let (task, leaves) = (task.info().code, Leaves::Done);
@@ -220,7 +222,7 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
     let ctx = executor.ctx;
     let now = ticks.before(executor.runtime.board.now());
     let due = match executor.task {
-        TaskId::Roles => ticks.before(deadline).max(now + 1),
+        Core0Task::Roles => ticks.before(deadline).max(now + 1),
         _ => ticks.after(deadline),
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
@@ -246,14 +248,14 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
 }
 
 /// The loop of a task.
-fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl Task<'static, B>) {
+fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'static, B>) {
     let board = executor.runtime.board;
     let ticks = TickGrid {
         origin: Instant::from_ns(executor.ctx.tick_origin_ns()),
         period: TICK,
     };
     task.start(ticks.floor(board.now()));
-    if executor.task == TaskId::Roles {
+    if executor.task == Core0Task::Roles {
         executor.shared(|shared| shared.set_ticks(ticks));
     }
     let mut report_at = board.now() + REPORT_PERIOD;
@@ -282,7 +284,7 @@ fn spawn<B, T>(
 ) -> Result<(), RunError>
 where
     B: Board + Sync + 'static,
-    T: Task<'static, B> + Send + 'static,
+    T: TaskBody<'static, B> + Send + 'static,
 {
     let task = T::ID;
     let info = task.info();
@@ -355,7 +357,7 @@ pub fn start<B: Board + Sync>(
         if releases != Releases::All {
             runtime.options.held_back.fetch_add(1, Relaxed);
         }
-        for (task, handle) in TaskId::ALL.into_iter().zip(&made) {
+        for (task, handle) in Core0Task::ALL.into_iter().zip(&made) {
             let released = match releases {
                 Releases::All => task.info().is_for_interrupts(),
                 Releases::Waiter => task == DOORBELL_WAITER,

@@ -3,7 +3,7 @@
 use crate::Runtime;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::Board;
-use tandem_cores::core0::TaskId;
+use tandem_cores::core0::Core0Task;
 use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{Interrupt, KernelEventKind, TraceSink};
@@ -23,8 +23,8 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
             KernelEventKind::SwitchedIn | KernelEventKind::SwitchedOut | KernelEventKind::Ready => {
             }
         }
-        let is_it = |task: &TaskId| self.state(*task).number.load(Relaxed) == event.subject;
-        let Some(id) = TaskId::ALL.into_iter().find(is_it) else {
+        let is_it = |task: &Core0Task| self.state(*task).number.load(Relaxed) == event.subject;
+        let Some(id) = Core0Task::ALL.into_iter().find(is_it) else {
             return;
         };
         let (state, task) = (self.state(id), id.info().code);
@@ -43,7 +43,7 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
                 self.trace(Event::TaskOut { task, leaves });
             }
             // The release of the trajectory input is core 2's signal.
-            KernelEventKind::Ready if !in_job && id != TaskId::TrajectoryInput => {
+            KernelEventKind::Ready if !in_job && id != Core0Task::TrajectoryInput => {
                 self.trace(Event::Ready { task });
             }
             _ => {}

@@ -1,9 +1,11 @@
-//! The frames that core 0 sends and hears, between the bus's words and the redundancy's.
+//! Frames that core 0 sends and receives: conversions between the types of the bus and those of the
+//! redundancy.
 
-use super::drive::Output;
+use super::driving::Output;
 use crate::driving::function::{Driver, State};
+use crate::driving::types::Command;
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
-use tandem_bus::{Control, DriverRequest, Encoded, FrameTransmitter, GateEcho, Message, Status};
+use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Status};
 use tandem_redundancy::{ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
 const fn bus_role(role: Role) -> tandem_bus::RoleCode {
@@ -36,7 +38,7 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
         acceleration: output.command.acceleration,
         // The largest number that the signal can carry stands for "rests on no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
-        // 0 stands for "not told".
+        // 0 stands for "not known".
         sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
     }
 }
@@ -62,29 +64,36 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
     }
 }
 
-/// Encodes and sends; whether the controller took the frame.
-pub(super) fn send<B: Board>(
-    board: &B,
-    transmitter: &mut FrameTransmitter,
-    message: &Message,
-) -> bool {
-    send_encoded(board, &transmitter.encode(message))
-}
-
-/// Sends; whether the controller took the frame.
+/// Sends a frame; returns whether the controller took it.
 pub(super) fn send_encoded<B: Board>(board: &B, encoded: &Encoded) -> bool {
     let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
     frame.is_ok_and(|frame| board.can().try_send(&frame).is_ok())
 }
 
 /// A control frame of the other system, as the redundancy takes it.
-pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlHeader> {
+pub(super) fn received_control(from: u8, control: &Control) -> Option<ControlHeader> {
     Some(ControlHeader {
         system: SystemId::from_index(usize::from(from))?,
         term: Term::from_bits(control.term),
         role: Role::from_repr(control.role as u8)?,
         mode: Mode::from_repr(control.mode as u8)?,
     })
+}
+
+/// The command in a control frame.
+pub(super) const fn command(control: &Control) -> Command {
+    Command {
+        steering_angle: control.steering_angle,
+        acceleration: control.acceleration,
+    }
+}
+
+/// The command that the vehicle obeys.
+pub(super) const fn obeyed(echo: &GateEcho) -> Command {
+    Command {
+        steering_angle: echo.steering_angle,
+        acceleration: echo.acceleration,
+    }
 }
 
 /// The request of the driver.
@@ -95,8 +104,8 @@ pub(super) const fn driver(request: &DriverRequest) -> Driver {
     }
 }
 
-/// What the vehicle told of the term that it obeys, `on_the_way` ago.
-pub(super) fn heard_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
+/// The term that the vehicle obeys, as it said `on_the_way` ago.
+pub(super) fn received_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
     ObeyedTerm {
         term: Term::from_bits(echo.term),
         age: Duration::from_us((echo.term_age * 1e3) as u64) + on_the_way,
@@ -104,8 +113,8 @@ pub(super) fn heard_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
     }
 }
 
-/// A status frame of the other system. That it was heard at all shows that its CAN is alive.
-pub(super) fn heard_status(status: &Status) -> Option<PeerReport> {
+/// A status frame of the other system. Its arrival shows that the sender's CAN is alive.
+pub(super) fn received_status(status: &Status) -> Option<PeerReport> {
     Some(PeerReport {
         role: Role::from_repr(status.role as u8)?,
         mode: Mode::from_repr(status.mode as u8)?,

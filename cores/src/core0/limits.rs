@@ -162,7 +162,7 @@ impl Floods {
     }
 
     /// What is to be told now.
-    pub(super) fn told(&mut self, now: Instant) -> impl Iterator<Item = Event> + use<> {
+    pub(super) fn events(&mut self, now: Instant) -> impl Iterator<Item = Event> + use<> {
         let over = now.since(self.since) >= WINDOW;
         let sources = if over {
             self.since = now;
@@ -239,7 +239,7 @@ mod tests {
                 // Wraps around on the way.
                 let edges = (ms as u32 * edges_per_ms).wrapping_sub(5_000);
                 floods.lines(at_us(ms * 1_000), &snapshot(edges));
-                events += floods.told(at_us(ms * 1_000)).count();
+                events += floods.events(at_us(ms * 1_000)).count();
             }
             assert_eq!(events, told, "{edges_per_ms} edges in a millisecond");
         }

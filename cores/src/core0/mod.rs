@@ -2,21 +2,26 @@
 //!
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
-//! Its work is six tasks ([`TaskId`]; the table is [`crate::task_table`]). The body of each is a
-//! [`Task`] that does what is due and returns when it is due next. What the tasks share they reach
+//! Its work is six tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
+//! [`TaskBody`] that does what is due and returns when it is due next. What the tasks share they reach
 //! through an [`Executor`]. There are two: [`Core0`] runs the tasks one after the other, each to
 //! its end, in the simulator; the crate `tandem-runtime` gives each a task of FreeRTOS.
 //! `docs/rtos-tasks.md` has the priorities and why they are so.
 
 mod agreement;
 mod alive;
-mod drive;
-mod follow;
+mod can_port;
+mod command_check;
+mod control_cycle;
+mod control_grid;
+mod datagram;
+mod driving;
 mod frames;
-mod hand_over;
+mod knowledge_transfer;
 mod limits;
-mod peer_link;
+mod peer_command;
 mod read_back;
+mod redundancy_port;
 mod run_to_completion;
 mod shared;
 mod state_flash;
@@ -26,27 +31,28 @@ use crate::Config;
 pub use crate::task_table::DOORBELL_DISTANCE;
 use crate::task_table::{CORE_0, TaskCode, TaskInfo};
 use crate::trace::Begin;
+pub use control_cycle::{ControlTask, DegradedTask};
 use core::ops::{BitOr, BitOrAssign};
-pub use drive::Drive;
+pub use driving::Driving;
 pub use limits::{CAN_FRAMES, EDGES_PER_MS, LINK_DATAGRAMS};
 pub use run_to_completion::Core0;
-pub use shared::Shared;
+pub use shared::SharedState;
 use tandem_board::{Board, CoreId, Duration, Instant};
-pub use tasks::{Control, Degraded, Monitoring, Roles, Status, TrajectoryInput};
+pub use tasks::{MonitoringTask, RolesTask, StatusTask, TrajectoryInputTask};
 
 /// Period of the control task.
-pub const CONTROL_PERIOD: Duration = TaskId::Control.info().period;
+pub const CONTROL_PERIOD: Duration = Core0Task::Control.info().period;
 
 /// The tasks of core 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TaskId {
+pub enum Core0Task {
     /// Heartbeats, what has arrived from the other system, and the state machine of the roles.
     Roles,
     /// Window and functional watchdog, and the cores' alive counters.
     Monitoring,
     /// Motion control and the control frame.
     Control,
-    /// The control cycle of a system that drives alone; [`TaskId::Control`] hands it over.
+    /// The control cycle of a system that drives alone; [`Core0Task::Control`] hands it over.
     Degraded,
     /// Fetches what cores 1 and 2 have published; core 2's signal releases it.
     TrajectoryInput,
@@ -54,7 +60,7 @@ pub enum TaskId {
     Status,
 }
 
-impl TaskId {
+impl Core0Task {
     /// All, in the order of the table: in falling order of priority.
     pub const ALL: [Self; CORE_0.len()] = [
         Self::Roles,
@@ -86,19 +92,19 @@ impl TaskSet {
     /// No task.
     pub const NONE: Self = Self(0);
 
-    const fn of(task: TaskId) -> Self {
+    const fn of(task: Core0Task) -> Self {
         Self(1 << task as u8)
     }
 
     /// Whether `task` is among them.
     #[must_use]
-    pub const fn contains(self, task: TaskId) -> bool {
+    pub const fn contains(self, task: Core0Task) -> bool {
         self.0 & Self::of(task).0 != 0
     }
 }
 
-impl From<TaskId> for TaskSet {
-    fn from(task: TaskId) -> Self {
+impl From<Core0Task> for TaskSet {
+    fn from(task: Core0Task) -> Self {
         Self::of(task)
     }
 }
@@ -121,10 +127,10 @@ impl BitOrAssign for TaskSet {
 pub trait Executor<'b, B: Board> {
     /// Runs `body` with what all tasks share; the other tasks wait for it. Neither nested nor
     /// within [`Executor::drive`].
-    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'b, B>) -> R) -> R;
+    fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'b, B>) -> R) -> R;
 
     /// Runs `body` with the function that drives. Not nested.
-    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R;
+    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R;
 
     /// Releases tasks, all of them less urgent than the caller. Not within [`Executor::shared`].
     fn release(&self, tasks: TaskSet);
@@ -134,16 +140,16 @@ pub trait Executor<'b, B: Board> {
     fn held_back(&self) -> u32;
 
     /// A job of this task, the caller, begins. For the trace.
-    fn begins(&self, task: TaskId, begin: Begin);
+    fn begins(&self, task: Core0Task, begin: Begin);
 
     /// The job is done.
-    fn ends(&self, task: TaskId);
+    fn ends(&self, task: Core0Task);
 }
 
 /// The body of a task.
-pub trait Task<'b, B: Board> {
+pub trait TaskBody<'b, B: Board> {
     /// Which task.
-    const ID: TaskId;
+    const ID: Core0Task;
 
     /// A periodic task's releases begin at `at`.
     fn start(&mut self, _at: Instant) {}
@@ -156,20 +162,20 @@ pub trait Task<'b, B: Board> {
 /// The tasks of core 0.
 #[allow(missing_docs, reason = "each is documented as its type")]
 pub struct Tasks<'b, B: Board> {
-    pub roles: Roles<'b, B>,
-    pub monitoring: Monitoring<'b, B>,
-    pub control: Control<'b, B>,
-    pub degraded: Degraded<'b, B>,
-    pub trajectory_input: TrajectoryInput<'b, B>,
-    pub status: Status<'b, B>,
+    pub roles: RolesTask<'b, B>,
+    pub monitoring: MonitoringTask<'b, B>,
+    pub control: ControlTask<'b, B>,
+    pub degraded: DegradedTask,
+    pub trajectory_input: TrajectoryInputTask<'b, B>,
+    pub status: StatusTask<'b, B>,
 }
 
 /// Core 0 in parts, for an executor.
 pub struct Parts<'b, B: Board> {
     /// The state that all tasks share.
-    pub shared: Shared<'b, B>,
+    pub shared: SharedState<'b, B>,
     /// The state of the control cycle.
-    pub drive: Drive,
+    pub drive: Driving,
     /// The tasks.
     pub tasks: Tasks<'b, B>,
 }
@@ -183,15 +189,15 @@ impl<'b, B: Board> Parts<'b, B> {
         board.release_core(CoreId::PERCEPTION);
         board.release_core(CoreId::PLANNING);
         Self {
-            shared: Shared::new(board, config),
-            drive: Drive::new(),
+            shared: SharedState::new(board, config),
+            drive: Driving::new(),
             tasks: Tasks {
-                roles: Roles(board),
-                monitoring: Monitoring::new(board, config),
-                control: Control(board),
-                degraded: Degraded(board),
-                trajectory_input: TrajectoryInput::new(board),
-                status: Status::new(board),
+                roles: RolesTask(board),
+                monitoring: MonitoringTask::new(board, config),
+                control: ControlTask(board),
+                degraded: DegradedTask,
+                trajectory_input: TrajectoryInputTask::new(board),
+                status: StatusTask::new(board),
             },
         }
     }

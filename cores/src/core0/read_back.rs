@@ -6,6 +6,7 @@
 //! last 0.3 s are remembered, and what is older is not judged.
 
 use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
+use super::frames;
 use crate::driving::types::Command;
 use tandem_bus::{Control, GateEcho};
 
@@ -58,10 +59,7 @@ impl ReadBack {
             (self.term, self.count) = (control.term, 0);
             (self.wrong, self.refused) = (0, None);
         }
-        self.sent[usize::from(counter) % REMEMBERED] = Command {
-            steering_angle: control.steering_angle,
-            acceleration: control.acceleration,
-        };
+        self.sent[usize::from(counter) % REMEMBERED] = frames::command(control);
         self.count = (self.count + 1).min(REMEMBERED as u8);
         self.newest = counter;
     }
@@ -81,10 +79,7 @@ impl ReadBack {
         let refuses = before.is_some_and(|count| count != echo.refused);
         let ago = self.newest.wrapping_sub(echo.obeyed_counter);
         let sent = self.sent[usize::from(echo.obeyed_counter) % REMEMBERED];
-        let obeyed = Command {
-            steering_angle: echo.steering_angle,
-            acceleration: echo.acceleration,
-        };
+        let obeyed = frames::obeyed(echo);
         let is_same = (sent.steering_angle - obeyed.steering_angle).abs() < STEERING_STEP
             && (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP;
         let stops = stops_at.is_some_and(|speed| stops_with(&sent, &obeyed, speed));

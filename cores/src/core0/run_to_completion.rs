@@ -1,7 +1,9 @@
 //! The executor without a kernel: one pass runs what is due, each task to its end.
 
 use super::limits::Throttle;
-use super::{DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
+use super::{
+    Core0Task, DOORBELL_DISTANCE, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
+};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
 use core::cell::{Cell, RefCell};
@@ -11,18 +13,18 @@ use tandem_redundancy::Phase;
 /// What the tasks share where they run one after the other: no lock is needed.
 struct OneFlow<'b, B: Board> {
     board: &'b B,
-    shared: RefCell<Shared<'b, B>>,
-    drive: RefCell<Drive>,
+    shared: RefCell<SharedState<'b, B>>,
+    drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     doorbells: Cell<Throttle>,
 }
 
 impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
-    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'b, B>) -> R) -> R {
+    fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'b, B>) -> R) -> R {
         body(&mut self.shared.borrow_mut())
     }
 
-    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
         body(&mut self.drive.borrow_mut())
     }
 
@@ -34,12 +36,12 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
         self.doorbells.get().held_back()
     }
 
-    fn begins(&self, task: TaskId, begin: Begin) {
+    fn begins(&self, task: Core0Task, begin: Begin) {
         let task = task.info().code;
         self.board.trace(Event::TaskIn { task, begin }.encode());
     }
 
-    fn ends(&self, task: TaskId) {
+    fn ends(&self, task: Core0Task) {
         let task = task.info().code;
         let leaves = Leaves::Done;
         self.board.trace(Event::TaskOut { task, leaves }.encode());
@@ -51,8 +53,8 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
 pub struct Core0<'b, B: Board> {
     executor: OneFlow<'b, B>,
     tasks: Tasks<'b, B>,
-    /// When each is due, as in [`TaskId::ALL`].
-    due: [Instant; TaskId::ALL.len()],
+    /// When each is due, as in [`Core0Task::ALL`].
+    due: [Instant; Core0Task::ALL.len()],
 }
 
 impl<'b, B: Board> Core0<'b, B> {
@@ -74,7 +76,7 @@ impl<'b, B: Board> Core0<'b, B> {
                 doorbells: Cell::new(Throttle::new(DOORBELL_DISTANCE)),
             },
             tasks,
-            due: [board.now(); TaskId::ALL.len()],
+            due: [board.now(); Core0Task::ALL.len()],
         }
     }
 
@@ -84,15 +86,15 @@ impl<'b, B: Board> Core0<'b, B> {
         self.executor.shared.borrow().phase()
     }
 
-    fn run(&mut self, task: TaskId) -> Instant {
+    fn run(&mut self, task: Core0Task) -> Instant {
         let (tasks, executor) = (&mut self.tasks, &self.executor);
         match task {
-            TaskId::Roles => tasks.roles.poll(executor),
-            TaskId::Monitoring => tasks.monitoring.poll(executor),
-            TaskId::Control => tasks.control.poll(executor),
-            TaskId::Degraded => tasks.degraded.poll(executor),
-            TaskId::TrajectoryInput => tasks.trajectory_input.poll(executor),
-            TaskId::Status => tasks.status.poll(executor),
+            Core0Task::Roles => tasks.roles.poll(executor),
+            Core0Task::Monitoring => tasks.monitoring.poll(executor),
+            Core0Task::Control => tasks.control.poll(executor),
+            Core0Task::Degraded => tasks.degraded.poll(executor),
+            Core0Task::TrajectoryInput => tasks.trajectory_input.poll(executor),
+            Core0Task::Status => tasks.status.poll(executor),
         }
     }
 }
@@ -108,7 +110,7 @@ impl<B: Board> Core for Core0<'_, B> {
         // One pass is enough: tasks release only less urgent ones. A call does not say whether an
         // interrupt has caused it, so the tasks of interrupts run at each call that the throttle
         // permits.
-        for (index, task) in TaskId::ALL.into_iter().enumerate() {
+        for (index, task) in Core0Task::ALL.into_iter().enumerate() {
             let released = self.executor.released.get().contains(task)
                 || (interrupted && task.info().is_for_interrupts());
             if released || self.due[index] <= now {
@@ -116,8 +118,8 @@ impl<B: Board> Core for Core0<'_, B> {
                 now = self.executor.board.now();
             }
         }
-        // A later task may have told the redundancy something that changes its deadline.
-        self.due[0] = self.executor.shared.borrow().redundancy_due;
+        // A later task may have given the redundancy an input that changes its deadline.
+        self.due[0] = self.executor.shared.borrow().redundancy.due();
         let next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
         next.min(doorbells.due())
     }

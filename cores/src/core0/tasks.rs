@@ -1,9 +1,7 @@
 //! The bodies of core 0's tasks: each does what is due and returns when it is due next.
 
 use super::alive::Alive;
-use super::peer_link::Opinion;
-use super::shared::Shared;
-use super::{DOORBELL_DISTANCE, Executor, Task, TaskId, frames};
+use super::{Core0Task, DOORBELL_DISTANCE, Executor, SharedState, TaskBody, frames};
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY,
@@ -13,16 +11,16 @@ use crate::schedule::{Cycles, Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
 use tandem_board::{
-    Board, Can, CanErrors, CanState, CoreId, Duration, Instant, Link, OutputDiagnosis, Supply,
+    Board, Can, CanErrors, CanState, CoreId, Duration, Instant, OutputDiagnosis, Supply,
     watchdog_answer,
 };
 use tandem_bus::Message;
-use tandem_redundancy::{FailureMode, Mode};
+use tandem_redundancy::FailureMode;
 use tandem_shm::mailbox;
 use tandem_shm::newest::Reader;
 
-/// A job of a periodic task begins; those before it that did not run are told.
-fn released(board: &impl Board, task: TaskId, release: Release) -> Begin {
+/// The begin of a periodic task's job. Traces the releases before it that were missed.
+pub(super) fn released(board: &impl Board, task: Core0Task, release: Release) -> Begin {
     if release.missed > 0 {
         let (task, missed) = (task.info().code, release.missed);
         board.trace(Event::DeadlineMiss { task, missed }.encode());
@@ -34,30 +32,30 @@ fn released(board: &impl Board, task: TaskId, release: Release) -> Begin {
 }
 
 /// Heartbeats, what has arrived from the other system, and the roles.
-pub struct Roles<'b, B>(pub(super) &'b B);
+pub struct RolesTask<'b, B>(pub(super) &'b B);
 
-impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
-    const ID: TaskId = TaskId::Roles;
+impl<'b, B: Board> TaskBody<'b, B> for RolesTask<'b, B> {
+    const ID: Core0Task = Core0Task::Roles;
 
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         let (tasks, due) = executor.shared(|shared| {
             let now = self.0.now();
-            let due = shared.redundancy_due;
+            let due = shared.redundancy.due();
             let begin = if now < due {
                 Begin::Goes
             } else {
                 let late_ns = age_ns(now, due);
                 let missed = late_ns / Self::ID.info().period.as_ns() as u32;
-                shared.missed_polls = shared.missed_polls.saturating_add(missed);
+                let polls = &mut shared.counters.missed_polls;
+                *polls = polls.saturating_add(missed);
                 Begin::Released { late_ns, missed }
             };
             executor.begins(Self::ID, begin);
-            // Tell everything that has arrived before the lines are judged: otherwise the
+            // Read everything that has arrived before the lines are judged: otherwise the
             // redundancy sees silence while evidence waits in a buffer.
-            let heard = shared.read_bus();
-            let tasks = heard | shared.poll_redundancy();
-            shared.tell_floods(executor.held_back());
-            (tasks, shared.redundancy_due)
+            let tasks = shared.read_bus();
+            let tasks = tasks | shared.poll_redundancy(executor.held_back());
+            (tasks, shared.redundancy.due())
         });
         executor.release(tasks);
         executor.ends(Self::ID);
@@ -69,7 +67,7 @@ impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
 const WRONG_STEPS: u32 = 2;
 
 /// The window and functional watchdog, and the cores' alive counters.
-pub struct Monitoring<'b, B> {
+pub struct MonitoringTask<'b, B> {
     board: &'b B,
     config: Config,
     grid: Grid,
@@ -82,8 +80,8 @@ pub struct Monitoring<'b, B> {
     overruns: u32,
     /// It was bus-off, and has not been error-active since.
     was_bus_off: bool,
-    /// The core that was last told to be silent: a system that drives on tells it once.
-    told_silent: Option<CoreId>,
+    /// The core that is silent: a system that drives on traces it once.
+    silent: Option<CoreId>,
     control: Progress,
     /// The watchdog gets no service, and resets this system.
     withholds: bool,
@@ -119,16 +117,16 @@ impl Progress {
 /// So many polls in a row must find a fault of the outputs.
 const OUTPUT_FAULT_POLLS: u8 = 3;
 
-impl<'b, B: Board> Monitoring<'b, B> {
+impl<'b, B: Board> MonitoringTask<'b, B> {
     pub(super) fn new(board: &'b B, config: Config) -> Self {
         let started = board.now();
         Self {
             board,
             config,
-            grid: Grid::new(started, TaskId::Monitoring.info().period),
+            grid: Grid::new(started, Core0Task::Monitoring.info().period),
             map: None,
             alive: Alive::new(started, config.boot_limit, |_| 0),
-            told_silent: None,
+            silent: None,
             output_faults: 0,
             can_errors: CanErrors::default(),
             overruns: 0,
@@ -172,8 +170,8 @@ impl<'b, B: Board> Monitoring<'b, B> {
     /// a wrong command: the watchdog resets a system that has no other to leave the vehicle to.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
-            self.control.poll(shared.control_cycles);
-            self.withholds = self.control.is_hung() || shared.wrong_command;
+            self.control.poll(shared.counters.control_cycles);
+            self.withholds = self.control.is_hung() || shared.check.is_wrong();
             self.control.is_hung().then(|| shared.on_hung_control())
         });
         if let Some(tasks) = tasks {
@@ -192,8 +190,8 @@ impl<'b, B: Board> Monitoring<'b, B> {
             }
         };
         if self.output_faults >= OUTPUT_FAULT_POLLS {
-            let tells = self.output_faults == OUTPUT_FAULT_POLLS;
-            let tasks = executor.shared(|shared| shared.on_output_fault(found, tells));
+            let is_new = self.output_faults == OUTPUT_FAULT_POLLS;
+            let tasks = executor.shared(|shared| shared.on_output_fault(found, is_new));
             executor.release(tasks);
         }
     }
@@ -230,11 +228,11 @@ impl<'b, B: Board> Monitoring<'b, B> {
         let (now, limit) = (self.board.now(), self.config.alive_limit);
         let silent = self.alive.silent(now, limit, |core| map.cycles(core));
         let all_seen = self.alive.all_seen();
-        let is_told = core::mem::replace(&mut self.told_silent, silent) == silent;
+        let is_new = core::mem::replace(&mut self.silent, silent) != silent;
         let tasks = executor.shared(|shared| {
-            shared.all_seen = all_seen;
+            shared.redundancy.ready.cores_run = all_seen;
             let core = silent?;
-            if !is_told {
+            if is_new {
                 shared.trace(Event::CoreSilent {
                     core: core.index() as u8,
                 });
@@ -251,8 +249,8 @@ impl<'b, B: Board> Monitoring<'b, B> {
     }
 }
 
-impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
-    const ID: TaskId = TaskId::Monitoring;
+impl<'b, B: Board> TaskBody<'b, B> for MonitoringTask<'b, B> {
+    const ID: Core0Task = Core0Task::Monitoring;
 
     fn start(&mut self, at: Instant) {
         self.grid.restart(at);
@@ -266,8 +264,10 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
             }) = &self.map
             {
                 let steps = CONTROL_STEP.writer(map, *incarnation).ok();
-                let told = KNOWLEDGE.writer(map, *incarnation).ok();
-                executor.shared(|shared| (shared.steps, shared.told) = (steps, told));
+                let received = KNOWLEDGE.writer(map, *incarnation).ok();
+                executor.shared(|shared| {
+                    (shared.check.steps, shared.transfer.received) = (steps, received);
+                });
             }
         }
         if let Some(release) = self.grid.release(self.board.now()) {
@@ -283,123 +283,6 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
             Some(_) => self.grid.next(),
             None => self.grid.next().min(self.board.now() + RETRY),
         }
-    }
-}
-
-/// Motion control and the control frame.
-pub struct Control<'b, B>(pub(super) &'b B);
-
-impl<'b, B: Board> Task<'b, B> for Control<'b, B> {
-    const ID: TaskId = TaskId::Control;
-
-    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
-        let now = self.0.now();
-        let (release, degraded, next) = executor.shared(|shared| {
-            let release = shared.release_control(now);
-            let degraded = shared.mode() == Some(Mode::DegradedL2);
-            if degraded && let Some(release) = release {
-                let left_out = shared.handed_over.map_or(0, |before| before.missed + 1);
-                let missed = release.missed.saturating_add(left_out);
-                shared.handed_over = Some(Release { missed, ..release });
-            }
-            (release, degraded, shared.control.next())
-        });
-        let Some(release) = release else { return next };
-        if degraded {
-            executor.release(TaskId::Degraded.into());
-        } else {
-            cycle(self.0, executor, Self::ID, release);
-        }
-        next
-    }
-}
-
-/// The control cycle of a system that drives alone.
-pub struct Degraded<'b, B>(pub(super) &'b B);
-
-impl<'b, B: Board> Task<'b, B> for Degraded<'b, B> {
-    const ID: TaskId = TaskId::Degraded;
-
-    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
-        let release = executor.shared(|shared| shared.handed_over.take());
-        if let Some(release) = release {
-            cycle(self.0, executor, Self::ID, release);
-        }
-        Instant::NEVER
-    }
-}
-
-/// One control cycle: what the drive knows becomes a command, and the command a frame.
-fn cycle<'b, B: Board>(
-    board: &'b B,
-    executor: &impl Executor<'b, B>,
-    task: TaskId,
-    release: Release,
-) {
-    executor.begins(task, released(board, task, release));
-    let begin = board.now();
-    let inputs = executor.shared(|shared| {
-        shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
-        let mode = shared.mode()?;
-        let other = shared.other_command(begin);
-        Some((mode, other, core::mem::take(&mut shared.inbox)))
-    });
-    if let Some((mode, other, inbox)) = inputs {
-        let output = executor.drive(|drive| {
-            inbox.empty_into(drive);
-            drive.cycle(begin, mode, other)
-        });
-        executor.shared(|shared| shared.send_control(&output, begin, release.at));
-    }
-    let tells = executor.shared(|shared| {
-        shared.control_cycles = shared.control_cycles.wrapping_add(1);
-        shared.wants_to_tell()
-    });
-    let knowledge = tells.then(|| executor.drive(|drive| drive.knowledge()));
-    executor.shared(|shared| shared.hand_over(knowledge.flatten().as_ref()));
-    executor.ends(task);
-}
-
-impl<B: Board> Shared<'_, B> {
-    fn send_control(&mut self, output: &super::drive::Output, begin: Instant, release: Instant) {
-        self.compare(begin, *output);
-        if let (Some(steps), Some(step)) = (&mut self.steps, &output.step) {
-            steps.publish(step);
-        }
-        let mode = if self.agreement.is_warm(begin) {
-            output.mode
-        } else {
-            Mode::None
-        };
-        let opinion = Opinion {
-            mode: frames::bus_mode(mode),
-            stage: self.agreement.stage(),
-            command: output.opinion,
-        };
-        let Some(redundancy) = &mut self.redundancy else {
-            return;
-        };
-        let may_transmit = redundancy.may_transmit(self.board.now());
-        self.report();
-        let _full = self.board.link().try_send(&self.peer_link.opinion(opinion));
-        let Some(redundancy) = &mut self.redundancy else {
-            return;
-        };
-        let transmitted = may_transmit && !self.wrong_command && {
-            let control = frames::control(redundancy, output, self.board.now());
-            let message = Message::Control {
-                system: self.system.index() as u8,
-                control,
-            };
-            let encoded = self.transmitter.encode(&message);
-            self.read_back.on_sent(encoded.data()[2], &control);
-            frames::send_encoded(self.board, &encoded)
-        };
-        self.trace(Event::ControlCycle {
-            lateness_ns: age_ns(begin, release),
-            execution_ns: age_ns(self.board.now(), begin),
-            transmitted,
-        });
     }
 }
 
@@ -424,13 +307,13 @@ impl<'b> Lmu<'b> {
 }
 
 /// Fetches what cores 1 and 2 have published.
-pub struct TrajectoryInput<'b, B> {
+pub struct TrajectoryInputTask<'b, B> {
     board: &'b B,
     lmu: Option<Lmu<'b>>,
     cycles: Cycles,
 }
 
-impl<'b, B: Board> TrajectoryInput<'b, B> {
+impl<'b, B: Board> TrajectoryInputTask<'b, B> {
     pub(super) fn new(board: &'b B) -> Self {
         Self {
             board,
@@ -444,8 +327,8 @@ impl<'b, B: Board> TrajectoryInput<'b, B> {
     }
 }
 
-impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
-    const ID: TaskId = TaskId::TrajectoryInput;
+impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
+    const ID: Core0Task = Core0Task::TrajectoryInput;
 
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.lmu.is_none() {
@@ -483,7 +366,7 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
                     });
                 }
                 executor.drive(|drive| drive.on_trajectory(trajectory));
-                executor.shared(Shared::on_trajectory);
+                executor.shared(|shared| shared.grid.on_trajectory(shared.board.now()));
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),
@@ -491,8 +374,8 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
         match scene {
             Ok(Some(scene)) => {
                 executor.shared(|shared| {
-                    shared.tracks = scene.objects.len() as u8;
-                    shared.lanes_seen = scene.lanes.is_some();
+                    shared.counters.tracks = scene.objects.len() as u8;
+                    shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
                 });
                 executor.drive(|drive| drive.on_scene(scene));
             }
@@ -512,22 +395,22 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
 }
 
 /// The status frame.
-pub struct Status<'b, B> {
+pub struct StatusTask<'b, B> {
     board: &'b B,
     grid: Grid,
 }
 
-impl<'b, B: Board> Status<'b, B> {
+impl<'b, B: Board> StatusTask<'b, B> {
     pub(super) fn new(board: &'b B) -> Self {
         Self {
             board,
-            grid: Grid::new(board.now(), TaskId::Status.info().period),
+            grid: Grid::new(board.now(), Core0Task::Status.info().period),
         }
     }
 }
 
-impl<'b, B: Board> Task<'b, B> for Status<'b, B> {
-    const ID: TaskId = TaskId::Status;
+impl<'b, B: Board> TaskBody<'b, B> for StatusTask<'b, B> {
+    const ID: Core0Task = Core0Task::Status;
 
     fn start(&mut self, at: Instant) {
         self.grid.restart(at);
@@ -543,25 +426,27 @@ impl<'b, B: Board> Task<'b, B> for Status<'b, B> {
     }
 }
 
-impl<B: Board> Shared<'_, B> {
+impl<B: Board> SharedState<'_, B> {
     fn send_status(&mut self) {
-        let Some(redundancy) = &self.redundancy else {
+        let Some(redundancy) = self.redundancy.running() else {
             return;
         };
-        let missed = core::mem::take(&mut self.missed_polls);
+        let counters = &mut self.counters;
+        let missed = core::mem::take(&mut counters.missed_polls);
+        // The mode is the redundancy's: a master that reported a safe stop there would resign.
+        let status = tandem_bus::Status {
+            agreement: self.check.stage(),
+            ..frames::status(redundancy, counters.tracks, counters.deadline_misses)
+        };
         if missed > 0 {
-            let task = TaskId::Roles.info().code;
+            let task = Core0Task::Roles.info().code;
             self.trace(Event::DeadlineMiss { task, missed });
         }
-        // Its mode is the redundancy's: a master that tells of a safe stop there resigns.
-        let status = tandem_bus::Status {
-            agreement: self.agreement.stage(),
-            ..frames::status(redundancy, self.tracks, self.deadline_misses)
-        };
         let message = Message::Status {
             system: self.system.index() as u8,
             status,
         };
-        frames::send(self.board, &mut self.transmitter, &message);
+        let encoded = self.can.transmitter.encode(&message);
+        let _full = frames::send_encoded(self.board, &encoded);
     }
 }

@@ -18,7 +18,7 @@ use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
 use tandem_board::{Board, CoreId, RoleLamp};
-use tandem_cores::core0::{Core0, TaskId};
+use tandem_cores::core0::{Core0, Core0Task};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::{Config, Core};
@@ -96,7 +96,7 @@ fn config() -> Config {
 fn overload() -> Option<Overload> {
     let [task, ms, low, high] = strap(Strap::Third).to_le_bytes();
     Some(Overload {
-        task: *TaskId::ALL.get(usize::from(task).checked_sub(1)?)?,
+        task: *Core0Task::ALL.get(usize::from(task).checked_sub(1)?)?,
         every: u16::from_le_bytes([low, high]).into(),
         span: Duration::from_millis(ms.into()),
     })

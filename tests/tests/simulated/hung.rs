@@ -1,76 +1,22 @@
 //! A control task that hangs while the more urgent tasks of its core go on.
 
-use std::cell::{Cell, RefCell};
-use tandem_board::{Board, CoreId, Duration, Instant, SystemId};
+use crate::one_flow;
+use tandem_board::{Board, CoreId, Duration, SystemId};
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::Config;
-use tandem_cores::core0::{Drive as Driving, Executor, Parts, Shared, Task, TaskId, TaskSet};
-use tandem_cores::trace::{Begin, Event};
+use tandem_cores::trace::Event;
 use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// The control task hangs from this time of its system's life on.
 const HANGS: Duration = Duration::from_ms(10_000);
 
-/// Runs the tasks of core 0 one after the other, every millisecond.
-struct OneFlow {
-    shared: RefCell<Shared<'static, SimBoard>>,
-    drive: RefCell<Driving>,
-    released: Cell<TaskSet>,
-}
-
-impl Executor<'static, SimBoard> for OneFlow {
-    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, SimBoard>) -> R) -> R {
-        body(&mut self.shared.borrow_mut())
-    }
-
-    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
-        body(&mut self.drive.borrow_mut())
-    }
-
-    fn release(&self, tasks: TaskSet) {
-        self.released.set(self.released.get() | tasks);
-    }
-
-    fn held_back(&self) -> u32 {
-        0
-    }
-
-    fn begins(&self, _: TaskId, _: Begin) {}
-
-    fn ends(&self, _: TaskId) {}
-}
-
 /// Core 0 whose control task hangs in the first life of its system.
 fn hanging(board: &SimBoard) -> Poller {
     let hangs = board.identity().generation.0 == 1;
-    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
-    let started = board.now();
-    let Parts {
-        shared,
-        drive,
-        mut tasks,
-    } = Parts::new(board, Config::rt());
-    let executor = OneFlow {
-        shared: RefCell::new(shared),
-        drive: RefCell::new(drive),
-        released: Cell::new(TaskSet::NONE),
-    };
-    Box::new(move |_| {
-        let now: Instant = board.now();
-        executor.released.set(TaskSet::NONE);
-        tasks.roles.poll(&executor);
-        tasks.monitoring.poll(&executor);
-        if !hangs || now.since(started) < HANGS {
-            tasks.control.poll(&executor);
-            if executor.released.get().contains(TaskId::Degraded) {
-                tasks.degraded.poll(&executor);
-            }
-            tasks.trajectory_input.poll(&executor);
-            tasks.status.poll(&executor);
-        }
-        now + MS(1)
-    })
+    let (clock, started) = (board.clone(), board.now());
+    let runs = move || !hangs || clock.now().since(started) < HANGS;
+    one_flow::core_0(board, runs, None, |_, _| ())
 }
 
 /// A drive in which the control task of a system hangs.

@@ -13,6 +13,8 @@ mod held_up;
 mod hung;
 mod joins;
 mod mailboxes;
+mod one_flow;
+mod sections;
 mod sources;
 mod stale;
 mod terms;

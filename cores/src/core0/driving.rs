@@ -17,7 +17,7 @@ pub(crate) struct Output {
     /// Age of the oldest measurement it rests on; `None` if it rests on none.
     pub(crate) age: Option<Duration>,
     /// The command of this system if it had driven all the time.
-    pub(crate) opinion: Command,
+    pub(crate) standalone: Command,
     /// m/s
     pub(crate) speed: f32,
     /// The step of the motion control, if that gave the command.
@@ -26,7 +26,7 @@ pub(crate) struct Output {
 }
 
 /// The motion control of core 0 with its inputs.
-pub struct Drive {
+pub struct Driving {
     ego: Option<(Instant, Ego)>,
     trajectory: Option<Trajectory>,
     scene: Option<Scene>,
@@ -35,7 +35,7 @@ pub struct Drive {
     /// What was commanded last by this system, or is obeyed while it does not drive.
     last: Command,
     /// Limits the command that this system would have given had it driven all the time.
-    opinion: Shaper,
+    standalone: Shaper,
     /// Control cycles for which the vehicle is still taken to obey the other system.
     follows: u8,
     function: Function,
@@ -50,7 +50,7 @@ const EGO_MAX_AGE: Duration = Duration::from_ms(100);
 /// An echo of the vehicle holds for this many control cycles.
 const FOLLOWS_CYCLES: u8 = 5;
 
-impl Drive {
+impl Driving {
     pub(crate) fn new() -> Self {
         Self {
             ego: None,
@@ -59,7 +59,7 @@ impl Drive {
             motion: MotionControl::new(),
             degraded: DegradedControl::new(),
             last: Command::default(),
-            opinion: Shaper::new(),
+            standalone: Shaper::new(),
             follows: 0,
             function: Function::default(),
             driver: Driver::Unheard,
@@ -159,12 +159,12 @@ impl Drive {
             _ => self.by_best_function(now, mode, &ego),
         };
         if self.follows == 0 {
-            self.opinion.resume(&self.last);
+            self.standalone.resume(&self.last);
         }
-        let opinion = match mode {
+        let standalone = match mode {
             Mode::None => command,
-            Mode::L3 => self.opinion.shape(&self.motion.wish(), &ego),
-            Mode::DegradedL2 | Mode::SafeStop => self.opinion.shape(&self.degraded.wish(), &ego),
+            Mode::L3 => self.standalone.shape(&self.motion.wish(), &ego),
+            Mode::DegradedL2 | Mode::SafeStop => self.standalone.shape(&self.degraded.wish(), &ego),
         };
         self.follows = self.follows.saturating_sub(1);
         self.last = command;
@@ -172,7 +172,7 @@ impl Drive {
             command,
             mode,
             age,
-            opinion,
+            standalone,
             speed: ego.speed,
             step: (mode == Mode::L3).then(|| *self.motion.last_step()),
             state,

@@ -1,0 +1,80 @@
+//! CAN at core 0: end-to-end checks, counters, and what the function that drives has yet to use.
+
+use super::{Driving, frames};
+use crate::driving::function::Driver;
+use crate::driving::perception::ego_of;
+use crate::driving::types::{Command, Ego};
+use heapless::Deque;
+use tandem_board::Instant;
+use tandem_bus::{DriverRequest, EgoMotion, FrameReceiver, FrameTransmitter, GateEcho};
+
+/// Motions of the chassis between two control cycles: usually three; twice as many fit.
+const MOTIONS: usize = 6;
+/// A slower vehicle stands still, m/s: the noise of the measured speed stays below.
+const STANDSTILL: f32 = 0.1;
+
+/// What has arrived for the function that drives since it ran last.
+#[derive(Default)]
+pub(super) struct Inbox {
+    motions: Deque<(Instant, Ego), MOTIONS>,
+    /// What the vehicle obeys, unless this system drives.
+    obeyed: Option<Command>,
+    driver: Option<Driver>,
+}
+
+impl Inbox {
+    /// Passes everything on, motions in the order of their arrival.
+    pub(super) fn empty_into(self, driving: &mut Driving) {
+        for (at, ego) in &self.motions {
+            driving.on_ego(*at, *ego);
+        }
+        if let Some(command) = self.obeyed {
+            driving.on_obeyed(command);
+        }
+        if let Some(driver) = self.driver {
+            driving.on_driver(driver);
+        }
+    }
+}
+
+/// Both ends of CAN.
+pub(super) struct CanPort {
+    pub(super) receiver: FrameReceiver,
+    pub(super) transmitter: FrameTransmitter,
+    /// Valid frames that neither system sent; wraps around.
+    pub(super) third_party_frames: u32,
+    /// Is taken at the beginning of each control cycle.
+    pub(super) inbox: Inbox,
+    /// The vehicle does not move.
+    pub(super) stands: bool,
+}
+
+impl CanPort {
+    pub(super) fn new() -> Self {
+        Self {
+            receiver: FrameReceiver::new(),
+            transmitter: FrameTransmitter::new(),
+            third_party_frames: 0,
+            inbox: Inbox::default(),
+            stands: false,
+        }
+    }
+
+    pub(super) fn on_ego(&mut self, at: Instant, motion: &EgoMotion) {
+        self.stands = motion.speed.abs() < STANDSTILL;
+        let motions = &mut self.inbox.motions;
+        if motions.is_full() {
+            let _oldest = motions.pop_front();
+        }
+        let _fits = motions.push_back((at, ego_of(motion)));
+    }
+
+    pub(super) fn on_driver(&mut self, request: &DriverRequest) {
+        self.inbox.driver = Some(frames::driver(request));
+    }
+
+    /// The vehicle obeys another system.
+    pub(super) fn on_obeyed(&mut self, echo: &GateEcho) {
+        self.inbox.obeyed = Some(frames::obeyed(echo));
+    }
+}

@@ -1,0 +1,156 @@
+//! The checks of this system's command: the other system's command, the vehicle's echo, and core 2,
+//! which computes the step again. T-RED-9
+//!
+//! Invariant: once this system has found its command wrong, it sends no control frame in this
+//! incarnation.
+
+use super::agreement::{Agreement, Change, Deviation, Stage};
+use super::driving::Output;
+use super::frames;
+use super::peer_command::{PeerCommand, PeerCommandLink};
+use super::read_back::ReadBack;
+use crate::driving::types::{Command, ControlStep};
+use tandem_board::{Duration, Instant};
+use tandem_bus::{GateEcho, ModeCode};
+use tandem_redundancy::{Mode, Phase, Redundancy};
+use tandem_shm::newest::Writer;
+
+/// The other system's command is valid for this long: five control cycles.
+const PEER_MAX_AGE: Duration = Duration::from_ms(50);
+
+/// The command of this system beside the evidence against it.
+pub(super) struct CommandCheck<'b> {
+    agreement: Agreement,
+    link: PeerCommandLink,
+    /// The other system's command since the last control cycle, and the function that computed it.
+    received: Option<(Command, ModeCode)>,
+    /// The last of these, and when it was compared.
+    compared: Option<(Instant, Command)>,
+    /// What this system would have commanded in its last control cycle.
+    last_output: Option<Output>,
+    pub(super) read_back: ReadBack,
+    /// This system's command was found wrong.
+    is_wrong: bool,
+    /// Where core 2 finds the step to compute again; `None` until the LMU is there.
+    pub(super) steps: Option<Writer<'b, ControlStep>>,
+}
+
+impl CommandCheck<'_> {
+    pub(super) const fn new() -> Self {
+        Self {
+            agreement: Agreement::new(),
+            link: PeerCommandLink::new(),
+            received: None,
+            compared: None,
+            last_output: None,
+            read_back: ReadBack::new(),
+            is_wrong: false,
+            steps: None,
+        }
+    }
+
+    /// How well both systems agree.
+    pub(super) const fn stage(&self) -> Stage {
+        self.agreement.stage()
+    }
+
+    /// Whether this system's command was found wrong.
+    pub(super) const fn is_wrong(&self) -> bool {
+        self.is_wrong
+    }
+
+    /// This system's command is wrong. Returns whether this is new.
+    pub(super) const fn on_wrong(&mut self) -> bool {
+        !core::mem::replace(&mut self.is_wrong, true)
+    }
+
+    /// The command of the other system, from its control frame or the link.
+    pub(super) fn on_peer_command(&mut self, command: Command, mode: ModeCode) {
+        self.received = Some((command, mode));
+    }
+
+    /// The stage that the other system reports.
+    pub(super) fn on_peer_stage(&mut self, stage: Stage) -> Option<Change> {
+        self.agreement.on_stage_of_peer(stage)
+    }
+
+    /// The command of the other system in a datagram.
+    pub(super) fn on_datagram(&mut self, words: &[u32]) -> Option<PeerCommand> {
+        self.link.on_datagram(words)
+    }
+
+    /// The vehicle's echo. Returns whether this system's command is wrong.
+    pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> bool {
+        // The vehicle's speed while this system stops it because no reset has cured its command.
+        let stops = redundancy.stops_for_its_command();
+        let speed = self.last_output.filter(|_| stops).map(|last| last.speed);
+        let term = redundancy.term().bits();
+        self.read_back.on_echo(term, echo, speed)
+    }
+
+    /// The mode that the redundancy and the agreement permit; [`Driving`](super::Driving) may do
+    /// less.
+    pub(super) fn permits(&self, mode: Mode) -> Mode {
+        if mode != Mode::None && self.stage() == Stage::Unresolved {
+            Mode::SafeStop
+        } else {
+            mode
+        }
+    }
+
+    /// The other system's command, if both disagree without a known cause. `mode`: the
+    /// redundancy's.
+    pub(super) fn peer_command(&self, now: Instant, mode: Mode) -> Option<Command> {
+        let unresolved = self.stage() == Stage::Unresolved && mode != Mode::SafeStop;
+        let (at, command) = self.compared?;
+        (unresolved && now.since(at) <= PEER_MAX_AGE).then_some(command)
+    }
+
+    /// Compares this system's command with the other's and publishes the step for core 2.
+    /// `output`: of this cycle.
+    pub(super) fn cycle(
+        &mut self,
+        now: Instant,
+        phase: Option<Phase>,
+        output: &Output,
+    ) -> Option<Change> {
+        let last = self.last_output.replace(*output);
+        let received = self.received.take();
+        let compared = received.map(|(theirs, _)| (now, theirs));
+        self.compared = compared.or(self.compared);
+        let own = match phase {
+            Some(Phase::Standby) => Some((output.standalone, output.mode)),
+            // The other's command is a cycle old.
+            Some(Phase::Master | Phase::DegradedMaster) => {
+                last.map(|last| (last.command, last.mode))
+            }
+            _ => None,
+        };
+        let deviation = received
+            .zip(own)
+            .and_then(|((theirs, their_mode), (own, mode))| {
+                let drives = !matches!(mode, Mode::None | Mode::SafeStop);
+                let alike = drives && frames::bus_mode(mode) == their_mode;
+                alike.then(|| Deviation::of(&own, &theirs, output.speed))
+            });
+        if let (Some(steps), Some(step)) = (&mut self.steps, &output.step) {
+            steps.publish(step);
+        }
+        let phase = phase.unwrap_or(Phase::Starting);
+        self.agreement.cycle(now, phase, deviation)
+    }
+
+    /// The datagram with this system's command for the other one.
+    pub(super) fn datagram(&mut self, now: Instant, output: &Output) -> impl AsRef<[u32]> + use<> {
+        let mode = if self.agreement.is_warm(now) {
+            output.mode
+        } else {
+            Mode::None
+        };
+        self.link.datagram(PeerCommand {
+            mode: frames::bus_mode(mode),
+            stage: self.stage(),
+            command: output.standalone,
+        })
+    }
+}

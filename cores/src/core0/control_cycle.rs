@@ -1,0 +1,176 @@
+//! The control cycle: what the drive knows becomes a command, and the command a frame.
+//!
+//! A cycle takes three locked sections. The first takes the release and all inputs, the second
+//! computes, the third sends. More urgent tasks may run between them, so the third section takes
+//! role, term and the permission to send from the redundancy as it is then: no frame leaves with a
+//! role or term that no longer holds. The mode of a command may be a cycle old.
+
+use super::driving::{Driving, Output};
+use super::shared::SharedState;
+use super::tasks::released;
+use super::{Core0Task, Executor, TaskBody, frames};
+use crate::driving::knowledge::Knowledge;
+use crate::layout::age_ns;
+use crate::schedule::Release;
+use crate::trace::Event;
+use tandem_board::{Board, Instant, Link};
+use tandem_bus::Message;
+use tandem_redundancy::Mode;
+
+/// What the first section of a cycle takes.
+struct Inputs {
+    release: Instant,
+    begin: Instant,
+    /// The permitted mode, the other system's command and what has arrived; `None` before the start
+    /// protocol.
+    driving: Option<(
+        Mode,
+        Option<crate::driving::types::Command>,
+        super::can_port::Inbox,
+    )>,
+    /// The other system waits for knowledge.
+    wants_knowledge: bool,
+}
+
+/// Motion control and the control frame.
+pub struct ControlTask<'b, B>(pub(super) &'b B);
+
+impl<'b, B: Board> TaskBody<'b, B> for ControlTask<'b, B> {
+    const ID: Core0Task = Core0Task::Control;
+
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
+        let now = self.0.now();
+        let (inputs, pass_on, next) = executor.shared(|shared| {
+            let release = shared.grid.release(now);
+            let next = shared.grid.next();
+            let Some(release) = release else {
+                return (None, false, next);
+            };
+            if shared.mode() == Some(Mode::DegradedL2) {
+                shared.grid.pass_on(release);
+                return (None, true, next);
+            }
+            let inputs = shared.begin_cycle(executor, Self::ID, release);
+            (Some(inputs), false, next)
+        });
+        if pass_on {
+            executor.release(Core0Task::Degraded.into());
+        }
+        if let Some(inputs) = inputs {
+            finish_cycle(executor, Self::ID, inputs);
+        }
+        next
+    }
+}
+
+/// The control cycle of a system that drives alone.
+pub struct DegradedTask;
+
+impl<'b, B: Board> TaskBody<'b, B> for DegradedTask {
+    const ID: Core0Task = Core0Task::Degraded;
+
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
+        let inputs = executor.shared(|shared| {
+            let release = shared.grid.take_passed_on()?;
+            Some(shared.begin_cycle(executor, Core0Task::Degraded, release))
+        });
+        if let Some(inputs) = inputs {
+            finish_cycle(executor, Core0Task::Degraded, inputs);
+        }
+        Instant::NEVER
+    }
+}
+
+/// The second and the third section of a cycle.
+fn finish_cycle<'b, B: Board>(executor: &impl Executor<'b, B>, task: Core0Task, inputs: Inputs) {
+    let Inputs {
+        release,
+        begin,
+        driving,
+        wants_knowledge,
+    } = inputs;
+    let compute = |state: &mut Driving| {
+        let output = driving.map(|(mode, peer_command, inbox)| {
+            inbox.empty_into(state);
+            state.cycle(begin, mode, peer_command)
+        });
+        (output, wants_knowledge.then(|| state.knowledge()).flatten())
+    };
+    let (output, knowledge) = executor.drive(compute);
+    executor.shared(|shared| {
+        if let Some(output) = &output {
+            shared.send_control(output, begin, release);
+        }
+        shared.end_cycle(knowledge.as_ref());
+    });
+    executor.ends(task);
+}
+
+impl<'b, B: Board> SharedState<'b, B> {
+    fn begin_cycle(
+        &mut self,
+        executor: &impl Executor<'b, B>,
+        task: Core0Task,
+        release: Release,
+    ) -> Inputs {
+        executor.begins(task, released(self.board, task, release));
+        let begin = self.board.now();
+        let misses = &mut self.counters.deadline_misses;
+        *misses = misses.saturating_add(release.missed);
+        let driving = self.redundancy.running().map(|redundancy| {
+            let mode = redundancy.mode();
+            let peer_command = self.check.peer_command(begin, mode);
+            let inbox = core::mem::take(&mut self.can.inbox);
+            (self.check.permits(mode), peer_command, inbox)
+        });
+        Inputs {
+            release: release.at,
+            begin,
+            driving,
+            wants_knowledge: self.redundancy.is_driving() && self.transfer.wants_knowledge(begin),
+        }
+    }
+
+    /// Sends the report, this system's command for the other one, and the control frame if this
+    /// system drives.
+    fn send_control(&mut self, output: &Output, begin: Instant, release: Instant) {
+        let phase = self.redundancy.phase();
+        let change = self.check.cycle(begin, phase, output);
+        self.trace_agreement(change);
+        let Some(may_transmit) = self.redundancy.may_transmit() else {
+            return;
+        };
+        self.redundancy.report();
+        let own = self.check.datagram(begin, output);
+        let _full = self.board.link().try_send(own.as_ref());
+        let transmitted = may_transmit && !self.check.is_wrong() && self.transmit(output);
+        self.trace(Event::ControlCycle {
+            lateness_ns: age_ns(begin, release),
+            execution_ns: age_ns(self.board.now(), begin),
+            transmitted,
+        });
+    }
+
+    /// Sends the control frame; returns whether the controller took it.
+    fn transmit(&mut self, output: &Output) -> bool {
+        let Some(redundancy) = self.redundancy.running() else {
+            return false;
+        };
+        let control = frames::control(redundancy, output, self.board.now());
+        let message = Message::Control {
+            system: self.system.index() as u8,
+            control,
+        };
+        let encoded = self.can.transmitter.encode(&message);
+        self.check.read_back.on_sent(encoded.data()[2], &control);
+        frames::send_encoded(self.board, &encoded)
+    }
+
+    fn end_cycle(&mut self, knowledge: Option<&Knowledge>) {
+        let cycles = &mut self.counters.control_cycles;
+        *cycles = cycles.wrapping_add(1);
+        let (now, link) = (self.board.now(), self.board.link());
+        let redundancy = self.redundancy.running();
+        self.transfer.cycle(now, redundancy, knowledge, link);
+    }
+}

@@ -1,0 +1,151 @@
+//! When the control task runs: a grid of absolute time that follows the trajectories, so that they
+//! do not wait long for the control task.
+
+use super::CONTROL_PERIOD;
+use crate::schedule::{Grid, Release, TickGrid};
+use tandem_board::{Duration, Instant};
+
+/// A trajectory waits no longer than this for the control task, once the grid has followed it.
+const LONGEST_WAIT: Duration = Duration::from_us(1_500);
+/// The grid starts to move after this many trajectories in a row waited longer. A single one may be
+/// late because the machine is busy. Moving the grid for it would put the grid just before all
+/// others, which then wait for almost a whole period.
+const LATE: u8 = 3;
+/// The grid moves in steps of one tick of the kernel, because releases lie on ticks.
+const GRID_STEP: Duration = Duration::from_ms(1);
+
+/// The releases of the control task.
+pub(super) struct ControlGrid {
+    ticks: TickGrid,
+    grid: Grid,
+    follow: Follow,
+    /// A control cycle that the degraded task has yet to do.
+    for_degraded: Option<Release>,
+}
+
+impl ControlGrid {
+    pub(super) fn new(started: Instant) -> Self {
+        Self {
+            ticks: TickGrid::EXACT,
+            grid: Grid::new(started, CONTROL_PERIOD),
+            follow: Follow::default(),
+            for_degraded: None,
+        }
+    }
+
+    /// From now on releases lie on these ticks.
+    pub(super) fn set_ticks(&mut self, ticks: TickGrid, now: Instant) {
+        self.ticks = ticks;
+        self.restart(now);
+    }
+
+    /// Begins a new grid: the next release is at the last tick.
+    pub(super) fn restart(&mut self, now: Instant) {
+        self.grid.restart(self.ticks.floor(now));
+    }
+
+    /// A trajectory has arrived. While trajectories wait too long for the control task, the grid
+    /// moves earlier, a tick at a time.
+    pub(super) fn on_trajectory(&mut self, now: Instant) {
+        self.follow.on_trajectory(self.grid.next().since(now));
+    }
+
+    /// The release that is due at `now`.
+    pub(super) fn release(&mut self, now: Instant) -> Option<Release> {
+        let release = self.grid.release(now)?;
+        if self.follow.moves() {
+            self.grid.advance(GRID_STEP);
+        }
+        Some(release)
+    }
+
+    /// The time of the next release.
+    pub(super) const fn next(&self) -> Instant {
+        self.grid.next()
+    }
+
+    /// Passes a release on to the degraded task. One that this task has not used counts as missed.
+    pub(super) fn pass_on(&mut self, release: Release) {
+        let unused = self.for_degraded.map_or(0, |before| before.missed + 1);
+        let missed = release.missed.saturating_add(unused);
+        self.for_degraded = Some(Release { missed, ..release });
+    }
+
+    /// The release for the degraded task.
+    pub(super) fn take_passed_on(&mut self) -> Option<Release> {
+        self.for_degraded.take()
+    }
+}
+
+/// Counts the trajectories that waited too long.
+#[derive(Clone, Copy, Debug, Default)]
+struct Follow {
+    waited: u8,
+}
+
+impl Follow {
+    /// A trajectory has arrived, and the control task will use it after `wait`.
+    fn on_trajectory(&mut self, wait: Duration) {
+        if wait <= LONGEST_WAIT {
+            self.waited = 0;
+        } else {
+            self.waited = self.waited.saturating_add(1);
+        }
+    }
+
+    /// Whether the grid moves earlier by [`GRID_STEP`] now. Once it has moved, each further
+    /// trajectory that waits too long moves it again, until one does not.
+    fn moves(&mut self) -> bool {
+        let moves = self.waited >= LATE;
+        if moves {
+            self.waited = LATE - 1;
+        }
+        moves
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_US: u64 = 10_000;
+
+    /// The waits of these trajectories, which arrive this much after the beginning of their round,
+    /// µs, and where the grid is at the end. A round has five control periods.
+    fn waits(mut grid_us: u64, arrivals_us: [u64; 20]) -> ([u64; 20], u64) {
+        let mut follow = Follow::default();
+        let waits = arrivals_us.map(|arrival_us| {
+            let wait_us = (grid_us + PERIOD_US - arrival_us % PERIOD_US) % PERIOD_US;
+            follow.on_trajectory(Duration::from_us(wait_us));
+            for _ in 0..5 {
+                if follow.moves() {
+                    grid_us = (grid_us + PERIOD_US - GRID_STEP.as_us()) % PERIOD_US;
+                }
+            }
+            wait_us
+        });
+        (waits, grid_us)
+    }
+
+    #[test]
+    fn the_grid_follows_the_trajectory_by_a_tick_a_round() {
+        let (waits, grid_us) = waits(2_700, [3_000; 20]);
+        assert_eq!(waits[..3], [9_700; 3], "three begin the move");
+        assert_eq!(
+            waits[3..12],
+            [8_700, 7_700, 6_700, 5_700, 4_700, 3_700, 2_700, 1_700, 700]
+        );
+        assert_eq!(waits[12..], [700; 8]);
+        assert_eq!(grid_us, 3_700);
+    }
+
+    /// On a busy machine two trajectories in a row miss their control cycle. Only these are late.
+    #[test]
+    fn trajectories_that_are_held_back_move_nothing() {
+        let mut arrivals_us = [3_000; 20];
+        arrivals_us[5..7].fill(4_000);
+        let (waits, grid_us) = waits(3_700, arrivals_us);
+        let long = waits.iter().filter(|wait_us| **wait_us > 1_500).count();
+        assert_eq!((long, grid_us), (2, 3_700), "{waits:?}");
+    }
+}
