@@ -9,7 +9,7 @@ use tandem_board::{Board, Duration, Instant};
 use tandem_board_host::realtime::{self, Claim, Grant};
 use tandem_board_host::{Alarm, HostBoard, clock};
 use tandem_cores::Config;
-use tandem_cores::core0::DOORBELL_DISTANCE;
+use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_rtos::{Interrupt, Kernel, host};
 use tandem_runtime::Options;
 
@@ -53,7 +53,8 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
     match tandem_runtime::start(Kernel::take()?, board, config, options, || ())? {}
 }
 
-/// Raises the core's interrupt when its doorbell rings, at most once in [`DOORBELL_DISTANCE`].
+/// Raises the core's interrupt when its doorbell rings, at most once in
+/// [`DOORBELL_DISTANCE`](tandem_cores::doorbell::DOORBELL_DISTANCE).
 ///
 /// This thread is more urgent than the core. A ring that follows the last one too early makes it
 /// sleep until the distance is over, so a doorbell that rings without a pause cannot take the CPU
@@ -65,16 +66,16 @@ fn listen(board: &HostBoard, grant: Grant) -> ! {
         cpu: None,
         lock_memory: false,
     });
-    let mut open = Instant::ORIGIN;
+    let throttle = DoorbellThrottle::default();
     loop {
         board.wait(Instant::NEVER);
-        if board.now() < open {
-            clock::sleep_until(open);
+        if throttle.ring(board.now()) == RingOutcome::HeldBack {
+            clock::sleep_until(throttle.due());
             // Does not wait: the deadline has passed.
             board.wait(Instant::ORIGIN);
-            HELD_BACK.fetch_add(1, Relaxed);
+            throttle.pass_if_due(board.now());
+            HELD_BACK.store(throttle.held_back(), Relaxed);
         }
         host::raise(Interrupt::DOORBELL);
-        open = board.now() + DOORBELL_DISTANCE;
     }
 }

@@ -16,6 +16,7 @@ extern crate std;
 pub mod core0;
 pub mod core1;
 pub mod core2;
+pub mod doorbell;
 mod download;
 pub mod driving;
 pub mod layout;

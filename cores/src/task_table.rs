@@ -4,13 +4,8 @@
 //! the response-time analysis, and the tables in `docs/`. A code that is not in it is shown by its
 //! number.
 
+use crate::doorbell::DOORBELL_DISTANCE;
 use tandem_board::{CoreId, Duration};
-
-/// Least distance between two polls that doorbells cause. Doorbells that ring earlier are merged
-/// into one at the end of the distance. A doorbell announces a trajectory every 50 ms, an edge of
-/// the start protocol every 5 ms, or a change of the power level. None of these waits longer than
-/// 1 ms for the roles, which the tick releases too.
-pub const DOORBELL_DISTANCE: Duration = Duration::from_ms(5);
 
 /// A task's number in the trace; 0 is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

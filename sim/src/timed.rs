@@ -16,10 +16,11 @@ use std::cell::{Cell, RefCell};
 use tandem_board::{Board, Duration, Instant};
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::core0::{
-    Core0Task, DOORBELL_DISTANCE, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
+    Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
 };
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
+use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
@@ -32,7 +33,7 @@ struct Flow {
     shared: RefCell<SharedState<'static, SimBoard>>,
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
-    held_back: Cell<u32>,
+    doorbell: DoorbellThrottle,
     /// The body that runs has told that it begins a job.
     has_begun: Cell<bool>,
 }
@@ -51,7 +52,7 @@ impl Executor<'static, SimBoard> for Flow {
     }
 
     fn held_back(&self) -> u32 {
-        self.held_back.get()
+        self.doorbell.held_back()
     }
 
     fn begins(&self, task: Core0Task, begin: Begin) {
@@ -93,8 +94,6 @@ struct TimedCore0 {
     running: Option<Core0Task>,
     last: Instant,
     next_tick: Instant,
-    doorbell_opens: Instant,
-    doorbell_waits: bool,
 }
 
 /// Core 0 of this board, whose jobs take `time`.
@@ -122,7 +121,7 @@ pub fn core_0(board: &'static SimBoard, config: Config, time: Time) -> Poller {
             shared: RefCell::new(shared),
             drive: RefCell::new(drive),
             released: Cell::new(TaskSet::NONE),
-            held_back: Cell::new(0),
+            doorbell: DoorbellThrottle::default(),
             has_begun: Cell::new(false),
         },
         tasks,
@@ -136,8 +135,6 @@ pub fn core_0(board: &'static SimBoard, config: Config, time: Time) -> Poller {
         running: None,
         last: now,
         next_tick: now + ticks.period,
-        doorbell_opens: Instant::ORIGIN,
-        doorbell_waits: false,
     };
     Box::new(move |_| core.poll())
 }
@@ -185,17 +182,14 @@ impl TimedCore0 {
             self.next_tick = self.tick(number);
             self.handlers_ns += time.of(TICK, draw);
         }
-        if board.is_interrupted() {
+        let doorbell = &self.flow.doorbell;
+        let passes = if board.is_interrupted() {
             self.handlers_ns += time.of(DOORBELL, draw);
-            self.doorbell_waits = true;
-            if now < self.doorbell_opens {
-                let held_back = &self.flow.held_back;
-                held_back.set(held_back.get().wrapping_add(1));
-            }
-        }
-        if self.doorbell_waits && now >= self.doorbell_opens {
-            self.doorbell_waits = false;
-            self.doorbell_opens = now + DOORBELL_DISTANCE;
+            doorbell.ring(now) == RingOutcome::Passes
+        } else {
+            doorbell.pass_if_due(now)
+        };
+        if passes {
             for task in Core0Task::ALL {
                 self.states[task as usize].ready |= task.info().is_for_interrupts();
             }
@@ -282,10 +276,7 @@ impl TimedCore0 {
 
     /// When something happens next.
     fn next(&self, now: Instant) -> Instant {
-        let mut next = self.next_tick;
-        if self.doorbell_waits {
-            next = next.min(self.doorbell_opens.max(now));
-        }
+        let mut next = self.next_tick.min(self.flow.doorbell.due().max(now));
         let left_ns = self
             .running
             .and_then(|task| self.states[task as usize].left_ns);

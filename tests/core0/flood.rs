@@ -9,7 +9,7 @@ use tandem_board::{
 };
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{CoreArgs, HostBoard};
-use tandem_cores::core0::DOORBELL_DISTANCE;
+use tandem_cores::doorbell::DOORBELL_DISTANCE;
 use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Event, FloodSource};
 

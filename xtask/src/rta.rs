@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use std::path::Path;
 use tandem_board::Duration;
-use tandem_cores::core0::DOORBELL_DISTANCE;
+use tandem_cores::doorbell::DOORBELL_DISTANCE;
 use tandem_cores::task_table::{CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
 
 /// The page with the table, and the name of its marks.

@@ -8,7 +8,6 @@
 
 extern crate alloc;
 
-mod doorbell;
 mod trace;
 
 use alloc::boxed::Box;
@@ -16,12 +15,12 @@ use core::cell::Cell;
 use core::convert::Infallible;
 use core::fmt;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
-use doorbell::{Doorbell, Releases};
 use tandem_board::{Board, Duration, Instant};
 use tandem_cores::Config;
 use tandem_cores::core0::{
     Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
 };
+use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
@@ -47,9 +46,7 @@ const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 pub struct Options {
     /// Bytes of each task's stack.
     pub stack_bytes: usize,
-    /// Counts the doorbells that ring within
-    /// [`DOORBELL_DISTANCE`](tandem_cores::core0::DOORBELL_DISTANCE) and are held back, here or by
-    /// the machine; wraps around.
+    /// Counts the rings that the machine holds back before they reach this core; wraps around.
     pub held_back: &'static AtomicU32,
     /// An overload to test with.
     pub overload: Option<Overload>,
@@ -99,7 +96,7 @@ struct Runtime<B: Board + 'static> {
     drive: Mutex<Driving>,
     /// By [`Core0Task`].
     states: [TaskState; Core0Task::ALL.len()],
-    doorbell: Doorbell,
+    doorbell: DoorbellThrottle,
     options: Options,
 }
 
@@ -193,7 +190,8 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
     }
 
     fn held_back(&self) -> u32 {
-        self.runtime.options.held_back.load(Relaxed)
+        let by_machine = self.runtime.options.held_back.load(Relaxed);
+        by_machine.wrapping_add(self.runtime.doorbell.held_back())
     }
 
     fn begins(&self, task: Core0Task, begin: Begin) {
@@ -268,10 +266,24 @@ fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'stati
         }
         wait(executor, &ticks, deadline);
         if executor.task == DOORBELL_WAITER {
-            while let Some(until) = executor.runtime.doorbell.waits_until(board.now()) {
-                wait(executor, &ticks, until);
-            }
+            wait_for_doorbell(executor, &ticks);
         }
+    }
+}
+
+/// Waits until the ring that is held back passes, if one is.
+fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid) {
+    let (doorbell, board) = (&executor.runtime.doorbell, executor.runtime.board);
+    loop {
+        // The handler of the doorbell uses the throttle too.
+        let due = executor.ctx.critical(|| {
+            doorbell.pass_if_due(board.now());
+            doorbell.due()
+        });
+        if due == Instant::NEVER {
+            return;
+        }
+        wait(executor, ticks, due);
     }
 }
 
@@ -332,7 +344,7 @@ pub fn start<B: Board + Sync>(
         shared: Mutex::new(&kernel, shared),
         drive: Mutex::new(&kernel, drive),
         states: Default::default(),
-        doorbell: Doorbell::default(),
+        doorbell: DoorbellThrottle::default(),
         options,
     }));
     let Tasks {
@@ -353,15 +365,12 @@ pub fn start<B: Board + Sync>(
     spawn(&kernel, runtime, &mut made, roles)?;
     let interrupt = move |ctx: &InterruptContext| {
         on_doorbell();
-        let releases = runtime.doorbell.interrupt(board.now());
-        if releases != Releases::All {
-            runtime.options.held_back.fetch_add(1, Relaxed);
-        }
+        let outcome = runtime.doorbell.ring(board.now());
         for (task, handle) in Core0Task::ALL.into_iter().zip(&made) {
-            let released = match releases {
-                Releases::All => task.info().is_for_interrupts(),
-                Releases::Waiter => task == DOORBELL_WAITER,
-                Releases::Nothing => false,
+            let released = match outcome {
+                RingOutcome::Passes => task.info().is_for_interrupts(),
+                RingOutcome::HeldBack => task == DOORBELL_WAITER,
+                RingOutcome::Merged => false,
             };
             if let (true, Some(handle)) = (released, handle) {
                 // It never ends.

@@ -11,8 +11,8 @@
 //! | from 2 | | content |
 //!
 //! The content is the asking incarnation, the sender's term, the age of the scene in µs, and the
-//! words of [`Knowledge`] from the third on, without those of absent objects. The receiver accepts a
-//! transfer only if it is complete, in order and recent, and answers this incarnation.
+//! words of [`Knowledge`] from the third on, without those of absent objects. The receiver accepts
+//! a transfer only if it is complete, in order and recent, and answers this incarnation.
 
 use super::datagram::{KNOWLEDGE_CHUNK, KNOWLEDGE_REQUEST, MAX_WORDS, is_sealed, seal};
 use crate::driving::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge};

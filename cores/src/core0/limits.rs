@@ -1,8 +1,8 @@
 //! How much core 0 takes from sources that another system can flood, and how it tells of a flood.
 //!
 //! The most urgent task reads CAN, the link and the lines. Each limit here bounds the work of one
-//! poll, and [`DOORBELL_DISTANCE`](super::DOORBELL_DISTANCE) bounds how often an interrupt causes a
-//! poll, so the worst case of the task is a sum of constants: see `docs/rtos-tasks.md`.
+//! poll. [`DOORBELL_DISTANCE`](crate::doorbell::DOORBELL_DISTANCE) bounds how often an interrupt
+//! causes a poll. So the worst case of the task is a sum of constants: see `docs/rtos-tasks.md`.
 
 use crate::trace::{Event, FloodSource};
 use tandem_board::{Duration, Instant};
@@ -28,60 +28,6 @@ const WINDOW: Duration = Duration::from_ms(100);
 /// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
 /// stall of this core is no flood; of 20 doorbells that the distance permits, half came early.
 const EXCEEDED: u32 = 10;
-
-/// Passes interrupts on with at least a given distance between two.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Throttle {
-    distance: Duration,
-    opens: Instant,
-    pending: bool,
-    held_back: u32,
-}
-
-impl Throttle {
-    pub(super) const fn new(distance: Duration) -> Self {
-        Self {
-            distance,
-            opens: Instant::ORIGIN,
-            pending: false,
-            held_back: 0,
-        }
-    }
-
-    /// An interrupt may have arrived; whether its tasks are to run now. If not, they are to run at
-    /// [`Throttle::due`].
-    ///
-    /// `certain`: nothing but an interrupt can have caused this call. Only such a call begins a
-    /// new distance.
-    pub(super) fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
-        if now < self.opens {
-            if certain {
-                self.held_back = self.held_back.wrapping_add(u32::from(!self.pending));
-            }
-            self.pending = true;
-            return false;
-        }
-        if certain || self.pending {
-            self.opens = now + self.distance;
-        }
-        self.pending = false;
-        true
-    }
-
-    /// When an interrupt that was held back is passed on.
-    pub(super) const fn due(&self) -> Instant {
-        if self.pending {
-            self.opens
-        } else {
-            Instant::NEVER
-        }
-    }
-
-    /// How many times interrupts were held back; wraps around.
-    pub(super) const fn held_back(&self) -> u32 {
-        self.held_back
-    }
-}
 
 /// The activity of a source since the last report.
 #[derive(Clone, Copy, Debug, Default)]
@@ -184,38 +130,9 @@ impl Floods {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core0::DOORBELL_DISTANCE;
-    use std::vec::Vec;
 
     fn at_us(us: u64) -> Instant {
         Instant::from_ns(us * 1_000)
-    }
-
-    #[test]
-    fn interrupts_are_passed_on_with_their_distance_and_none_is_lost() {
-        let mut throttle = Throttle::new(DOORBELL_DISTANCE);
-        let mut passed = Vec::new();
-        // An interrupt every 100 µs for 20 ms, and then none.
-        for us in (0..40_000).step_by(100) {
-            let due = throttle.due() <= at_us(us);
-            if (us < 20_000 || due) && throttle.interrupt(at_us(us), us < 20_000) {
-                passed.push(us);
-            }
-        }
-        assert_eq!(passed, [0, 5_000, 10_000, 15_000, 20_000]);
-        assert_eq!(throttle.held_back(), 4);
-        assert_eq!(throttle.due(), Instant::NEVER);
-    }
-
-    #[test]
-    fn a_call_for_a_deadline_does_not_delay_the_next_interrupt() {
-        let mut throttle = Throttle::new(DOORBELL_DISTANCE);
-        assert!(throttle.interrupt(at_us(1_000), false));
-        assert!(throttle.interrupt(at_us(1_100), true));
-        assert!(!throttle.interrupt(at_us(1_200), false));
-        assert_eq!(throttle.due(), at_us(6_100));
-        assert!(throttle.interrupt(at_us(6_100), false));
-        assert!(!throttle.interrupt(at_us(6_200), true));
     }
 
     fn snapshot(edges: u32) -> LineSnapshot {

@@ -3,9 +3,10 @@
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
 //! Its work is six tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
-//! [`TaskBody`] that does what is due and returns when it is due next. What the tasks share they reach
-//! through an [`Executor`]. There are two: [`Core0`] runs the tasks one after the other, each to
-//! its end, in the simulator; the crate `tandem-runtime` gives each a task of FreeRTOS.
+//! [`TaskBody`] that does what is due and returns when it is due next. It reaches the state that
+//! all tasks share through an [`Executor`]. [`Core0`] runs the tasks one after the other, each to
+//! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
+//! with execution times.
 //! `docs/rtos-tasks.md` has the priorities and why they are so.
 
 mod agreement;
@@ -28,7 +29,6 @@ mod state_flash;
 mod tasks;
 
 use crate::Config;
-pub use crate::task_table::DOORBELL_DISTANCE;
 use crate::task_table::{CORE_0, TaskCode, TaskInfo};
 use crate::trace::Begin;
 pub use control_cycle::{ControlTask, DegradedTask};
@@ -135,8 +135,8 @@ pub trait Executor<'b, B: Board> {
     /// Releases tasks, all of them less urgent than the caller. Not within [`Executor::shared`].
     fn release(&self, tasks: TaskSet);
 
-    /// How many times it has held back doorbells that rang within [`DOORBELL_DISTANCE`]; wraps
-    /// around.
+    /// How many times rings of the doorbell were held back, see
+    /// [`DoorbellThrottle`](crate::doorbell::DoorbellThrottle); wraps around.
     fn held_back(&self) -> u32;
 
     /// A job of this task, the caller, begins. For the trace.

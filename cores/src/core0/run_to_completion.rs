@@ -1,9 +1,7 @@
 //! The executor without a kernel: one pass runs what is due, each task to its end.
 
-use super::limits::Throttle;
-use super::{
-    Core0Task, DOORBELL_DISTANCE, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
-};
+use super::{Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks};
+use crate::doorbell::{DoorbellThrottle, RingOutcome};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
 use core::cell::{Cell, RefCell};
@@ -16,7 +14,7 @@ struct OneFlow<'b, B: Board> {
     shared: RefCell<SharedState<'b, B>>,
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
-    doorbells: Cell<Throttle>,
+    doorbell: DoorbellThrottle,
 }
 
 impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
@@ -33,7 +31,7 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
     }
 
     fn held_back(&self) -> u32 {
-        self.doorbells.get().held_back()
+        self.doorbell.held_back()
     }
 
     fn begins(&self, task: Core0Task, begin: Begin) {
@@ -73,7 +71,7 @@ impl<'b, B: Board> Core0<'b, B> {
                 shared: RefCell::new(shared),
                 drive: RefCell::new(drive),
                 released: Cell::new(TaskSet::NONE),
-                doorbells: Cell::new(Throttle::new(DOORBELL_DISTANCE)),
+                doorbell: DoorbellThrottle::default(),
             },
             tasks,
             due: [board.now(); Core0Task::ALL.len()],
@@ -104,9 +102,12 @@ impl<B: Board> Core for Core0<'_, B> {
         self.executor.released.set(TaskSet::NONE);
         let mut now = self.executor.board.now();
         let for_deadline = self.due.iter().any(|due| *due <= now);
-        let mut doorbells = self.executor.doorbells.get();
-        let interrupted = doorbells.interrupt(now, !for_deadline);
-        self.executor.doorbells.set(doorbells);
+        let doorbell = &self.executor.doorbell;
+        let interrupted = if for_deadline {
+            doorbell.may_have_rung(now)
+        } else {
+            doorbell.ring(now) == RingOutcome::Passes
+        };
         // One pass is enough: tasks release only less urgent ones. A call does not say whether an
         // interrupt has caused it, so the tasks of interrupts run at each call that the throttle
         // permits.
@@ -121,6 +122,6 @@ impl<B: Board> Core for Core0<'_, B> {
         // A later task may have given the redundancy an input that changes its deadline.
         self.due[0] = self.executor.shared.borrow().redundancy.due();
         let next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
-        next.min(doorbells.due())
+        next.min(self.executor.doorbell.due())
     }
 }

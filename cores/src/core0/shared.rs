@@ -1,7 +1,7 @@
 //! The state that the tasks of core 0 share, one part for each subject.
 //!
 //! A task holds it for microseconds; no command is computed here. This file has what concerns more
-//! than one part: an input from the bus reaches the redundancy, the checks and the driving function.
+//! than one part: an input from the bus reaches the redundancy, the checks and the drive.
 
 use super::agreement::{Change, Stage};
 use super::can_port::CanPort;

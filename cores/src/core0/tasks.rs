@@ -1,7 +1,8 @@
 //! The bodies of core 0's tasks: each does what is due and returns when it is due next.
 
 use super::alive::Alive;
-use super::{Core0Task, DOORBELL_DISTANCE, Executor, SharedState, TaskBody, frames};
+use super::{Core0Task, Executor, SharedState, TaskBody, frames};
+use crate::doorbell::DOORBELL_DISTANCE;
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY,

@@ -7,7 +7,8 @@ use tandem_board::{
     Link, LinkFull, Received, SystemId, TransmitFull,
 };
 use tandem_board_sim::{Poller, SimBoard};
-use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
+use tandem_cores::core0::{CAN_FRAMES, Core0, LINK_DATAGRAMS};
+use tandem_cores::doorbell::DOORBELL_DISTANCE;
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_cores::{Config, Core};
