@@ -1,4 +1,4 @@
-//! What is measured, by name. The floor comes first in its group.
+//! All cases by name. The floor is the first of its group.
 
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
@@ -12,7 +12,7 @@ use clap::ValueEnum as _;
 use std::io;
 use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
 
-/// What is compared with each other.
+/// Cases that are compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Comparison {
     /// 4 bytes one way; the receiver polls on a CPU of its own.
@@ -31,7 +31,7 @@ pub enum Comparison {
     Rate,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
-    /// What the machine does by itself.
+    /// The machine's own pauses.
     Noise,
 }
 
@@ -47,14 +47,14 @@ impl Comparison {
 /// Runs one batch of a case. Both ends of the group `one-cpu` get the same CPU in the plan.
 pub type Run = fn(&BatchPlan) -> io::Result<Batch>;
 
-/// One way of doing what its group compares.
+/// One of the mechanisms that a group compares.
 #[derive(Clone, Copy)]
 pub struct Candidate {
-    /// What it is compared with.
+    /// Its group.
     pub group: Comparison,
-    /// Name within the group; `floor` is what the others are compared with.
+    /// Name within the group; the others are compared with `floor`.
     pub name: &'static str,
-    /// What it is, for the table.
+    /// Description for the table.
     pub what: &'static str,
     /// Rounds of one batch: some 10 to 50 ms, so that cases take turns while the machine's mood
     /// lasts.

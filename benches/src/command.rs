@@ -1,4 +1,4 @@
-//! `tandem bench`: its arguments, and what it writes.
+//! `tandem bench`: its arguments and its outputs.
 
 use crate::cases::{self, Candidate, Comparison};
 use crate::compare;
@@ -122,7 +122,7 @@ pub struct NoFigures {
     /// 1; or 2 if the command line, an input or the machine did not permit it and nothing was
     /// started; or 130 after Ctrl-C.
     pub status: u8,
-    /// What was wrong, and what to do.
+    /// The problem, and its remedy.
     pub why: anyhow::Error,
 }
 
@@ -138,10 +138,10 @@ fn usage(error: impl Into<anyhow::Error>) -> NoFigures {
     NoFigures { status: 2, why }
 }
 
-/// What goes to stdout, and what there is to say besides, with the exit status for it.
+/// The text for stdout, and a further message with its exit status.
 pub type Printed = (String, Option<(String, u8)>);
 
-/// Does what the arguments ask for.
+/// Runs the command with these arguments.
 ///
 /// To be called before the process has threads.
 ///
@@ -164,7 +164,7 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
     let folder = folder.map(|path| OutputFolder::check("--hgrm", path));
     let folder = folder.transpose().map_err(usage)?;
     let cpus = ends(&args.cpus).map_err(usage)?;
-    // Before the ends get SCHED_FIFO: the load has none.
+    // Before the ends get SCHED_FIFO: the load runs without it.
     let load = args.load.map(|load| load.start(cpus)).transpose();
     let load = load.context("--load")?;
     if args.realtime && !worker::ask_for_realtime() {

@@ -138,7 +138,7 @@ pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
     })
 }
 
-/// One case, with p-values that are not yet corrected, and no verdict; `None` if a run has it not.
+/// One case, with p-values that are not yet corrected, and no trend; `None` if a run lacks it.
 fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
     let is_floor = Provider::of(row) == Provider::Floor;
     let floor = floor_of(&pairs[0][0].results, &row.name, |row| row.name.clone());
@@ -188,7 +188,7 @@ fn chance(differences: &[f64]) -> f64 {
         let signed = signed.map(|(at, of)| if signs & 1 << at == 0 { *of } else { -*of });
         signed.sum::<f64>().abs()
     };
-    // Sums of the same numbers in the same order: what is equal may still differ by rounding.
+    // Sums of the same numbers in the same order: equal means may still differ by rounding.
     let measured = mean_of(0) * (1.0 - 1e-12);
     let as_far = (0..choices).filter(|signs| mean_of(*signs) >= measured);
     as_far.count() as f64 / f64::from(choices)
@@ -224,7 +224,7 @@ fn judge(cases: &mut [Compared]) {
 }
 
 impl Comparison {
-    /// The table for the terminal, 100 columns wide, and what it comes to.
+    /// The table for the terminal, 100 columns wide, and its summary.
     pub(crate) fn table(&self) -> String {
         let group = |case: &Compared| case.name.split('/').next().unwrap_or("").to_owned();
         let mut text = String::new();

@@ -1,4 +1,4 @@
-//! The floors: what the hardware and the kernel alone need.
+//! The floors: the cost of the hardware and the kernel alone.
 
 use crate::harness::{Batch, BatchPlan, End, between_processes, give_way, polled, repeated};
 use crate::mutual_exclusion::{Exclusion, contended};

@@ -35,7 +35,7 @@ pub(crate) struct Machine {
     pub(crate) topology: Vec<String>,
     /// Whether a hypervisor is below: then other guests take time that this system cannot see.
     pub(crate) hypervisor: bool,
-    /// What scales the clock of the first CPU; `None` if that is not for this system to say.
+    /// The governor of the first CPU's clock; `None` if this system does not know it.
     pub(crate) governor: Option<String>,
     pub(crate) scheduling: String,
     /// Whether the ends' memory could not be swapped out.
@@ -118,7 +118,7 @@ impl Machine {
     }
 }
 
-/// Where a CPU lies, as the kernel tells it.
+/// Place of a CPU, from the kernel.
 fn place(cpu: usize) -> String {
     let of = |file: &str| {
         let text = read(&format!("/sys/devices/system/cpu/cpu{cpu}/{file}"));
@@ -163,7 +163,7 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     })
 }
 
-/// The word in brackets, as files under `/sys` mark what is chosen.
+/// The word in brackets: files under `/sys` mark the present choice so.
 fn chosen(text: &str) -> String {
     let word = text.split(['[', ']']).nth(1);
     word.unwrap_or("unknown").to_owned()

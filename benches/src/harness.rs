@@ -14,7 +14,7 @@ use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board_host::UnsupervisedSystem;
 
-/// What a batch is to do.
+/// Settings of a batch.
 #[derive(Clone, Copy, Debug)]
 pub struct BatchPlan {
     /// Round trips, or what a case calls a round, that count.
@@ -47,7 +47,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// What the parts of a batch of `messages` messages have written down: samples from track 0,
+    /// The records of the parts of a batch of `messages` messages: samples from track 0,
     /// round trips from track 1, and CPU time.
     pub(crate) fn collect(shared: &SharedPage, parts: usize, messages: usize) -> Self {
         let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
@@ -82,7 +82,7 @@ impl Batch {
         self
     }
 
-    /// The same without facts that another group tells already.
+    /// The same without facts that another group already shows.
     pub(crate) fn without_facts(mut self) -> Self {
         self.facts.clear();
         self
@@ -106,7 +106,7 @@ pub(crate) fn give_way() {
     std::thread::yield_now();
 }
 
-/// Polls until there is something.
+/// Polls until a value arrives.
 #[inline(always)]
 pub(crate) fn polled<T>(mut look: impl FnMut() -> Option<T>) -> T {
     loop {
@@ -177,7 +177,8 @@ impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
     }
 }
 
-/// Where the near end notes what a send took it, in ticks, beside the numbers of [`count_calls`].
+/// Where the near end records the duration of a send, in ticks, beside the numbers of
+/// [`count_calls`].
 const SEND_AT: usize = 2;
 /// The last sends, of which the median counts.
 const SENDS: usize = 255;
@@ -329,7 +330,7 @@ fn count_calls(end: &mut impl End, role: &mut PartContext<'_>) {
                 let_wait(far);
             }
             if round == 0 {
-                // It may have to open what it rings.
+                // It may have to open the doorbell that it rings.
                 end.send(ticks());
             } else {
                 let made = count(|| end.send(ticks()));

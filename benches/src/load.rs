@@ -12,7 +12,7 @@ const STREAMED: usize = 8 << 20;
 const MOST: u8 = 64;
 
 type Kind = (&'static str, fn() -> bool);
-/// What the processes of a load do, by name.
+/// The activity of a load's processes, by name.
 const KINDS: [Kind; 2] = [("spin", spin), ("memory", memory)];
 
 /// Nothing but instructions.

@@ -13,7 +13,7 @@ use tandem_rtos::host::TaskAllocator;
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
-/// Measures communication between cores, beside the hardware's floor and what else one would use.
+/// Measures communication between cores, beside the hardware's floor and the alternatives.
 #[derive(Debug, clap::Parser)]
 #[command(name = "tandem bench", version, max_term_width = 100)]
 struct Cli {

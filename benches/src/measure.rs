@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tandem_board_host::UnsupervisedSystem;
 
-/// What was measured of one case so far.
+/// Measurements of one case so far.
 pub(crate) struct Measurement {
     pub(crate) case: Candidate,
     /// All samples, in picoseconds.
@@ -19,7 +19,7 @@ pub(crate) struct Measurement {
     pub(crate) round_trips: Histogram<u64>,
     /// All samples counted from when a message left; empty if it was not due at a fixed time.
     pub(crate) naive: Histogram<u64>,
-    /// What each batch has shown, in order, without its samples.
+    /// Summary of each batch, in order, without its samples.
     pub(crate) batches: Vec<Batch>,
     /// Median of each batch, in picoseconds.
     pub(crate) p50_ps: Vec<u64>,
@@ -116,8 +116,9 @@ pub(crate) fn was_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// Measures the cases in turn on these two CPUs. `progress` is told before each batch which part
-/// of the span (0 to 1) has passed, and the case. Ctrl-C ends it early with what there is.
+/// Measures the cases in turn on these two CPUs. `progress` is called before each batch with the
+/// part of the span (0 to 1) that has passed, and the case. Ctrl-C ends it early with the results
+/// so far.
 ///
 /// To be called while the process has one thread.
 pub(crate) fn run(

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 /// One process's way into the room that only one may be in.
 pub trait Exclusion {
-    /// Waits for the room, stays as long as `stay` takes, and leaves.
+    /// Enters the critical section, runs `stay` in it, and leaves.
     fn inside(&mut self, stay: impl FnOnce());
 }
 
@@ -95,14 +95,14 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
                 own(death).inside(|| {
                     held.store(death, Ordering::Release);
                     loop {
-                        // SAFETY: takes no pointer. The owner sleeps until it is killed.
+                        // SAFETY: the call has no pointer. The owner sleeps until it is killed.
                         unsafe { libc::pause() };
                     }
                 });
                 false
             })?;
             wait_for(held, death);
-            // The taker gets time to notice that the lock is held, and to back off.
+            // The waiter gets time to notice that the lock is held, and to back off.
             std::thread::sleep(std::time::Duration::from_micros(100));
             killed.store(ticks(), Ordering::Relaxed);
             drop(owner);
@@ -111,7 +111,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
         }
         Ok(())
     });
-    let taker = BatchPart::on(plan.cpus[1], |role| {
+    let waiter = BatchPart::on(plan.cpus[1], |role| {
         let mut take = take();
         role.shared.meet(2);
         for death in 1..=deaths {
@@ -129,11 +129,11 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
         }
         Ok(())
     });
-    perform(shared, vec![supervisor, taker])?;
+    perform(shared, vec![supervisor, waiter])?;
     Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
-/// What the least served had of its fair share: 1 if all had the same, 0 if it had nothing.
+/// Share of the least served in its fair share: 1 if all had the same, 0 if it had nothing.
 fn least_share(served: &[f64]) -> f64 {
     let all: f64 = served.iter().sum();
     let least = served.iter().copied().fold(f64::INFINITY, f64::min);

@@ -1,4 +1,4 @@
-//! What the machine does by itself: the pauses of a program that only reads the clock.
+//! The machine's own noise: the pauses of a program that only reads the clock.
 
 use crate::clock::{from_ns, monotonic_ns, ps_per_tick, sleep_until, step_ticks, ticks, to_ps};
 use crate::harness::{Batch, BatchPlan, alone};

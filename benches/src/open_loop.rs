@@ -3,7 +3,7 @@
 //! from when it left is `naive`. The mistake that a ping-pong makes is G. Tene's *coordinated
 //! omission* ("How NOT to measure latency", 2013): docs/performance.md.
 //!
-//! What is sent may be overtaken by something newer (a signal, a newest value): a message counts as
+//! A newer message may overtake an older one (a signal, a newest value): a message counts as
 //! arrived when it or a newer one has.
 
 use crate::clock::{from_ns, ticks, to_ps};
@@ -36,7 +36,7 @@ pub(crate) fn at_fixed_rate<E: End>(
                 spin_loop();
             }
             role.log.push(1, ticks());
-            // Never zero, which some ends take for "nothing yet".
+            // Never zero: for some ends zero means "nothing yet".
             end.send(2 * k + 1);
         }
         Ok(())
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     /// Due at -100, 0, 100, 200 (the clock wraps); each takes 7 from when it leaves. A sender that
-    /// stalls until 195 sends what is overdue at once: only the true latencies show it.
+    /// stalls until 195 sends all overdue messages at once: only the true latencies show it.
     #[test]
     fn a_stall_counts_for_every_message_that_was_due_in_it() {
         const BEGIN: u32 = u32::MAX - 99;

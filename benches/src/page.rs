@@ -55,7 +55,7 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
     let bars = [headline.floor, Some(tandem), headline.peer];
     let bars: Vec<&Row> = bars.into_iter().flatten().collect();
     let largest = bars.iter().map(|row| row.p50_ns).fold(0.0, f64::max);
-    // Sizes are compared by eye, hence a linear scale from 0.
+    // Readers compare sizes by eye, so the scale is linear from 0.
     let bar = |row: &Row| {
         let percent = 100.0 * row.p50_ns / largest.max(1e-9);
         let color = Provider::of(row).look().color.css();
@@ -91,8 +91,8 @@ fn group(name: &str, rows: &[Row]) -> Markup {
     html! { div id=(name) { (section(about.title, &aside, about.note, &content)) } }
 }
 
-/// What a group is about: its heading, what one sample is, and what to look for. One that is not
-/// known here explains itself by its cases.
+/// The introduction of a group: its heading, what one sample is, and what to compare. One that is
+/// not known here explains itself by its cases.
 struct About {
     title: &'static str,
     measures: &'static str,
@@ -175,7 +175,7 @@ fn is_first(row: &Row, rows: &[Row]) -> bool {
     Headline::of(rows).is_some_and(|headline| headline.tandem.name == row.name)
 }
 
-/// The distributions from the median on; `None` if no case has samples enough for a curve.
+/// The distributions from the median on; `None` if no case has enough samples for a curve.
 fn curves(rows: &[Row]) -> Option<Chart> {
     // What matters most is drawn last, above the others.
     let order = |row: &&Row| match Provider::of(row) {
@@ -217,7 +217,7 @@ fn curves(rows: &[Row]) -> Option<Chart> {
     Some(chart)
 }
 
-/// Ratios that the small dots tell apart; those beyond stand at the edge.
+/// Range of ratios that the small dots resolve; others are drawn at the edge.
 const SHOWN: (f64, f64) = (0.3, 30.0);
 
 /// The table of a group, with the ratios as dots where it has a floor.
@@ -283,7 +283,7 @@ fn noise(results: &Results) -> Markup {
     section("The machine's own noise", &html! {}, &note, &table)
 }
 
-/// A section of names with what there is to say of each.
+/// A section of names with a note on each.
 fn facts<'a>(title: &str, facts: impl Iterator<Item = (&'a str, String)>) -> Markup {
     let content = html! {
         table.facts { @for (name, value) in facts { tr { th { (name) } td { (value) } } } }

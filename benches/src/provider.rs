@@ -1,23 +1,23 @@
-//! Who provides what a case measures, by its name.
+//! The provider of the mechanism that a case measures, by the case's name.
 
 use crate::result::{Row, floor_of};
 use tandem_page::chart::Style;
 use tandem_page::svg::Color;
 
-/// Who provides what a case measures; in the order of legends.
+/// The provider of a measured mechanism, in the order of legends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Provider {
     /// The hardware's or the kernel's alone: what nothing can beat.
     Floor,
     Tandem,
     Iceoryx2,
-    /// That of a library between the threads of one process.
+    /// A library between the threads of one process.
     Threads,
     /// The system's: the kernel, the C library, or a program that was installed.
     System,
 }
 
-/// How what a provider provides is shown.
+/// How a provider's results are drawn.
 pub(crate) struct Look {
     pub(crate) name: &'static str,
     pub(crate) color: Color,
@@ -27,7 +27,7 @@ pub(crate) struct Look {
 const DASHED: Style = Style::Dashed(1.7, "7 3");
 const DOTTED: Style = Style::Dashed(1.7, "2.5 2.5");
 
-/// How the names begin of what the system provides, and of libraries between threads.
+/// Prefixes of the names of mechanisms of the system, and of libraries between threads.
 const SYSTEM: [&str; 6] = [
     "eventfd",
     "io-uring",
@@ -39,7 +39,7 @@ const SYSTEM: [&str; 6] = [
 const THREADS: [&str; 2] = ["rtrb", "triple-buffer"];
 
 impl Provider {
-    /// That of a row.
+    /// The provider of a row.
     pub(crate) fn of(row: &Row) -> Self {
         let begins = |names: &[&str]| names.iter().any(|name| row.case().starts_with(name));
         match row.case() {
@@ -81,7 +81,7 @@ pub(crate) struct Headline<'a> {
 }
 
 impl<'a> Headline<'a> {
-    /// Of these rows of one group; `None` if Tandem has none.
+    /// Chooses from these rows of one group; `None` if Tandem has no row.
     pub(crate) fn of(rows: &'a [Row]) -> Option<Self> {
         let is_ours = |row: &&Row| Provider::of(row) == Provider::Tandem;
         let tandem = rows.iter().find(is_ours)?;

@@ -3,7 +3,7 @@
 //!
 //! Each batch is a process of its own on the near CPU, in the same scheduling class for all:
 //! SCHED_FIFO where that is permitted. The peer is a C program of the same kernel's sources
-//! (`peers/freertos_posix`), which does what the functions here do.
+//! (`peers/freertos_posix`), which mirrors the functions here.
 
 use crate::clock;
 use crate::harness::{Batch, BatchPlan};
@@ -39,7 +39,7 @@ impl Samples {
     }
 }
 
-/// When what is timed began.
+/// Begin of the timed operation.
 static STAMP: AtomicU32 = AtomicU32::new(0);
 
 /// Runs `body` in a process of its own and returns the samples that it leaves.
@@ -123,7 +123,7 @@ fn kernel<F: Fn(&TaskContext) + Send + 'static>(
     kernel.start(Clock::Wall).map_err(io::Error::other)
 }
 
-/// A task that delays until each tick and takes what `sample` says of this one.
+/// A task that delays until each tick and records the result of `sample`.
 fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
     kernel([move |ctx: &TaskContext| {
         let mut wake = ctx.now();

@@ -28,11 +28,11 @@ mod dispatch {
     const BLOCK: u8 = 1;
     const SA_RESTORER: u64 = 0x0400_0000;
 
-    /// What the kernel reads at each system call: let it pass, or hand it to us.
+    /// Selector that the kernel reads at each system call: let it pass, or signal us.
     static SELECTOR: AtomicU8 = AtomicU8::new(ALLOW);
     static COUNT: AtomicU32 = AtomicU32::new(0);
 
-    /// What the kernel takes as a signal action; the C library's has no place for a restorer.
+    /// The kernel's signal action; the C library's has no field for a restorer.
     #[repr(C)]
     struct Action {
         handler: extern "C" fn(libc::c_int, *mut libc::siginfo_t, *mut libc::c_void),
@@ -108,7 +108,7 @@ mod dispatch {
         code();
         SELECTOR.store(ALLOW, Ordering::SeqCst);
         let zero: libc::c_ulong = 0;
-        // SAFETY: takes no pointer here.
+        // SAFETY: this call passes no pointer.
         unsafe { libc::prctl(PR_SET_SYSCALL_USER_DISPATCH, OFF, zero, zero, zero) };
         (!refused).then(|| COUNT.load(Ordering::Relaxed))
     }

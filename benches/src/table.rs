@@ -8,7 +8,7 @@ use tandem_page::format::{self, TimeUnit};
 
 /// The narrowest terminal that the tables are made for, in columns.
 pub(crate) const NARROWEST: usize = 80;
-/// Width where the output has none: a file, a pipe.
+/// Width for outputs without one: a file, a pipe.
 pub(crate) const USUAL: usize = 120;
 
 const WIDTH: usize = 9;
@@ -61,7 +61,7 @@ impl Results {
         text
     }
 
-    /// What the machine's own noise means for the figures, in a sentence; nothing if it was not
+    /// A sentence on the effect of the machine's noise on the figures; empty if it was not
     /// measured.
     pub(crate) fn noise_in_words(&self) -> String {
         let noise = self.noise.iter();
@@ -111,7 +111,7 @@ fn group_table(group: &str, rows: &[Row], width: usize) -> String {
     text
 }
 
-/// Tandem's first case beside the fastest of what one would use instead.
+/// Tandem's first case beside the fastest alternative.
 fn best_peer(rows: &[Row]) -> Option<String> {
     let Headline { tandem, peer, .. } = Headline::of(rows)?;
     let peer = peer?;

@@ -71,7 +71,7 @@ impl Axis {
         }
     }
 
-    /// A logarithmic axis that covers these powers of ten, with a margin; `None` if there are none.
+    /// A logarithmic axis that covers these powers of ten, with a margin; `None` without powers.
     /// A short range is labelled at 1, 2 and 5 of each power.
     pub fn powers(
         name: &'static str,

@@ -1,6 +1,6 @@
 //! Figures for people: a unit that fits, and only significant digits.
 
-/// The middle of these values; `None` if there is none.
+/// The median of these values; `None` without values.
 #[must_use]
 pub fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();

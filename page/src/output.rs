@@ -1,7 +1,7 @@
 //! Where results go. A place is checked before anything is measured, and nothing is created before
-//! there is something to put there.
+//! there are results to write.
 //!
-//! A run may get a `/dev/shm` of its own, in which paths of the caller's lead elsewhere; hence a
+//! A run may get a `/dev/shm` of its own, in which the caller's paths lead elsewhere. Therefore a
 //! place is held open from the check to the writing.
 
 use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
@@ -28,7 +28,7 @@ pub struct OutputFile(Place);
 #[derive(Debug)]
 pub struct OutputFolder(Place);
 
-/// What an option names.
+/// The place that an option names.
 #[derive(Debug)]
 struct Place {
     option: &'static str,
@@ -74,7 +74,7 @@ impl OutputFile {
     /// Checks that a file can be written at `path`, and changes nothing.
     ///
     /// # Errors
-    /// [`OutputError`] says what is in the way.
+    /// [`OutputError`] names the obstacle.
     pub fn check(option: &'static str, path: &Path) -> Result<Self, OutputError> {
         let target = match fs::metadata(path) {
             Ok(found) if found.is_dir() => Err("it is a folder; name a file".to_owned()),
@@ -91,7 +91,7 @@ impl OutputFile {
     /// Checks the files that these options name, if they name one, and changes nothing.
     ///
     /// # Errors
-    /// [`OutputError`] says what is in the way, such as two options for one file.
+    /// [`OutputError`] names the obstacle, such as two options for one file.
     pub fn check_all<const N: usize>(
         options: [(&'static str, Option<&Path>); N],
     ) -> Result<[Option<Self>; N], OutputError> {
@@ -107,7 +107,7 @@ impl OutputFile {
     /// Writes the file. One that did not exist is not left half-written.
     ///
     /// # Errors
-    /// [`OutputError`], such as a disk that is full by now.
+    /// [`OutputError`], such as a full disk.
     pub fn write(self, text: &str) -> Result<(), OutputError> {
         self.0.write(|target| match target {
             Target::Present(file) => overwrite(file, text),
@@ -121,7 +121,7 @@ impl OutputFolder {
     /// changes nothing.
     ///
     /// # Errors
-    /// [`OutputError`] says what is in the way.
+    /// [`OutputError`] names the obstacle.
     pub fn check(option: &'static str, path: &Path) -> Result<Self, OutputError> {
         let target = match fs::metadata(path) {
             Ok(found) if found.is_dir() => open_folder(path).map(Target::Present),
@@ -135,7 +135,7 @@ impl OutputFolder {
     /// Writes these files, by name, and creates the folder if need be. Others in it stay.
     ///
     /// # Errors
-    /// [`OutputError`], such as a disk that is full by now.
+    /// [`OutputError`], such as a full disk.
     pub fn fill(self, files: &[(String, String)]) -> Result<(), OutputError> {
         self.0.write(|target| {
             let folder = match target {
@@ -218,7 +218,7 @@ fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
     let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
     let written = File::from(file).write_all(text.as_bytes());
     written.inspect_err(|_| {
-        // What it says is why it could not be written; that it cannot be removed adds nothing.
+        // The caller gets the error of the writing; a further one of the removal adds nothing.
         let _ = unlinkat(folder, name, AtFlags::empty());
     })
 }

@@ -20,13 +20,13 @@ const POWERTRAIN: Response = Response {
     delay_ms: 20,
     lag_s: 0.12,
 };
-/// Most that the powertrain is allowed to do for automated driving, m/s².
+/// Largest acceleration that the powertrain is allowed in automated driving, m/s².
 const ACCELERATION_MAX: f64 = 4.0;
-/// Most that the brake does, m/s²: a dry road.
+/// Largest deceleration by the brake, m/s², on a dry road.
 const DECELERATION_MAX: f64 = 9.5;
 
-/// Without an accepted control frame for this long the vehicle helps itself, ns: the steering holds
-/// its angle, the brake slows it down gently.
+/// After this long without an accepted control frame, ns, the steering holds its angle and the
+/// brake slows the vehicle down gently.
 pub const FALLBACK_AFTER_NS: u64 = 100_000_000;
 /// Deceleration without a controller, m/s²: gentle enough for the follower.
 pub const FALLBACK_DECELERATION: f64 = 2.0;
@@ -46,14 +46,14 @@ pub struct Actuators {
     /// Requests of the last milliseconds, newest at `next`, a ring.
     past: [Request; Self::RING],
     next: usize,
-    /// Acceleration that is in effect before the plant's limits, m/s².
+    /// Acceleration before the plant's limits apply, m/s².
     acceleration: f64,
 }
 
 impl Actuators {
     const RING: usize = 32;
 
-    /// Actuators that have held `request` for long.
+    /// Actuators in the steady state of `request`.
     #[must_use]
     pub fn settled(request: Request) -> Self {
         Self {
@@ -63,7 +63,7 @@ impl Actuators {
         }
     }
 
-    /// What acts on the plant in the next millisecond.
+    /// Returns the plant's input for the next millisecond.
     #[must_use]
     pub fn step(&mut self, request: Request, state: &PlantState, p: &Parameters) -> PlantInput {
         self.next = (self.next + 1) % Self::RING;

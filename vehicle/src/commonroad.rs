@@ -46,7 +46,7 @@ const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
 const TIME_MAX: f64 = 86_400.0;
 /// States of an obstacle that are closer in time than this are one state, s.
 const STATE_APART: f64 = 1e-3;
-/// So many warnings are kept; one more tells how many there were.
+/// This many warnings are kept; one more gives their number.
 const WARNINGS_MAX: usize = 20;
 
 /// A piece of lane between two bounds.
@@ -73,7 +73,7 @@ pub struct Lanelet {
 /// Kind of an obstacle; the numbers are those of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
-    /// None of the below.
+    /// Any other.
     Unknown = 0,
     /// Passenger car.
     Car = 1,
@@ -128,11 +128,11 @@ pub struct RoadMap {
     pub obstacles: Vec<Obstacle>,
     /// Where the ego starts, from the first planning problem, at t = 0.
     pub ego: TimedState,
-    /// Where the first planning problem ends: one of these is to be reached. Empty if it has none.
+    /// Goals of the first planning problem, of which one is to be reached. May be empty.
     pub goals: Vec<Goal>,
     /// Time between two steps of the file, s.
     pub step_s: f64,
-    /// What of the file is not used, and why.
+    /// Parts of the file that are not used, with reasons.
     pub warnings: Vec<String>,
 }
 

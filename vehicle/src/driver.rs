@@ -15,13 +15,13 @@ const AIM: (f64, f64) = (8.0, 1.0);
 /// What the driver does in a run. The default engages the function and never touches it again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Habit {
-    /// Overrides the function from the one scenario time to the other, s.
+    /// Overrides the function between these two scenario times, s.
     pub overrides_s: Option<(f64, f64)>,
     /// Takes over this long after the function has asked for it, s.
     pub answers_after_s: Option<f64>,
 }
 
-/// The driver with what happened until now.
+/// The driver and what has happened so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Driver {
     habit: Habit,
@@ -43,7 +43,7 @@ impl Driver {
         self.asked_s = asks.then(|| self.asked_s.unwrap_or(time_s));
     }
 
-    /// What the driver's frame says now.
+    /// Returns the content of the driver's frame.
     pub(crate) fn wish(&mut self, time_s: f64, advice: &Advice) -> DriverRequest {
         let answers = self.asked_s.zip(self.habit.answers_after_s);
         self.has_taken_over |=

@@ -65,7 +65,7 @@ fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     behind(ego.speed, gap, other.speed * cosine, other.acceleration)
 }
 
-/// The constant deceleration that keeps [`ROOM_M`] behind a leader which goes on braking as it
+/// The constant deceleration that keeps [`ROOM_M`] behind a leader which continues to brake as it
 /// does, m/s². The leader stands before the ego reaches it, or they are equally fast there: A.
 /// Kesting, M. Treiber, D. Helbing, Phil. Trans. R. Soc. A 368 (2010), equation 2.
 fn behind(speed: f64, gap: f64, leader: f64, acceleration: f64) -> f64 {
@@ -100,7 +100,7 @@ mod tests {
 
     const FREE: (f64, f64) = (f64::INFINITY, 0.0);
 
-    /// Each case can be computed by hand: v²/2s, or the leader's braking and the closing speed.
+    /// Each case is a hand calculation: v²/2s, or the leader's braking and the closing speed.
     #[test]
     fn the_deceleration_that_a_situation_needs() {
         let ego = Ego {
@@ -134,11 +134,11 @@ mod tests {
             let needed = needed(&ego, FREE, &[other]);
             assert!((needed - expected).abs() < 0.01, "{name}: {needed}");
         }
-        // It comes in from the side, and is there within two seconds.
+        // It enters from the side within two seconds.
         let comes_in = |yaw: f64| needed(&ego, FREE, &[other(at(10.0), 3.5, yaw, 10.0, 0.0)]);
         assert!(comes_in(-0.2) > 4.0, "{}", comes_in(-0.2));
         assert_eq!(comes_in(0.2), 0.0, "it turns away");
-        // The road bends to the left, and the ego with it: what stands straight on is beside it.
+        // The road and the ego bend to the left: an object straight ahead is beside the path.
         let bend = Ego {
             curvature: 0.01,
             ..ego

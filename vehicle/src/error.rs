@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Why there is no such scenario.
+/// Why a scenario cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ScenarioError {

@@ -2,7 +2,7 @@
 //! fresh and plausible.
 //!
 //! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
-//! its sender believes. The caller is told of every control frame what became of it, and records
+//! its sender believes. The caller receives a ruling on every control frame, and records
 //! it, so that "two masters" and "no master" are facts.
 //!
 //! | frame | verdict | acts |
@@ -14,9 +14,9 @@
 //! | asks for more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
 //!
-//! Freshness needs no common clock: each frame tells when it was made, on its sender's clock.
+//! Freshness needs no common clock: each frame carries its time of making on its sender's clock.
 //! The smallest difference to the time of arrival is the clocks' offset; a frame that differs by
-//! more has waited on its way, however valid it is. A frame that tells no time is not dated.
+//! more has waited on its way, however valid it is. A frame without a time is not checked.
 
 use tandem_bus::e2e::{Check, Checker};
 use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
@@ -32,7 +32,7 @@ const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for a hasty word any more, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
-/// A frame that was longer on its way than the fastest one by more than this is refused, ms: four
+/// A frame that took longer than the fastest one by more than this is refused, ms: four
 /// control periods.
 pub const MAX_DELAY_MS: u16 = 40;
 /// The clocks may drift apart: the offset that is taken for the smallest grows by 1 ms in this
@@ -58,7 +58,7 @@ const LONGITUDINAL_JERK: (f32, f32) = (100.0, 0.5);
 /// Axle to axle, m.
 const WHEELBASE: f32 = 2.578_9;
 
-/// The verdict on a control frame.
+/// The ruling on a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ruling {
     /// It acts.
@@ -71,7 +71,7 @@ pub enum Ruling {
     Invalid,
     /// It was made too long ago, or rests on data that are too old.
     Stale,
-    /// No vehicle can do what it asks for, or it jumps.
+    /// It demands more than a vehicle can do, or it jumps.
     Implausible,
 }
 
@@ -120,7 +120,7 @@ pub struct Gate {
     last_ns: [Option<u64>; 2],
     highest_term: u32,
     accepted: Option<Acceptance>,
-    /// What the last accepted frame asked for: steering angle and acceleration.
+    /// Demand of the last accepted frame: steering angle and acceleration.
     obeyed: (f32, f32),
     /// m/s
     speed: f32,
@@ -141,7 +141,7 @@ pub struct Judged {
 }
 
 impl Gate {
-    /// A gate that has seen no frame.
+    /// Creates a gate that has received no frame.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -299,12 +299,12 @@ impl Gate {
         self.accepted
     }
 
-    /// The vehicle's speed, m/s: the faster it is, the less may a wheel turn. 0 until it is told.
+    /// Sets the vehicle's speed, m/s: the faster it drives, the less a wheel may turn. At first 0.
     pub fn set_speed(&mut self, speed: f64) {
         self.speed = speed as f32;
     }
 
-    /// What the vehicle tells both systems, to be sent at `now_ns`: which term it obeys, how old
+    /// The echo to both systems, to be sent at `now_ns`: which term the vehicle obeys, how old
     /// its last frame is, and what that asked for.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
         let sent_at = (now_ns / 1_000_000) as u8;
@@ -323,7 +323,7 @@ impl Gate {
         })
     }
 
-    /// Whether a control frame is overdue: then both systems are told each millisecond, so that the
+    /// Tests whether a control frame is overdue: then an echo follows each millisecond, so that the
     /// standby need not wait for the next echo. Such an echo takes about 0.13 ms of a bus of 500
     /// kbit/s and 2 Mbit/s: 13 % of it, while the frames of the master are missing.
     #[must_use]
@@ -334,7 +334,7 @@ impl Gate {
             .is_some_and(|last| overdue.contains(&silence(last)))
     }
 
-    /// The verdicts on the control frames so far.
+    /// Counts of the rulings so far.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
         self.counts
@@ -485,7 +485,7 @@ mod tests {
         assert_eq!(verdict(201_020, set(201_020) - 50), Ruling::Stale);
     }
 
-    /// T-RED-9: the age of the data that a command rests on is limited, unless it rests on none.
+    /// T-RED-9: the age of the data behind a command is limited, unless the command uses none.
     #[test]
     fn commands_that_rest_on_old_data_are_refused() {
         use Ruling::{Accepted, Stale};

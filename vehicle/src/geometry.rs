@@ -194,7 +194,7 @@ impl LocalFrame {
     }
 }
 
-/// An oriented rectangle: what a vehicle covers of the road.
+/// An oriented rectangle: the area of the road that a vehicle covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
     /// Centre and heading.
@@ -302,7 +302,7 @@ mod tests {
     #[test]
     fn no_axis_can_be_left_out() {
         let a = rectangle(0.0, 0.0, 0.0);
-        // Turned by 45 degrees it reaches so far along x and along y.
+        // Its extent along x and along y when it is turned by 45 degrees.
         let reach = (2.0 + 1.0) / 2.0_f64.sqrt();
         for (to_side, overlaps) in [(-0.05, true), (0.05, false)] {
             for b in [

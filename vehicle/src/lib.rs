@@ -11,14 +11,14 @@
 //!     bus.now = Instant::from_ns(ms * 1_000_000);
 //!     // The controller's frames: bus.to_vehicle.push(frame).
 //!     world.run_period(bus.now, &mut bus, &mut |logged| println!("{:?}", logged.message()));
-//!     // What its sensors see:
+//!     // Readings of its sensors:
 //!     bus.from_vehicle.clear();
 //! }
 //! assert!(!world.snapshot().running, "it waits for the first control frame");
 //! # Ok::<(), tandem_vehicle::ScenarioError>(())
 //! ```
 //!
-//! It is told the time and the frames, and hands out frames: no clock, no input, no output, except
+//! It is given the time and the frames, and returns frames: no clock, no input, no output, except
 //! for reading a scenario file.
 #![forbid(unsafe_code)]
 

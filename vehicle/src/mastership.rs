@@ -1,8 +1,8 @@
 //! Which system drives, from the control frames that were obeyed: gaps, changes, and two masters.
 //!
-//! Nothing here trusts that terms fence as they should: the frames are taken as they were obeyed.
+//! This does not rely on the fence: it counts the frames as they were obeyed.
 
-/// More masterships than this are not kept apart: the oldest ones are forgotten.
+/// This many masterships are kept apart. The oldest is dropped first.
 const MASTERSHIPS: usize = 64;
 
 /// One system with one term. It lasts from its first to its last obeyed frame.
@@ -30,8 +30,8 @@ pub struct Mastership {
 }
 
 impl Mastership {
-    /// A frame was obeyed: when, ns; of which system, 0 = A, 1 = B; of which term. Times never
-    /// decrease.
+    /// Counts an obeyed frame: when, ns; from which system, 0 = A, 1 = B; with which term. Times
+    /// never decrease.
     pub fn accept(&mut self, at_ns: u64, system: u8, term: u32) {
         if let Some((last_ns, last_system)) = self.last.replace((at_ns, system)) {
             self.gap_max_ns = self.gap_max_ns.max(at_ns.saturating_sub(last_ns));

@@ -32,17 +32,17 @@ const EMERGENCY_ENDS_S: f64 = 1.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
-/// Milliseconds between two looks at how near a goal is.
+/// Milliseconds between two checks of the distance to a goal.
 const NEAREST_STEPS: usize = 20;
 /// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;
 /// Time over which the jerk is taken, in milliseconds.
 const JERK_SPAN_MS: usize = 20;
-/// Time over which the largest jerk is taken, in milliseconds: a passenger feels no shorter one.
+/// Window of the largest jerk, in milliseconds: passengers do not feel a shorter one.
 const JERK_MAX_SPAN_MS: usize = 100;
 
-/// Figures of a run so far. Time runs only while the world does.
+/// Figures of a run so far. Time counts only while the world runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorldMetrics {
     /// Distinct collisions: the ego's rectangle overlapped another vehicle's.
@@ -50,7 +50,7 @@ pub struct WorldMetrics {
     /// Those of them that the ego caused: it was neither hit while it stood, nor from behind, nor
     /// from the side while it kept its lane.
     pub collisions_by_ego: u32,
-    /// Those in which it stood.
+    /// Collisions in which it stood.
     pub hit_while_standing: u32,
     /// How far the ego's centre was outside of all lanes of its direction, m; 0 if never.
     pub excursion_max_m: f64,
@@ -102,7 +102,7 @@ pub struct WorldMetrics {
     /// outside emergencies.
     ///
     /// An emergency is a situation in which the ego needs more than 3 m/s² all the way to stay 1 m
-    /// behind what is ahead in its path, or enters it within 2 s, if that goes on braking as it
+    /// behind what is ahead in its path, or enters it within 2 s, if that continues to brake as it
     /// does; or to stand 1 m before the end of the lane or of the domain. It counts until 1 s
     /// after.
     pub calm_deceleration_max: f64,
@@ -115,7 +115,7 @@ pub struct WorldMetrics {
 }
 
 impl Default for WorldMetrics {
-    /// Those of a drive that has not begun.
+    /// The figures of a drive that has not begun.
     fn default() -> Self {
         Self {
             collisions: 0,
@@ -187,7 +187,7 @@ impl HardBraking {
     }
 }
 
-/// What [`Meter::step`] is told of the ego.
+/// The ego's state for [`Meter::step`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sample {
     pub(crate) time_s: f64,
@@ -198,7 +198,7 @@ pub(crate) struct Sample {
     pub(crate) offset: f64,
     /// Width of the lane there, m; 0 where it does not exist or runs the other way.
     pub(crate) width: f64,
-    /// The ego is on a lane of the other direction, and on none of its own.
+    /// Whether the ego is on a lane of the other direction and not on one of its own.
     pub(crate) wrong_way: bool,
     pub(crate) pose: Pose,
     pub(crate) gap: f64,
@@ -322,14 +322,16 @@ impl Meter {
         self.metrics.goal_reached_s
     }
 
-    /// What the function's control frame says: that it asks the driver, that it stops.
+    /// Takes over from the control frame whether the function asks the driver, and whether it
+    /// stops.
     pub(crate) fn function(&mut self, time_s: f64, asks: bool, stops: bool) {
         let m = &mut self.metrics;
         m.takeover_asked_s = m.takeover_asked_s.or(asks.then_some(time_s));
         m.safe_stop_s = m.safe_stop_s.or(stops.then_some(time_s));
     }
 
-    /// Looks for overlaps; whether there is one now. `keeps_lane`: the ego's body is in its lane.
+    /// Searches for overlaps; returns whether there is one now. `keeps_lane`: the ego's body is in
+    /// its lane.
     pub(crate) fn collide(
         &mut self,
         time_s: f64,

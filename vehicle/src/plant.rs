@@ -193,8 +193,7 @@ impl PlantState {
     }
 
     /// Sets yaw rate and slip angle to what rolling without slip means: below [`KINEMATIC_BELOW`]
-    /// they follow from the other states, and what tyre slip has left of them must not stay for
-    /// ever.
+    /// they follow from the other states, and a rest of tyre slip would never decay.
     pub fn settle_slowly_rolling(&mut self, p: &Parameters) {
         let wheelbase = p.front_axle + p.rear_axle;
         let tan = self.steering_angle.tan();

@@ -26,12 +26,12 @@ pub(crate) use line::{Foot, Point, Rough};
 const STEP: f64 = 2.0;
 /// Straight piece that is put before and after the mapped lane and is smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
-/// Lanes that are longer together are refused, m: each metre takes 90 bytes, and each look at the
-/// whole road some nanoseconds.
+/// Longest sum of all lanes, m: each metre takes 90 bytes, and each search of the whole road some
+/// nanoseconds.
 pub const ROAD_MAX: f64 = 1e6;
 /// An end of the domain is behind the vehicle when it is this far behind its centre, m.
 const EXIT_PASSED: f64 = 4.0;
-/// What a difference of direction weighs at the start, m/rad.
+/// Weight of a difference of direction when the start lane is chosen, m/rad.
 const HEADING_WEIGHT: f64 = 8.0;
 
 /// Which lane of a road.
@@ -66,7 +66,7 @@ pub struct Section {
     pub speed_limit: f64,
 }
 
-/// A lane: a smooth centre line and what stands beside it.
+/// A lane: a smooth centre line, its width and its neighbours.
 #[derive(Clone, Debug)]
 pub struct RoadLane {
     /// Ids of its lanelets in the file, in driving direction.
@@ -125,7 +125,7 @@ impl RoadLane {
         width(a, b, t)
     }
 
-    /// No width is larger, m.
+    /// The largest width, m.
     pub(crate) const fn width_max(&self) -> f64 {
         self.width_max
     }
@@ -208,8 +208,8 @@ pub struct Road {
 }
 
 impl Road {
-    /// Chains lanelets to lanes. References to lanelets that are not there are ignored: excerpts of
-    /// maps have them at their rims.
+    /// Chains lanelets to lanes. References to missing lanelets are ignored: excerpts of maps have
+    /// them at their edges.
     ///
     /// # Errors
     /// The lanes would be longer than [`ROAD_MAX`] together: their length until there, m.
@@ -256,7 +256,7 @@ impl Road {
     }
 
     /// The lane whose centre line is nearest among those that exist there and run roughly along
-    /// `yaw`; if none does, the nearest of all.
+    /// `yaw`; without such a lane, the nearest of all.
     #[must_use]
     pub fn locate(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let mut best = (LaneId(0), Frenet::default());
@@ -434,7 +434,7 @@ fn nearest_station(centres: &[Vec2], point: Vec2) -> f64 {
     nearest.map_or(0.0, |(index, _)| index as f64 * STEP)
 }
 
-/// Beyond the map neighbours are found by distance: files often name none at the rim.
+/// Finds neighbours beyond the map by distance: files often name none at the map's edge.
 fn join_beyond_the_map(lanes: &mut [RoadLane]) {
     let last: Vec<(Section, bool)> = lanes
         .iter()

@@ -11,7 +11,7 @@ use crate::road::{Frenet, LaneId, Road};
 
 /// A goal is in a lane if it is no farther from its centre than this share of the width.
 const IN_LANE: f64 = 0.55;
-/// Lanes that are looked at on each side, here and so far ahead, m: lanes open on the way.
+/// Number of lanes searched on each side, here and this far ahead, m: lanes open on the way.
 const LANES_ASIDE: usize = 6;
 const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
 /// The speed for the goal differs from the driver's by no more than these factors.
@@ -31,13 +31,13 @@ const SPEED_BEFORE_S: (f64, f64) = (4.0, 1.5);
 /// A goal that is farther behind is passed, m.
 const PASSED: f64 = 2.0;
 
-/// What the driver asks for on the way.
+/// The driver's request on the way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Advice {
     pub(crate) route: RouteCode,
     /// m/s
     pub(crate) set_speed: f64,
-    /// The shorter distance to the vehicle ahead: there is an appointment to keep.
+    /// Whether the shorter distance to the vehicle ahead is chosen, to reach the goal in time.
     pub(crate) near_gap: bool,
     /// Where in the lane, m from its centre, left positive.
     pub(crate) lane_offset: f64,
@@ -60,12 +60,12 @@ pub(crate) struct Navigation {
 }
 
 impl Navigation {
-    /// `set_speed`: what the driver asks for without a goal, m/s.
+    /// `set_speed`: the speed that the driver requests without a goal, m/s.
     pub(crate) fn new(goals: Arc<[Goal]>, set_speed: f64) -> Self {
         Self { goals, set_speed }
     }
 
-    /// What the driver asks for here. `reached`: a goal has been reached.
+    /// Returns the driver's request here. `reached`: a goal has been reached.
     pub(crate) fn advice(&self, road: &Road, here: &Here, reached: bool) -> Advice {
         let free = Advice {
             route: RouteCode::Free,
@@ -252,7 +252,7 @@ mod tests {
         assert_eq!((early.route, early.set_speed), (RouteCode::Keep, 30.0));
     }
 
-    /// A lane that opens on the way is seen in time, and a range of speeds is entered in time: from
+    /// The driver notices a lane that opens on the way and enters a range of speeds in time: from
     /// below earlier than from above.
     #[test]
     fn the_route_looks_ahead() {

@@ -1,4 +1,4 @@
-//! What a run starts from: road, recorded vehicles, the ego's start. Embedded by name, or a file.
+//! The start of a run: road, recorded vehicles, the ego's state. Embedded by name, or a file.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -86,7 +86,7 @@ impl Scenario {
     /// The embedded scenario with this name, or the one in the CommonRoad file with this path.
     ///
     /// # Errors
-    /// There is neither, or the file cannot be read or understood.
+    /// Neither exists, or the file cannot be read or understood.
     pub fn load(name_or_path: &str) -> Result<Self, ScenarioError> {
         if let Some((name, _, text)) = EMBEDDED.iter().find(|(name, ..)| *name == name_or_path) {
             let file = format!("embedded scenario {name}");
@@ -191,7 +191,7 @@ impl Scenario {
         })
     }
 
-    /// Where the drive is to end: one of these is to be reached. Empty if the file names none.
+    /// Goals of the drive, of which one is to be reached. Empty if the file names none.
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
         &self.goals
@@ -204,7 +204,7 @@ impl Scenario {
         self.outside.as_deref()
     }
 
-    /// What of the file is not used, and why, and where the domain ends; one line each.
+    /// Parts of the file that are not used, with reasons, and where the domain ends; one line each.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
@@ -286,7 +286,7 @@ fn too_near(lane: &RoadLane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Op
     })
 }
 
-/// What an obstacle covers when the ego starts; nothing if it is not there then.
+/// The area that an obstacle covers when the ego starts; `None` if it is not there then.
 fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
     let track = Track::new(&obstacle.states);
     let (begin, end) = track.span();
@@ -333,8 +333,8 @@ mod tests {
     use super::*;
     use crate::commonroad::{Class, TimedState};
 
-    /// What no braking avoids is told before the start: who stands near, or drives slower close
-    /// ahead, in the lane or a hand's breadth beside the own way.
+    /// A collision that no braking avoids is refused before the start: with a vehicle that stands
+    /// near, or drives slower close ahead, in the lane or a hand's breadth beside the own way.
     #[test]
     fn who_is_too_near_to_brake_for_is_named() {
         let scenario = Scenario::load("free-lane").unwrap();

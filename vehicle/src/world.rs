@@ -29,19 +29,19 @@ const TICK_S: f64 = 1e-3;
 const TRAFFIC_TICKS: u64 = 5;
 /// Cycle of the ego's motion and of the driver's request, in ticks.
 const MOTION_TICKS: u64 = 10;
-/// Without an accepted control frame the vehicle tells what it obeys this often, in ticks. It
-/// also tells in the tick after each accepted frame: the echo of a frame that one system missed
-/// reaches it before the frame is overdue.
+/// Period of the vehicle's echo while no control frame is accepted, in ticks. An echo also follows
+/// in the tick after each accepted frame, so that a system which missed that frame learns of it
+/// before the frame is overdue.
 const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
 const DRIVER_PHASE: u64 = 3;
-/// If the caller is later than this, the world stands still for the time between, ns: a frozen
-/// process of the world must not look like a vehicle without control.
+/// If the caller is later than this, ns, the world stands still for the time between: otherwise a
+/// frozen world process would look like a vehicle without control.
 const STALL_NS: u64 = 200_000_000;
-/// So far over the line between two lanes the ego must be to count as being in the other one, m.
+/// The ego counts as being in the other lane when it is this far over the line, m.
 const LANE_HYSTERESIS: f64 = 0.1;
 
-/// A lane that runs in another direction than the ego by more than this is not its lane, rad.
+/// A lane whose direction differs from the ego's by more than this is not its lane, rad.
 const ALONG: f64 = 1.0;
 
 /// How a world runs.
@@ -70,7 +70,7 @@ pub struct VehicleSnapshot {
     pub width: f64,
     /// The lane that it is in.
     pub lane: LaneId,
-    /// By its recording, by itself, or not at all.
+    /// Whether it follows its recording, drives by itself, or stands.
     pub mode: Movement,
 }
 
@@ -105,7 +105,7 @@ pub struct WorldSnapshot {
     pub lateral_acceleration: f64,
     /// Road wheel angle, rad, left positive.
     pub steering_angle: f64,
-    /// What the controller, or without one the vehicle itself, asks of the actuators.
+    /// The request to the actuators, from the controller or, without one, from the vehicle itself.
     pub request: Request,
     /// No control frame was accepted for 100 ms: steering held, brake gently on.
     pub fallback: bool,
@@ -136,7 +136,7 @@ pub struct World {
     set_speed: f64,
     navigation: Navigation,
     driver: Driver,
-    /// The last control frame that acted says that the driver drives.
+    /// Whether the last control frame that acted says that the driver drives.
     by_hand: bool,
     state: plant::PlantState,
     actuators: Actuators,
@@ -148,7 +148,7 @@ pub struct World {
     gate: Gate,
     /// Width of the lane that the ego is in or nearest to; 0 if that is not one of its direction.
     lane_width: f64,
-    /// It is on a lane of the other direction.
+    /// Whether it is on a lane of the other direction.
     wrong_way: bool,
     meter: Meter,
     transmitter: FrameTransmitter,
@@ -157,7 +157,7 @@ pub struct World {
     next_ns: Option<u64>,
     /// Ticks since the first call, and of the running world.
     ticks: u64,
-    /// The tick of the last echo, and the arrival of the frame that it told of, ns.
+    /// The tick of the last echo, and the arrival of the frame that it reported, ns.
     echoed: Option<(u64, Option<u64>)>,
     world_ticks: u64,
     stalled_ns: u64,
@@ -227,9 +227,9 @@ impl World {
         self.sensor_faults = Faults::new(faults);
     }
 
-    /// A frame that a controller has sent, at `now_ns` on the caller's clock. Returns what became
-    /// of it; `None` if it is no control frame, which changes nothing. The first control frame that
-    /// is accepted, of a function that drives, starts the world.
+    /// Receives a controller's frame at `now_ns` on the caller's clock. Returns its ruling; `None`
+    /// for a frame that is not a control frame, which changes nothing. The first control frame that
+    /// is accepted and comes from a function that drives starts the world.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
         self.gate.set_speed(self.state.speed);
         let judged = self.gate.on_frame(now_ns, id, data)?;
@@ -253,10 +253,9 @@ impl World {
         Some(judged.acceptance)
     }
 
-    /// Lets the world run up to `now_ns`, in ticks of one millisecond, and hands out the frames
-    /// that are due: id and data. To be called every millisecond; a late call catches up. After
-    /// more than 200 ms without a call the world has stood still instead, see
-    /// [`World::stalled_ns`].
+    /// Runs the world up to `now_ns`, in ticks of one millisecond, and passes on the frames that
+    /// are due: id and data. Call it every millisecond; a late call catches up. After more than 200
+    /// ms without a call the world stands still instead, see [`World::stalled_ns`].
     pub fn step(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
         let mut next = *self.next_ns.get_or_insert(now_ns);
         if now_ns.saturating_sub(next) > STALL_NS {
@@ -270,8 +269,8 @@ impl World {
         self.next_ns = Some(next);
     }
 
-    /// When the world sends its next frame, if it hears no control frame before, ns: the time of a
-    /// period, at least `now_ns`, at most [`MOTION_TICKS`] periods ahead.
+    /// When the world sends its next frame, if it receives no control frame before, ns: the time of
+    /// a period, at least `now_ns`, at most [`MOTION_TICKS`] periods ahead.
     #[must_use]
     pub fn next_frame(&self, now_ns: u64) -> u64 {
         let next_ns = self.next_ns.unwrap_or(now_ns);
@@ -294,7 +293,7 @@ impl World {
         self.echoed.is_none_or(is_due) || self.gate.is_overdue(now_ns)
     }
 
-    /// Hands out at `now_ns` what the vehicle obeys, if it is to tell it now.
+    /// Sends the echo at `now_ns`, if one is due.
     pub(crate) fn echo(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
         if self.is_echo_due(self.ticks, now_ns) {
             self.echoed = Some((self.ticks, self.gate.accepted().map(|last| last.at_ns)));
@@ -312,7 +311,8 @@ impl World {
         self.ticks += 1;
     }
 
-    /// By hand the driver steers and brakes; without control frames the vehicle brakes by itself.
+    /// Selects the request: the driver's if the driver drives, the emergency brake's without
+    /// control frames.
     fn choose_request(&mut self, now_ns: u64) {
         let silence = self
             .gate
@@ -344,7 +344,7 @@ impl World {
         let before = self.state;
         self.state = before.stepped(input, TICK_S, &BMW_320I);
         if self.state.speed < 0.0 {
-            // The brake has stopped it; there is nothing that would move it backwards.
+            // The brake has stopped it, and nothing moves it backwards.
             self.state.speed = 0.0;
         }
         if self.state.speed < plant::KINEMATIC_BELOW {
@@ -497,7 +497,7 @@ impl World {
         snapshot.lateral_offset = ego.place.d;
     }
 
-    /// Hands out the frames that are due in this tick.
+    /// Sends the frames that are due in this tick.
     fn transmit(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
         self.echo(now_ns, emit);
         let Self {
@@ -566,7 +566,7 @@ impl World {
         self.meter.metrics()
     }
 
-    /// The verdicts on the control frames.
+    /// Counts of the rulings on control frames.
     #[must_use]
     pub fn gate(&self) -> &Gate {
         &self.gate

@@ -1,5 +1,5 @@
-//! The world loop: each millisecond the world hears what the controllers have sent, moves, and
-//! sends what its sensors see.
+//! The world loop: each millisecond the world receives the controllers' frames, moves, and
+//! sends the readings of its sensors.
 
 use tandem_board::{CanFrame, CanId, Carried, CoreId, Instant, SystemId, VehicleBus};
 use tandem_bus::{Control, Message};
@@ -7,10 +7,10 @@ use tandem_bus::{Control, Message};
 use crate::gate::Ruling;
 use crate::world::World;
 
-/// A frame on the bus, as a recording has it.
+/// A frame on the bus, as it is recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoggedFrame {
-    /// When the bus carried it: the log's time stamp. Never earlier than the frame before.
+    /// When the bus carried it: the log's time stamp. It never decreases from frame to frame.
     pub at: Instant,
     /// When its sender sent it.
     pub sent: Instant,
@@ -21,7 +21,7 @@ pub struct LoggedFrame {
 }
 
 impl LoggedFrame {
-    /// Its standard id; `None` if it has an extended one, as no frame of the DBC has.
+    /// Its standard id; `None` if it has an extended one. The DBC has standard ids only.
     #[must_use]
     pub fn id(&self) -> Option<u16> {
         match self.frame.id() {
@@ -30,13 +30,13 @@ impl LoggedFrame {
         }
     }
 
-    /// What it says; `None` if the DBC has no such frame.
+    /// The decoded message; `None` if the DBC has no such frame.
     #[must_use]
     pub fn message(&self) -> Option<Message> {
         Message::decode(self.id()?.into(), self.frame.data()).ok()
     }
 
-    /// Whose control frame it is, by its id; `None` if it is none.
+    /// The system whose control frame it is, by its id; `None` for any other frame.
     #[must_use]
     pub fn controller(&self) -> Option<SystemId> {
         let id = self.id()?;
@@ -47,8 +47,8 @@ impl LoggedFrame {
 
 impl World {
     /// One period: the frames of the controllers, then the world up to `due` with the frames of its
-    /// sensors. `due` is when the period was due, so that the world does not feel how late it is
-    /// called. `seen` gets each frame in bus order, with what became of it.
+    /// sensors. `due` is when the period was due: a late call does not change the world.
+    /// `seen` receives each frame in bus order, with its ruling.
     pub fn run_period(
         &mut self,
         due: Instant,
@@ -75,7 +75,7 @@ impl World {
         bus.ring_receivers();
     }
 
-    /// Hears at `now` a frame of a controller.
+    /// Receives a controller's frame at `now`.
     pub fn hear(&mut self, now: Instant, Carried { frame, sent, at }: Carried) -> LoggedFrame {
         let judged = match frame.id() {
             CanId::Standard(id) => self.on_frame(now.as_ns(), id.into(), frame.data()),
@@ -90,7 +90,7 @@ impl World {
     }
 }
 
-/// Puts a frame of the world on the bus, and tells of it.
+/// Puts a frame of the world on the bus, and passes it to `seen`.
 fn send(
     bus: &mut impl VehicleBus,
     seen: &mut dyn FnMut(LoggedFrame),
@@ -98,7 +98,7 @@ fn send(
     id: u16,
     data: &[u8],
 ) {
-    // The world sends what the DBC has, which is always a frame.
+    // The world sends only messages of the DBC, and each of them fits a frame.
     if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
         let at = bus.broadcast(&frame);
         seen(LoggedFrame {
@@ -115,9 +115,9 @@ fn send(
 pub struct LocalBus {
     /// The time of both.
     pub now: Instant,
-    /// What the vehicle sent in the last period. The controller takes it.
+    /// Frames that the vehicle sent in the last period. The controller takes them.
     pub from_vehicle: Vec<CanFrame>,
-    /// What the vehicle will hear in the next period.
+    /// Frames that the vehicle receives in the next period.
     pub to_vehicle: Vec<CanFrame>,
 }
 

@@ -109,10 +109,10 @@ pub(crate) fn event_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// What is asked of a publish-subscribe service.
+/// Settings of a publish-subscribe service.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Settings {
-    /// As the library comes: room for 8 subscribers, a buffer of 2 that overflows safely.
+    /// The library's default: room for 8 subscribers, a buffer of 2 that overflows safely.
     Default,
     /// One publisher, one subscriber, one sample in the buffer and one in hand, no overflow, no
     /// history.

@@ -1,4 +1,4 @@
-//! What the kernel offers to pass bytes or a wake-up. The receiver sleeps.
+//! Mechanisms of the kernel that pass bytes or a wake-up. The receiver sleeps.
 
 use crate::harness::{Batch, BatchPlan, between_processes};
 use crate::shared::SharedPage;
@@ -81,7 +81,7 @@ pub(crate) fn eventfd(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// The peer's ring: tells where the own one is, and takes a descriptor of the other's.
+/// The peer's ring: publishes the own ring, and receives a descriptor of the other.
 fn peers_ring(
     own: &IoUring,
     shared: &SharedPage,

@@ -7,16 +7,16 @@ use crate::mutual_exclusion::{Exclusion, contended, recovered};
 use crate::shared::SharedPage;
 use std::io;
 
-/// Whether the death of an owner is told to the next taker.
+/// Whether the next owner learns that the last one died.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Death {
     /// It is not: the mutex stays locked.
     Fatal,
-    /// The kernel unlocks it, and the next taker is told (PTHREAD_MUTEX_ROBUST).
+    /// The kernel unlocks it, and the next owner is informed (PTHREAD_MUTEX_ROBUST).
     Robust,
 }
 
-/// A mutex that lies in the first words of the case, shared between processes.
+/// A mutex in the first words of the case, shared between processes.
 #[derive(Clone, Copy)]
 struct Mutex(*mut libc::pthread_mutex_t);
 
@@ -41,7 +41,7 @@ impl Mutex {
         mutex
     }
 
-    /// Takes it; `true` if its last owner died with it.
+    /// Locks it; `true` if its last owner died with it.
     fn lock(self) -> bool {
         // SAFETY: the mutex was made and is mapped.
         let died = unsafe { libc::pthread_mutex_lock(self.0) } == libc::EOWNERDEAD;

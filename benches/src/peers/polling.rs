@@ -8,7 +8,7 @@ use std::io;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::fence;
 
-/// 4 bytes through a sequence lock: the least that hands over the newest of several words whole.
+/// 4 bytes through a sequence lock: the minimum that passes the newest of several words whole.
 /// Count and value share a cache line.
 ///
 /// After H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (2012).

@@ -29,7 +29,7 @@ pub(crate) struct Results {
     pub(crate) load: Option<String>,
     /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
     pub(crate) interrupted: bool,
-    /// What the machine does to a program that does nothing: the rows of the group `noise`.
+    /// The machine's effect on an idle program: the rows of the group `noise`.
     pub(crate) noise: Vec<Row>,
     pub(crate) results: Vec<Row>,
     pub(crate) skipped: Vec<Skipped>,
@@ -96,8 +96,8 @@ impl Row {
         self.case() == "floor"
     }
 
-    /// Whether the floor's 99.9th percentile is more than ten times its median. It is then that of
-    /// stalls, no longer of the bare mechanism, and the ratio at 99.9 % compares how many came.
+    /// Whether the floor's 99.9th percentile is more than ten times its median. It then shows
+    /// stalls, not the bare mechanism, and the ratio at 99.9 % compares their numbers.
     /// The curves rise by powers of ten there: a few stalls more or less make it 3 or 0.3.
     pub(crate) fn has_stalled_floor(&self) -> bool {
         let ratios = self.ratio_to_floor_p50.zip(self.ratio_to_floor_p99_9);

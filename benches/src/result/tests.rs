@@ -1,4 +1,4 @@
-//! The results: what the figures are made of, and the names in the file.
+//! The results: how the figures are computed, and the names in the file.
 
 use super::*;
 use crate::cases;

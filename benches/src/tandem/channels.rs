@@ -17,7 +17,7 @@ use tandem_shm::region::{Broadcast, Fifo, Region};
 const SLOTS: usize = 2;
 
 /// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
-/// is written until its last word was read: it is written and read where it lies.
+/// is written until its last word was read: it is written and read in place.
 pub(crate) fn in_place<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
     let (_payloads, map) = SharedPage::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
     let batch = between_processes(plan, |_, [core, peer]| {

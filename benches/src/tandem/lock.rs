@@ -31,7 +31,7 @@ pub(crate) fn free(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// The lock of one core. Beside others on its CPU it gives way when it has waited for a while.
+/// The lock of one core. On a shared CPU it yields after it has waited for a while.
 struct Contender {
     lock: Lock<'static>,
     shares_cpu: bool,

@@ -51,7 +51,7 @@ pub(crate) fn sum_from(words: impl ExactSizeIterator<Item = u32>) -> u32 {
 type Inward<const WORDS: usize, const SLOTS: usize> =
     (Region<Mailbox>, Region<Newest<[u32; WORDS], SLOTS>>);
 
-/// Those of both directions.
+/// The mailboxes of both directions.
 struct Regions<const WORDS: usize, const SLOTS: usize = 4>;
 
 impl<const WORDS: usize, const SLOTS: usize> Regions<WORDS, SLOTS> {
@@ -65,7 +65,7 @@ impl<const WORDS: usize, const SLOTS: usize> Regions<WORDS, SLOTS> {
 
 const TASK: TaskId = TaskId::FIRST;
 
-/// What the handler works on.
+/// State of the handler.
 struct Inbox<const WORDS: usize> {
     payload: Reader<'static, [u32; WORDS]>,
     received: Option<u32>,
@@ -89,7 +89,7 @@ pub(crate) enum Way {
     Channel,
 }
 
-/// What a core waits for: a signal that its handler has taken.
+/// The condition of a waiting core: its handler has taken a signal.
 struct Waiting<const WORDS: usize> {
     board: &'static HostBoard,
     signals: Receiver<'static>,
@@ -124,7 +124,7 @@ impl<const WORDS: usize> Event for Waiting<WORDS> {
     }
 }
 
-/// A place in the LMU for this layout, drawn anew for each batch.
+/// A place in the LMU for this layout, chosen at random for each batch.
 fn place(layout: Layout) -> usize {
     draw((LMU_WORDS - layout.total_words()) / PAIR + 1) * PAIR
 }

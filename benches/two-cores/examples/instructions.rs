@@ -56,7 +56,7 @@ fn queue<const WORDS: usize>(shape: Shape) -> Box<dyn FnMut()> {
     })
 }
 
-/// The operation of this name; `None` if there is none.
+/// The operation of this name, if it exists.
 fn case(name: &str) -> Option<Box<dyn FnMut()>> {
     Some(match name {
         "mailbox" => {

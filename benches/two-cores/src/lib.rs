@@ -1,4 +1,4 @@
-//! Pinned processes that share memory and a clock: what the benchmark and `tandem thesis` measure
+//! Pinned processes that share memory and a clock: the benchmark and `tandem thesis` measure
 //! with. Apart from the benchmark, whose peers the experiments of the thesis do not need.
 #![allow(
     clippy::expect_used,

@@ -12,7 +12,7 @@ use tandem_shm::map::{Layout, Map};
 pub const PARTS: usize = 4;
 /// Samples that one track of a part keeps; further ones are dropped.
 pub const TRACK: usize = 1 << 16;
-/// Numbers that a part can note besides its samples.
+/// Numbers that a part can record besides its samples.
 pub const NOTES: usize = 6;
 /// The one that the harness notes: CPU time of the part within its timed span, ns.
 pub const CPU_NS: usize = NOTES - 1;
@@ -23,12 +23,12 @@ pub const LINE: usize = 16;
 pub const PAIR: usize = 2 * LINE;
 /// Words of a page.
 const PAGE: usize = 1024;
-/// Words of a case that asks for no more.
+/// Default number of words of a case.
 const CASE_WORDS: usize = 4 * PAGE;
-/// Beyond this, pages of the case come when they are touched.
+/// Pages of the case beyond this are mapped when they are first touched.
 const POPULATE_UP_TO: usize = 1 << 20;
 
-/// A number below `count`, drawn anew by each call.
+/// A random number below `count`.
 #[must_use]
 pub fn draw(count: usize) -> usize {
     static DRAWN: AtomicU64 = AtomicU64::new(0);
@@ -69,11 +69,11 @@ struct Sheet {
     tracks: [[AtomicU32; TRACK]; 2],
 }
 
-/// What lies before the words of the case.
+/// The header before the words of the case.
 #[repr(C, align(4096))]
 pub struct Head {
     met: CacheLine,
-    /// Whatever the parts agree on, beside the words of the case.
+    /// Free for use by the parts, beside the words of the case.
     pub flag: CacheLine,
     /// Only the part inside a lock may change it.
     pub guarded: CacheLine,
@@ -83,7 +83,7 @@ pub struct Head {
 }
 
 /// Memory that the parts of a batch share, zero at first. Each batch has its own, and its case
-/// begins at a place in the page that is drawn anew: a multiple of [`PAIR`].
+/// begins at a random place in the page: a multiple of [`PAIR`].
 pub struct SharedPage {
     head: &'static Head,
     words: &'static [AtomicU32],
@@ -151,7 +151,8 @@ impl SharedPage {
     /// Barrier: waits until this many parts have called it.
     pub fn meet(&self, parts: u32) {
         let met = &self.met;
-        // AcqRel pairs with the Acquire below: what a part prepared is visible to the others.
+        // AcqRel pairs with the Acquire below: the preparations of a part are visible to the
+        // others.
         let before = met.fetch_add(1, Ordering::AcqRel);
         // Rounded up: the parts may meet again.
         let all = (before / parts + 1) * parts;
@@ -167,7 +168,7 @@ impl SharedPage {
         }
     }
 
-    /// What part `number` writes down, or has written down.
+    /// The records of part `number`.
     #[must_use]
     pub fn log(&self, number: usize) -> Log {
         Log {
@@ -212,7 +213,7 @@ impl Log {
         }
     }
 
-    /// Tells the reader how many samples there are.
+    /// Publishes the number of samples to the reader.
     pub fn close(&self) {
         for (word, count) in self.sheet.counts.iter().zip(self.counts) {
             word.store(count as u32, Ordering::Relaxed);
@@ -244,7 +245,7 @@ impl Log {
         }
     }
 
-    /// The text; empty if none was left.
+    /// The text; empty if there is none.
     #[must_use]
     pub fn said(&self) -> String {
         let bytes = self.sheet.text.iter();

@@ -53,7 +53,7 @@ fn set_fifo(priority: libc::c_int) -> bool {
     unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &priority) == 0 }
 }
 
-/// What a part does.
+/// The code of a part.
 type Run<'a> = Box<dyn FnOnce(&mut PartContext<'_>) -> io::Result<()> + 'a>;
 
 impl<'a> BatchPart<'a> {
@@ -66,7 +66,7 @@ impl<'a> BatchPart<'a> {
     }
 }
 
-/// What a part knows of its batch.
+/// The context of a part in its batch.
 pub struct PartContext<'a> {
     /// The memory that it shares with the other parts.
     pub shared: &'a SharedPage,
@@ -132,7 +132,7 @@ pub fn perform_within(
     })
 }
 
-/// What a part does in its own process. Whether it came to its end.
+/// Runs a part in its own process. Returns whether it reached its end.
 fn play(shared: &SharedPage, number: usize, run: Run<'_>) -> bool {
     // The message goes to the parent, not to the terminal.
     std::panic::set_hook(Box::new(|_| {}));
@@ -189,7 +189,7 @@ impl Child {
     /// Runs `body` in a child process on this CPU; it ends with status 0 if that returns true.
     ///
     /// # Errors
-    /// If there is no process to be had, or this one has more than one thread: another thread may
+    /// If no process can be created, or this one has more than one thread: another thread may
     /// hold a lock, for example of the allocator, which no thread of the child would ever release.
     pub fn start(cpu: usize, body: impl FnOnce() -> bool) -> io::Result<Self> {
         if fs::read_dir("/proc/self/task")?.count() != 1 {
@@ -213,7 +213,7 @@ impl Child {
         if REALTIME.load(Ordering::Relaxed) {
             ask_for_fifo();
         }
-        // A parent that died before it was tied would never be told.
+        // Without this check, a parent that died before the call would go unnoticed.
         let done = tied.is_ok()
             && getppid() == Some(parent)
             && catch_unwind(AssertUnwindSafe(body)).unwrap_or(false);
@@ -244,7 +244,7 @@ impl Child {
 impl Drop for Child {
     fn drop(&mut self) {
         self.kill();
-        // Nothing is to be waited for if it was not running.
+        // There is nothing to wait for if it was not running.
         let _ = self.reap(WaitIdOptions::empty());
     }
 }

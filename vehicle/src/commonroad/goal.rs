@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::geometry::Vec2;
 
-/// Instants of the world and of a file differ by rounding, s; the world looks every 5 ms.
+/// Instants of the world and of a file differ by rounding, s; the world checks every 5 ms.
 const TIME_TOLERANCE: f64 = 2.6e-3;
 
 /// A part of the plane.
@@ -17,7 +17,7 @@ pub enum Area {
         /// m
         radius: f64,
     },
-    /// What these corners enclose, in either direction of rotation.
+    /// The area inside these corners, in either direction of rotation.
     Polygon(Vec<Vec2>),
 }
 
@@ -83,10 +83,10 @@ pub struct Nearest {
     pub speed: f64,
 }
 
-/// What one `<goalState>` asks for. What it does not name is free.
+/// The conditions of one `<goalState>`. Anything it does not name is free.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
-    /// The ego's centre is in one of these; anywhere if there is none.
+    /// The ego's centre must be in one of these; if empty, it may be anywhere.
     pub areas: Vec<Area>,
     /// Points on the way through these areas: the centre of a small one, three of a lanelet.
     pub places: Vec<Vec2>,

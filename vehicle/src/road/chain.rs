@@ -7,10 +7,10 @@ use crate::geometry::{Vec2, wrap_angle};
 
 use super::{ROAD_MAX, RUN_OUT};
 
-/// A successor that begins farther from the end of its lanelet is none, m.
+/// A successor that begins farther than this from the end of its lanelet is ignored, m.
 const JOINT_MAX: f64 = 10.0;
 /// A lanelet without a successor that is shorter than this is a dead end, m: it is chosen at a fork
-/// only if there is nothing else. A longer one may as well be cut by the rim of the map.
+/// only if there is nothing else. A longer one may be cut by the edge of the map.
 const DEAD_END: f64 = 50.0;
 /// No road has more lanes side by side.
 const BESIDE_MAX: usize = 64;
@@ -77,7 +77,7 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
         .map(|(index, lanelet)| (lanelet.id, index))
         .collect();
     let index_of = |id: i64| places.get(&id).copied();
-    // A successor that begins elsewhere is none: the road would lead over the gap.
+    // A successor that begins elsewhere is ignored: the road would cross a gap.
     let joined =
         |from: usize, to: usize| (pieces[to].first() - pieces[from].last()).norm() < JOINT_MAX;
     let successors: Vec<Vec<usize>> = (0..lanelets.len())

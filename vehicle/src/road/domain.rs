@@ -70,7 +70,7 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         let (x, y) = (square(section.centre.x), square(section.centre.y));
         let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (x + dx, y + dy)));
         let near = around.filter_map(|key| squares.get(&key)).flatten();
-        // Many lanes at one place are no road; the first ones tell enough.
+        // Many lanes at one place are not a road; the first ones are enough.
         near.take(256)
             .filter(|(lane, _)| *lane != own)
             .find_map(|(lane, other)| {

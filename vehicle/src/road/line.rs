@@ -1,6 +1,6 @@
 //! A lane's centre line: its points by arc length, and the point of it that is nearest to a place.
 //!
-//! What each query asks for again is computed once: the way and the turn to the next sample, and
+//! Values that every query needs are computed once: the way and the turn to the next sample, and
 //! boxes around pieces of the line, so that a search leaves out what is too far away.
 
 use super::{Frenet, STEP};
@@ -8,7 +8,7 @@ use crate::geometry::{Vec2, wrap_angle};
 
 /// Samples in a piece with a box of its own.
 const PIECE: usize = 32;
-/// A search over the whole line looks at each sample of this number, and then at those between.
+/// A search over the whole line tests every sample of this number, and then those between.
 const COARSE: usize = 4;
 /// Newton steps from the nearest sample.
 const NEWTON_STEPS: usize = 3;
@@ -16,7 +16,7 @@ const NEWTON_STEPS: usize = 3;
 /// it is used, m.
 const AROUND: usize = 8;
 const AROUND_M: f64 = 14.0;
-/// A bound is taken to be wrong by rounding by no more than this, m.
+/// Largest rounding error of a bound, m.
 const ROUNDING: f64 = 1e-6;
 
 /// A point of the line every [`STEP`] metres.

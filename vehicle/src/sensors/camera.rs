@@ -9,8 +9,8 @@ use super::{EgoTruth, Noise};
 use crate::geometry::Vec2;
 use crate::road::{LaneId, Road};
 
-/// The polynomial reaches so far ahead at most, m: with a cubic over more, curves of motorway
-/// junctions leave residuals of decimetres.
+/// Longest reach of the polynomial, m: over more, a cubic misses curves of motorway junctions by
+/// decimetres.
 const VIEW_RANGE: f64 = 80.0;
 /// Ranges that are tried, m.
 const RANGES: [f64; 10] = [
@@ -18,7 +18,7 @@ const RANGES: [f64; 10] = [
 ];
 /// The cubic follows the lane if it is nowhere farther away, m.
 const RESIDUAL: f64 = 0.15;
-/// An end of a lane is in sight from so far, m: signs and markings announce it.
+/// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
 /// How many points are fitted.
 const POINTS: usize = 20;

@@ -38,7 +38,7 @@ struct Model {
     mount: Pose,
     lobes: &'static [Lobe],
     accuracy: Accuracy,
-    /// It tells what an object is.
+    /// Whether the sensor reports an object's class.
     classifies: bool,
 }
 
@@ -229,7 +229,7 @@ impl Detector {
         &self.list
     }
 
-    /// Collects what is around. What is outside of the field of view has no edges yet.
+    /// Collects the objects around. One outside of the field of view has no edges yet.
     fn look(&mut self, origin: Pose, vehicles: &[RoadUser]) {
         let reach = self
             .model
@@ -268,7 +268,7 @@ impl Detector {
         }
     }
 
-    /// Leaves out what cannot stand before anything in the field of view: it is to the right or to
+    /// Leaves out objects that cannot hide anything in the field of view: it is to the right or to
     /// the left of all of that. The others get their edges.
     fn leave_out_aside(&mut self) {
         let (right, left) = { self.sights.iter() }.fold(NOWHERE, |(right, left), sight| {
@@ -383,7 +383,7 @@ mod tests {
     use crate::commonroad::{Class, Obstacle, TimedState};
     use crate::traffic::{Participant, Traffic};
 
-    /// What is left out changes no list: with the edges of all that is around, lists are the same.
+    /// The objects left out change no list: with the edges of all objects, the lists are the same.
     #[test]
     fn what_is_aside_hides_nothing() {
         let road = Scenario::load("free-lane").unwrap().road;

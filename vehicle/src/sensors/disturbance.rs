@@ -5,8 +5,7 @@ use std::str::FromStr;
 
 use tandem_bus::{Message, SensorId};
 
-/// How much later the lists of a late sensor are sent than measured, ms: beyond what a controller
-/// may use.
+/// Delay of a late sensor's lists after the measurement, ms: a controller must not use them.
 const LATE_MS: u64 = 400;
 
 /// A sensor that fails, and when: written as `camera-front:lost:10-15` or `radar-front:late:10-15`.
@@ -14,9 +13,9 @@ const LATE_MS: u64 = 400;
 pub struct SensorFault {
     /// Which.
     pub sensor: SensorId,
-    /// Its lists are sent late; else not at all.
+    /// Whether its lists are sent late; otherwise they are lost.
     pub late: bool,
-    /// From the one scenario time to the other, s.
+    /// Begin and end in scenario time, s.
     pub span_s: (f64, f64),
 }
 
@@ -90,7 +89,7 @@ impl Faults {
         }
     }
 
-    /// What `sensor` tells at this tick and scenario time: sent, held back, or lost.
+    /// Sends, holds back or drops a message of `sensor` at this tick and scenario time.
     pub(crate) fn pass(
         &mut self,
         (tick, time_s): (u64, f64),

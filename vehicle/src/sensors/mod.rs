@@ -21,7 +21,7 @@ use crate::traffic::RoadUser;
 pub(crate) use disturbance::Faults;
 pub use disturbance::{NoSensorFault, SensorFault};
 
-/// Object lists and lanes come every 50 ms. T-CHIP-3
+/// Period of object lists and lanes: 50 ms. T-CHIP-3
 pub const SENSOR_PERIOD_MS: u64 = 50;
 /// When each sensor measures within the period, ms, in the order of [`SensorId::ALL`]: sensors are
 /// not synchronised, and the bus could not carry all lists at once.
@@ -29,7 +29,7 @@ pub const SENSOR_PHASE_MS: [u64; 6] = [0, 3, 6, 9, 12, 15];
 /// The camera's lanes follow its objects, ms.
 pub const LANES_PHASE_MS: u64 = 16;
 
-/// Motion of the ego as it is.
+/// True motion of the ego.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EgoTruth {
     /// Centre of gravity and heading.

@@ -7,7 +7,7 @@
 //! - it would have to brake with more than 1.5 m/s² for the ego, or for a vehicle that drives
 //!   by itself already, ahead of it; or it is about to come too close;
 //! - it would hit one of these from the side within a second by changing lanes: it stays in
-//!   the lane that it is in, as a driver does who looks first.
+//!   its lane, like a driver who checks before changing.
 //!
 //! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the
 //! speed, heading and time gap that it has at that moment. It knows the ego and all others, slows
@@ -30,7 +30,7 @@ use sight::{Viewer, Views};
 
 /// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
-/// A replayed lane change is checked so far in advance, and on the way there, s.
+/// A replayed lane change is checked this long in advance, and on the way there, s.
 const LOOK_AHEAD_S: f64 = 1.0;
 const LOOK_AHEADS_S: [f64; 4] = [0.25, 0.5, 0.75, LOOK_AHEAD_S];
 /// Room around a replayed vehicle in that check, along and across it, m.
@@ -51,7 +51,7 @@ const DESIRED_SPEED_MIN: f64 = 13.9;
 /// Hardest braking of a driver to let another vehicle in, m/s².
 const COURTESY: f64 = 1.5;
 
-/// What another vehicle, or the ego, is to those who drive by themselves.
+/// Another vehicle, or the ego, as vehicles that drive by themselves see it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Participant {
     /// The area that it covers.
@@ -65,13 +65,13 @@ pub struct Participant {
 /// How a vehicle moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Movement {
-    /// Not in the picture: its recording has not begun, or it would begin inside another vehicle.
+    /// Absent: its recording has not begun, or would begin inside another vehicle.
     Absent,
-    /// By its recording.
+    /// It follows its recording.
     Replay,
-    /// By itself.
+    /// It drives by itself.
     Driving,
-    /// Not at all any more: a thing, or a person at the end of the recording.
+    /// It no longer moves: an object, or a pedestrian at the end of the recording.
     Standing,
 }
 
@@ -235,7 +235,7 @@ impl Traffic {
         traffic
     }
 
-    /// All of them, also those not present, in the order of the scenario.
+    /// All road users, also absent ones, in the order of the scenario.
     #[must_use]
     pub fn vehicles(&self) -> &[RoadUser] {
         &self.vehicles
@@ -254,7 +254,7 @@ impl Traffic {
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
         }
-        // All decide on what they see now, then all move: the order of the vehicles does not
+        // All decide on the present state, then all move: the order of the vehicles does not
         // matter.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Movement::Driving {
@@ -562,7 +562,7 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> RoadUser {
     }
 }
 
-/// Puts a vehicle where its recording has it at time `t`.
+/// Moves a vehicle to its recorded place at time `t`.
 fn replay(vehicle: &mut RoadUser, views: &mut Views, track: &Track, road: &Road, t: f64) {
     let before = vehicle.motion();
     let motion = track.motion(t);

@@ -13,7 +13,7 @@ pub(crate) struct Motion {
     pub(crate) acceleration: f64,
 }
 
-/// A recorded state, with what the states around it say of it.
+/// A recorded state, with values derived from the states around it.
 #[derive(Clone, Copy, Debug)]
 struct Knot {
     t: f64,
@@ -60,7 +60,7 @@ impl Track {
         let length = knots[knots.len() - 1].t - knots[0].t;
         for index in 1..knots.len() {
             let (from, to) = (&knots[index - 1], &knots[index]);
-            // A cubic is nowhere faster than the fastest leg of its control polygon (Bézier).
+            // A cubic is nowhere faster than the fastest edge of its control polygon (Bézier).
             let ends = from.tangent.norm().max(to.tangent.norm());
             let way = (to.position - from.position) * (3.0 / (to.t - from.t));
             let middle = way - from.tangent - to.tangent;

@@ -1,4 +1,4 @@
-//! What a driver sees of the others: which one is ahead, beside, or wants to come in.
+//! What a driver sees of the others: which one is ahead, beside, or wants to merge.
 
 use super::{Leader, Participant, RoadUser};
 use crate::geometry::{Vec2, wrap_angle};
@@ -10,7 +10,7 @@ const SIGHT: f64 = 200.0;
 const SIDE: f64 = 0.2;
 /// Distance to the end of a lane from which on vehicles beside it make room, m.
 const COURTESY_FROM: f64 = 250.0;
-/// A vehicle slower than this does not want to come in, m/s.
+/// A vehicle slower than this does not merge, m/s.
 const MERGING_SPEED: f64 = 3.0;
 
 /// Another vehicle in the coordinates of the observer's lane.
@@ -140,7 +140,7 @@ impl Views {
     }
 }
 
-/// The vehicle that looks.
+/// The observing vehicle.
 pub(super) struct Viewer<'a> {
     road: &'a Road,
     vehicle: &'a RoadUser,
@@ -210,7 +210,7 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// The lanes beside that end: a vehicle there must come in.
+    /// The lanes beside that end: a vehicle there must merge.
     pub(super) fn ending_beside(&self) -> [Option<LaneId>; 2] {
         let beside = self
             .road
@@ -270,7 +270,7 @@ mod tests {
     use crate::Scenario;
     use crate::geometry::{Footprint, Pose};
 
-    /// Whatever was asked before, a view is that of who asks first.
+    /// A view does not depend on earlier queries.
     #[test]
     fn a_view_that_is_kept_is_the_view_from_there() {
         let scenario = Scenario::load("lane-drop").unwrap();
