@@ -16,7 +16,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
-use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks, host};
+use tandem_rtos::{Kernel, Priority, TaskContext, TaskOptions, TickSource, Ticks, host};
 
 /// The peer, built by the build script.
 const POSIX_PORT: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/freertos-posix"));
@@ -120,7 +120,7 @@ fn kernel<F: Fn(&TaskContext) + Send + 'static>(
         let options = TaskOptions::new("measured", Priority::new(2));
         kernel.spawn(&options, body).map_err(io::Error::other)?;
     }
-    kernel.start(Clock::Wall).map_err(io::Error::other)
+    kernel.start(TickSource::Wall).map_err(io::Error::other)
 }
 
 /// A task that delays until each tick and records the result of `sample`.

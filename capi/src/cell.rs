@@ -7,8 +7,8 @@ use crate::status::{TandemStatus, status};
 use core::mem::MaybeUninit;
 use core::sync::atomic::AtomicU32;
 
-/// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read and
-/// written whole.
+/// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read
+/// and written whole.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemWords {
@@ -167,8 +167,8 @@ pub(crate) unsafe fn lend<O: Opaque>(
     })
 }
 
-/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C, which
-/// may call a function on the same object.
+/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C,
+/// which may call a function on the same object.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.

@@ -6,7 +6,7 @@ use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S};
 use core::sync::atomic::AtomicU32;
 use tandem_shm::broadcast::{self, Lost, Receiver};
-use tandem_shm::fifo::{self, Consumer, Item, Loan, Producer};
+use tandem_shm::fifo::{self, Consumer, Loan, Producer, Sample};
 use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
 use tandem_shm::{FitError, Shape, bare};
 
@@ -241,7 +241,7 @@ pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) 
     unsafe {
         cell::with(consumer, |consumer| {
             let item = consumer.take_back()?.item();
-            item.map(Item::release).ok_or(S::Empty)
+            item.map(Sample::release).ok_or(S::Empty)
         })
     }
 }
@@ -313,8 +313,8 @@ pub unsafe extern "C" fn tandem_newest_reader_attach(
     unsafe { attach(reader, place, bare::newest_reader::<()>) }
 }
 
-/// The newest value, to be read in place. What is read counts only if `tandem_newest_finish` returns
-/// `TANDEM_STATUS_OK`. Does not block.
+/// The newest value, to be read in place. What is read counts only if `tandem_newest_finish`
+/// returns `TANDEM_STATUS_OK`. Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
 /// faster: try again.

@@ -55,8 +55,8 @@ pub struct TandemConfig {
     pub report_limit_us: u32,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
     pub status_limit_us: u32,
-    /// For this long after a takeover, a new standby takes over only if the vehicle's report demands
-    /// it.
+    /// For this long after a takeover, a new standby takes over only if the vehicle's report
+    /// demands it.
     pub hold_down_us: u32,
 }
 

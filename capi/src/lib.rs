@@ -1,6 +1,7 @@
 //! `shm` and `redundancy` for firmware in C: a static library and `include/tandem.h` (no_std).
 //!
-//! The header is generated from this crate by cbindgen, with the doc comments of this crate. `cargo xtask c-header` writes it, and a test refuses a stale one.
+//! The header is generated from this crate by cbindgen, with the doc comments of this crate. `cargo
+//! xtask c-header` writes it, and a test refuses a stale one.
 //!
 //! # What every function holds to
 //!

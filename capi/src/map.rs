@@ -5,7 +5,7 @@ use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::{CStr, c_char, c_void};
 use core::sync::atomic::AtomicU32;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
-use tandem_shm::map::{AttachError, Layout, Map};
+use tandem_shm::map::{Layout, Map, MapError};
 
 /// Cores that share an LMU; they are numbered from 0.
 pub const TANDEM_CORES: usize = 3;
@@ -162,15 +162,15 @@ pub unsafe extern "C" fn tandem_map_attach(
     })
 }
 
-impl From<AttachError> for S {
-    fn from(error: AttachError) -> Self {
+impl From<MapError> for S {
+    fn from(error: MapError) -> Self {
         match error {
-            AttachError::TooSmall => Self::TooSmall,
-            AttachError::Misaligned => Self::Misaligned,
-            AttachError::NotReady => Self::NotReady,
-            AttachError::WrongMagic => Self::WrongMagic,
-            AttachError::WrongVersion => Self::WrongVersion,
-            AttachError::WrongLayout => Self::WrongLayout,
+            MapError::TooSmall => Self::TooSmall,
+            MapError::Misaligned => Self::Misaligned,
+            MapError::NotReady => Self::NotReady,
+            MapError::WrongMagic => Self::WrongMagic,
+            MapError::WrongVersion => Self::WrongVersion,
+            MapError::WrongLayout => Self::WrongLayout,
         }
     }
 }

@@ -388,8 +388,8 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     unsafe { pass_read(machine, now_ns, actions, report, input) }
 }
 
-/// A datagram of the other system arrived over the link: `words` of `count` words. Any context; does
-/// not block.
+/// A datagram of the other system arrived over the link: `words` of `count` words. Any context;
+/// does not block.
 ///
 /// `TANDEM_STATUS_INVALID` if it is no report.
 ///

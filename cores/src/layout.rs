@@ -7,7 +7,7 @@ use tandem_board::{Board, CoreId, Instant, LmuWord};
 use tandem_shm::LINE_WORDS;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::TaskId;
-use tandem_shm::map::{AttachError, Layout, Map};
+use tandem_shm::map::{Layout, Map, MapError};
 use tandem_shm::region::{Mailbox, Newest, Region, Words};
 
 /// Task of core 2: plan for the newest scene.
@@ -60,16 +60,16 @@ impl<'a> ControllerMap<'a> {
     /// formatted, as it is after power-on, or that holds anything else.
     ///
     /// # Errors
-    /// [`AttachError`]: not formatted yet (try again), or formatted for another image.
+    /// [`MapError`]: not formatted yet (try again), or formatted for another image.
     ///
     /// # Panics
     /// If the board breaks its contract: its LMU is smaller than the layout or does not begin at a
     /// boundary of 64 bytes, or its generation is 0 or above 2^30 - 1.
-    pub fn attach<B: Board>(board: &'a B) -> Result<Self, AttachError> {
+    pub fn attach<B: Board>(board: &'a B) -> Result<Self, MapError> {
         let identity = board.identity();
         let map = match Map::attach(board.lmu(), LAYOUT) {
             Ok(map) => map,
-            Err(error @ (AttachError::TooSmall | AttachError::Misaligned)) => {
+            Err(error @ (MapError::TooSmall | MapError::Misaligned)) => {
                 panic!("this board's LMU breaks its contract: {error:?}")
             }
             Err(_) if identity.core == CoreId::CONTROL => Map::format(board.lmu(), LAYOUT)?,

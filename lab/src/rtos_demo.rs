@@ -9,9 +9,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use tandem_page::svg::Color;
-use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test, toggle};
+use tandem_rtos::demo::{COMPLETE, Output, OutputEdge, SPAN_MS, TESTS, Test, toggle};
 use tandem_rtos::host::{deferred, elapsed_ns};
-use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
+use tandem_rtos::{Kernel, Priority, TaskOptions, TickSource};
 
 use crate::args::RtosDemoArgs;
 use crate::emulated;
@@ -56,7 +56,10 @@ pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
 /// If the kernel or the emulator does not start, or the image is missing.
 pub(crate) fn pictures(board: DemoBoard, firmware: Option<&Path>) -> Result<Vec<Picture>> {
     match board {
-        DemoBoard::Host => TESTS.iter().map(|test| here(test, Clock::Wall)).collect(),
+        DemoBoard::Host => TESTS
+            .iter()
+            .map(|test| here(test, TickSource::Wall))
+            .collect(),
         DemoBoard::Qemu => {
             let image = emulated::image(IMAGE, firmware)?;
             pictures_of(&tandem_board_qemu::run_to_end(&image)?)
@@ -71,7 +74,7 @@ pub(crate) fn pictures(board: DemoBoard, firmware: Option<&Path>) -> Result<Vec<
 pub(crate) fn simulated() -> Result<Vec<Picture>> {
     TESTS
         .iter()
-        .map(|test| here(test, Clock::Virtual))
+        .map(|test| here(test, TickSource::Virtual))
         .collect()
 }
 
@@ -89,14 +92,14 @@ fn pictures_of(log: &str) -> Result<Vec<Picture>> {
             changes: vec![vec![]; test.outputs.len()],
         })
         .collect();
-    for edge in log.lines().filter_map(Edge::parse) {
+    for edge in log.lines().filter_map(OutputEdge::parse) {
         pictures[edge.test].changes[edge.output].push(edge.at_ns as f64 * 1e-6);
     }
     Ok(pictures)
 }
 
 /// Runs a test in this process.
-fn here(test: &'static Test, clock: Clock) -> Result<Picture> {
+fn here(test: &'static Test, clock: TickSource) -> Result<Picture> {
     let notes: Arc<Mutex<Changes>> = Arc::new(Mutex::new(vec![vec![]; test.outputs.len()]));
     let kernel = Kernel::take()?;
     for (number, output) in test.outputs.iter().enumerate() {
@@ -119,8 +122,8 @@ fn here(test: &'static Test, clock: Clock) -> Result<Picture> {
     Ok(Picture {
         test,
         clock: match clock {
-            Clock::Wall => HERE,
-            Clock::Virtual => VIRTUAL,
+            TickSource::Wall => HERE,
+            TickSource::Virtual => VIRTUAL,
         },
         changes,
     })

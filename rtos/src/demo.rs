@@ -98,7 +98,7 @@ pub const TESTS: [Test; 2] = [
 
 /// A change of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Edge {
+pub struct OutputEdge {
     /// Index in [`TESTS`].
     pub test: usize,
     /// Index in the test's outputs.
@@ -107,14 +107,14 @@ pub struct Edge {
     pub at_ns: u64,
 }
 
-impl fmt::Display for Edge {
+impl fmt::Display for OutputEdge {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let id = TESTS.get(self.test).map_or("?", |test| test.id);
         write!(out, "edge {id} {} {}", self.output, self.at_ns)
     }
 }
 
-impl Edge {
+impl OutputEdge {
     /// The edge in a line of a log; `None` if the line has none.
     #[must_use]
     pub fn parse(line: &str) -> Option<Self> {
@@ -140,13 +140,13 @@ mod tests {
 
     #[test]
     fn an_edge_is_read_as_it_was_written() {
-        let edge = Edge {
+        let edge = OutputEdge {
             test: 1,
             output: 2,
             at_ns: 5_000_000_100,
         };
         assert_eq!(edge.to_string(), "edge T-RTOS-4 2 5000000100");
-        assert_eq!(Edge::parse(&edge.to_string()), Some(edge));
+        assert_eq!(OutputEdge::parse(&edge.to_string()), Some(edge));
         for line in [
             "edge T-RTOS-4 3 1",
             "edge T-RTOS-5 0 1",
@@ -154,7 +154,7 @@ mod tests {
             "edge T-RTOS-4 0 1 2",
             "bench a 1 2",
         ] {
-            assert_eq!(Edge::parse(line), None, "{line}");
+            assert_eq!(OutputEdge::parse(line), None, "{line}");
         }
     }
 }

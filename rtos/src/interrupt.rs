@@ -64,7 +64,7 @@ impl InterruptPriority {
 
 /// A handler cannot be registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AttachError {
+pub enum HandlerError {
     /// The source already has a handler; handlers stay until the scheduler stops.
     #[error("the interrupt has a handler already")]
     HasHandler,

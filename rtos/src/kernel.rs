@@ -1,9 +1,9 @@
 //! The kernel as a value: taken once, filled with tasks, started.
 
 use crate::context::{Context, InterruptContext, Sealed, TaskContext, TaskLevel};
-use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
+use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
 use crate::port::trace::{self, TraceSink};
-use crate::port::{self, Clock, StartError};
+use crate::port::{self, StartError, TickSource};
 use crate::sys;
 use crate::sys::task::TaskHandle;
 use crate::task::{SpawnError, TaskOptions};
@@ -56,13 +56,13 @@ impl Kernel {
     /// urgent interrupts wait; a task that it wakes runs when the last handler has ended.
     ///
     /// # Errors
-    /// [`AttachError`]
+    /// [`HandlerError`]
     pub fn attach(
         &self,
         interrupt: Interrupt,
         priority: InterruptPriority,
         handler: impl FnMut(&InterruptContext) + Send + 'static,
-    ) -> Result<(), AttachError> {
+    ) -> Result<(), HandlerError> {
         let handler = Box::leak(Box::new(handler));
         port::attach(interrupt, priority, handler)
     }
@@ -82,7 +82,7 @@ impl Kernel {
     ///
     /// # Errors
     /// [`StartError`]; the kernel is free again.
-    pub fn start(self, clock: Clock) -> Result<(), StartError> {
+    pub fn start(self, clock: TickSource) -> Result<(), StartError> {
         port::start(clock, sys::task::none_left)
     }
 }

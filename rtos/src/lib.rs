@@ -30,14 +30,14 @@ mod task;
 mod time;
 
 pub use context::{Context, InterruptContext, TaskContext, TaskLevel, TimerContext};
-pub use interrupt::{AttachError, Interrupt, InterruptPriority};
+pub use interrupt::{HandlerError, Interrupt, InterruptPriority};
 pub use kernel::{Kernel, KernelError};
 #[cfg(target_os = "linux")]
 pub use port::host;
 pub use port::trace::{KernelEvent, KernelEventKind, TraceSink};
-pub use port::{Clock, StartError};
+pub use port::{StartError, TickSource};
 pub use sys::mutex::{Mutex, MutexGuard};
-pub use sys::queue::{Full, Queue};
+pub use sys::queue::{Queue, QueueFull};
 pub use sys::semaphore::{Semaphore, SemaphoreFull};
 pub use sys::set::{AddError, Member, QueueSet};
 pub use sys::task::{TaskError, TaskHandle, TaskStatistics};

@@ -1,10 +1,10 @@
 //! `start` refuses a program whose allocator tasks cannot share, before any task runs. T-RTOS-1
 
-use tandem_rtos::{Clock, Kernel, StartError};
+use tandem_rtos::{Kernel, StartError, TickSource};
 
 #[test]
 fn an_allocator_that_tasks_cannot_share_is_refused() {
     let kernel = Kernel::take().expect("it is free");
-    assert_eq!(kernel.start(Clock::Wall), Err(StartError::Allocator));
+    assert_eq!(kernel.start(TickSource::Wall), Err(StartError::Allocator));
     assert!(Kernel::take().is_ok(), "the kernel did not come back");
 }

@@ -14,7 +14,9 @@ use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{TaskAllocator, deferred, raise};
-use tandem_rtos::{Clock, Interrupt, InterruptContext, Kernel, Mutex, Queue, TaskContext, Ticks};
+use tandem_rtos::{
+    Interrupt, InterruptContext, Kernel, Mutex, Queue, TaskContext, TickSource, Ticks,
+};
 
 /// An allocator that detects two tasks of one thread in it at the same time.
 struct Witness {
@@ -99,7 +101,7 @@ fn child(test: &str, kind: &str) -> Output {
     output
 }
 
-fn run(clock: Clock, fill: impl FnOnce(&Kernel)) {
+fn run(clock: TickSource, fill: impl FnOnce(&Kernel)) {
     let kernel = Kernel::take().expect("a child has one kernel");
     fill(&kernel);
     kernel.start(clock).expect("it starts");
@@ -115,7 +117,7 @@ fn assert_aborted(output: &Output, says: &str) {
 /// Tasks that allocate through `allocator` for some time, while another thread interrupts them.
 fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
     let _ringer = Ringer::every(Duration::from_micros(50));
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let allocates = move || {
             let layout = Layout::from_size_align(64, 8).expect("valid");
             // SAFETY: of this size, and given back with it.
@@ -181,7 +183,7 @@ fn tasks_share_the_allocator() {
 fn print_from_tasks(print: fn(&str)) {
     // After the harness's output without a line end.
     println!();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         for (name, priority, count) in [("a", 1, 3000), ("b", 1, 3000), ("c", 2, 400)] {
             let done: &'static AtomicU32 = &DONE;
             let body = move |ctx: &TaskContext| {
@@ -248,7 +250,7 @@ fn recurse(depth: u64) -> u64 {
 fn an_overflowed_stack_is_named() {
     const NAME: &str = "an_overflowed_stack_is_named";
     if is_child("deep") {
-        run(Clock::Wall, |kernel| {
+        run(TickSource::Wall, |kernel| {
             let deep = |_: &TaskContext| assert!(black_box(recurse(0)) > 0);
             kernel.task("deep", 2, deep);
         });
@@ -279,7 +281,7 @@ fn what_an_abandoned_task_has_lent_stays() {
         return assert!(output.status.success(), "{output:?}");
     }
     let life = || {
-        run(Clock::Wall, |kernel| {
+        run(TickSource::Wall, |kernel| {
             let lends = |_: &TaskContext| {
                 LENT.with(|lent| {
                     std::thread::scope(|scope| {
@@ -334,7 +336,7 @@ fn own_stack() -> usize {
 fn an_overwritten_stack_end_is_named() {
     const NAME: &str = "an_overwritten_stack_end_is_named";
     if is_child("full") {
-        run(Clock::Virtual, |kernel| {
+        run(TickSource::Virtual, |kernel| {
             let full = |ctx: &TaskContext| {
                 // SAFETY: within this task's stack, far below what it uses.
                 unsafe { (own_stack() as *mut [usize; 2]).write_volatile([0; 2]) };
@@ -353,7 +355,7 @@ fn an_overwritten_stack_end_is_named() {
 fn another_fault_is_what_it_was() {
     const NAME: &str = "another_fault_is_what_it_was";
     if is_child("wild") {
-        run(Clock::Wall, |kernel| {
+        run(TickSource::Wall, |kernel| {
             // SAFETY: none: the test needs the fault.
             let wild = |_: &TaskContext| unsafe { black_box(64 as *mut u8).write_volatile(1) };
             kernel.task("wild", 2, wild);
@@ -371,7 +373,7 @@ fn another_fault_is_what_it_was() {
 fn a_panic_is_named() {
     const NAME: &str = "a_panic_is_named";
     if is_child("panics") {
-        run(Clock::Wall, |kernel| {
+        run(TickSource::Wall, |kernel| {
             let panics = |_: &TaskContext| panic!("out of cheese");
             kernel.task("fondue", 2, panics);
         });
@@ -411,14 +413,14 @@ fn misuse_is_refused() {
     for (kind, says, misuse) in misuses {
         if is_child(kind) {
             let mut old = None;
-            run(Clock::Wall, |kernel| {
+            run(TickSource::Wall, |kernel| {
                 old = Some(Queue::<u32>::new(kernel, 1));
                 kernel.task("misuses", 2, misuse);
                 let unwind = |_: &InterruptContext| resume_unwind(Box::new(()));
                 kernel.on(Interrupt::DOORBELL, unwind);
             });
             // Only the last one stops.
-            run(Clock::Wall, |kernel| {
+            run(TickSource::Wall, |kernel| {
                 let sends = move |ctx: &TaskContext| {
                     let _ = old.take().map(|queue| queue.try_send(ctx, 1));
                 };
@@ -445,7 +447,7 @@ fn the_kernel_is_taken_once_and_comes_back() {
     for _ in 0..3 {
         // Another thread each time: each life of the kernel belongs to one thread.
         let life = std::thread::spawn(|| {
-            run(Clock::Wall, |kernel| {
+            run(TickSource::Wall, |kernel| {
                 kernel.task("stops", 1, |ctx| ctx.stop());
             });
         });

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{deferred, raise};
-use tandem_rtos::{Clock, Interrupt, InterruptContext, TaskContext, TaskError, Ticks};
+use tandem_rtos::{Interrupt, InterruptContext, TaskContext, TaskError, TickSource, Ticks};
 
 /// T-RTOS-1: a list of all tasks shows each one made. The stack of a new task is filled,
 /// which takes long enough for several ticks.
@@ -20,7 +20,7 @@ fn a_task_is_seen_when_it_is_made() {
     let nameless = Arc::new(AtomicU32::new(0));
     let seen = Arc::new(AtomicU32::new(0));
     let (ours, noted) = (nameless.clone(), seen.clone());
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let look = move |ctx: &TaskContext| {
             loop {
                 ctx.each_task(|it| match it.name {
@@ -64,7 +64,7 @@ fn tasks_have_the_priority_of_the_starting_thread() {
             let refused = std::io::Error::last_os_error();
             return eprintln!("not tested without the permission for real time: {refused}");
         }
-        run(Clock::Wall, |kernel| {
+        run(TickSource::Wall, |kernel| {
             let look = |_: &TaskContext| {
                 let mut param = libc::sched_param { sched_priority: 0 };
                 // SAFETY: 0 is the calling thread; the place is written during the call.
@@ -88,7 +88,7 @@ fn tasks_have_the_priority_of_the_starting_thread() {
 fn a_task_keeps_its_errno() {
     static WRONG: AtomicU32 = AtomicU32::new(0);
     let errno = || std::io::Error::last_os_error().raw_os_error();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let spoil = |ctx: &TaskContext| {
             for _ in 0..2 {
                 ctx.take_notifications(Ticks::FOREVER);
@@ -125,7 +125,7 @@ fn a_task_keeps_its_errno() {
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {
     let _ringer = Ringer::every(Duration::from_micros(5));
-    run_for(Duration::from_secs(30), Clock::Wall, |kernel| {
+    run_for(Duration::from_secs(30), TickSource::Wall, |kernel| {
         let read = |_: &TaskContext| {
             loop {
                 std::hint::black_box(std::fs::read_dir("/proc/self/task").is_ok());
@@ -156,7 +156,7 @@ fn tasks_share_the_c_librarys_allocator() {
 #[test]
 fn an_unwound_critical_section_has_ended() {
     static CAUGHT: AtomicBool = AtomicBool::new(false);
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let unwind = |ctx: &TaskContext| {
             let within = AssertUnwindSafe(|| ctx.critical(|| resume_unwind(Box::new(()))));
             let caught = catch_unwind(within).is_err();

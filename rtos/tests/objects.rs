@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use tandem_rtos::host::raise;
 use tandem_rtos::{
-    AddError, Clock, Full, Interrupt, Mutex, Queue, QueueSet, Semaphore, SemaphoreFull, Ticks,
-    TimedOut, Timer,
+    AddError, Interrupt, Mutex, Queue, QueueFull, QueueSet, Semaphore, SemaphoreFull, TickSource,
+    Ticks, TimedOut, Timer,
 };
 
 /// T-RTOS-1: a queue keeps the order, blocks a sender while it is full and a receiver while it is
@@ -20,7 +20,7 @@ use tandem_rtos::{
 #[test]
 fn a_queue_passes_values_in_order_and_blocks() {
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let queue = Queue::new(kernel, 2);
         assert_eq!(queue.try_send(kernel, Box::new(0)), Ok(()));
         let (ours, noted) = (queue.clone(), log.clone());
@@ -28,7 +28,7 @@ fn a_queue_passes_values_in_order_and_blocks() {
             ours.send(ctx, Box::new(1), Ticks::FOREVER)
                 .expect("there is room");
             let refused = ours.send(ctx, Box::new(9), Ticks(5));
-            noted.note((refused.map_err(|Full(value)| *value), ctx.now().0));
+            noted.note((refused.map_err(|QueueFull(value)| *value), ctx.now().0));
             for value in 2..6 {
                 ours.send(ctx, Box::new(value), Ticks::FOREVER)
                     .expect("waits");
@@ -64,7 +64,7 @@ fn a_queue_passes_values_in_order_and_blocks() {
 fn a_value_in_a_queue_has_one_owner() {
     let counted: Arc<()> = Arc::default();
     let ours = Arc::clone(&counted);
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         kernel.task("owner", 2, move |ctx| {
             let queue = Queue::new(ctx, 3);
             for _ in 0..3 {
@@ -72,7 +72,7 @@ fn a_value_in_a_queue_has_one_owner() {
                     .try_send(ctx, Arc::clone(&ours))
                     .expect("there is room");
             }
-            let Err(Full(refused)) = queue.try_send(ctx, Arc::clone(&ours)) else {
+            let Err(QueueFull(refused)) = queue.try_send(ctx, Arc::clone(&ours)) else {
                 panic!("four values in three places");
             };
             assert_eq!(Arc::strong_count(&ours), 6);
@@ -92,7 +92,7 @@ fn a_value_in_a_queue_has_one_owner() {
 #[test]
 fn semaphores_count_and_wake() {
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let places = Semaphore::counting(kernel, 3, 2);
         let rung = Semaphore::binary(kernel);
         let (ours, noted) = (rung.clone(), log.clone());
@@ -125,7 +125,7 @@ fn semaphores_count_and_wake() {
 #[test]
 fn a_mutex_lends_the_priority_of_its_waiter() {
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let shared = Mutex::new(kernel, 0);
         let (ours, noted) = (shared.clone(), log.clone());
         kernel.task("low", 1, move |ctx| {
@@ -173,7 +173,7 @@ fn a_mutex_lends_the_priority_of_its_waiter() {
 #[test]
 fn a_set_names_the_member_that_has_something() {
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let set = QueueSet::new(kernel, 4);
         let numbers = Queue::new(kernel, 2);
         let letters = Queue::new(kernel, 1);
@@ -214,7 +214,7 @@ fn a_set_names_the_member_that_has_something() {
 #[test]
 fn timers_expire_at_their_ticks() {
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let noted = log.clone();
         let once = Timer::new(kernel, Ticks(7), false, move |ctx| {
             noted.note(("once", ctx.now().0))
@@ -251,7 +251,7 @@ fn an_interrupts_queue_loses_nothing() {
     const COUNT: u32 = 20_000;
     let sent: &'static AtomicU32 = Box::leak(Box::default());
     let taken: &'static AtomicU32 = Box::leak(Box::default());
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let queue = Queue::new(kernel, 16);
         let ours = queue.clone();
         let mut next = 0;

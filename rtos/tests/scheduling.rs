@@ -11,13 +11,13 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 use tandem_rtos::demo::{TESTS, Test, toggle};
 use tandem_rtos::host::{caught_up, deferred, elapsed_ns, raise};
-use tandem_rtos::{Clock, Interrupt, InterruptPriority, TaskContext, Ticks};
+use tandem_rtos::{Interrupt, InterruptPriority, TaskContext, TickSource, Ticks};
 
 /// T-RTOS-2: a yield in a task is an immediate switch; tasks of equal priority alternate.
 #[test]
 fn equals_that_yield_take_turns() {
     let log = Log::new();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         for name in ["a", "b"] {
             let log = log.clone();
             kernel.task(name, 2, move |ctx| {
@@ -36,7 +36,7 @@ fn equals_that_yield_take_turns() {
 /// which that one is due. By the machine's clock a tick may be late.
 #[test]
 fn a_task_that_never_yields_is_pre_empted() {
-    for clock in [Clock::Virtual, Clock::Wall] {
+    for clock in [TickSource::Virtual, TickSource::Wall] {
         let log = Log::new();
         let wakes = log.clone();
         run(clock, |kernel| {
@@ -60,7 +60,7 @@ fn a_task_that_never_yields_is_pre_empted() {
         assert_eq!(due, grid);
         assert!(wakes.iter().all(|(now, due)| now >= due), "{wakes:?}");
         let in_time = wakes.iter().filter(|(now, due)| now == due).count();
-        let expected = if clock == Clock::Virtual { 20 } else { 1 };
+        let expected = if clock == TickSource::Virtual { 20 } else { 1 };
         assert!(in_time >= expected, "{wakes:?}");
     }
 }
@@ -70,7 +70,7 @@ fn a_task_that_never_yields_is_pre_empted() {
 fn equals_that_never_yield_share_time() {
     const TICKS: usize = 60;
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         for name in ["a", "b", "c"] {
             let log = log.clone();
             kernel.task(name, 1, move |ctx| {
@@ -101,7 +101,7 @@ fn equals_that_never_yield_share_time() {
 fn three_hundred_tasks_each_run_when_they_are_due() {
     const TASKS: u32 = 300;
     let log = Log::new();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         for number in 0..TASKS {
             let log = log.clone();
             let priority = 1 + (number % 30) as u8;
@@ -126,7 +126,7 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
         }
     });
     let counts = log.clone();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let sleeper = kernel.task("sleeper", 3, move |ctx| {
             for _ in 0..1000 {
                 tell.send(()).expect("the ringer listens");
@@ -145,7 +145,7 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
 
 /// Runs a test of the demonstration: which output changed, at which tick, and at what time of the
 /// clock that the kernel does not count, ns.
-fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32, u64)> {
+fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
     let log = Log::new();
     run(clock, |kernel| {
         for (number, output) in test.outputs.iter().enumerate() {
@@ -163,7 +163,7 @@ fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32, u64)> {
 /// Whether the outputs of a run have the periods of their tasks, measured by the clock. Of a busy
 /// machine's changes one in each half must be in time: a period that is wrong by 1 % delays all of
 /// the second half.
-fn has_its_periods(clock: Clock) -> bool {
+fn has_its_periods(clock: TickSource) -> bool {
     const IN_TIME_NS: i64 = 600_000;
     let changes = changes(&TESTS[0], clock);
     let mut outputs = TESTS[0].outputs.iter().enumerate();
@@ -179,8 +179,8 @@ fn has_its_periods(clock: Clock) -> bool {
         let in_time = |late: &i64| *late < IN_TIME_NS;
         let (first, second) = late_ns.split_at(late_ns.len() / 2);
         match clock {
-            Clock::Virtual => late_ns.iter().all(in_time),
-            Clock::Wall => first.iter().any(in_time) && second.iter().any(in_time),
+            TickSource::Virtual => late_ns.iter().all(in_time),
+            TickSource::Wall => first.iter().any(in_time) && second.iter().any(in_time),
         }
     })
 }
@@ -189,8 +189,8 @@ fn has_its_periods(clock: Clock) -> bool {
 /// kernel's tick.
 #[test]
 fn three_tasks_run_with_their_periods() {
-    assert!(has_its_periods(Clock::Virtual));
-    assert!((0..20).any(|_| has_its_periods(Clock::Wall)));
+    assert!(has_its_periods(TickSource::Virtual));
+    assert!((0..20).any(|_| has_its_periods(TickSource::Wall)));
 }
 
 /// T-RTOS-4: priorities 3 > 2 > 1 with periods of 30, 20 and 10 ms; the highest works for 20 ms.
@@ -198,7 +198,7 @@ fn three_tasks_run_with_their_periods() {
 /// signal of 30 ms with 20 ms up.
 #[test]
 fn a_burning_task_keeps_lower_ones_from_running() {
-    for clock in [Clock::Virtual, Clock::Wall] {
+    for clock in [TickSource::Virtual, TickSource::Wall] {
         let changes = changes(&TESTS[1], clock);
         let mut high = vec![];
         for (output, at, _) in &changes {
@@ -209,7 +209,7 @@ fn a_burning_task_keeps_lower_ones_from_running() {
             assert!(*output == 0 || !burns, "{output} at {at}: {changes:?}");
         }
         let expected: Vec<u32> = (0..24).map(|n| high[0] + n / 2 * 30 + n % 2 * 20).collect();
-        assert!(clock == Clock::Wall || high == expected, "{high:?}");
+        assert!(clock == TickSource::Wall || high == expected, "{high:?}");
         for (number, output) in TESTS[1].outputs.iter().enumerate().skip(1) {
             let own = changes.iter().filter(|change| change.0 == number).count();
             assert_eq!(own, output.rounds() as usize, "{changes:?}");
@@ -225,7 +225,7 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
     const FIRST: Interrupt = Interrupt::new(4);
     const MORE: Interrupt = Interrupt::new(5);
     let log = Log::new();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let noted = log.clone();
         let woken = kernel.task("woken", 3, move |ctx| {
             for _ in 0..3 {
@@ -272,7 +272,7 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
 #[test]
 fn a_critical_section_holds_interrupts_back() {
     let log = Log::new();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         let noted = log.clone();
         let woken = kernel.task("woken", 3, move |ctx| {
             ctx.take_notification(Ticks::FOREVER);
@@ -316,7 +316,7 @@ fn off_by(ctx: &TaskContext) -> u32 {
 fn late_ticks_are_made_up() {
     let seen: Arc<[AtomicU32; 3]> = Arc::default();
     let noted = Arc::clone(&seen);
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         kernel.task("masking", 2, move |ctx| {
             let before = ctx.now();
             ctx.critical(|| {
@@ -346,7 +346,7 @@ fn the_tick_does_not_drift() {
     let off: &'static AtomicU32 = Box::leak(Box::new(AtomicU32::new(u32::MAX)));
     run_for(
         Duration::from_secs(u64::from(seconds) + 60),
-        Clock::Wall,
+        TickSource::Wall,
         |kernel| {
             kernel.task("compares", 2, move |ctx| {
                 let mut wake = Ticks(0);
@@ -369,7 +369,7 @@ fn the_tick_does_not_drift() {
 #[test]
 fn the_scheduler_ends_with_the_last_task() {
     let owned: Arc<()> = Arc::default();
-    for clock in [Clock::Wall, Clock::Virtual] {
+    for clock in [TickSource::Wall, TickSource::Virtual] {
         run(clock, |kernel| {
             for (name, ticks) in [("short", 1), ("long", 5)] {
                 let owned = Arc::clone(&owned);
@@ -382,7 +382,7 @@ fn the_scheduler_ends_with_the_last_task() {
         });
         assert_eq!(Arc::strong_count(&owned), 1);
     }
-    run(Clock::Wall, |_| ());
+    run(TickSource::Wall, |_| ());
 }
 
 /// T-RTOS-1: a pre-empted task keeps all its registers. Three tasks compute the same as a single
@@ -407,7 +407,7 @@ fn registers_survive_pre_emption() {
     let rounds: &'static AtomicU32 = Box::leak(Box::default());
     let over: &'static AtomicU32 = Box::leak(Box::default());
     let ringer = Ringer::every(Duration::from_micros(20));
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         for seed in [3, 5] {
             kernel.task("computes", 1, move |_| {
                 let expected = compute(seed);
@@ -449,7 +449,7 @@ fn registers_survive_pre_emption() {
 fn ticks_have_one_origin() {
     let log = Log::new();
     let ours = log.clone();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         for name in ["a", "b"] {
             let log = ours.clone();
             let body = move |ctx: &TaskContext| {
@@ -517,7 +517,7 @@ mod control {
 fn control_words_survive_switches() {
     let log = Log::new();
     let ours = log.clone();
-    run(Clock::Wall, |kernel| {
+    run(TickSource::Wall, |kernel| {
         // Two of equal priority that yield, and a more urgent one that interrupts them.
         for (number, name, priority) in [(0, "a", 1), (1, "b", 1), (2, "c", 2)] {
             let log = ours.clone();

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{elapsed_ns, raise};
-use tandem_rtos::{Clock, Interrupt, Kernel, TaskContext, TaskHandle, Ticks};
+use tandem_rtos::{Interrupt, Kernel, TaskContext, TaskHandle, TickSource, Ticks};
 
 const TICK_NS: u64 = 1_000_000;
 /// Ticks that a set runs.
@@ -403,7 +403,7 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
     let log = Log::new();
     let over: Arc<AtomicBool> = Arc::default();
     let ended: Arc<AtomicUsize> = Arc::default();
-    run(Clock::Virtual, |kernel| {
+    run(TickSource::Virtual, |kernel| {
         let mut handles: Vec<TaskHandle> = vec![];
         for (number, spec) in set.iter().cloned().enumerate() {
             let (log, over, ended) = (log.clone(), Arc::clone(&over), Arc::clone(&ended));

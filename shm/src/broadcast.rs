@@ -75,18 +75,18 @@ impl<'a, T> Receiver<'a, T> {
     }
 
     /// The next value, to be read in place; `None` if there is none yet. Never blocks. Only
-    /// [`Item::finish`] confirms the read and advances the cursor.
+    /// [`Sample::finish`] confirms the read and advances the cursor.
     ///
     /// # Errors
     /// [`Lost`] if values were overwritten before they were received; the next call continues
     /// behind them.
     #[inline]
-    pub fn item(&mut self) -> Result<Option<Item<'_, 'a, T>>, Lost> {
+    pub fn item(&mut self) -> Result<Option<Sample<'_, 'a, T>>, Lost> {
         if !self.is_there() {
             return Ok(None);
         }
         if self.ring.is_complete(self.cursor) {
-            Ok(Some(Item { receiver: self }))
+            Ok(Some(Sample { receiver: self }))
         } else {
             Err(self.skip())
         }
@@ -144,12 +144,13 @@ impl<T: Payload> Receiver<'_, T> {
 /// A value that is being received in place.
 #[derive(Debug)]
 #[must_use = "what was read counts only after `finish`"]
-pub struct Item<'r, 'a, T> {
+pub struct Sample<'r, 'a, T> {
     receiver: &'r mut Receiver<'a, T>,
 }
 
-impl<'a, T> Item<'_, 'a, T> {
-    /// The words. They may contain parts of a newer value; [`Item::finish`] returns an error then.
+impl<'a, T> Sample<'_, 'a, T> {
+    /// The words. They may contain parts of a newer value; [`Sample::finish`] returns an error
+    /// then.
     #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {

@@ -311,16 +311,16 @@ impl<'a, T> Consumer<'a, T> {
     }
 
     /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
-    /// the next one until [`Item::release`].
+    /// the next one until [`Sample::release`].
     #[inline]
-    pub fn item(&mut self) -> Option<Item<'_, 'a, T>> {
+    pub fn item(&mut self) -> Option<Sample<'_, 'a, T>> {
         let (words, stamp) = self.queue.slot(self.head);
         // Acquire pairs with the Release in `complete`.
         if stamp.load(Ordering::Acquire) != complete(self.head) {
             self.found_nothing();
             return None;
         }
-        Some(Item {
+        Some(Sample {
             words: WordsRef::new(words),
             consumer: self,
         })
@@ -378,12 +378,12 @@ impl<T: Payload> Consumer<'_, T> {
 /// A value that was received and not yet released.
 #[derive(Debug)]
 #[must_use = "only `release` frees the slot"]
-pub struct Item<'c, 'a, T> {
+pub struct Sample<'c, 'a, T> {
     words: WordsRef<'a>,
     consumer: &'c mut Consumer<'a, T>,
 }
 
-impl<'a, T> Item<'_, 'a, T> {
+impl<'a, T> Sample<'_, 'a, T> {
     /// The words; the producer does not write to them until the release.
     #[inline]
     #[must_use]
@@ -589,8 +589,8 @@ mod tests {
         }
     }
 
-    /// A consumer that searches for the next value finds it if its stamp is restored before the search
-    /// ends: it skips no value that is there.
+    /// A consumer that searches for the next value finds it if its stamp is restored before the
+    /// search ends: it skips no value that is there.
     #[test]
     fn a_value_that_is_restored_during_the_search_is_not_skipped() {
         for at in 0.. {

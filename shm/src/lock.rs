@@ -94,7 +94,7 @@ const fn released_at(core: usize, generation: u32) -> usize {
 
 /// The lock was not free for this core within the given number of polls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TimedOut;
+pub struct LockTimedOut;
 
 /// Why one poll did not take the lock.
 enum Missed {
@@ -227,13 +227,13 @@ impl<'a> Lock<'a> {
     /// else, and a function that yields the CPU on a shared one. Task context.
     ///
     /// # Errors
-    /// [`TimedOut`] after `looks` polls.
+    /// [`LockTimedOut`] after `looks` polls.
     #[inline]
     pub fn lock(
         &mut self,
         looks: u32,
         relax: impl FnMut(u32),
-    ) -> Result<Acquired<'_, 'a>, TimedOut> {
+    ) -> Result<Acquired<'_, 'a>, LockTimedOut> {
         if self.retake() {
             return Ok(Acquired::Clean(Guard {
                 lock: self,
@@ -278,7 +278,11 @@ impl<'a> Lock<'a> {
     /// Returns whether it took the lock from an orphan, and how many turns others took while it
     /// waited.
     #[cold]
-    fn wait(&mut self, looks: u32, mut relax: impl FnMut(u32)) -> Result<(bool, u32), TimedOut> {
+    fn wait(
+        &mut self,
+        looks: u32,
+        mut relax: impl FnMut(u32),
+    ) -> Result<(bool, u32), LockTimedOut> {
         let own_bit = waiting_bit(self.core);
         let mut announced = None;
         let mut pause = 1;
@@ -304,7 +308,7 @@ impl<'a> Lock<'a> {
             pause = (pause * 2).min(MAX_PAUSE);
         }
         self.token().fetch_and(!own_bit, Ordering::Relaxed);
-        Err(TimedOut)
+        Err(LockTimedOut)
     }
 
     /// Polls once and takes the lock if that is possible, with `impatient` also out of turn.

@@ -125,7 +125,7 @@ impl core::fmt::Debug for TaskId {
 }
 
 impl TaskId {
-    /// Task 1, which has priority over all others.
+    /// TaskFn 1, which has priority over all others.
     pub const FIRST: Self = Self { index: 0 };
 
     /// The task with this number; `None` for 0 and above [`MAX_TASK`].
@@ -432,7 +432,7 @@ pub struct Call {
 
 /// A task: runs to completion in the receiver's context `C`. The number is the argument that it was
 /// added with.
-pub type Task<C> = fn(&mut C, u32, Call);
+pub type TaskFn<C> = fn(&mut C, u32, Call);
 
 /// The id already has a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -443,7 +443,7 @@ pub struct Taken;
 #[derive(Debug)]
 pub struct TaskTable<C> {
     /// An id without a task has one that does nothing.
-    tasks: [(Task<C>, u32); SLOTS],
+    tasks: [(TaskFn<C>, u32); SLOTS],
     /// A bit for each id that has a task.
     known: u32,
 }
@@ -468,7 +468,7 @@ impl<C> TaskTable<C> {
     ///
     /// # Errors
     /// [`Taken`] if the id has one.
-    pub fn add(&mut self, id: TaskId, task: Task<C>, arg: u32) -> Result<(), Taken> {
+    pub fn add(&mut self, id: TaskId, task: TaskFn<C>, arg: u32) -> Result<(), Taken> {
         if self.known & 1 << id.at() != 0 {
             return Err(Taken);
         }
@@ -560,7 +560,7 @@ mod tests {
             .add(task(3), |calls, arg, call| calls.push((arg, call)), 77)
             .unwrap();
         assert_eq!(table.add(task(3), |_, _, _| (), 0), Err(Taken));
-        // Task 4 is not in the table: its signal is taken, and nothing runs.
+        // TaskFn 4 is not in the table: its signal is taken, and nothing runs.
         for (number, value) in [(3, 4), (4, 7), (3, 5)] {
             let _ = sender.signal_with(task(number), value);
         }

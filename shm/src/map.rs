@@ -83,7 +83,7 @@ const fn fnv(hash: u32, byte: u8) -> u32 {
 
 /// Why a core cannot attach to an LMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AttachError {
+pub enum MapError {
     /// The LMU has fewer words than the layout.
     TooSmall,
     /// The LMU does not begin at a boundary of 64 bytes.
@@ -98,7 +98,7 @@ pub enum AttachError {
     WrongLayout,
 }
 
-impl From<FitError> for AttachError {
+impl From<FitError> for MapError {
     fn from(error: FitError) -> Self {
         match error {
             FitError::TooSmall => Self::TooSmall,
@@ -138,21 +138,21 @@ impl<'a> Map<'a> {
     /// Attaches to an LMU that was formatted with the same layout. Never blocks.
     ///
     /// # Errors
-    /// [`AttachError`]; only [`AttachError::NotReady`] can end without a change of the images.
-    pub fn attach(words: &'a [AtomicU32], layout: Layout) -> Result<Self, AttachError> {
+    /// [`MapError`]; only [`MapError::NotReady`] can end without a change of the images.
+    pub fn attach(words: &'a [AtomicU32], layout: Layout) -> Result<Self, MapError> {
         let words = fit(words, layout.total_words())?;
         // Acquire pairs with the Release in `format`.
         if words[READY_AT].load(Ordering::Acquire) != READY {
-            return Err(AttachError::NotReady);
+            return Err(MapError::NotReady);
         }
         if words[MAGIC_AT].load(Ordering::Relaxed) != MAGIC {
-            return Err(AttachError::WrongMagic);
+            return Err(MapError::WrongMagic);
         }
         if words[VERSION_AT].load(Ordering::Relaxed) != VERSION {
-            return Err(AttachError::WrongVersion);
+            return Err(MapError::WrongVersion);
         }
         if words[LAYOUT_AT].load(Ordering::Relaxed) != layout.hash() {
-            return Err(AttachError::WrongLayout);
+            return Err(MapError::WrongLayout);
         }
         Ok(Self { words, layout })
     }
@@ -220,21 +220,21 @@ mod tests {
     fn attach_returns_what_is_wrong() {
         let words = zeroed(WORDS);
         let attach = |layout| Map::attach(words, layout).map(|_| ());
-        assert_eq!(attach(LAYOUT), Err(AttachError::NotReady));
+        assert_eq!(attach(LAYOUT), Err(MapError::NotReady));
         Map::format(words, LAYOUT).unwrap();
         assert_eq!(attach(LAYOUT), Ok(()));
-        assert_eq!(attach(OTHER), Err(AttachError::WrongLayout));
+        assert_eq!(attach(OTHER), Err(MapError::WrongLayout));
         words[VERSION_AT].store(VERSION + 1, Ordering::Relaxed);
-        assert_eq!(attach(LAYOUT), Err(AttachError::WrongVersion));
+        assert_eq!(attach(LAYOUT), Err(MapError::WrongVersion));
         words[MAGIC_AT].store(0, Ordering::Relaxed);
-        assert_eq!(attach(LAYOUT), Err(AttachError::WrongMagic));
+        assert_eq!(attach(LAYOUT), Err(MapError::WrongMagic));
         assert_eq!(
             Map::attach(&words[..WORDS - 1], LAYOUT).map(|_| ()),
-            Err(AttachError::TooSmall)
+            Err(MapError::TooSmall)
         );
         assert_eq!(
             Map::attach(&zeroed(WORDS + 1)[1..], LAYOUT).map(|_| ()),
-            Err(AttachError::Misaligned)
+            Err(MapError::Misaligned)
         );
     }
 
@@ -269,7 +269,7 @@ mod tests {
             }
             assert_eq!(
                 Map::attach(words, LAYOUT).map(|_| ()),
-                Err(AttachError::NotReady)
+                Err(MapError::NotReady)
             );
             Map::format(words, LAYOUT).unwrap();
             assert!(Map::attach(words, LAYOUT).is_ok());

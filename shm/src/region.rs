@@ -54,7 +54,7 @@ use crate::sync::{AtomicU32, Ordering};
 use crate::{broadcast, fifo, mailbox, newest, ring};
 
 /// The kind of a region.
-pub trait Kind {
+pub trait RegionKind {
     /// How many words it takes.
     const WORDS: usize;
 }
@@ -88,19 +88,19 @@ pub struct Fifo<T, const SLOTS: usize>(PhantomData<fn() -> T>);
 #[derive(Debug)]
 pub struct Broadcast<T, const SLOTS: usize>(PhantomData<fn() -> T>);
 
-impl Kind for Mailbox {
+impl RegionKind for Mailbox {
     const WORDS: usize = mailbox::WORDS;
 }
 
-impl Kind for SharedLock {
+impl RegionKind for SharedLock {
     const WORDS: usize = lock::WORDS;
 }
 
-impl<const BLOCKS: usize> Kind for SharedPool<BLOCKS> {
+impl<const BLOCKS: usize> RegionKind for SharedPool<BLOCKS> {
     const WORDS: usize = pool::words(BLOCKS);
 }
 
-impl<const COUNT: usize> Kind for Words<COUNT> {
+impl<const COUNT: usize> RegionKind for Words<COUNT> {
     const WORDS: usize = COUNT;
 }
 
@@ -108,7 +108,7 @@ impl<T: Payload, const SLOTS: usize> Newest<T, SLOTS> {
     const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
 }
 
-impl<T: Payload, const SLOTS: usize> Kind for Newest<T, SLOTS> {
+impl<T: Payload, const SLOTS: usize> RegionKind for Newest<T, SLOTS> {
     const WORDS: usize = newest::words(Self::SHAPE);
 }
 
@@ -116,7 +116,7 @@ impl<T: Payload, const SLOTS: usize> Fifo<T, SLOTS> {
     const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
 }
 
-impl<T: Payload, const SLOTS: usize> Kind for Fifo<T, SLOTS> {
+impl<T: Payload, const SLOTS: usize> RegionKind for Fifo<T, SLOTS> {
     const WORDS: usize = fifo::words(Self::SHAPE);
 }
 
@@ -124,7 +124,7 @@ impl<T: Payload, const SLOTS: usize> Broadcast<T, SLOTS> {
     const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
 }
 
-impl<T: Payload, const SLOTS: usize> Kind for Broadcast<T, SLOTS> {
+impl<T: Payload, const SLOTS: usize> RegionKind for Broadcast<T, SLOTS> {
     const WORDS: usize = broadcast::words(Self::SHAPE);
 }
 
@@ -161,7 +161,7 @@ impl From<FitError> for EndError {
     }
 }
 
-impl<K: Kind> Region<K> {
+impl<K: RegionKind> Region<K> {
     /// The first region of a map. The name is part of the layout's hash.
     #[must_use]
     pub const fn first(name: &'static str) -> Self {
@@ -178,7 +178,7 @@ impl<K: Kind> Region<K> {
 
     /// The region behind this one.
     #[must_use]
-    pub const fn then<L: Kind>(self, name: &'static str) -> Region<L> {
+    pub const fn then<L: RegionKind>(self, name: &'static str) -> Region<L> {
         Region::after(self.layout, name)
     }
 

@@ -2,12 +2,12 @@
 //!
 //! A core with its own CPU spins and waits only for a cache line. On a shared CPU it must sleep, so
 //! that the core that it waits for can run. The policy decides when to poll and when to sleep; the
-//! caller's [`Event`] defines what to poll and how to sleep.
+//! caller's [`Awaited`] defines what to poll and how to sleep.
 
 use crate::sync::spin;
 
 /// The event that a core waits for, and its way to sleep.
-pub trait Event {
+pub trait Awaited {
     /// The result of the wait.
     type Output;
 
@@ -43,9 +43,9 @@ pub enum WaitPolicy {
 }
 
 impl WaitPolicy {
-    /// Waits until [`Event::check`] returns something. Task context; blocks.
+    /// Waits until [`Awaited::check`] returns something. Task context; blocks.
     #[inline]
-    pub fn wait<E: Event>(self, event: &mut E) -> E::Output {
+    pub fn wait<E: Awaited>(self, event: &mut E) -> E::Output {
         loop {
             let mut spins = match self {
                 Self::Spin => u32::MAX,
@@ -84,7 +84,7 @@ mod tests {
         announced: bool,
     }
 
-    impl Event for Script {
+    impl Awaited for Script {
         type Output = u32;
 
         fn check(&mut self) -> Option<u32> {

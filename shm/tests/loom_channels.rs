@@ -11,7 +11,7 @@ use loom::thread;
 use tandem_shm::bare;
 use tandem_shm::broadcast::{self, Lost, Stamp};
 use tandem_shm::mailbox::{self, TaskId};
-use tandem_shm::map::{AttachError, Layout, Map};
+use tandem_shm::map::{Layout, Map, MapError};
 use tandem_shm::newest::{self, ReadError};
 use tandem_shm::region::{Region, Words};
 use tandem_shm::sync::{Ordering, spin};
@@ -353,7 +353,7 @@ fn map_is_seen_whole_or_not_at_all() {
         };
         match Map::attach(&words, LAYOUT) {
             Ok(map) => assert_eq!(ALONE.attach(&map).unwrap()[0].load(Ordering::Relaxed), 0),
-            Err(error) => assert_eq!(error, AttachError::NotReady),
+            Err(error) => assert_eq!(error, MapError::NotReady),
         }
         boot.join().unwrap();
     });

@@ -16,7 +16,7 @@ use tandem_shm::mailbox::{Call, Receiver, Ring, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::newest::Reader;
 use tandem_shm::region::{Mailbox, Newest, Region};
-use tandem_shm::wait::{Event, WaitPolicy};
+use tandem_shm::wait::{Awaited, WaitPolicy};
 
 /// The word at this place of a payload.
 #[inline]
@@ -98,7 +98,7 @@ struct Waiting<const WORDS: usize> {
     way: Way,
 }
 
-impl<const WORDS: usize> Event for Waiting<WORDS> {
+impl<const WORDS: usize> Awaited for Waiting<WORDS> {
     type Output = u32;
 
     // The waiting loop is nothing but this; called through a pointer it costs a third more.

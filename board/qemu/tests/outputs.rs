@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board_qemu::run_to_end;
-use tandem_rtos::demo::{COMPLETE, Edge};
+use tandem_rtos::demo::{COMPLETE, OutputEdge};
 
 /// How much the paths from a tick to an edge may differ: one switch for each earlier task, at 1 ns
 /// an instruction. The tests check milliseconds.
@@ -27,7 +27,7 @@ fn log() -> String {
 /// The times at which this output changed, ns.
 fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
     log.lines()
-        .filter_map(Edge::parse)
+        .filter_map(OutputEdge::parse)
         .filter(|edge| edge.test == test && edge.output == output)
         .map(|edge| edge.at_ns)
         .collect()

@@ -24,8 +24,8 @@ use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
-    AttachError, Clock, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority,
-    SpawnError, StartError, TaskContext, TaskHandle, TaskOptions, Ticks,
+    HandlerError, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority,
+    SpawnError, StartError, TaskContext, TaskHandle, TaskOptions, TickSource, Ticks,
 };
 
 /// A tick of the kernel.
@@ -69,7 +69,7 @@ pub enum RunError {
     /// A task cannot be made.
     Spawn(Core0Task, SpawnError),
     /// The doorbell has another handler.
-    Doorbell(AttachError),
+    Doorbell(HandlerError),
     /// The kernel does not start.
     Start(StartError),
     /// A task has stopped the kernel.
@@ -382,6 +382,6 @@ pub fn start<B: Board + Sync>(
         .attach(Interrupt::DOORBELL, DOORBELL_PRIORITY, interrupt)
         .map_err(RunError::Doorbell)?;
     kernel.trace(runtime);
-    kernel.start(Clock::Wall).map_err(RunError::Start)?;
+    kernel.start(TickSource::Wall).map_err(RunError::Start)?;
     Err(RunError::Stopped)
 }

@@ -6,7 +6,7 @@ use crate::{clint, hart};
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 /// A handler: runs in interrupt context and never blocks.
-pub type Handler = fn();
+pub type InterruptHandler = fn();
 
 /// The state of one hart's handlers. On its own cache line.
 #[repr(C, align(64))]
@@ -54,7 +54,7 @@ unsafe extern "C" {
 }
 
 /// This hart's function at its doorbell, in addition to recording the ring.
-pub fn on_doorbell(handler: Handler) {
+pub fn on_doorbell(handler: InterruptHandler) {
     STATES[hart::number() % HARTS]
         .on_doorbell
         .store(handler as *mut (), Ordering::Relaxed);
@@ -62,7 +62,7 @@ pub fn on_doorbell(handler: Handler) {
 }
 
 /// A hart's function at the end of each of its turns.
-pub(crate) fn on_turn(hart: usize, handler: Option<Handler>) {
+pub(crate) fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
     let handler = handler.map_or(core::ptr::null_mut(), |handler| handler as *mut ());
     STATES[hart % HARTS]
         .on_turn
@@ -164,8 +164,8 @@ extern "C" fn tandem_on_doorbell() {
 fn call(handler: &AtomicPtr<()>) {
     let handler = handler.load(Ordering::Relaxed);
     if !handler.is_null() {
-        // SAFETY: only `on_doorbell` and `on_turn` store here, and they store a `Handler`.
-        let handler: Handler = unsafe { core::mem::transmute(handler) };
+        // SAFETY: only `on_doorbell` and `on_turn` store here, and they store a `InterruptHandler`.
+        let handler: InterruptHandler = unsafe { core::mem::transmute(handler) };
         handler();
     }
 }

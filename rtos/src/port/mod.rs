@@ -21,7 +21,7 @@ pub(crate) use riscv32::{
 
 /// The source of the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clock {
+pub enum TickSource {
     /// The machine's timer: 1 kHz on absolute time.
     Wall,
     /// Work: time passes only in [`burn`](crate::TaskContext::burn) and while all tasks wait. For

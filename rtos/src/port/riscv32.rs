@@ -5,10 +5,10 @@
 //! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
 
 use super::trace::{self, KernelEventKind};
-use super::{Clock, StartError};
+use super::{StartError, TickSource};
 use crate::context::InterruptContext;
 use crate::ffi;
-use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
+use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
 use crate::time::TICK_RATE_HZ;
 use core::cell::UnsafeCell;
 use core::fmt;
@@ -114,7 +114,7 @@ pub(crate) fn prepare() {
 }
 
 /// Sets the trap vector and runs the scheduler. Returns only if the kernel could not start.
-pub(crate) fn start(_clock: Clock, _none_left: fn() -> bool) -> Result<(), StartError> {
+pub(crate) fn start(_clock: TickSource, _none_left: fn() -> bool) -> Result<(), StartError> {
     let vector = freertos_risc_v_trap_handler as *const () as usize;
     // SAFETY: the vector is the kernel's, aligned, in direct mode. The software interrupt is
     // enabled here; interrupts as a whole are by the first task.
@@ -248,15 +248,15 @@ pub(crate) fn attach(
     interrupt: Interrupt,
     _priority: InterruptPriority,
     handler: &'static mut Handler,
-) -> Result<(), AttachError> {
+) -> Result<(), HandlerError> {
     let source = SOURCES
         .get(usize::from(interrupt.number()))
-        .ok_or(AttachError::NoSuchSource)?;
+        .ok_or(HandlerError::NoSuchSource)?;
     ffi::critical(|| {
         // SAFETY: interrupts are masked, so no handler runs.
         let place = unsafe { &mut *source.0.get() };
         if place.is_some() {
-            return Err(AttachError::HasHandler);
+            return Err(HandlerError::HasHandler);
         }
         *place = Some(handler);
         Ok(())

@@ -24,8 +24,8 @@ pub enum KernelEventKind {
 /// One event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KernelEvent {
-    /// The time, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on the
-    /// target.
+    /// The time, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on
+    /// the target.
     pub at_ns: u64,
     /// The kind.
     pub kind: KernelEventKind,

@@ -180,7 +180,7 @@ unsafe impl Sync for Members {}
 /// There was no room; the value is given back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the queue is full")]
-pub struct Full<T>(pub T);
+pub struct QueueFull<T>(pub T);
 
 /// The kernel copies the bytes of values; the sender forgets a sent value, so that there is one
 /// owner at any time.
@@ -243,7 +243,7 @@ impl<T: Send> Queue<T> {
     /// Sends a value; waits for room.
     ///
     /// # Errors
-    /// [`Full`] if there was no room in time.
+    /// [`QueueFull`] if there was no room in time.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].
@@ -252,15 +252,15 @@ impl<T: Send> Queue<T> {
         ctx: &TaskContext,
         value: T,
         timeout: impl Into<Ticks>,
-    ) -> Result<(), Full<T>> {
+    ) -> Result<(), QueueFull<T>> {
         self.send_within(ctx, value, may_wait(timeout.into()))
     }
 
     /// Sends a value if there is room.
     ///
     /// # Errors
-    /// [`Full`]
-    pub fn try_send(&self, ctx: &impl Context, value: T) -> Result<(), Full<T>> {
+    /// [`QueueFull`]
+    pub fn try_send(&self, ctx: &impl Context, value: T) -> Result<(), QueueFull<T>> {
         self.send_within(ctx, value, 0)
     }
 
@@ -269,7 +269,7 @@ impl<T: Send> Queue<T> {
         ctx: &C,
         value: T,
         timeout: ffi::Tick,
-    ) -> Result<(), Full<T>> {
+    ) -> Result<(), QueueFull<T>> {
         let handle = self.values.raw.handle();
         let value = ManuallyDrop::new(value);
         let item = ptr::from_ref(&value).cast();
@@ -287,7 +287,7 @@ impl<T: Send> Queue<T> {
         if sent == ffi::PASS {
             Ok(())
         } else {
-            Err(Full(ManuallyDrop::into_inner(value)))
+            Err(QueueFull(ManuallyDrop::into_inner(value)))
         }
     }
 

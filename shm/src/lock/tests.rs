@@ -49,7 +49,7 @@ fn the_lock_is_taken_once() {
         let guard = a.try_lock().unwrap();
         assert!(!guard.is_recovered());
         assert!(b.try_lock().is_none());
-        assert_eq!(c.lock(5, |_| ()).unwrap_err(), TimedOut);
+        assert_eq!(c.lock(5, |_| ()).unwrap_err(), LockTimedOut);
         drop(guard);
         assert!(b.lock(1, |_| ()).is_ok());
         assert!(c.try_lock().is_some());
@@ -286,7 +286,9 @@ fn a_waiter_killed_at_every_step_keeps_no_other_out() {
         let bench = Bench::new();
         let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
         let guard = a.try_lock().unwrap();
-        let done = kill_at(at, || assert_eq!(b.lock(3, |_| ()).unwrap_err(), TimedOut));
+        let done = kill_at(at, || {
+            assert_eq!(b.lock(3, |_| ()).unwrap_err(), LockTimedOut)
+        });
         drop(guard);
         // Before the death is known: patience.
         assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
@@ -378,7 +380,10 @@ fn waiting_backs_off_and_ends() {
     let guard = a.try_lock().unwrap();
     let mut pauses = std::vec::Vec::new();
     let before = bench.token().load(Ordering::Relaxed);
-    assert_eq!(b.lock(9, |pause| pauses.push(pause)).unwrap_err(), TimedOut);
+    assert_eq!(
+        b.lock(9, |pause| pauses.push(pause)).unwrap_err(),
+        LockTimedOut
+    );
     assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 64, 64, 64]);
     assert_eq!(
         bench.token().load(Ordering::Relaxed),
@@ -404,7 +409,7 @@ fn a_waiting_core_is_patient_in_each_turn() {
         let [mut a, _b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
         drop(a.try_lock());
         bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
-        assert_eq!(c.lock(PATIENCE, |_| ()).unwrap_err(), TimedOut);
+        assert_eq!(c.lock(PATIENCE, |_| ()).unwrap_err(), LockTimedOut);
         let released = &bench.words[released_at(0, 1)];
         let mut polls = 0;
         let taken = c.lock(2 * PATIENCE, |_| {

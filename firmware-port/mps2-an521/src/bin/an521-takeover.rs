@@ -19,8 +19,8 @@ use tandem_board_mps2_an521::memory::strap;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log};
 use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlHeader, RedundancyEvent, Input, LinkReport, Loaded, Mode, Redundancy,
-    Role, LineSnapshot, Takeover, Term,
+    Action, Actions, Config, ControlHeader, Input, LineSnapshot, LinkReport, Loaded, Mode,
+    Redundancy, RedundancyEvent, Role, Takeover, Term,
 };
 
 entry!(main);

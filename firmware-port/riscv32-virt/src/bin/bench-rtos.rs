@@ -11,7 +11,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, measure, memory, must, task};
 use tandem_rtos::{
-    Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
+    Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, TickSource, Ticks,
 };
 use tandem_shm::mailbox::{Ring, Sender, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
@@ -72,7 +72,7 @@ fn control() -> ! {
     must(kernel.attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, on_doorbell));
     READY.store(true, Ordering::Release);
     clint::post(1);
-    must(kernel.start(Clock::Wall));
+    must(kernel.start(TickSource::Wall));
     panic!("the kernel has stopped")
 }
 

@@ -9,8 +9,8 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board_riscv32_virt::{clint, entry, exit, hart, log, must};
-use tandem_rtos::demo::{COMPLETE, Edge, SPAN_MS, TESTS, toggle};
-use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
+use tandem_rtos::demo::{COMPLETE, OutputEdge, SPAN_MS, TESTS, toggle};
+use tandem_rtos::{Kernel, Priority, TaskContext, TaskOptions, TickSource, Ticks};
 
 entry!(main);
 
@@ -61,7 +61,7 @@ fn control() -> ! {
     let kernel = must(Kernel::take());
     let options = TaskOptions::new("tests", Priority::HIGHEST);
     must(kernel.spawn(&options, run));
-    must(kernel.start(Clock::Wall));
+    must(kernel.start(TickSource::Wall));
     panic!("the kernel has stopped")
 }
 
@@ -91,7 +91,7 @@ fn run(ctx: &TaskContext) {
                 let at_ns = u64::from(at.load(Ordering::Relaxed)) * clint::TICK_NS;
                 log!(
                     "{}",
-                    Edge {
+                    OutputEdge {
                         test,
                         output,
                         at_ns

@@ -13,7 +13,7 @@ use super::switch::tandem_switch;
 use super::{fault, signals, tick};
 use crate::context::InterruptContext;
 use crate::ffi::{self, current_tcb};
-use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
+use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
 use crate::port::trace::{self, KernelEventKind};
 use core::cell::UnsafeCell;
 use core::sync::atomic::Ordering::Relaxed;
@@ -53,13 +53,13 @@ pub(crate) fn attach(
     interrupt: Interrupt,
     priority: InterruptPriority,
     handler: &'static mut Handler,
-) -> Result<(), AttachError> {
+) -> Result<(), HandlerError> {
     let source = SOURCES
         .get(usize::from(interrupt.number()))
-        .ok_or(AttachError::NoSuchSource)?;
+        .ok_or(HandlerError::NoSuchSource)?;
     ffi::critical(|| {
         if source.priority.load(Ordering::Relaxed) != 0 {
-            return Err(AttachError::HasHandler);
+            return Err(HandlerError::HasHandler);
         }
         // SAFETY: interrupts are masked, and no handler of this source was ever there to run.
         unsafe { *source.handler.get() = Some(handler) };
@@ -389,7 +389,7 @@ mod tests {
     #[test]
     fn frames_of_interrupts_do_not_pile_up() {
         // No tick is ever due.
-        assert_eq!(tick::prepare(crate::port::Clock::Virtual), Ok(()));
+        assert_eq!(tick::prepare(crate::port::TickSource::Virtual), Ok(()));
         assert_eq!(begin(), Ok(()));
         unmask();
         let deepest_of = |count| {

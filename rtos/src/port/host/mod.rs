@@ -24,7 +24,7 @@ pub(crate) use scheduler::idle;
 pub(crate) use stack::Stack;
 pub(crate) use state::{assert_may_block, epoch, in_task};
 
-use super::{Clock, StartError};
+use super::{StartError, TickSource};
 use crate::ffi;
 use process::errno;
 use std::sync::mpsc;
@@ -42,7 +42,7 @@ const THREAD_STACK_BYTES: usize = 64 << 10;
 /// An abandoned task may have lent a thread-local of that thread to another thread. The loan lasts
 /// until the task's call returns, so for ever. Therefore the thread never ends after a stop, and
 /// its thread-locals stay.
-pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartError> {
+pub(crate) fn start(clock: TickSource, none_left: fn() -> bool) -> Result<(), StartError> {
     #[cfg(target_env = "gnu")]
     malloc::keep();
     if !exclusive::is_installed() {
@@ -105,14 +105,14 @@ impl Scheduling {
     }
 }
 
-fn run(clock: Clock) -> Result<(), i32> {
+fn run(clock: TickSource) -> Result<(), i32> {
     let before = fault::begin()?;
     let ran = run_with_faults_named(clock);
     fault::end(&before);
     ran
 }
 
-fn run_with_faults_named(clock: Clock) -> Result<(), i32> {
+fn run_with_faults_named(clock: TickSource) -> Result<(), i32> {
     tick::prepare(clock)?;
     if let Err(errno) = interrupts::begin() {
         tick::end();

@@ -7,7 +7,7 @@
 use super::process::errno;
 use super::{signals, state};
 use crate::ffi;
-use crate::port::Clock;
+use crate::port::TickSource;
 use crate::time::TICK_RATE_HZ;
 use core::mem::MaybeUninit;
 use core::ptr;
@@ -78,14 +78,14 @@ pub fn now_ns() -> u64 {
 }
 
 /// Makes the timers; they are stopped until `begin`.
-pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
-    VIRTUAL.store(clock == Clock::Virtual, Relaxed);
+pub(super) fn prepare(clock: TickSource) -> Result<(), i32> {
+    VIRTUAL.store(clock == TickSource::Virtual, Relaxed);
     origin();
     VIRTUAL_NS.store(0, Relaxed);
     for count in [&DONE, &CAUGHT_UP, &START_NS] {
         count.store(0, Relaxed);
     }
-    if clock == Clock::Virtual {
+    if clock == TickSource::Virtual {
         return Ok(());
     }
     for place in &TIMERS {
