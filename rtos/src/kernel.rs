@@ -2,7 +2,7 @@
 
 use crate::context::{Context, InterruptContext, Sealed, TaskContext, TaskLevel};
 use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
-use crate::port::trace::{self, TraceSink};
+use crate::port::events::{self, TraceSink};
 use crate::port::{self, StartError, TickSource};
 use crate::sys;
 use crate::sys::task::TaskHandle;
@@ -69,7 +69,7 @@ impl Kernel {
 
     /// Reports every event to a sink, until the scheduler stops.
     pub fn trace(&self, sink: &'static dyn TraceSink) {
-        trace::listen(Some(sink));
+        events::listen(Some(sink));
     }
 
     /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the

@@ -32,9 +32,9 @@ mod time;
 pub use context::{Context, InterruptContext, TaskContext, TaskLevel, TimerContext};
 pub use interrupt::{HandlerError, Interrupt, InterruptPriority};
 pub use kernel::{Kernel, KernelError};
+pub use port::events::{KernelEvent, KernelEventKind, TraceSink};
 #[cfg(target_os = "linux")]
 pub use port::host;
-pub use port::trace::{KernelEvent, KernelEventKind, TraceSink};
 pub use port::{StartError, TickSource};
 pub use sys::mutex::{Mutex, MutexGuard};
 pub use sys::queue::{Queue, QueueFull};

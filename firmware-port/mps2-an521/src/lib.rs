@@ -8,14 +8,16 @@
 #![no_std]
 
 pub mod board;
-pub mod clock;
 pub mod cpu;
 pub mod exit;
+#[path = "../../lmu.rs"]
+pub mod lmu;
 #[path = "../../log.rs"]
 mod log;
-pub mod memory;
 pub mod mhu;
 mod start;
+pub mod straps;
+pub mod timers;
 pub mod uart;
 
 /// Names the function that each processor calls after its start.

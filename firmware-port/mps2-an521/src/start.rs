@@ -3,7 +3,7 @@
 //! Processor 1 is held at power-on. Processor 0 clears .bss, starts clock and UART, gives processor
 //! 1 its vector table and releases it.
 
-use crate::{clock, cpu, exit, mhu, uart};
+use crate::{cpu, exit, mhu, timers, uart};
 use core::arch::{asm, global_asm};
 use core::ptr::write_volatile;
 
@@ -40,7 +40,7 @@ const fn vectors(stack: &'static u32, reset: Handler) -> Vectors {
         interrupts: [exit::on_fault; INTERRUPTS],
     };
     // Exception 15 is SysTick.
-    table.system[13] = clock::on_alarm;
+    table.system[13] = timers::on_alarm;
     table.interrupts[6] = mhu::on_interrupt;
     table.interrupts[7] = mhu::on_interrupt;
     table
@@ -87,7 +87,7 @@ unsafe extern "C" {
 }
 
 extern "C" fn start_0() -> ! {
-    clock::start();
+    timers::start();
     uart::start();
     // SAFETY: the second processor has not run; its table is whole and stays.
     unsafe {

@@ -1,7 +1,7 @@
 //! The differences between machines: switching, masking, interrupts, the tick.
 #![allow(unsafe_code)]
 
-pub(crate) mod trace;
+pub(crate) mod events;
 
 #[cfg(target_os = "linux")]
 pub mod host;

@@ -4,7 +4,7 @@
 //! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
 //! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
 
-use super::trace::{self, KernelEventKind};
+use super::events::{self, KernelEventKind};
 use super::{StartError, TickSource};
 use crate::context::InterruptContext;
 use crate::ffi;
@@ -326,11 +326,11 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
     };
     let context = InterruptContext::new();
     let subject = u32::from(number.number());
-    trace::record(KernelEventKind::InterruptEntered, subject, timestamp_ns);
+    events::record(KernelEventKind::InterruptEntered, subject, timestamp_ns);
     IN_INTERRUPT.store(true, Ordering::Relaxed);
     handler(&context);
     IN_INTERRUPT.store(false, Ordering::Relaxed);
-    trace::record(KernelEventKind::InterruptLeft, subject, timestamp_ns);
+    events::record(KernelEventKind::InterruptLeft, subject, timestamp_ns);
     if context.has_woken() {
         // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
         unsafe { ffi::tandem_yield_from_interrupt(1) };

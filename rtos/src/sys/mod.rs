@@ -10,7 +10,7 @@ pub(crate) mod task;
 pub(crate) mod timer;
 
 use crate::port;
-use crate::port::trace::{self, KernelEventKind};
+use crate::port::events::{self, KernelEventKind};
 use core::sync::atomic::{AtomicBool, Ordering};
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
@@ -24,7 +24,7 @@ pub(crate) fn take() -> bool {
 
 /// The kernel can be taken again.
 pub(crate) fn release() {
-    trace::listen(None);
+    events::listen(None);
     // Release pairs with the Acquire in `take`.
     TAKEN.store(false, Ordering::Release);
 }
@@ -37,7 +37,7 @@ extern "C" fn tandem_trace(kind: u32, task: u32) {
         2 => KernelEventKind::SwitchedOut,
         _ => KernelEventKind::Ready,
     };
-    trace::record(kind, task, port::timestamp_ns);
+    events::record(kind, task, port::timestamp_ns);
 }
 
 /// The kernel's counter for the time that tasks run.

@@ -11,7 +11,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board_conformance::{Case, Setting, cases, run_role};
 use tandem_board_mps2_an521::board::{An521Board, Cast};
-use tandem_board_mps2_an521::{cpu, entry, exit, log, memory};
+use tandem_board_mps2_an521::{cpu, entry, exit, log, straps};
 
 entry!(main);
 
@@ -45,7 +45,7 @@ fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
 }
 
 fn main(own: usize) -> ! {
-    let index = memory::strap(0) as usize;
+    let index = straps::strap(0) as usize;
     let cases = cases::<An521Board>();
     let Some(case) = cases.get(index) else {
         exit::exit(NO_SUCH_CASE)

@@ -9,7 +9,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration};
 use tandem_board_mps2_an521::board::An521Board;
-use tandem_board_mps2_an521::{clock, cpu, entry, exit, log, memory};
+use tandem_board_mps2_an521::{cpu, entry, exit, log, straps, timers};
 use tandem_shm::fifo::Consumer;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Ring, TaskId};
@@ -57,7 +57,7 @@ fn main(own: usize) -> ! {
         exit::exit(1);
     }
     if own == 0 {
-        clock::set_turns(memory::strap(0).max(20));
+        timers::set_turns(straps::strap(0).max(20));
         board.release_core(CoreId::PERCEPTION);
     }
     meet(own, 1);
@@ -107,7 +107,7 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     let mut lock = LOCK.attach(&map, incarnation).map_err(|_| fit)?;
     let guarded = GUARDED.attach(&map).map_err(|_| fit)?;
     let [one, two] = [&guarded[0], &guarded[1]];
-    let broken = memory::strap(1) != 0;
+    let broken = straps::strap(1) != 0;
     for _ in 0..ROUNDS {
         let taken = lock
             .lock(POLLS, sync::spin)

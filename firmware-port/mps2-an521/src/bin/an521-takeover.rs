@@ -15,8 +15,8 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, CoreAddress, Duration, Instant, Lines, Link, ResetCause, SystemId,
 };
 use tandem_board_mps2_an521::board::An521Board;
-use tandem_board_mps2_an521::memory::strap;
-use tandem_board_mps2_an521::{clock, cpu, entry, exit, log};
+use tandem_board_mps2_an521::straps::strap;
+use tandem_board_mps2_an521::{cpu, entry, exit, log, timers};
 use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};
 use tandem_redundancy::{
     Action, Actions, Config, ControlHeader, Input, LineSnapshot, LinkReport, Loaded, Mode,
@@ -202,7 +202,7 @@ fn us(at: Instant) -> u32 {
 }
 
 fn drive_and_hang(board: &An521Board) -> ! {
-    clock::set_turns(TURN);
+    timers::set_turns(TURN);
     let mut core = Core::new(board);
     let end = board.now() + HANGS_AFTER + Duration::from_us(strap(0).into());
     while board.now() < end {

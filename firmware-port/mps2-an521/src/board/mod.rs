@@ -4,10 +4,10 @@ mod wires;
 
 pub use wires::{An521Can, An521Lines, An521Link};
 
-use crate::clock;
 use crate::cpu::{self, CPUS};
-use crate::memory::lmu;
+use crate::lmu::lmu;
 use crate::mhu::{self, Unit};
+use crate::timers;
 use core::cell::Cell;
 use core::sync::atomic::AtomicU32;
 use tandem_board::{
@@ -94,7 +94,7 @@ impl Board for An521Board {
     }
 
     fn now(&self) -> Instant {
-        clock::now()
+        timers::now()
     }
 
     fn lmu(&self) -> &[AtomicU32] {
@@ -119,10 +119,10 @@ impl Board for An521Board {
                 if mhu::take_pending() {
                     return Some(Wake::Interrupt);
                 }
-                if clock::now() >= deadline {
+                if timers::now() >= deadline {
                     return Some(Wake::Deadline);
                 }
-                clock::set_alarm(deadline);
+                timers::set_alarm(deadline);
                 cpu::sleep();
                 // The interrupt that ended the sleep is taken when interrupts are enabled, before
                 // the next poll.

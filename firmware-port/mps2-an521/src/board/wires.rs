@@ -2,9 +2,9 @@
 //! in a bank of the SRAM, outside of the LMUs, stand for the wires.
 
 use super::{Cast, player};
-use crate::clock;
 use crate::cpu::CPUS;
 use crate::mhu::{self, Unit};
+use crate::timers;
 use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
@@ -170,7 +170,7 @@ impl Can for An521Can {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
-                at: clock::now(),
+                at: timers::now(),
             },
             sender: Sender::Core(self.of),
             reach: Reach::ALL,

@@ -10,7 +10,7 @@
 //! see [`Peripherals::connect`]. A system that is not in this machine then has the same registers
 //! here: edges and datagrams to it collect there, and are sent with the next exchange.
 
-pub(crate) mod flash;
+pub(crate) mod data_flash;
 mod host;
 pub(crate) mod ring;
 pub(crate) mod run;
@@ -49,7 +49,7 @@ pub(crate) struct SystemRegisters {
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
-    pub(crate) flash: flash::Registers,
+    pub(crate) flash: data_flash::Registers,
     /// Services of the watchdog on their way to the supply.
     pub(crate) services: Ring<4, SERVICE_WORDS>,
     /// How many services core 0 gave in this incarnation; wraps around.

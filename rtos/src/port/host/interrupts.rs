@@ -14,7 +14,7 @@ use super::{fault, signals, tick};
 use crate::context::InterruptContext;
 use crate::ffi::{self, current_tcb};
 use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
-use crate::port::trace::{self, KernelEventKind};
+use crate::port::events::{self, KernelEventKind};
 use core::cell::UnsafeCell;
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering, compiler_fence};
@@ -162,7 +162,7 @@ fn most_urgent(level: u32) -> Option<(u32, u32)> {
 
 /// Runs the handler of a source. Entered with interrupts masked once and the source's level taken.
 fn run(number: u32) {
-    trace::record(
+    events::record(
         KernelEventKind::InterruptEntered,
         number,
         tick::timestamp_ns,
@@ -181,7 +181,7 @@ fn run(number: u32) {
             }
         }
     }
-    trace::record(KernelEventKind::InterruptLeft, number, tick::timestamp_ns);
+    events::record(KernelEventKind::InterruptLeft, number, tick::timestamp_ns);
 }
 
 /// Lets more urgent interrupts in while a handler runs.

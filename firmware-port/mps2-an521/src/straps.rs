@@ -1,11 +1,6 @@
-//! The memory that the linker script lays out: the two LMUs, and the straps.
-
-#[path = "../../lmu.rs"]
-mod lmu;
+//! The straps: words that the emulator writes before the start.
 
 use core::ptr::addr_of;
-
-pub use lmu::{LMU_WORDS, lmu};
 
 unsafe extern "C" {
     static __straps: u32;
