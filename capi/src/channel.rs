@@ -6,7 +6,7 @@ use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S};
 use core::sync::atomic::AtomicU32;
 use tandem_shm::broadcast::{self, Lost, Receiver};
-use tandem_shm::fifo::{self, Consumer, Loan, Producer, Sample};
+use tandem_shm::fifo::{self, Consumer, Incoming, Loan, Producer};
 use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
 use tandem_shm::{FitError, Shape, bare};
 
@@ -241,7 +241,7 @@ pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) 
     unsafe {
         cell::with(consumer, |consumer| {
             let item = consumer.take_back()?.item();
-            item.map(Sample::release).ok_or(S::Empty)
+            item.map(Incoming::release).ok_or(S::Empty)
         })
     }
 }

@@ -75,18 +75,18 @@ impl<'a, T> Receiver<'a, T> {
     }
 
     /// The next value, to be read in place; `None` if there is none yet. Never blocks. Only
-    /// [`Sample::finish`] confirms the read and advances the cursor.
+    /// [`Incoming::finish`] confirms the read and advances the cursor.
     ///
     /// # Errors
     /// [`Lost`] if values were overwritten before they were received; the next call continues
     /// behind them.
     #[inline]
-    pub fn item(&mut self) -> Result<Option<Sample<'_, 'a, T>>, Lost> {
+    pub fn item(&mut self) -> Result<Option<Incoming<'_, 'a, T>>, Lost> {
         if !self.is_there() {
             return Ok(None);
         }
         if self.ring.is_complete(self.cursor) {
-            Ok(Some(Sample { receiver: self }))
+            Ok(Some(Incoming { receiver: self }))
         } else {
             Err(self.skip())
         }
@@ -144,12 +144,12 @@ impl<T: Payload> Receiver<'_, T> {
 /// A value that is being received in place.
 #[derive(Debug)]
 #[must_use = "what was read counts only after `finish`"]
-pub struct Sample<'r, 'a, T> {
+pub struct Incoming<'r, 'a, T> {
     receiver: &'r mut Receiver<'a, T>,
 }
 
-impl<'a, T> Sample<'_, 'a, T> {
-    /// The words. They may contain parts of a newer value; [`Sample::finish`] returns an error
+impl<'a, T> Incoming<'_, 'a, T> {
+    /// The words. They may contain parts of a newer value; [`Incoming::finish`] returns an error
     /// then.
     #[inline]
     #[must_use]

@@ -311,16 +311,16 @@ impl<'a, T> Consumer<'a, T> {
     }
 
     /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
-    /// the next one until [`Sample::release`].
+    /// the next one until [`Incoming::release`].
     #[inline]
-    pub fn item(&mut self) -> Option<Sample<'_, 'a, T>> {
+    pub fn item(&mut self) -> Option<Incoming<'_, 'a, T>> {
         let (words, stamp) = self.queue.slot(self.head);
         // Acquire pairs with the Release in `complete`.
         if stamp.load(Ordering::Acquire) != complete(self.head) {
             self.found_nothing();
             return None;
         }
-        Some(Sample {
+        Some(Incoming {
             words: WordsRef::new(words),
             consumer: self,
         })
@@ -378,12 +378,12 @@ impl<T: Payload> Consumer<'_, T> {
 /// A value that was received and not yet released.
 #[derive(Debug)]
 #[must_use = "only `release` frees the slot"]
-pub struct Sample<'c, 'a, T> {
+pub struct Incoming<'c, 'a, T> {
     words: WordsRef<'a>,
     consumer: &'c mut Consumer<'a, T>,
 }
 
-impl<'a, T> Sample<'_, 'a, T> {
+impl<'a, T> Incoming<'_, 'a, T> {
     /// The words; the producer does not write to them until the release.
     #[inline]
     #[must_use]
