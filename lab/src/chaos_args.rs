@@ -50,7 +50,7 @@ pub(crate) struct ChaosArgs {
 
     /// Inject these faults in one run and end: what the campaign starts
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
-    pub(crate) leg: Option<Vec<u64>>,
+    pub(crate) drive: Option<Vec<u64>>,
 }
 
 const EXAMPLES: &str = "\
@@ -71,7 +71,7 @@ Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is
 Ctrl-C, with the report of what was done.";
 
 impl ChaosArgs {
-    /// The arguments by which a leg leaves out the same cells.
+    /// The arguments by which a drive leaves out the same cells.
     pub(crate) fn every_arguments(&self) -> Vec<String> {
         match self.matrix {
             true => vec!["--every".to_owned(), self.every.to_string()],

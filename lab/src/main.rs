@@ -8,6 +8,7 @@ mod boot_demo;
 mod chaos;
 mod chaos_args;
 mod emulated;
+mod fault_file;
 mod flash_command;
 mod judge;
 mod rtos_demo;

@@ -2,9 +2,10 @@
 //! `cargo xtask campaign sim-digest` compares.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
+use tandem_faults::Group;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Around, Group, Profile};
 use tandem_sim::timing::Time;
+use tandem_sim::{Around, Profile};
 
 fn main() {
     let count = std::env::args().nth(1).and_then(|count| count.parse().ok());
@@ -13,16 +14,15 @@ fn main() {
         .into_iter()
         .flat_map(|around| Time::ALL.map(|time| (around, time)))
     {
-        let limits = Config::rt();
         let profile = Profile {
-            limits,
             time,
             around,
+            ..Config::rt().into()
         };
         print!("{around:?} {time:?}");
         for number in 0..count.unwrap_or(20) {
-            let verdict = Group::Swarm.sequence(number).try_run(profile);
-            print!(" {:016x}", verdict.digest);
+            let trial = profile.try_run(&Group::Swarm.sequence(number));
+            print!(" {:016x}", trial.digest);
         }
         println!();
     }

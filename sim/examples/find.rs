@@ -3,20 +3,17 @@
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::process::ExitCode;
+use tandem_faults::{Group, known};
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Group, Profile};
+use tandem_sim::Profile;
 
 /// A violation counts as explained if it has no more faults than this.
 const FAULTS: usize = 3;
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
-    let group = match arguments.next().as_deref() {
-        Some("single") => Group::Single,
-        Some("pair") => Group::Pair,
-        Some("random") => Group::Random,
-        _ => Group::Swarm,
-    };
+    let named = arguments.next().and_then(|name| Group::of_name(&name));
+    let group = named.unwrap_or(Group::Swarm);
     let seeds = arguments.next().and_then(|seeds| seeds.parse().ok());
     let seeds: u64 = seeds.unwrap_or(1_000);
     let profile = Profile::from(Config::rt());
@@ -27,12 +24,12 @@ fn main() -> ExitCode {
     let count = group.count().unwrap_or(u64::MAX);
     for seed in (0..seeds).take_while(|seed| seed * step < count) {
         let sequence = group.sequence(seed * step);
-        let new = |violation: &_| sequence.known(*violation).is_none();
-        let verdict = sequence.try_run(profile);
-        if let Some(violation) = verdict.violations.into_iter().find(new) {
-            let least = sequence.shrunk(profile, violation);
+        let new = |rule: &_| known(&sequence, *rule).is_none();
+        let trial = profile.try_run(&sequence);
+        if let Some(rule) = trial.violations.into_iter().find(new) {
+            let least = profile.shrunk(&sequence, rule);
             println!(
-                "{violation:?} in {group:?} {} after {} sequences: {}",
+                "{rule:?} in {group:?} {} after {} sequences: {}",
                 sequence.number,
                 seed + 1,
                 least.kinds()

@@ -1,11 +1,22 @@
-//! Both systems and a vehicle in virtual time.
+//! Both systems and a vehicle in virtual time, and the sequences of faults that they suffer.
+//!
+//! Core 0, its state store and the vehicle's gate are the real ones. Cores 1 and 2 only count
+//! cycles, or drive a vehicle ([`Around::ClosedLoop`]). Wires, bus, flash, supplies and clocks are
+//! those of the simulated board.
 #![forbid(unsafe_code)]
 #![allow(
     clippy::expect_used,
     reason = "a simulation that cannot be set up ends with a panic"
 )]
 
+mod bench;
 pub mod drive;
-pub mod faults;
+mod judge;
+mod outside;
 pub mod timed;
 pub mod timing;
+mod trial;
+
+pub use bench::{Around, Bench, Profile, State};
+pub use outside::Vehicle;
+pub use trial::Tried;

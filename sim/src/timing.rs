@@ -74,6 +74,16 @@ impl Time {
     /// All.
     pub const ALL: [Self; 3] = [Self::Ideal, Self::Typical, Self::Worst];
 
+    /// Its name on a command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ideal => "ideal",
+            Self::Typical => "typical",
+            Self::Worst => "worst",
+        }
+    }
+
     /// The time of one job. `draw` returns a number below its argument.
     pub(crate) fn of(self, Measured(p99, max): Measured, mut draw: impl FnMut(u64) -> u64) -> u64 {
         match self {

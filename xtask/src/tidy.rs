@@ -24,7 +24,8 @@ benches: board board-host page rtos shm two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy vehicle
-sim: board board-sim bus cores record redundancy vehicle
+faults: board peripherals record vehicle
+sim: board board-sim bus cores faults record redundancy vehicle
 board-conformance: board shm
 board-sim: board peripherals
 peripherals: board

@@ -13,7 +13,8 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_page::output::OutputFile;
 
 use super::judge::Outcome;
-use super::leg::Line;
+use super::pipe::Line;
+use super::report::Found;
 use super::{Source, report};
 use crate::chaos_args::ChaosArgs;
 use tandem::failure::Failure;
@@ -22,19 +23,11 @@ use tandem::print;
 /// Faults of one run. A longer one would fill memory with its recording.
 const FAULTS_OF_A_RUN: usize = 100;
 
-/// The result of a campaign.
-#[derive(Default)]
-pub(super) struct Found {
-    pub(super) outcomes: Vec<Outcome>,
-    /// Violations of runs as a whole, each with the command that repeats it.
-    pub(super) wrong: Vec<String>,
-}
-
 /// Injects the faults of these numbers, and reports.
 ///
 /// # Errors
 /// [`Failure`] with the exit status that the command documents.
-pub(super) fn run(source: &Source<'_>, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
+pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
     let [place] = OutputFile::check_all([("--json", args.json.as_deref())])
         .map_err(|error| Failure::Usage(error.into()))?;
     let interrupted = Arc::new(AtomicBool::new(false));
@@ -65,7 +58,7 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64], args: &ChaosArgs) -> Res
 }
 
 fn inject(
-    source: &Source<'_>,
+    source: &Source,
     numbers: &[u64],
     args: &ChaosArgs,
     interrupted: &AtomicBool,
@@ -79,9 +72,9 @@ fn inject(
     while let Some(first) = left.first()
         && !interrupted.load(Ordering::Relaxed)
     {
-        let leg = &left[..left.len().min(FAULTS_OF_A_RUN)];
+        let numbers_of_drive = &left[..left.len().min(FAULTS_OF_A_RUN)];
         let done = found.outcomes.len() as u64;
-        let ended = one_leg(source, leg, args, interrupted, &|count| {
+        let ended = one_drive(source, numbers_of_drive, args, interrupted, &|count| {
             bar.set_position(done + count);
         });
         let (outcomes, wrong) = match ended {
@@ -114,8 +107,8 @@ fn inject(
 }
 
 /// One run, to its end.
-fn one_leg(
-    source: &Source<'_>,
+fn one_drive(
+    source: &Source,
     numbers: &[u64],
     args: &ChaosArgs,
     interrupted: &AtomicBool,
@@ -127,7 +120,7 @@ fn one_leg(
     let mut child = Command::new(std::env::current_exe()?)
         .arg("chaos")
         .args(source.arguments())
-        .args(["--leg", &first.to_string(), &(last + 1).to_string()])
+        .args(["--drive", &first.to_string(), &(last + 1).to_string()])
         .args(args.every_arguments())
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -156,7 +149,7 @@ fn one_leg(
     }
 }
 
-/// Reads what a leg tells, until its end.
+/// Reads what a drive reports, until its end.
 fn follow(
     child: &mut Child,
     interrupted: &AtomicBool,
@@ -187,7 +180,7 @@ fn follow(
             Line::Done(count) => done(count),
             Line::Hold(ms) => {
                 signal(child, Signal::STOP);
-                std::thread::sleep(Duration::from_millis(ms.into()));
+                std::thread::sleep(Duration::from_millis(ms.unsigned_abs().into()));
                 signal(child, Signal::CONT);
             }
             Line::Ended(outcomes, wrong) => break Some((outcomes, wrong)),

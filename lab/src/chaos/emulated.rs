@@ -1,4 +1,4 @@
-//! A run of a campaign with the controller as firmware in two emulated machines. Time is the
+//! One drive of a campaign with the controller as firmware in two emulated machines. Time is the
 //! emulator's, and faults happen between two steps of the machines.
 
 use std::collections::VecDeque;
@@ -8,18 +8,19 @@ use anyhow::Context as _;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::{
-    CanFrame, CanId, Carried, CoreId, Duration, Instant, ResetCause, RoleLamp, SystemId, Traced,
-    VehicleBus, VehiclePort,
+    CanFrame, CanId, Carried, CoreId, Duration, Instant, RoleLamp, SystemId, Traced, VehicleBus,
+    VehiclePort,
 };
 use tandem_board_host::{BusFault, Wire};
 use tandem_board_qemu::{EmulatedWorld, Layout, MachineError, Options};
 use tandem_bus::Control;
-use tandem_sim::faults::{Act, BusFaults, Sequence};
+use tandem_faults::{BusFaults, CannotSuffer, Effect, Kind, Sequence, Site, Suffer, effects};
 use tandem_vehicle::Scenario;
 
 use super::Source;
 use super::judge;
-use super::leg::{self, HEALED_WITHIN, Injected, Line, SUSPENDED_FOR, driver, settled, tell};
+use super::pipe::{Line, report};
+use super::round::{HEALED_WITHIN, Injected, SUSPENDED_FOR, arguments, driver, settled};
 use crate::emulated;
 use tandem::collected::read;
 use tandem::files::RunFiles;
@@ -42,12 +43,12 @@ const BETWEEN_MACHINES_MS: f64 = 2.0;
 ///
 /// # Errors
 /// If the run does not start or leaves no recording.
-pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
+pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
     // The campaign may be killed: its run then ends as by Ctrl-C.
     set_parent_process_death_signal(Some(Signal::TERM))?;
     let folder = tempfile::tempdir().context("a folder")?;
     let board = ["--board", "qemu", "--no-bootloader"];
-    let args = leg::arguments(numbers, &folder.path().join("report"), &board)?;
+    let args = arguments(numbers, &folder.path().join("report"), &board)?;
     let config = RunConfig::of(&args, LimitProfile::Rt);
     let files = RunFiles::within(folder.path());
     let options = Options {
@@ -67,6 +68,9 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
     let recorder = Recorder::create(&files)?;
     let scenario = Scenario::load(&config.scenario)?;
     vehicle::drive(&config, &scenario, &mut disturbed, recorder)?;
+    if let Some(refused) = disturbed.refused {
+        return Err(refused.into());
+    }
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP))?;
     let mut around = surroundings(&config, "emulated machines".to_owned());
     for bound_ms in around.beside.bounds.all_mut() {
@@ -78,7 +82,7 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
         done: disturbed.done,
     };
     let (outcomes, wrong) = judge::judge(source, &recorded)?;
-    tell(&Line::Ended(outcomes, wrong))
+    report(&Line::Ended(outcomes, wrong))
 }
 
 enum Doing {
@@ -87,7 +91,7 @@ enum Doing {
     /// The faults come and go.
     Suffer {
         begin: Instant,
-        acts: VecDeque<(Duration, Act)>,
+        changes: VecDeque<(Duration, Effect)>,
         until: Instant,
     },
     /// Everything works again, and the systems find together, at the latest then.
@@ -104,9 +108,11 @@ struct Disturbed {
     /// The fault that is under way; `None` before the first one.
     injected: Option<Injected>,
     done: Vec<Injected>,
-    /// The system that is A in the faults: the one that drives.
-    driver: SystemId,
     bus: BusFaults,
+    /// The next change happens this long after the next step of the machines, µs.
+    after_us: u32,
+    /// Why the drive ended early.
+    refused: Option<CannotSuffer>,
     /// Since when a system has been suspended.
     suspended: [Option<Instant>; 2],
     /// When a system gets power again.
@@ -125,8 +131,9 @@ impl Disturbed {
             },
             injected: None,
             done: Vec::new(),
-            driver: SystemId::A,
             bus: BusFaults::default(),
+            after_us: 0,
+            refused: None,
             suspended: [None; 2],
             power_on: [None; 2],
             control: [Instant::ORIGIN; 2],
@@ -134,7 +141,7 @@ impl Disturbed {
     }
 
     /// What is due before the machines go on.
-    fn act_until_next(&mut self) {
+    fn act_until_next(&mut self) -> Result<(), CannotSuffer> {
         let now = self.world.reported();
         let roles = SystemId::ALL.map(|system| self.world.role(system));
         match &mut self.doing {
@@ -145,17 +152,23 @@ impl Disturbed {
                     None => self.heal(now),
                 }
             }
-            Doing::Suffer { begin, acts, until } => {
+            Doing::Suffer {
+                begin,
+                changes,
+                until,
+            } => {
                 let (begin, until) = (*begin, *until);
                 let next = now + Duration::from_ms(1);
-                let due = acts.iter().take_while(|(at, _)| begin + *at < next).count();
-                let due: Vec<(Duration, Act)> = acts.drain(..due).collect();
-                for (at, act) in due {
+                let is_due = |(at, _): &&(Duration, Effect)| begin + *at < next;
+                let due = changes.iter().take_while(is_due).count();
+                let due: Vec<(Duration, Effect)> = changes.drain(..due).collect();
+                for (at, change) in due {
                     let us = (begin + at).since(now).as_us() as u32;
-                    self.act(act, us.min(999));
+                    self.after_us = us.min(999);
+                    self.apply(change)?;
                 }
                 if now >= until {
-                    self.mend();
+                    self.restore();
                     self.heal(now);
                 }
             }
@@ -164,7 +177,7 @@ impl Disturbed {
                 self.bring_back(now, roles);
                 let is_healed = driver(roles).is_some();
                 if !is_healed && !is_late {
-                    return;
+                    return Ok(());
                 }
                 if let Some(mut injected) = self.injected.take() {
                     injected.roles = roles;
@@ -173,7 +186,7 @@ impl Disturbed {
                         eprintln!("the firmware says: {}", self.world.log());
                     }
                     self.done.push(injected);
-                    if tell(&Line::Done(self.done.len() as u64)).is_err() {
+                    if report(&Line::Done(self.done.len() as u64)).is_err() {
                         self.world.stop_flag().store(true, Ordering::Relaxed);
                     }
                 }
@@ -190,6 +203,7 @@ impl Disturbed {
                 }
             }
         }
+        Ok(())
     }
 
     /// Begins with the next sequence, if the systems have been together for long enough.
@@ -207,13 +221,7 @@ impl Disturbed {
                 begin += CYCLE;
             }
         }
-        let mut acts: Vec<(Duration, Act)> = sequence
-            .faults
-            .iter()
-            .flat_map(|fault| fault.acts(sequence.span))
-            .collect();
-        acts.sort_by_key(|(at, _)| *at);
-        self.driver = driver;
+        let changes = effects(&sequence.faults, sequence.span, driver);
         self.injected = Some(Injected {
             number: *number,
             driver,
@@ -224,7 +232,7 @@ impl Disturbed {
         });
         self.doing = Doing::Suffer {
             begin,
-            acts: acts.into(),
+            changes: changes.into(),
             until: begin + sequence.span,
         };
         self.left.pop_front();
@@ -259,9 +267,54 @@ impl Disturbed {
             }
         }
     }
+}
 
-    /// Ends whatever is under way. A system without power is switched on.
-    fn mend(&mut self) {
+impl Suffer for Disturbed {
+    type Error = CannotSuffer;
+
+    fn apply(&mut self, change: Effect) -> Result<(), CannotSuffer> {
+        let world = &mut self.world;
+        let (kind, of, on) = match change {
+            Effect::Fault(kind, of, on) => (kind, of, on),
+            Effect::Edge(from, line, edge) => {
+                world.stray_edge(from.peer(), line, edge);
+                return Ok(());
+            }
+        };
+        if let Some(fault) = self.bus.follow(kind, of, on) {
+            world.disturb_bus(of, fault);
+            return Ok(());
+        }
+        match kind {
+            Kind::Cut { wire } => {
+                world.set_cut(wire, of, on);
+                return Ok(());
+            }
+            Kind::LevelLow => {
+                world.hold_level_low(of, on);
+                return Ok(());
+            }
+            // Its watchdog has reset it.
+            Kind::CoreHangs(_) if !on => return Ok(()),
+            // The others happen within a machine.
+            _ => world.later(of, self.after_us),
+        }
+        match kind {
+            Kind::PowerLoss => world.set_feed(of, !on),
+            Kind::ResetByWatchdog => world.hang(of),
+            Kind::ResetByTrap => world.crash(of),
+            Kind::CoreHangs(amount) if amount.core() == CoreId::CONTROL => world.hang(of),
+            Kind::CoreDies(amount) if amount.core() == CoreId::CONTROL => world.crash(of),
+            Kind::Scribble => world.scribble(of, 1),
+            _ => {
+                let site = Site::Machines;
+                return Err(CannotSuffer { kind, site });
+            }
+        }
+        Ok(())
+    }
+
+    fn restore(&mut self) {
         self.bus = BusFaults::default();
         for system in SystemId::ALL {
             for wire in Wire::ALL {
@@ -270,56 +323,6 @@ impl Disturbed {
             self.world.hold_level_low(system, false);
             self.world.disturb_bus(system, BusFault::default());
             self.world.set_feed(system, true);
-        }
-    }
-
-    /// Does something, in a machine `us` after its next step.
-    fn act(&mut self, act: Act, us: u32) {
-        // What a fault calls A is the system that drives.
-        let driver = self.driver;
-        let real = move |of: SystemId| match driver {
-            SystemId::A => of,
-            SystemId::B => of.peer(),
-        };
-        let in_machine = match act {
-            Act::Power(of, _) | Act::Reset(of, _) | Act::Kill(of, _) | Act::Scribble(of) => {
-                Some(of)
-            }
-            Act::FreezeCore(of, CoreId::CONTROL, true) => Some(of),
-            _ => None,
-        };
-        if let Some(of) = in_machine.map(real) {
-            self.world.later(of, us);
-        }
-        match act {
-            Act::Cut(wire, of, cut) => self.world.set_cut(wire, real(of), cut),
-            Act::LevelLow(of, held) => self.world.hold_level_low(real(of), held),
-            Act::Edge(to, line, edge) => self.world.stray_edge(real(to), line, edge),
-            Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
-                if let Some((of, fault)) = self.bus.follow(act) {
-                    self.world.disturb_bus(real(of), fault);
-                }
-            }
-            Act::Power(of, on) => self.world.set_feed(real(of), on),
-            Act::Reset(of, ResetCause::Watchdog) | Act::FreezeCore(of, _, true) => {
-                self.world.hang(real(of));
-            }
-            Act::Reset(of, _) | Act::Kill(of, _) => self.world.crash(real(of)),
-            Act::Scribble(of) => self.world.scribble(real(of), 1),
-            // Its watchdog has reset it.
-            Act::FreezeCore(_, _, false) => {}
-            Act::Freeze(..)
-            | Act::Rest(..)
-            | Act::Clock(..)
-            | Act::ClockJumps(..)
-            | Act::WrongResults(..)
-            | Act::FlashHangs(..)
-            | Act::FlashLost(_)
-            | Act::FreezeSupply(..)
-            | Act::FreezeVehicle(_)
-            | Act::FreezeLauncher(_)
-            | Act::Poison(_)
-            | Act::VehicleSilent(_) => unreachable!("Kind::is_for_machines refused it"),
         }
     }
 }
@@ -349,7 +352,10 @@ impl VehiclePort for Disturbed {
 
     fn tick(&mut self) -> Result<Instant, MachineError> {
         let now = self.world.tick()?;
-        self.act_until_next();
+        if let Err(refused) = self.act_until_next() {
+            self.refused = Some(refused);
+            self.world.stop_flag().store(true, Ordering::Relaxed);
+        }
         Ok(now)
     }
 

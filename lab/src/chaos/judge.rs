@@ -1,9 +1,9 @@
 //! The outcome of each fault of a run, from the recording: the analysis that judges every run.
 
 use serde::{Deserialize, Serialize};
-use tandem_board::SystemId;
 use tandem_board_host::Wire;
 use tandem_cores::trace::Event;
+use tandem_faults::{Fault, Kind, Scope, Sequence, Way};
 use tandem_record::gap::{
     Bounds, HAND_OVER_MS, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
 };
@@ -11,10 +11,9 @@ use tandem_record::run_log::Stall;
 use tandem_record::verdict::figures::{GapFigures, both_transmitted};
 use tandem_record::verdict::{Finding, Rule, Watch};
 use tandem_record::{RunLog, Takeover, ms_between, takeovers};
-use tandem_sim::faults::{Fault, Kind, Row, Sequence, Way, row};
 
 use super::Source;
-use super::leg::Injected;
+use super::round::Injected;
 use tandem::run::Recorded;
 
 /// The outcome of one sequence of faults.
@@ -44,7 +43,7 @@ pub(super) struct Outcome {
 /// # Errors
 /// If a fault cannot be found again.
 pub(super) fn judge(
-    source: &Source<'_>,
+    source: &Source,
     recorded: &Recorded<Vec<Injected>>,
 ) -> anyhow::Result<(Vec<Outcome>, Vec<String>)> {
     let (log, beside) = (&recorded.log, &recorded.around.beside);
@@ -85,7 +84,10 @@ impl Hears {
     const fn under(kind: Kind) -> Self {
         match kind {
             Kind::Deaf => Self::OverTheLink,
-            Kind::Cut(Wire::Can) | Kind::Flap(Wire::Can, _) => Self::WhenMended,
+            Kind::Cut { wire: Wire::Can }
+            | Kind::Flap {
+                wire: Wire::Can, ..
+            } => Self::WhenMended,
             _ => Self::All,
         }
     }
@@ -103,7 +105,7 @@ impl Run<'_> {
     fn outcome(&self, sequence: &Sequence, injected: &Injected, until_ns: u64) -> Outcome {
         let (log, at_ns) = (self.log, injected.at_ns);
         let within = |ns: u64| (at_ns..until_ns).contains(&ns);
-        let spares_control = spares_control(sequence);
+        let spares_control = sequence.spares_the_master();
         let mut times = periods(
             log,
             &self.takeovers,
@@ -211,10 +213,10 @@ impl Run<'_> {
             return None;
         };
         let observer = match fault.way {
-            _ if fault.kind.is_of_both() => return None,
+            _ if fault.kind.facts().scope == Scope::Shared => return None,
             Way::Both => return None,
-            Way::From(SystemId::A) => injected.driver.peer(),
-            Way::From(SystemId::B) => injected.driver,
+            Way::A => injected.driver.peer(),
+            Way::B => injected.driver,
         };
         let at_ns = injected.at_ns + fault.at.as_ns();
         let noticed = self.log.events.iter().find(|event| {
@@ -225,28 +227,18 @@ impl Run<'_> {
     }
 }
 
-/// Whether the faults leave the frames of the system that drives as they are, so that it must not
-/// be relieved. A bus that stands still delivers them too late: the vehicle refuses them, and their
-/// sender may go.
-pub(super) fn spares_control(sequence: &Sequence) -> bool {
-    sequence.faults.iter().all(|fault| {
-        let spares = matches!(row(fault), Row::None | Row::Stall(_));
-        spares && !matches!(fault.kind, Kind::VehicleHangs(_))
-    })
-}
-
 /// The fault, in words.
 pub(super) fn class(sequence: &Sequence) -> String {
     let of = |way| match way {
-        Way::From(SystemId::A) => " of the master",
-        Way::From(SystemId::B) => " of the standby",
+        Way::A => " of the master",
+        Way::B => " of the standby",
         Way::Both => " both ways",
     };
     let words = sequence.faults.iter().map(|fault| {
         let label = fault.kind.label();
-        match fault.kind.is_of_both() {
-            true => label,
-            false => label + of(fault.way),
+        match fault.kind.facts().scope {
+            Scope::Shared => label,
+            Scope::System | Scope::Wire => label + of(fault.way),
         }
     });
     words.collect::<Vec<_>>().join(" + ")

@@ -5,85 +5,57 @@ mod campaign;
 mod emulated;
 mod inject;
 mod judge;
-mod leg;
+mod pipe;
+mod processes;
 mod report;
-
-use std::path::Path;
+mod round;
 
 use anyhow::{Context as _, bail};
 use tandem_board::Duration;
-use tandem_sim::faults::{Sequence, Victim};
+use tandem_faults::{Sequence, Site};
 
 use crate::chaos_args::ChaosArgs;
+use crate::fault_file::FaultFile;
 use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 
 /// Which faults a campaign has.
-struct Source<'a> {
-    kind: SourceKind<'a>,
-    victim: Victim,
+struct Source {
+    kind: SourceKind,
+    site: Site,
 }
 
-enum SourceKind<'a> {
+enum SourceKind {
     Drawn { seed: u64 },
     Matrix,
-    File { path: &'a Path, text: String },
+    File(FaultFile),
 }
 
-impl<'a> Source<'a> {
-    fn of(args: &'a ChaosArgs) -> anyhow::Result<Self> {
+impl Source {
+    fn of(args: &ChaosArgs) -> anyhow::Result<Self> {
+        let site = match args.board {
+            DemoBoard::Host => Site::Processes,
+            DemoBoard::Qemu => Site::Machines,
+        };
         let kind = match &args.faults {
             None if args.matrix => SourceKind::Matrix,
             None => SourceKind::Drawn { seed: args.seed },
-            Some(path) => {
-                let text = std::fs::read_to_string(path);
-                let text = text.with_context(|| path.display().to_string())?;
-                SourceKind::File { path, text }
-            }
+            Some(path) => SourceKind::File(FaultFile::read(path, site)?),
         };
-        let victim = match args.board {
-            DemoBoard::Host => Victim::Processes,
-            DemoBoard::Qemu => Victim::Machines,
-        };
-        let source = Self { kind, victim };
-        // So that what is wrong with a file is told before anything starts.
-        source.sequence(0)?;
-        Ok(source)
+        Ok(Self { kind, site })
     }
 
     /// A sequence of faults by its number; if it matters, when in the control cycle it begins.
     fn sequence(&self, number: u64) -> anyhow::Result<(Sequence, Option<Duration>)> {
-        match &self.kind {
-            SourceKind::Drawn { seed } => Ok((self.victim.drawn(*seed, number), None)),
+        Ok(match &self.kind {
+            SourceKind::Drawn { seed } => (self.site.drawn(*seed, number), None),
             SourceKind::Matrix => {
-                let cell = self.victim.cell(number);
+                let cell = self.site.cell(number);
                 let (sequence, phase) = cell.with_context(|| format!("no cell {number}"))?;
-                Ok((sequence, Some(phase)))
+                (sequence, Some(phase))
             }
-            SourceKind::File { path, text } => {
-                let sequence = Sequence::from_toml(text, number)
-                    .with_context(|| path.display().to_string())?;
-                let path = path.display();
-                if sequence.from_power_on {
-                    bail!("{path}: from-power-on: only `tandem sim`");
-                }
-                let mut kinds = sequence.faults.iter().map(|fault| fault.kind);
-                if let Some(kind) = kinds.find(|kind| !self.victim.suffers(*kind)) {
-                    let (what, victims) = (kind.label(), self.victims());
-                    bail!(
-                        "{path}: {what}: {victims} cannot suffer it; docs/faults.md says what can"
-                    );
-                }
-                Ok((sequence, None))
-            }
-        }
-    }
-
-    const fn victims(&self) -> &'static str {
-        match self.victim {
-            Victim::Processes => "processes",
-            Victim::Machines => "emulated machines",
-        }
+            SourceKind::File(file) => (file.sequence(number)?, None),
+        })
     }
 
     /// The numbers of its sequences.
@@ -93,8 +65,8 @@ impl<'a> Source<'a> {
             return Ok(vec![only]);
         }
         let all = match self.kind {
-            SourceKind::Matrix => args.from..self.victim.cells(),
-            SourceKind::Drawn { .. } | SourceKind::File { .. } => {
+            SourceKind::Matrix => args.from..self.site.cells(),
+            SourceKind::Drawn { .. } | SourceKind::File(_) => {
                 let to = args.from.checked_add(args.count);
                 args.from..to.context("--from and --count are too large")?
             }
@@ -111,11 +83,9 @@ impl<'a> Source<'a> {
         let mut words = match &self.kind {
             SourceKind::Drawn { seed } => vec!["--seed".to_owned(), seed.to_string()],
             SourceKind::Matrix => vec!["--matrix".to_owned()],
-            SourceKind::File { path, .. } => {
-                vec!["--faults".to_owned(), path.display().to_string()]
-            }
+            SourceKind::File(file) => vec!["--faults".to_owned(), file.name()],
         };
-        if self.victim == Victim::Machines {
+        if self.site == Site::Machines {
             words.extend(["--board", "qemu"].map(str::to_owned));
         }
         words
@@ -134,16 +104,16 @@ impl<'a> Source<'a> {
 /// [`Failure`] with the exit status that the command documents.
 pub(crate) fn run(args: &ChaosArgs) -> Result<(), Failure> {
     let source = Source::of(args).map_err(Failure::Usage)?;
-    if let Some(leg) = &args.leg {
+    if let Some(drive) = &args.drive {
         let every = usize::try_from(args.every.get()).unwrap_or(usize::MAX);
-        let numbers: Vec<u64> = (leg[0]..leg[1]).step_by(every).collect();
-        let leg = match source.victim {
-            Victim::Processes => leg::run(&source, &numbers),
-            Victim::Machines => emulated::run(&source, &numbers),
+        let numbers: Vec<u64> = (drive[0]..drive[1]).step_by(every).collect();
+        let drive = match source.site {
+            Site::Machines => emulated::run(&source, &numbers),
+            Site::Processes | Site::Simulator => processes::run(&source, &numbers),
         };
-        return leg.map_err(Failure::Run);
+        return drive.map_err(Failure::Run);
     }
-    if source.victim == Victim::Machines {
+    if source.site == Site::Machines {
         crate::emulated::image("controller", None).map_err(Failure::Usage)?;
     }
     let numbers = source.numbers(args).map_err(Failure::Usage)?;

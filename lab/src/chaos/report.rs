@@ -6,7 +6,6 @@ use std::fmt::Write as _;
 use serde_json::json;
 
 use super::Source;
-use super::campaign::Found;
 use super::judge::Outcome;
 use tandem::percentiles::Spans;
 
@@ -15,6 +14,14 @@ const COLUMNS_MS: [f64; 7] = [10.5, 11.5, 13.0, 15.0, 17.0, 19.0, 21.0];
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 /// Violations that are told one by one; the figures have all.
 const TOLD: usize = 12;
+
+/// The result of a campaign.
+#[derive(Default)]
+pub(super) struct Found {
+    pub(super) outcomes: Vec<Outcome>,
+    /// Violations of runs as a whole, each with the command that repeats it.
+    pub(super) wrong: Vec<String>,
+}
 
 /// The figures of one class of faults.
 struct Class<'o> {
@@ -92,7 +99,7 @@ fn row_of(outcome: &Outcome) -> String {
 }
 
 /// The report on the terminal.
-pub(super) fn text(source: &Source<'_>, found: &Found) -> String {
+pub(super) fn text(source: &Source, found: &Found) -> String {
     let mut text = String::new();
     let mut line = |told: String| {
         let _ = writeln!(text, "{told}");
@@ -143,7 +150,7 @@ pub(super) fn text(source: &Source<'_>, found: &Found) -> String {
 }
 
 /// The figures.
-pub(super) fn json(source: &Source<'_>, found: &Found) -> serde_json::Value {
+pub(super) fn json(source: &Source, found: &Found) -> serde_json::Value {
     let classes: Vec<_> = classes(&found.outcomes, |outcome| outcome.class.clone())
         .iter()
         .map(|(name, class)| {
@@ -180,7 +187,7 @@ pub(super) fn json(source: &Source<'_>, found: &Found) -> serde_json::Value {
 mod tests {
     use super::super::SourceKind;
     use super::*;
-    use tandem_sim::faults::Victim;
+    use tandem_faults::Site;
 
     fn outcome(number: u64, class: &str, gap_ms: f64) -> Outcome {
         Outcome {
@@ -201,7 +208,7 @@ mod tests {
     fn a_violation_is_told_with_the_command_that_repeats_it() {
         let source = Source {
             kind: SourceKind::Drawn { seed: 7 },
-            victim: Victim::Processes,
+            site: Site::Processes,
         };
         let mut found = Found {
             outcomes: vec![
@@ -238,12 +245,12 @@ mod tests {
     fn the_report_of_a_thousand_faults_is_one_screen() {
         let source = Source {
             kind: SourceKind::Drawn { seed: 7 },
-            victim: Victim::Processes,
+            site: Site::Processes,
         };
         let outcomes = (0..1_000).map(|number| {
             let (sequence, _) = source.sequence(number).expect("a sequence");
             let class = super::super::judge::class(&sequence);
-            let spares_control = super::super::judge::spares_control(&sequence);
+            let spares_control = sequence.spares_the_master();
             Outcome {
                 spares_control,
                 ..outcome(number, &class, 11.0)

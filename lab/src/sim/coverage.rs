@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 
 use serde_json::{Value, json};
 use tandem_board::RoleLamp;
-use tandem_sim::faults::{Kind, State};
+use tandem_faults::Kind;
+use tandem_sim::State;
 
 use super::outcome::Outcome;
 

@@ -6,23 +6,25 @@ mod outcome;
 mod recording;
 mod report;
 
-use std::fs;
 use std::num::NonZero;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
+use tandem_faults::{Group, Sequence, Site, known};
 use tandem_page::output::OutputFile;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Around, Fault, Group, Profile, Sequence};
 use tandem_sim::timing::Time;
+use tandem_sim::{Around, Profile};
 
+use crate::fault_file::FaultFile;
 use outcome::Outcome;
 use report::Summary;
 use tandem::failure::Failure;
@@ -54,20 +56,20 @@ pub(crate) struct SimArgs {
 
     /// Which sequences: each single fault at 20 moments of the control cycle, all pairs within one
     /// system, or random ones
-    #[arg(long, value_enum, default_values_t = [Kind::Random])]
-    group: Vec<Kind>,
+    #[arg(long, value_parser = named(Group::ALL, Group::name), default_value = "random")]
+    group: Vec<Group>,
 
     /// Of single faults and pairs, every N-th only
     #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN)]
     every: NonZero<u64>,
 
     /// Limits of the redundancy
-    #[arg(long, value_enum, default_value_t = Timing::Rt)]
-    timing: Timing,
+    #[arg(long, value_parser = named(timings(), |it| it.0), default_value = "rt")]
+    timing: (&'static str, Config),
 
     /// What takes time: nothing, what is usual, or as much as was ever measured
-    #[arg(long, value_enum, default_value_t = Takes::Ideal)]
-    time: Takes,
+    #[arg(long, value_parser = named(Time::ALL, Time::name), default_value = "ideal")]
+    time: Time,
 
     /// Run cores 1 and 2 as well, and a vehicle in its lane behind another one
     #[arg(long)]
@@ -119,131 +121,87 @@ everything works again: gap, terms, role, flash; lane, distance and collisions.
 Exit status: 0 if no sequence violates what must be so, 1 if one does, 2 if an argument or a file is
 wrong.";
 
-/// Sequences by number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Kind {
-    Single,
-    Pair,
-    Random,
-    Swarm,
+/// The limits of the redundancy, by the names of their profiles.
+const fn timings() -> [(&'static str, Config); 3] {
+    [
+        ("chip", Config::chip()),
+        ("rt", Config::rt()),
+        ("desktop", Config::desktop()),
+    ]
 }
 
-/// The model of time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Takes {
-    Ideal,
-    Typical,
-    Worst,
-}
-
-impl Takes {
-    const fn time(self) -> Time {
-        match self {
-            Self::Ideal => Time::Ideal,
-            Self::Typical => Time::Typical,
-            Self::Worst => Time::Worst,
-        }
-    }
+/// The values of an option: all of these, by their names.
+fn named<T, const N: usize>(
+    all: [T; N],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Send + Sync + 'static,
+{
+    let of_name = move |given: String| all.into_iter().find(|it| name(*it) == given);
+    PossibleValuesParser::new(all.map(name)).try_map(move |given| {
+        of_name(given)
+            .context("no such value")
+            .map_err(anyhow::Error::into_boxed_dyn_error)
+    })
 }
 
 impl SimArgs {
     fn profile(&self) -> Profile {
         Profile {
-            limits: self.timing.limits(),
-            time: self.time.time(),
+            time: self.time,
             around: if self.closed_loop {
                 Around::ClosedLoop
             } else {
                 Around::Core0
             },
+            ..self.timing.1.into()
         }
     }
 
     /// The arguments with which another process has the same profile.
     fn profile_arguments(&self) -> Vec<String> {
-        let mut words = vec!["--timing".to_owned(), name_of(self.timing)];
-        words.extend(["--time".to_owned(), name_of(self.time)]);
-        words.extend(self.closed_loop.then(|| "--closed-loop".to_owned()));
+        let words = ["--timing", self.timing.0, "--time", self.time.name()];
+        let closed_loop = self.closed_loop.then_some("--closed-loop");
         words
+            .into_iter()
+            .chain(closed_loop)
+            .map(str::to_owned)
+            .collect()
     }
-}
-
-impl Kind {
-    const fn group(self) -> Group {
-        match self {
-            Self::Single => Group::Single,
-            Self::Pair => Group::Pair,
-            Self::Random => Group::Random,
-            Self::Swarm => Group::Swarm,
-        }
-    }
-}
-
-/// Limits of the redundancy.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Timing {
-    Chip,
-    Rt,
-    Desktop,
-}
-
-impl Timing {
-    const fn limits(self) -> Config {
-        match self {
-            Self::Chip => Config::chip(),
-            Self::Rt => Config::rt(),
-            Self::Desktop => Config::desktop(),
-        }
-    }
-}
-
-/// The name of a value on the command line.
-fn name_of(value: impl ValueEnum) -> String {
-    let value = value.to_possible_value();
-    value.map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
 /// Sequences that belong together.
-enum Source<'a> {
-    Numbered(Kind),
-    File { path: &'a Path, text: String },
+enum Source {
+    Numbered(Group),
+    File(FaultFile),
 }
 
-impl Source<'_> {
+impl Source {
     fn name(&self) -> String {
         match self {
-            Self::Numbered(kind) => name_of(*kind),
-            Self::File { path, .. } => path.display().to_string(),
+            Self::Numbered(group) => group.name().to_owned(),
+            Self::File(file) => file.name(),
         }
     }
 
     fn sequence(&self, number: u64) -> Result<Sequence> {
         match self {
-            Self::Numbered(kind) => {
-                let group = kind.group();
+            Self::Numbered(group) => {
                 if group.count().is_some_and(|count| number >= count) {
-                    bail!("{}: there is no number {number}", name_of(*kind));
+                    bail!("{}: there is no number {number}", group.name());
                 }
                 Ok(group.sequence(number))
             }
-            Self::File { path, text } => {
-                let sequence = Sequence::from_toml(text, number)
-                    .with_context(|| path.display().to_string())?;
-                let not_here = |it: &&Fault| !it.kind.is_for_simulator();
-                if let Some(fault) = sequence.faults.iter().find(not_here) {
-                    let (path, what) = (path.display(), fault.kind.label());
-                    bail!("{path}: {what}: only processes suffer it, see `tandem chaos`");
-                }
-                Ok(sequence)
-            }
+            Self::File(file) => file.sequence(number),
         }
     }
 
     /// The first number, the one after the last, and the step.
     fn numbers(&self, arguments: &SimArgs) -> Result<(u64, u64, u64)> {
         let count = match self {
-            Self::Numbered(kind) => kind.group().count(),
-            Self::File { .. } => None,
+            Self::Numbered(group) => group.count(),
+            Self::File(_) => None,
         };
         if let Some(count) = count {
             return Ok((0, count, arguments.every.get()));
@@ -258,26 +216,21 @@ impl Source<'_> {
 
     /// The arguments by which another process finds the same sequences.
     fn arguments(&self) -> [String; 2] {
-        match self {
-            Self::Numbered(kind) => ["--group".to_owned(), name_of(*kind)],
-            Self::File { path, .. } => ["--faults".to_owned(), path.display().to_string()],
-        }
+        let option = match self {
+            Self::Numbered(_) => "--group",
+            Self::File(_) => "--faults",
+        };
+        [option.to_owned(), self.name()]
     }
 
-    /// The command that tells one of them.
+    /// The command that prints the story of one of them.
     fn repeats(&self, number: u64, arguments: &SimArgs) -> String {
         let which = match self {
-            Self::Numbered(kind) => {
-                vec!["--only".to_owned(), format!("{}:{number}", name_of(*kind))]
-            }
-            Self::File { .. } => {
-                let mut words = self.arguments().to_vec();
-                words.extend(["--only".to_owned(), number.to_string()]);
-                words
-            }
+            Self::Numbered(group) => format!("--only {}:{number}", group.name()),
+            Self::File(file) => format!("--faults {} --only {number}", file.name()),
         };
-        let profile = arguments.profile_arguments();
-        format!("tandem sim {} {}", which.join(" "), profile.join(" "))
+        let profile = arguments.profile_arguments().join(" ");
+        format!("tandem sim {which} {profile}")
     }
 }
 
@@ -285,7 +238,7 @@ impl Source<'_> {
 pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     let sources = sources(arguments).map_err(Failure::Usage)?;
     if let Some(one) = &arguments.only {
-        return tell(one, &sources, arguments);
+        return story(one, &sources, arguments);
     }
     if let (Some(chunk), [source]) = (&arguments.chunk, &sources[..]) {
         return run_chunk(source, chunk, arguments).map_err(Failure::Run);
@@ -337,13 +290,11 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
 }
 
 /// Which numbers of which sequences were tried.
-fn ranges(sources: &[Source<'_>], arguments: &SimArgs) -> Result<Vec<merge::Range>> {
-    let range = |source: &Source<'_>| {
+fn ranges(sources: &[Source], arguments: &SimArgs) -> Result<Vec<merge::Range>> {
+    let range = |source: &Source| {
         let (from, to, step) = source.numbers(arguments)?;
-        let mut name = source.name();
-        for setting in [name_of(arguments.timing), name_of(arguments.time)] {
-            name = format!("{name} {setting}");
-        }
+        let (timing, time) = (arguments.timing.0, arguments.time.name());
+        let mut name = format!("{} {timing} {time}", source.name());
         if arguments.closed_loop {
             name.push_str(" closed-loop");
         }
@@ -357,31 +308,29 @@ fn ranges(sources: &[Source<'_>], arguments: &SimArgs) -> Result<Vec<merge::Rang
     sources.iter().map(range).collect()
 }
 
-fn sources(arguments: &SimArgs) -> Result<Vec<Source<'_>>> {
-    let Some(path) = &arguments.faults else {
-        return Ok(arguments
+fn sources(arguments: &SimArgs) -> Result<Vec<Source>> {
+    Ok(match &arguments.faults {
+        Some(path) => vec![Source::File(FaultFile::read(path, Site::Simulator)?)],
+        None => arguments
             .group
             .iter()
-            .map(|kind| Source::Numbered(*kind))
-            .collect());
-    };
-    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    let source = Source::File { path, text };
-    source.sequence(0)?;
-    Ok(vec![source])
+            .copied()
+            .map(Source::Numbered)
+            .collect(),
+    })
 }
 
-/// Tells what happens in one sequence.
-fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Failure> {
+/// Prints the story of one sequence.
+fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failure> {
     let find = || -> Result<Sequence> {
-        if let [file @ Source::File { .. }] = sources {
+        if let [file @ Source::File(_)] = sources {
             return file.sequence(one.parse().context("--only: the seed, a number")?);
         }
         let (group, number) = one.split_once(':').context("--only GROUP:NUMBER")?;
-        let Ok(kind) = Kind::from_str(group, true) else {
+        let Some(group) = Group::of_name(group) else {
             bail!("the groups are single, pair, random and swarm, not {group}");
         };
-        Source::Numbered(kind).sequence(number.parse().context("--only: a number")?)
+        Source::Numbered(group).sequence(number.parse().context("--only: a number")?)
     };
     let sequence = find().map_err(Failure::Usage)?;
     if let Some(path) = &arguments.save {
@@ -399,28 +348,26 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
         .map(ReportFolder::check)
         .transpose();
     let out = out.map_err(Failure::Usage)?;
-    let (verdict, mut bench) = sequence.run(arguments.profile(), true);
+    let profile = arguments.profile();
+    let (trial, mut bench) = profile.run(&sequence, true);
     let mut text = format!("{sequence}\n");
     if let Some(out) = &out {
-        let written = recording::write(&mut bench, out, arguments.profile());
+        let written = recording::write(&mut bench, out, profile);
         written.map_err(Failure::Run)?;
     }
     for line in bench.story() {
         text.push_str(&line);
         text.push('\n');
     }
-    if let Some((row, bound)) = sequence.bound(&bench.config.redundancy) {
-        let bound = bound + bench.time.allowance();
-        text.push_str(&format!("bound {:.1} ms ({row:?})\n", bound.as_ms_f64()));
+    if let Some((loss, bound)) = sequence.bound(&profile.bounds()) {
+        let bound = bound + profile.time.allowance();
+        text.push_str(&format!("bound {:.1} ms ({loss:?})\n", bound.as_ms_f64()));
     }
-    text.push_str(&format!("{verdict}, digest {:016x}\n", verdict.digest));
+    text.push_str(&format!("{trial}, digest {:016x}\n", trial.digest));
     print(&text).map_err(Failure::Run)?;
-    let new: Vec<String> = verdict
-        .violations
-        .iter()
-        .filter(|violation| sequence.known(**violation).is_none())
-        .map(|violation| format!("{violation:?}"))
-        .collect();
+    let new = trial.violations.iter();
+    let new = new.filter(|rule| known(&sequence, **rule).is_none());
+    let new: Vec<String> = new.map(|rule| format!("{rule:?}")).collect();
     if new.is_empty() {
         Ok(())
     } else {
@@ -429,11 +376,11 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
 }
 
 /// What another process of the campaign does: a line for each sequence.
-fn run_chunk(source: &Source<'_>, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
+fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
     let (.., step) = source.numbers(arguments)?;
     for number in (chunk[0]..chunk[1]).step_by(usize::try_from(step)?) {
-        let verdict = source.sequence(number)?.try_run(arguments.profile());
-        print(&format!("{}\n", Outcome::new(number, verdict).line()))?;
+        let trial = arguments.profile().try_run(&source.sequence(number)?);
+        print(&Outcome::new(number, trial).line()?)?;
     }
     let cpu = clock_gettime(ClockId::ProcessCPUTime);
     print(&format!("cpu {} {}\n", cpu.tv_sec, cpu.tv_nsec))
@@ -441,7 +388,7 @@ fn run_chunk(source: &Source<'_>, chunk: &[u64], arguments: &SimArgs) -> Result<
 
 /// Runs the sequences in processes, some at a time.
 /// Also returns the processors' time.
-fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
+fn campaign(source: &Source, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
     let (from, to, step) = source.numbers(arguments)?;
     let chunk = CHUNK * step;
     let cpus = thread::available_parallelism();
@@ -492,7 +439,7 @@ fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<(Vec<Outcome>, D
 }
 
 fn run_in_process(
-    source: &Source<'_>,
+    source: &Source,
     [from, to]: [u64; 2],
     arguments: &SimArgs,
 ) -> Result<(Vec<Outcome>, Duration)> {

@@ -7,7 +7,7 @@ use tandem_board::Duration;
 use tandem_record::file::candump_line;
 use tandem_record::gap::Bounds;
 use tandem_record::verdict::{Beside, Limits};
-use tandem_sim::faults::{Bench, Profile};
+use tandem_sim::{Bench, Profile};
 
 use tandem::collected::Collected;
 use tandem::metrics::Surroundings;
@@ -42,8 +42,8 @@ pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> 
 mod tests {
     use super::*;
     use tandem::output::{METRICS, REPORT, TRACE};
+    use tandem_faults::Group;
     use tandem_redundancy::Config;
-    use tandem_sim::faults::Group;
 
     /// A takeover that was simulated stands in the same files as one of processes.
     #[test]
@@ -52,7 +52,7 @@ mod tests {
         let place = folder.path().join("report");
         let profile = Profile::from(Config::rt());
         // Power loss of the master.
-        let (verdict, mut bench) = Group::Single.sequence(1_420).run(profile, true);
+        let (trial, mut bench) = profile.run(&Group::Single.sequence(1_420), true);
         let story = |bench: &mut Bench| bench.story().len();
         let before = story(&mut bench);
         write(&mut bench, &ReportFolder::check(&place).unwrap(), profile).unwrap();
@@ -66,7 +66,7 @@ mod tests {
         );
         assert_eq!(
             metrics["takeovers"].as_array().map(Vec::len),
-            Some(verdict.changes)
+            Some(trial.changes)
         );
         assert!(read(TRACE).len() > 100_000 && read(REPORT).len() > 10_000);
     }

@@ -5,11 +5,13 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use serde_json::json;
-use tandem_sim::faults::{PHASES, Profile, Sequence, Violation};
+use tandem_faults::{Group, PHASES, Sequence, known};
+use tandem_record::verdict::Rule;
+use tandem_sim::Profile;
 
 use super::coverage::Coverage;
 use super::outcome::Outcome;
-use super::{Kind, SimArgs, Source};
+use super::{SimArgs, Source};
 
 /// Classes of a violation that are printed, and sequences that are shrunk to find them.
 const CLASSES: usize = 12;
@@ -54,13 +56,13 @@ impl Summary {
 
 /// The text and the figures of a campaign.
 pub(super) fn of(
-    source: &Source<'_>,
+    source: &Source,
     outcomes: &[Outcome],
     arguments: &SimArgs,
 ) -> Result<(String, Summary)> {
     let profile = arguments.profile();
     let mut text = String::new();
-    if matches!(source, Source::Numbered(Kind::Single)) {
+    if matches!(source, Source::Numbered(Group::Single)) {
         table(source, outcomes, profile, &mut text)?;
     }
     let mut summary = Summary {
@@ -74,24 +76,19 @@ pub(super) fn of(
     };
     let name = source.name();
     let mut bad = BTreeSet::new();
-    for violation in Violation::ALL {
+    for rule in Rule::all() {
         let mut new = Vec::new();
-        for outcome in outcomes
-            .iter()
-            .filter(|it| it.violations.contains(&violation))
-        {
+        for outcome in outcomes.iter().filter(|it| it.violations.contains(&rule)) {
             let sequence = source.sequence(outcome.number)?;
-            match sequence.known(violation) {
+            match known(&sequence, rule) {
                 Some(why) => *summary.known.entry(why.to_owned()).or_insert(0) += 1,
                 None => new.push(sequence),
             }
         }
         if !new.is_empty() {
-            writeln!(text, "{name}: {violation:?} {}", new.len())?;
-            classes(source, violation, &new, arguments, &mut text)?;
-            summary
-                .violations
-                .insert(format!("{violation:?}"), new.len());
+            writeln!(text, "{name}: {rule:?} {}", new.len())?;
+            classes(source, rule, &new, arguments, &mut text)?;
+            summary.violations.insert(format!("{rule:?}"), new.len());
             bad.extend(new.iter().map(|sequence| sequence.number));
         }
     }
@@ -117,19 +114,19 @@ const fn mixed(sum: u64, outcome: &Outcome) -> u64 {
 
 /// Which faults lead to a violation, the most frequent first, with a line that repeats each.
 fn classes(
-    source: &Source<'_>,
-    violation: Violation,
+    source: &Source,
+    rule: Rule,
     sequences: &[Sequence],
     arguments: &SimArgs,
     text: &mut String,
 ) -> Result<()> {
-    let numbered = matches!(source, Source::Numbered(Kind::Single | Kind::Pair));
+    let numbered = matches!(source, Source::Numbered(Group::Single | Group::Pair));
     let mut classes: BTreeMap<String, Vec<u64>> = BTreeMap::new();
     for (index, sequence) in sequences.iter().enumerate() {
         let kinds = match numbered {
             true => sequence.kinds(),
             false if index >= SHRUNK => continue,
-            false => sequence.shrunk(arguments.profile(), violation).kinds(),
+            false => arguments.profile().shrunk(sequence, rule).kinds(),
         };
         classes.entry(kinds).or_default().push(sequence.number);
     }
@@ -143,15 +140,10 @@ fn classes(
 }
 
 /// The bound of each single fault beside what was measured.
-fn table(
-    source: &Source<'_>,
-    outcomes: &[Outcome],
-    profile: Profile,
-    text: &mut String,
-) -> Result<()> {
+fn table(source: &Source, outcomes: &[Outcome], profile: Profile, text: &mut String) -> Result<()> {
     writeln!(
         text,
-        "| fault | row | bound ms | longest gap ms | violated |"
+        "| fault | loss | bound ms | longest gap ms | violated |"
     )?;
     writeln!(text, "|---|---|---|---|---|")?;
     for outcomes in outcomes.chunk_by(|a, b| a.number / PHASES == b.number / PHASES) {
@@ -160,19 +152,17 @@ fn table(
         };
         let sequence = source.sequence(first.number)?;
         let fault = &sequence.faults[0];
-        let bound = sequence.bound(&profile.limits).map_or_else(
+        let bound = sequence.bound(&profile.bounds()).map_or_else(
             || "| ".to_owned(),
-            |(row, bound)| {
+            |(loss, bound)| {
                 let bound = bound + profile.time.allowance();
-                format!("{row:?} | {:.1}", bound.as_ms_f64())
+                format!("{loss:?} | {:.1}", bound.as_ms_f64())
             },
         );
         let gap_ns = outcomes.iter().map(|outcome| outcome.gap_ns).max();
         let gap = gap_ns.unwrap_or(0) as f64 * 1e-6;
-        let violations = Violation::ALL.into_iter().filter(|violation| {
-            let violates = |outcome: &Outcome| outcome.violations.contains(violation);
-            outcomes.iter().any(violates)
-        });
+        let broken = |rule: &Rule| outcomes.iter().any(|it| it.violations.contains(rule));
+        let violations = Rule::all().filter(broken);
         let violations: Vec<String> = violations.map(|it| format!("{it:?}")).collect();
         let count = outcomes
             .iter()
@@ -183,10 +173,7 @@ fn table(
             count => format!("{count} of {}: {}", outcomes.len(), violations.join(", ")),
         };
         let (kind, way) = (fault.kind, fault.way);
-        writeln!(
-            text,
-            "| {kind:?} {way:?} | {bound} | {gap:.1} | {violated} |"
-        )?;
+        writeln!(text, "| {kind} {way:?} | {bound} | {gap:.1} | {violated} |")?;
     }
     Ok(())
 }

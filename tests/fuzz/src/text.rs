@@ -1,6 +1,6 @@
 //! Files that a user writes: scenarios and lists of faults.
 
-use tandem_sim::faults::Sequence;
+use tandem_faults::Sequence;
 use tandem_vehicle::{Scenario, World, WorldConfig};
 
 /// A scenario file is refused, or its world runs for 60 ms without a controller.

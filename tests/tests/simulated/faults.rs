@@ -1,12 +1,14 @@
 //! A slice of `tandem sim`.
 
-use tandem_board::{CoreId, Duration, Edge, Instant, Line, ResetCause, RoleLamp, SystemId, Traced};
+use tandem_board::{CoreId, Duration, Edge, Instant, Line, RoleLamp, SystemId, Traced};
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_faults::{Fault, Group, Kind, Loss, Sequence, Way, just, known};
+use tandem_record::verdict::Limits;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Around, Bench, Fault, Group, Kind, Profile, Row, Sequence, Verdict, Way};
 use tandem_sim::timing::Time;
+use tandem_sim::{Around, Bench, Profile, Tried};
 
 fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
     try_in(Config::rt(), group, numbers);
@@ -18,13 +20,10 @@ fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item
     let mut bad = vec![];
     for number in numbers {
         let sequence: Sequence = group.sequence(number);
-        let verdict = sequence.try_run(profile);
-        if verdict
-            .violations
-            .iter()
-            .any(|it| sequence.known(*it).is_none())
-        {
-            bad.push(format!("{sequence}: {verdict}"));
+        let trial = profile.try_run(&sequence);
+        let mut broken = trial.violations.iter();
+        if broken.any(|rule| known(&sequence, *rule).is_none()) {
+            bad.push(format!("{sequence}: {trial}"));
         }
     }
     assert!(
@@ -84,7 +83,7 @@ fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
     let chains_us = |time| {
         let around = Around::ClosedLoop;
         let profile = Profile { around, ..at(time) };
-        let mut bench = profile.in_dual_operation(true);
+        let mut bench = Bench::dual(profile, 0, true);
         bench.pair.run_for(Duration::from_ms(400));
         let log = bench.recording();
         let of_a = log.trace.iter().filter(|it| it.system == SystemId::A);
@@ -133,14 +132,14 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
         number: 1,
         faults: vec![Fault {
             kind: Kind::PowerLoss,
-            way: Way::From(SystemId::A),
+            way: Way::A,
             at: Duration::from_ms(5_000),
             lasts: None,
         }],
         from_power_on: false,
         span: Duration::from_ms(7_000),
     };
-    let verdict = sequence.try_run(profile);
+    let verdict = profile.try_run(&sequence);
     assert!(verdict.violations.is_empty(), "{verdict}");
     assert!(verdict.gap <= Duration::from_ms(13), "{verdict}");
 }
@@ -160,7 +159,7 @@ fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
     ] {
         let fault = |of: &SystemId| Fault {
             kind: Kind::WrongResults,
-            way: Way::From(*of),
+            way: Way::from(*of),
             at: Duration::from_ms(5),
             lasts: Some(Duration::from_ms(lasts_ms)),
         };
@@ -171,7 +170,7 @@ fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
             from_power_on: false,
             span: Duration::from_ms(12_000),
         };
-        let (verdict, bench) = sequence.run(profile, false);
+        let (verdict, bench) = profile.run(&sequence, false);
         let what = format!("{of:?} for {lasts_ms} ms: {verdict}");
         assert!(verdict.violations.is_empty(), "{what}");
         let vehicle = bench.vehicle.borrow();
@@ -186,7 +185,7 @@ fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
 /// A job of control is interrupted by the roles, and what it sends leaves when it ends.
 #[test]
 fn the_roles_pre_empt_what_is_less_urgent() {
-    let mut bench = at(Time::Worst).in_dual_operation(true);
+    let mut bench = Bench::dual(at(Time::Worst), 0, true);
     for _ in 0..40 {
         // The doorbell rings at other moments of the millisecond each time.
         bench.pair.run_for(Duration::from_us(10_050));
@@ -254,13 +253,13 @@ fn frames_of_the_other_system_do_not_make_a_bus_alive() {
         group: Group::Random,
         number: 0,
         faults: vec![
-            fault(Kind::Mute, Way::From(SystemId::B), 0, None),
-            fault(Kind::VehicleSilent, Way::From(SystemId::A), 300, pause),
+            fault(Kind::Mute, Way::B, 0, None),
+            fault(Kind::VehicleSilent, Way::A, 300, pause),
         ],
         from_power_on: false,
         span: Duration::from_ms(1_500),
     };
-    let verdict = sequence.try_run(Config::rt());
+    let verdict = Profile::from(Config::rt()).try_run(&sequence);
     assert!(verdict.violations.is_empty(), "{verdict}");
     assert!(verdict.changes == 0, "{verdict}");
     assert!(verdict.gap <= Duration::from_ms(12), "{verdict}");
@@ -283,14 +282,14 @@ fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
             group: Group::Random,
             number: at_ms,
             faults: vec![
-                fault(Kind::Cut(Wire::Link), Way::Both, 0, None),
-                fault(Kind::Clock(-500), Way::From(SystemId::A), 0, Some(150)),
-                fault(Kind::PowerLoss, Way::From(SystemId::B), at_ms, None),
+                fault(Kind::Cut { wire: Wire::Link }, Way::Both, 0, None),
+                fault(Kind::Clock(just(-500)), Way::A, 0, Some(150)),
+                fault(Kind::PowerLoss, Way::B, at_ms, None),
             ],
             from_power_on: false,
             span: Duration::from_ms(1_000),
         };
-        let (verdict, mut bench) = sequence.run(Config::rt(), true);
+        let (verdict, mut bench) = Profile::from(Config::rt()).run(&sequence, true);
         let mut story = || format!("B off at {at_ms} ms: {verdict} {:#?}", bench.story());
         assert!(verdict.violations.is_empty(), "{}", story());
         // Two echoes, the watchdog, and a start: A comes back long before B does.
@@ -299,7 +298,7 @@ fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
 }
 
 /// What becomes of these faults of A in dual operation, each at `at_us`.
-fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Verdict, Bench) {
+fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Tried, Bench) {
     let fault = |(kind, way): &(Kind, Way)| Fault {
         kind: *kind,
         way: *way,
@@ -313,7 +312,7 @@ fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Verdict, Bench
         from_power_on: false,
         span: Duration::from_ms(1_000),
     };
-    sequence.run(limits, true)
+    Profile::from(limits).run(&sequence, true)
 }
 
 /// The time from the fault to the takeover of B.
@@ -332,7 +331,7 @@ fn dual_in_phase(limits: Config, phase_us: u64) -> Bench {
     // Two quartz clocks need half a minute for a millisecond; 2 % needs 50 ms. B's polls have the
     // same distance on its own clock, so a slow clock makes them late.
     const RATE: i32 = -20_000_000;
-    let mut bench = Bench::dual(Bench::config(limits), phase_us, true);
+    let mut bench = Bench::dual(limits, phase_us, true);
     bench.pair.set_clock_rate(SystemId::B, RATE);
     bench.pair.run_for(Duration::from_us(phase_us * 50));
     bench.pair.set_clock_rate(SystemId::B, 0);
@@ -343,10 +342,10 @@ fn dual_in_phase(limits: Config, phase_us: u64) -> Bench {
 /// The polls of the two systems have any phase: their clocks drift apart.
 #[test]
 fn a_chip_keeps_the_times_of_the_thesis() {
-    const CUT: (Kind, Way) = (Kind::Cut(Wire::Level), Way::Both);
-    let of_a = |kind| (kind, Way::From(SystemId::A));
-    let (hang, mute) = (of_a(Kind::Hang(400)), of_a(Kind::Mute));
-    let reset = of_a(Kind::Reset(ResetCause::Watchdog));
+    const CUT: (Kind, Way) = (Kind::Cut { wire: Wire::Level }, Way::Both);
+    let of_a = |kind| (kind, Way::A);
+    let (hang, mute) = (of_a(Kind::Hang(just(400))), of_a(Kind::Mute));
+    let reset = of_a(Kind::ResetByWatchdog);
     let off = of_a(Kind::PowerLoss);
     let span = Duration::from_ms(100);
     let mut worst = vec![];
@@ -403,11 +402,11 @@ fn a_system_whose_clock_is_wrong_leaves() {
         (1_000, 300),
     ] {
         for of in SystemId::ALL {
-            let mut bench = Bench::dual(Bench::config(Config::rt()), 3, true);
+            let mut bench = Bench::dual(Config::rt(), 3, true);
             bench.pair.run_for(Duration::from_ms(400));
             let fault = Fault {
-                kind: Kind::Clock(permille),
-                way: Way::From(of),
+                kind: Kind::Clock(just(permille)),
+                way: Way::from(of),
                 at: Duration::from_us(137),
                 lasts: None,
             };
@@ -435,7 +434,7 @@ fn a_system_whose_clock_is_wrong_leaves() {
                 "{of} {permille}: {after:?}"
             );
             let verdict = bench.judge(&[fault], [begin, begin + span], None);
-            let bound = Row::of_clock(permille).bound(&bench.config.redundancy);
+            let bound = Loss::of_clock(permille).bound(&Limits::RT);
             assert!(verdict.gap <= bound, "{of} {permille}: {verdict}");
             let obeyed = bench
                 .vehicle
@@ -451,8 +450,8 @@ fn a_system_whose_clock_is_wrong_leaves() {
 /// T-RED-5: a flash that hangs does not keep a system from the reset that it needs.
 #[test]
 fn a_flash_that_hangs_does_not_prevent_a_reset() {
-    let of_a = |kind| (kind, Way::From(SystemId::A));
-    let dies = of_a(Kind::CoreDies(CoreId::PERCEPTION));
+    let of_a = |kind| (kind, Way::A);
+    let dies = of_a(Kind::CoreDies(just(1)));
     let (verdict, bench) = suffer(Config::rt(), &[of_a(Kind::FlashHangs), dies], 137);
     let is_reset = |event: &SystemEvent| {
         event.system == SystemId::A && matches!(event.kind, SystemEventKind::Reset(_))
@@ -467,11 +466,11 @@ fn a_flash_that_hangs_does_not_prevent_a_reset() {
 fn stray_edges_at_the_start_do_not_cost_dual_operation() {
     // How much later the other is switched on.
     let sync = Kind::StraySync;
-    for (kind, later_ms) in [(Kind::StrayBeats(3), 40), (sync, 0), (sync, 40)] {
+    for (kind, later_ms) in [(Kind::StrayBeats(just(3)), 40), (sync, 0), (sync, 40)] {
         for to in SystemId::ALL {
             // It waits for the other from 60 ms on, which is switched on 40 ms later.
             for at_ms in [5, 19, 20, 21, 25, 30, 40, 59, 60, 61, 62, 65, 80] {
-                let mut bench = Bench::new(Bench::config(Config::rt()), 1, true);
+                let mut bench = Bench::new(Config::rt(), 1, true);
                 let first = if later_ms > 0 { to } else { SystemId::A };
                 bench.pair.power_on(first);
                 if later_ms > 0 {
@@ -480,7 +479,7 @@ fn stray_edges_at_the_start_do_not_cost_dual_operation() {
                 bench.pair.power_on(first.peer());
                 let fault = Fault {
                     kind,
-                    way: Way::From(to.peer()),
+                    way: Way::from(to.peer()),
                     at: Duration::from_ms(at_ms),
                     lasts: None,
                 };

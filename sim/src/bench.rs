@@ -1,24 +1,24 @@
-//! Both systems and a vehicle in virtual time, and faults that are done to them.
+//! Both systems and a vehicle in virtual time, and faults that they suffer.
 
-use super::fault::{Act, BusFaults, Fault, Kind};
-use super::plan::Profile;
-use super::vehicle::{POISON, Vehicle, another_command};
+use crate::outside::{POISON, Vehicle, another_command};
 use crate::timing::Time;
 use crate::{drive, timed};
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
-    Board, Can, CoreId, Duration, Generation, Instant, Line, RoleLamp, SupplyEvent, SystemId,
+    Board, Can, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
     Traced,
 };
 use tandem_board_sim::{
-    Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent, SystemEventKind,
-    Wire,
+    BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent,
+    SystemEventKind, Wire,
 };
 use tandem_cores::Config;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
+use tandem_faults::{BusFaults, CannotSuffer, Effect, Fault, Kind, Site, Suffer, effects};
 use tandem_record::log::VehicleRecord;
+use tandem_record::verdict::Limits;
 use tandem_record::{Entry, RunLog, description};
 use tandem_vehicle::LoggedFrame;
 use tandem_vehicle::gate::Acceptance;
@@ -31,6 +31,52 @@ pub enum Around {
     Core0,
     /// All cores, and a vehicle in its lane.
     ClosedLoop,
+}
+
+/// The simulated machine of a sequence.
+#[derive(Clone, Copy, Debug)]
+pub struct Profile {
+    /// Limits of the redundancy.
+    pub limits: tandem_redundancy::Config,
+    /// How long things take.
+    pub time: Time,
+    /// What is around core 0.
+    pub around: Around,
+}
+
+impl From<tandem_redundancy::Config> for Profile {
+    fn from(limits: tandem_redundancy::Config) -> Self {
+        Self {
+            limits,
+            time: Time::Ideal,
+            around: Around::Core0,
+        }
+    }
+}
+
+impl Profile {
+    /// What the requirement permits with these limits.
+    #[must_use]
+    pub fn bounds(&self) -> Limits {
+        Limits::of_profile(&self.limits)
+    }
+
+    /// The limits of both systems, with short waits at the start.
+    fn config(&self) -> Config {
+        let boot_limit = match self.around {
+            // There are no sensors to wait for.
+            Around::Core0 => Duration::from_ms(60),
+            Around::ClosedLoop => Config::rt().boot_limit,
+        };
+        Config {
+            redundancy: tandem_redundancy::Config {
+                start_limit: Duration::from_ms(300),
+                ..self.limits
+            },
+            boot_limit,
+            ..Config::rt()
+        }
+    }
 }
 
 /// The core of this board. Core 1 dies of poison.
@@ -119,62 +165,24 @@ pub struct Bench {
     pub vehicle: Rc<RefCell<Vehicle>>,
     /// The limits of both systems.
     pub config: Config,
-    /// How long things take.
-    pub time: Time,
-    /// What is around core 0.
-    pub around: Around,
+    /// What they are made of.
+    pub profile: Profile,
     /// What its faults hit: a kind, by its label, and the state of the system.
-    pub(super) covered: Vec<(Kind, State)>,
+    pub(crate) covered: Vec<(Kind, State)>,
     /// The trace records that were read.
     traced: Vec<Traced>,
     bus: BusFaults,
     /// When the run began.
-    pub(super) born: Instant,
+    pub(crate) born: Instant,
 }
 
 impl Bench {
-    /// Limits of the campaign with core 0 alone: those of `redundancy`, with short waits at the
-    /// start.
+    /// Two systems without power. `seed`: of what the machine draws. `keeps_events`: whether the
+    /// events of the cores are kept.
     #[must_use]
-    pub fn config(redundancy: tandem_redundancy::Config) -> Config {
-        Self::config_of(redundancy, Around::Core0)
-    }
-
-    fn config_of(redundancy: tandem_redundancy::Config, around: Around) -> Config {
-        let boot_limit = match around {
-            // There are no sensors to wait for.
-            Around::Core0 => Duration::from_ms(60),
-            Around::ClosedLoop => Config::rt().boot_limit,
-        };
-        Config {
-            redundancy: tandem_redundancy::Config {
-                start_limit: Duration::from_ms(300),
-                ..redundancy
-            },
-            boot_limit,
-            ..Config::rt()
-        }
-    }
-
-    /// Two systems without power. `seed`: of what the machine draws. `told`: whether the cores'
-    /// events are kept.
-    #[must_use]
-    pub fn new(config: Config, seed: u64, told: bool) -> Self {
-        Self::made(config, Time::Ideal, Around::Core0, seed, told)
-    }
-
-    /// Two systems without power, as this profile says.
-    #[must_use]
-    pub(super) fn of(profile: Profile, told: bool) -> Self {
-        let Profile {
-            limits,
-            time,
-            around,
-        } = profile;
-        Self::made(Self::config_of(limits, around), time, around, 0, told)
-    }
-
-    fn made(config: Config, time: Time, around: Around, seed: u64, told: bool) -> Self {
+    pub fn new(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
+        let profile = profile.into();
+        let (config, Profile { time, around, .. }) = (profile.config(), profile);
         // Far from zero, so that a clock may slow down.
         let clock = |offset_s: u64, of| Clock {
             offset_ns: offset_s * 1_000_000_000,
@@ -184,14 +192,14 @@ impl Bench {
             seed,
             clocks: [clock(1_000, SystemId::A), clock(77_000, SystemId::B)],
             wires: time.wires(),
-            trace_records: if told { 1 << 20 } else { 0 },
+            trace_records: if keeps_events { 1 << 20 } else { 0 },
             ..BoardConfig::default()
         };
         let mut pair = SimPair::new(board_config, move |board| {
             poller(board, config, time, around)
         });
         let born = pair.now();
-        let vehicle = Vehicle::new(around == Around::ClosedLoop, told);
+        let vehicle = Vehicle::new(around == Around::ClosedLoop, keeps_events);
         let vehicle = Rc::new(RefCell::new(vehicle));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
@@ -199,8 +207,7 @@ impl Bench {
             pair,
             vehicle,
             config,
-            time,
-            around,
+            profile,
             bus: BusFaults::default(),
             born,
             covered: Vec::new(),
@@ -213,54 +220,51 @@ impl Bench {
     /// # Panics
     /// If they do not begin.
     #[must_use]
-    pub fn dual(config: Config, seed: u64, told: bool) -> Self {
-        let mut bench = Self::new(config, seed, told);
-        bench.begin();
-        bench
-    }
-
-    /// Switches both on, and runs until both are in dual operation, A driving.
-    ///
-    /// # Panics
-    /// If they do not begin.
-    pub(super) fn begin(&mut self) {
-        SystemId::ALL
-            .into_iter()
-            .for_each(|system| self.pair.power_on(system));
-        self.pair.run_for(match self.around {
+    pub fn dual(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
+        let mut bench = Self::new(profile, seed, keeps_events);
+        bench.power_on();
+        bench.pair.run_for(match bench.profile.around {
             Around::Core0 => Duration::from_ms(300),
             Around::ClosedLoop => Duration::from_ms(700),
         });
-        let roles = SystemId::ALL.map(|system| self.pair.lamp(system));
+        let roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
         let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
         assert_eq!(roles, dual, "no dual operation");
+        bench
     }
 
-    /// Runs for `span` while these faults, whose times count from now, come and go; then everything
-    /// is mended and has power.
+    /// Switches both systems on.
+    pub fn power_on(&mut self) {
+        let mut on = |system| self.pair.power_on(system);
+        SystemId::ALL.into_iter().for_each(&mut on);
+    }
+
+    /// Runs for `span` while these faults, whose times count from now, begin and end; then
+    /// everything is restored and has power.
+    ///
+    /// # Panics
+    /// If the simulator cannot suffer one of them.
     pub fn suffer(&mut self, faults: &[Fault], span: Duration) {
         let begin = self.pair.now();
-        let mut acts: Vec<(Duration, Act)> =
-            faults.iter().flat_map(|fault| fault.acts(span)).collect();
-        acts.sort_by_key(|(at, _)| *at);
         let mut hits: Vec<&Fault> = faults.iter().collect();
         hits.sort_by_key(|fault| fault.at);
         let mut hits = hits.into_iter().peekable();
-        for (at, act) in acts {
+        for (at, change) in effects(faults, span, SystemId::A) {
             self.pair.run_until(begin + at.min(span));
             while let Some(fault) = hits.next_if(|fault| fault.at <= at) {
                 let states = fault.way.systems().map(|of| State::of(&self.pair, of));
                 self.covered.extend(states.map(|state| (fault.kind, state)));
             }
-            self.act(act);
+            let applied = self.apply(change);
+            applied.expect("a fault that the simulator can suffer");
         }
         self.pair.run_until(begin + span);
-        self.mend();
+        self.restore();
     }
 
     /// Runs until master and standby have driven for a while, and at most for the time within which
     /// a system must drive. `whole`: for all of that time.
-    pub(super) fn heal(&mut self, whole: bool) {
+    pub(crate) fn heal(&mut self, whole: bool) {
         let until = self.pair.now() + self.settles_within();
         let mut sound_since = self.pair.now();
         while self.pair.now() < until {
@@ -278,74 +282,21 @@ impl Bench {
         }
     }
 
-    fn mend(&mut self) {
-        self.act(Act::Poison(false));
-        self.act(Act::VehicleSilent(false));
-        for system in SystemId::ALL {
-            let lines = [Line::Start, Line::Heartbeat1, Line::Heartbeat2].map(Wire::Line);
-            for wire in lines
-                .into_iter()
-                .chain([Wire::Level, Wire::Link, Wire::Can])
-            {
-                self.act(Act::Cut(wire, system, false));
-            }
-            for act in [
-                Act::LevelLow(system, false),
-                Act::LostOut(system, 0),
-                Act::LostIn(system, 0),
-                Act::Late(system, 0),
-                Act::Rest(system, 0),
-                Act::Freeze(system, 0),
-                Act::Clock(system, 0),
-                Act::WrongResults(system, false),
-                Act::FlashHangs(system, false),
-                Act::Power(system, true),
-            ] {
-                self.act(act);
-            }
-        }
+    /// How long after everything was restored a system must drive: longer than a start of both.
+    #[must_use]
+    pub fn settles_within(&self) -> Duration {
+        let limits = &self.config.redundancy;
+        self.config.boot_limit
+            + limits.start_limit
+            + limits.stagger.times(4)
+            + limits.no_master_limit(SystemId::B)
+            + Duration::from_ms(300)
     }
 
-    fn act(&mut self, act: Act) {
-        let pair = &mut self.pair;
-        match act {
-            Act::Cut(wire, from, true) => pair.cut(wire, from),
-            Act::Cut(wire, from, false) => pair.mend(wire, from),
-            Act::LevelLow(of, held) => pair.hold_level_low(of, held),
-            Act::Edge(to, line, edge) => pair.stray_edge(to, line, edge),
-            Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
-                if let Some((of, fault)) = self.bus.follow(act) {
-                    pair.disturb_bus(of, fault);
-                }
-            }
-            Act::Power(of, true) => pair.power_on(of),
-            Act::Power(of, false) => pair.power_off(of),
-            Act::Reset(of, cause) => pair.reset(of, cause),
-            Act::Freeze(of, ms) => pair.freeze(of, Duration::from_ms(ms.into())),
-            // Longer than any sequence: until the act that ends it.
-            Act::FreezeCore(of, core, true) => {
-                pair.freeze_core(of, core, Duration::from_ms(3_600_000));
-            }
-            Act::FreezeCore(of, core, false) => pair.freeze_core(of, core, Duration::ZERO),
-            Act::Kill(of, core) => pair.kill_core(of, core),
-            Act::Rest(of, ms) => {
-                pair.rest_core(of, CoreId::CONTROL, Duration::from_ms(ms.into()));
-            }
-            Act::Clock(of, permille) => {
-                let drift_ppb = i32::from(permille) * 1_000_000 + self.time.drift_ppb(of);
-                pair.set_clock_rate(of, drift_ppb);
-            }
-            Act::ClockJumps(of, by_ms) => pair.jump_clock(of, by_ms.into()),
-            Act::WrongResults(of, on) => pair.tamper(of, on.then_some(another_command)),
-            Act::Scribble(of) => pair.scribble(of, 0x5EED),
-            Act::FlashHangs(of, hangs) => pair.hang_flash(of, hangs),
-            Act::FlashLost(of) => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
-            Act::Poison(on) => self.vehicle.borrow_mut().poison = on,
-            Act::VehicleSilent(on) => self.vehicle.borrow_mut().silent = on,
-            Act::FreezeSupply(..) | Act::FreezeVehicle(_) | Act::FreezeLauncher(_) => {
-                unreachable!("Kind::is_for_simulator refused it")
-            }
-        }
+    /// How many systems have suspended themselves.
+    pub(crate) fn suspended(&self) -> usize {
+        let suspended = |system: &SystemId| self.pair.power(*system) == Power::Suspended;
+        SystemId::ALL.into_iter().filter(suspended).count()
     }
 
     /// Every frame so far, if the cores' events are kept.
@@ -371,14 +322,14 @@ impl Bench {
         }
         for SystemEvent { at, system, kind } in self.pair.events() {
             let (core, generation) = (CoreId::CONTROL, Generation(1));
-            let told = match kind {
+            let keeps_events = match kind {
                 SystemEventKind::Started(_) => SupplyEvent::CoreStarted { core, generation },
                 SystemEventKind::Reset(cause) => SupplyEvent::Reset(cause),
                 SystemEventKind::Suspended => SupplyEvent::Suspended,
                 SystemEventKind::CoreDied(core) => SupplyEvent::CoreDied { core, signal: 0 },
                 _ => continue,
             };
-            log.push(Entry::Supply(at, system, told));
+            log.push(Entry::Supply(at, system, keeps_events));
         }
         let at_ns = self.vehicle.borrow().accepted.first().map(|it| it.at_ns);
         let start = at_ns.map(|at_ns| VehicleRecord::Start { at_ns });
@@ -395,7 +346,7 @@ impl Bench {
         log
     }
 
-    /// What happened so far, a line each: what the cores told, and what the supplies did.
+    /// What happened so far, a line each: what the cores keeps_events, and what the supplies did.
     #[must_use]
     pub fn story(&mut self) -> Vec<String> {
         let mut lines: Vec<(Instant, String)> = Vec::new();
@@ -429,16 +380,96 @@ impl Bench {
         }
         if let Some(world) = vehicle.world() {
             let (drive, speed) = (world.metrics(), world.snapshot().speed);
-            let told = format!(
+            let keeps_events = format!(
                 "vehicle at {speed:.1} m/s after {:.1} m, at least {:.2} s behind the next one; \
                  {} collisions, {:.2} m beside its lanes",
                 drive.distance_m, vehicle.headway_s, drive.collisions, drive.excursion_max_m,
             );
-            lines.push((self.pair.now(), told));
+            lines.push((self.pair.now(), keeps_events));
         }
         lines.sort_by_key(|(at, _)| *at);
         let line =
             |(at, text): (Instant, String)| format!("{:9.2} ms {text}", at.as_ns() as f64 * 1e-6);
         lines.into_iter().map(line).collect()
+    }
+}
+
+impl Suffer for Bench {
+    type Error = CannotSuffer;
+
+    fn apply(&mut self, change: Effect) -> Result<(), CannotSuffer> {
+        let pair = &mut self.pair;
+        let (kind, of, on) = match change {
+            Effect::Fault(kind, of, on) => (kind, of, on),
+            Effect::Edge(from, line, edge) => {
+                pair.stray_edge(from.peer(), line, edge);
+                return Ok(());
+            }
+        };
+        if let Some(fault) = self.bus.follow(kind, of, on) {
+            pair.disturb_bus(of, fault);
+            return Ok(());
+        }
+        match kind {
+            Kind::Cut { wire } if on => pair.cut(wire, of),
+            Kind::Cut { wire } => pair.mend(wire, of),
+            Kind::LevelLow => pair.hold_level_low(of, on),
+            Kind::PowerLoss if on => pair.power_off(of),
+            Kind::PowerLoss => pair.power_on(of),
+            Kind::ResetByWatchdog => pair.reset(of, ResetCause::Watchdog),
+            Kind::ResetBySoftware => pair.reset(of, ResetCause::Software),
+            Kind::ResetByTrap => pair.reset(of, ResetCause::Trap),
+            Kind::Hang(amount) if on => pair.freeze(of, amount.ms()),
+            // It has ended, or a later one holds the cores.
+            Kind::Hang(_) => {}
+            Kind::CoreHangs(amount) => {
+                // Longer than any sequence: until the change that ends it.
+                let span = if on {
+                    Duration::from_ms(3_600_000)
+                } else {
+                    Duration::ZERO
+                };
+                pair.freeze_core(of, amount.core(), span);
+            }
+            Kind::CoreDies(amount) => pair.kill_core(of, amount.core()),
+            Kind::Slow(amount) => {
+                let rest = if on { amount.ms() } else { Duration::ZERO };
+                pair.rest_core(of, CoreId::CONTROL, rest);
+            }
+            Kind::Clock(amount) => {
+                let permille = if on { amount.get() } else { 0 };
+                pair.set_clock_rate(of, permille * 1_000_000 + self.profile.time.drift_ppb(of));
+            }
+            Kind::ClockJumps(amount) => pair.jump_clock(of, amount.get()),
+            Kind::WrongResults => pair.tamper(of, on.then_some(another_command)),
+            Kind::Scribble => pair.scribble(of, 0x5EED),
+            Kind::FlashHangs => pair.hang_flash(of, on),
+            Kind::FlashLost => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
+            Kind::Poison => self.vehicle.borrow_mut().poison = on,
+            Kind::VehicleSilent => self.vehicle.borrow_mut().silent = on,
+            _ => {
+                let site = Site::Simulator;
+                return Err(CannotSuffer { kind, site });
+            }
+        }
+        Ok(())
+    }
+
+    fn restore(&mut self) {
+        self.bus = BusFaults::default();
+        self.vehicle.borrow_mut().poison = false;
+        self.vehicle.borrow_mut().silent = false;
+        let pair = &mut self.pair;
+        for of in SystemId::ALL {
+            Wire::ALL.into_iter().for_each(|wire| pair.mend(wire, of));
+            pair.hold_level_low(of, false);
+            pair.disturb_bus(of, BusFault::default());
+            pair.rest_core(of, CoreId::CONTROL, Duration::ZERO);
+            pair.freeze(of, Duration::ZERO);
+            pair.set_clock_rate(of, self.profile.time.drift_ppb(of));
+            pair.tamper(of, None);
+            pair.hang_flash(of, false);
+            pair.power_on(of);
+        }
     }
 }

@@ -8,7 +8,7 @@ use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
 /// Ends core 1 of each system that hears it. No frame of the DBC.
-pub(super) const POISON: CanId = CanId::Standard(0x7E0);
+pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
 
 /// The scenario of the closed loop: the leader begins to brake to a stop after three seconds. The
 /// road is straight for as long as a sequence lasts.
@@ -22,14 +22,14 @@ pub struct Vehicle {
     /// Control frames of an old term.
     pub fenced: Vec<Acceptance>,
     /// A system that is no master has sent a control frame.
-    pub(super) chatters: bool,
+    pub(crate) chatters: bool,
     /// The shortest time, s, in which the vehicle would have reached the place of the one in front.
-    pub(super) headway_s: f64,
+    pub(crate) headway_s: f64,
     /// The last frame that acted.
     last: Option<CanFrame>,
     ticks: u64,
-    pub(super) silent: bool,
-    pub(super) poison: bool,
+    pub(crate) silent: bool,
+    pub(crate) poison: bool,
     /// Every frame on the bus, if the cores' events are kept.
     frames: Option<Vec<LoggedFrame>>,
 }
@@ -51,7 +51,7 @@ struct Alone {
 impl Vehicle {
     /// In a lane of the embedded scenario if `moves`, else a gate alone. `told`: whether each frame
     /// is kept.
-    pub(super) fn new(moves: bool, told: bool) -> Self {
+    pub(crate) fn new(moves: bool, told: bool) -> Self {
         static LOADED: OnceLock<Scenario> = OnceLock::new();
         let outside = if moves {
             let loaded = LOADED.get_or_init(|| Scenario::load(SCENARIO).expect("embedded"));
@@ -94,16 +94,19 @@ impl Vehicle {
             CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
             CanId::Extended(_) => None,
         });
-        matches!(message, Some(Message::Control { control, .. }) if control.mode == ModeCode::SafeStop)
+        let Some(Message::Control { control, .. }) = message else {
+            return false;
+        };
+        control.mode == ModeCode::SafeStop
     }
 
     /// Every frame so far, if the cores' events are kept.
-    pub(super) fn frames(&self) -> Vec<LoggedFrame> {
+    pub(crate) fn frames(&self) -> Vec<LoggedFrame> {
         self.frames.clone().unwrap_or_default()
     }
 
     /// One millisecond: what was on the bus is judged, then what the vehicle sends is sent.
-    pub(super) fn tick(&mut self, tick: &mut WorldTick) {
+    pub(crate) fn tick(&mut self, tick: &mut WorldTick) {
         for on_bus in &tick.heard {
             let (at, frame) = (on_bus.at, on_bus.frame);
             let judged = match frame.id() {
@@ -185,7 +188,7 @@ fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
 }
 
 /// A control frame as it is, but for the steering angle. No receiver can tell.
-pub(super) fn another_command(frame: &CanFrame) -> CanFrame {
+pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
     let CanId::Standard(id) = frame.id() else {
         return *frame;
     };

@@ -1,0 +1,431 @@
+//! The kinds of faults, and what is known of each.
+//!
+//! A variant of [`Kind`] is a kind of the file: its name is the value of `what`, its fields are
+//! further keys.
+
+use crate::amount::{Amount, Given, just};
+use crate::bound::Loss;
+use crate::site::Site;
+use crate::words::wire;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use tandem_board::{Duration, Line};
+use tandem_peripherals::network::Wire;
+
+/// The kind of fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "what", rename_all = "kebab-case")]
+pub enum Kind {
+    /// A wire carries nothing. A level line that is cut reads as high.
+    Cut {
+        /// The wire.
+        #[serde(with = "wire")]
+        wire: Wire,
+    },
+    /// A wire makes contact and loses it.
+    Flap {
+        /// The wire.
+        #[serde(with = "wire")]
+        wire: Wire,
+        /// Time with contact, and time without it, ms.
+        #[serde(flatten)]
+        amount: Amount<1, 1_000>,
+    },
+    /// The level line reads as low.
+    LevelLow,
+    /// The level line reads as low for a moment.
+    LevelGlitch(Amount<1, 65_535>),
+    /// Edges on both heartbeat lines that no system has sent.
+    StrayBeats(Amount<1, 255>),
+    /// One sync edge that no system has sent.
+    StraySync,
+    /// The CAN transmitter is dead.
+    Mute,
+    /// The CAN receiver is dead.
+    Deaf,
+    /// Frames that the system sends are lost.
+    LosesSent(Amount<1, 100>),
+    /// Frames on the bus do not reach the system.
+    LosesHeard(Amount<1, 100>),
+    /// Frames that the system sends reach the bus late.
+    Late(Amount<1, 1_000>),
+    /// The supply loses power. `chaos` kills its process.
+    PowerLoss,
+    /// The supply loses power for a time.
+    BrownOut(Amount<1, 60_000>),
+    /// The watchdog resets the system. `chaos` stops core 0 for that.
+    ResetByWatchdog,
+    /// Core 0 requests a reset.
+    ResetBySoftware,
+    /// A trap resets the system. `chaos` kills core 0 for that.
+    ResetByTrap,
+    /// All cores of the system stand still. `chaos` sends SIGSTOP and SIGCONT.
+    Hang(Amount<1, 60_000>),
+    /// A core dies. `chaos` sends SIGKILL.
+    CoreDies(Amount<0, 2>),
+    /// A core stands still. `chaos` sends SIGSTOP; an emulated core 0 hangs until its watchdog
+    /// resets it.
+    CoreHangs(Amount<0, 2>),
+    /// The process of the supply stands still.
+    SupplyHangs(Amount<1, 60_000>),
+    /// The process of the vehicle, which is the bus, stands still.
+    VehicleHangs(Amount<1, 60_000>),
+    /// The process of `tandem run` stands still.
+    LauncherHangs(Amount<1, 60_000>),
+    /// A core out of control overwrites the whole LMU.
+    Scribble,
+    /// Core 0 is not called for a time after each call.
+    Slow(Amount<1, 255>),
+    /// The clock has a wrong rate.
+    Clock(Amount<-900, 5_000>),
+    /// The clock jumps, and the timers with it.
+    ClockJumps(Amount<-10_000, 10_000>),
+    /// Control frames carry another command than was computed, with correct protection.
+    WrongResults,
+    /// Operations of the data flash do not end.
+    FlashHangs,
+    /// Power is lost for 20 ms, and the content of the data flash with it.
+    FlashLost,
+    /// A frame that ends core 1 of each system that hears it is sent every 100 ms.
+    Poison,
+    /// The vehicle sends nothing.
+    VehicleSilent,
+}
+
+/// When a fault ends by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ends {
+    /// When the fault says, or when everything is restored.
+    AsGiven,
+    /// After this time.
+    After(Duration),
+    /// At once: it is one event.
+    AtOnce,
+}
+
+/// What a fault belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// One system.
+    System,
+    /// A wire between the systems, which has a direction.
+    Wire,
+    /// What both systems share.
+    Shared,
+}
+
+/// What is known of a kind.
+#[derive(Clone, Copy, Debug)]
+pub struct Facts {
+    /// Where it can be injected.
+    pub sites: &'static [Site],
+    /// What it belongs to.
+    pub scope: Scope,
+    /// When it ends.
+    pub ends: Ends,
+    /// How the vehicle loses its master, if it hits the master.
+    pub loss: Loss,
+}
+
+const fn row(sites: &'static [Site], scope: Scope, ends: Ends, loss: Loss) -> Facts {
+    Facts {
+        sites,
+        scope,
+        ends,
+        loss,
+    }
+}
+
+const EVERY: &[Site] = &[Site::Simulator, Site::Processes, Site::Machines];
+/// The simulator and processes.
+const SIM_RUN: &[Site] = &[Site::Simulator, Site::Processes];
+/// Processes.
+const RUN: &[Site] = &[Site::Processes];
+/// The simulator.
+const SIM: &[Site] = &[Site::Simulator];
+
+impl Kind {
+    /// What is known of it.
+    #[must_use]
+    pub const fn facts(self) -> Facts {
+        use Ends::{After, AsGiven, AtOnce};
+        use Loss::{Mute, Power, Silence, Stall};
+        use Scope::{Shared, System};
+        match self {
+            Self::Cut { wire } | Self::Flap { wire, .. } => match wire {
+                Wire::Can => row(EVERY, System, AsGiven, Mute),
+                _ => row(EVERY, Scope::Wire, AsGiven, Loss::None),
+            },
+            Self::LevelLow => row(EVERY, Scope::Wire, AsGiven, Loss::None),
+            Self::LevelGlitch(amount) => row(SIM_RUN, Scope::Wire, After(amount.us()), Loss::None),
+            Self::StrayBeats(_) => row(EVERY, Scope::Wire, AtOnce, Loss::None),
+            Self::StraySync => row(EVERY, Scope::Wire, AtOnce, Loss::None),
+            // It reads back what the vehicle obeys, and then stops sending.
+            Self::Mute => row(EVERY, System, AsGiven, Mute),
+            Self::LosesSent(_) => row(EVERY, System, AsGiven, Mute),
+            Self::Late(_) => row(EVERY, System, AsGiven, Mute),
+            // Its frames continue. If it is suspended, its level falls.
+            Self::Deaf => row(EVERY, System, AsGiven, Power),
+            Self::LosesHeard(_) => row(EVERY, System, AsGiven, Power),
+            Self::PowerLoss => row(EVERY, System, AsGiven, Power),
+            Self::BrownOut(amount) => row(EVERY, System, After(amount.ms()), Power),
+            Self::ResetByWatchdog => row(EVERY, System, AtOnce, Power),
+            Self::ResetBySoftware => row(SIM_RUN, System, AtOnce, Power),
+            Self::ResetByTrap => row(EVERY, System, AtOnce, Power),
+            // The level is high until the watchdog resets the system.
+            Self::Hang(amount) => row(SIM_RUN, System, After(amount.ms()), Silence),
+            // An emulated machine can stop core 0 alone.
+            Self::CoreDies(CORE_0) => row(EVERY, System, AtOnce, Silence),
+            Self::CoreHangs(CORE_0) => row(EVERY, System, AsGiven, Silence),
+            // Core 0 notices, and resets its system.
+            Self::CoreDies(_) => row(SIM_RUN, System, AtOnce, Power),
+            Self::CoreHangs(_) => row(SIM_RUN, System, AsGiven, Power),
+            Self::SupplyHangs(amount) => row(RUN, System, After(amount.ms()), Loss::None),
+            // No frame reaches the bus, whichever system drives.
+            Self::VehicleHangs(amount) => row(RUN, Shared, After(amount.ms()), Stall(amount.ms())),
+            Self::LauncherHangs(_) => row(RUN, Shared, AtOnce, Loss::None),
+            Self::Scribble => row(EVERY, System, AtOnce, Silence),
+            Self::Slow(_) => row(SIM, System, AsGiven, Silence),
+            Self::Clock(amount) => row(SIM, System, AsGiven, Loss::of_clock(amount.get())),
+            // Its timers stand still, or its own clock held it up.
+            Self::ClockJumps(_) => row(SIM, System, AtOnce, Silence),
+            Self::WrongResults => row(SIM, System, AsGiven, Mute),
+            Self::FlashHangs => row(SIM, System, AsGiven, Loss::None),
+            Self::FlashLost => row(SIM_RUN, System, After(Duration::from_ms(20)), Power),
+            Self::Poison => row(SIM, Shared, AsGiven, Power),
+            Self::VehicleSilent => row(SIM, Shared, AsGiven, Loss::None),
+        }
+    }
+
+    /// The number in the file, with its range and unit.
+    #[must_use]
+    pub const fn amount(self) -> Option<Given> {
+        Some(match self {
+            Self::Flap { amount, .. } => amount.given("ms"),
+            Self::LevelGlitch(amount) => amount.given("µs"),
+            Self::StrayBeats(amount) => amount.given("edges"),
+            Self::LosesSent(amount) | Self::LosesHeard(amount) => amount.given("percent"),
+            Self::Late(amount) => amount.given("ms"),
+            Self::BrownOut(amount)
+            | Self::Hang(amount)
+            | Self::SupplyHangs(amount)
+            | Self::VehicleHangs(amount)
+            | Self::LauncherHangs(amount) => amount.given("ms"),
+            Self::CoreDies(amount) | Self::CoreHangs(amount) => amount.given(CORE),
+            Self::Slow(amount) => amount.given("ms"),
+            Self::Clock(amount) => amount.given("parts in a thousand"),
+            Self::ClockJumps(amount) => amount.given("ms"),
+            _ => return None,
+        })
+    }
+
+    /// Whether it can be injected there.
+    #[must_use]
+    pub fn is_for(self, site: Site) -> bool {
+        self.facts().sites.contains(&site)
+    }
+
+    /// The value of `what` in a file.
+    #[must_use]
+    pub fn word(self) -> String {
+        let table = toml::Table::try_from(self).unwrap_or_default();
+        let word = table.get("what").and_then(toml::Value::as_str);
+        word.unwrap_or_default().to_owned()
+    }
+
+    /// The word, with the wire or the core: `core-dies 0`, `cut can`.
+    #[must_use]
+    pub fn label(self) -> String {
+        match (self, self.amount()) {
+            (Self::Cut { wire } | Self::Flap { wire, .. }, _) => {
+                format!("{} {}", self.word(), wire::name(wire))
+            }
+            (
+                _,
+                Some(Given {
+                    number, unit: CORE, ..
+                }),
+            ) => format!("{} {number}", self.word()),
+            _ => self.word(),
+        }
+    }
+
+    /// The labels of all that the simulator can do, each once.
+    #[must_use]
+    pub fn labels() -> Vec<String> {
+        let all = Self::OF_ONE_SYSTEM.iter().chain(&Self::FURTHER);
+        let all = all.chain(&Self::OF_BOTH).map(|kind| kind.label());
+        let mut labels: Vec<String> = all.collect();
+        labels.sort_unstable();
+        labels.dedup();
+        labels
+    }
+
+    /// One of each kind at least, in the order of the documentation.
+    pub fn samples() -> impl Iterator<Item = Self> {
+        let lists = [&Self::OF_ONE_SYSTEM[..], &Self::OF_PROCESSES];
+        let lists = lists
+            .into_iter()
+            .chain([&Self::FURTHER[..], &Self::OF_BOTH]);
+        lists.flatten().copied().chain([Self::ResetByTrap])
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.label())?;
+        match self.amount().filter(|amount| amount.unit != CORE) {
+            Some(Given { number, unit, .. }) => write!(f, " {number} {unit}"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The unit of an amount that is the number of a core.
+const CORE: &str = "the core";
+const CORE_0: Amount<0, 2> = just(0);
+const BEAT_1: Wire = Wire::Line(Line::Heartbeat1);
+const BEAT_2: Wire = Wire::Line(Line::Heartbeat2);
+const START: Wire = Wire::Line(Line::Start);
+
+/// What campaigns try. A number of a sequence stands for the same faults for ever, so that no list
+/// may change but [`Kind::FURTHER`], which may grow at its end: numbers of the group swarm then
+/// stand for other faults, and no others do.
+impl Kind {
+    /// All that can fail in one system or on a wire, with the parameters that the simulator tries.
+    pub const OF_ONE_SYSTEM: [Self; 50] = {
+        use Kind as K;
+        [
+            K::Cut { wire: START },
+            K::Cut { wire: BEAT_1 },
+            K::Cut { wire: BEAT_2 },
+            K::Cut { wire: Wire::Level },
+            K::Cut { wire: Wire::Link },
+            K::Cut { wire: Wire::Can },
+            flap(START, 5),
+            flap(BEAT_1, 5),
+            flap(BEAT_2, 20),
+            flap(Wire::Level, 5),
+            flap(Wire::Level, 40),
+            flap(Wire::Link, 30),
+            flap(Wire::Can, 7),
+            flap(Wire::Can, 60),
+            K::LevelLow,
+            K::LevelGlitch(just(300)),
+            K::StrayBeats(just(3)),
+            K::StraySync,
+            K::Mute,
+            K::Deaf,
+            K::LosesSent(just(2)),
+            K::LosesSent(just(10)),
+            K::LosesSent(just(50)),
+            K::LosesHeard(just(2)),
+            K::LosesHeard(just(10)),
+            K::LosesHeard(just(50)),
+            K::Late(just(3)),
+            K::Late(just(30)),
+            K::PowerLoss,
+            K::BrownOut(just(1)),
+            K::BrownOut(just(15)),
+            K::BrownOut(just(200)),
+            K::ResetByWatchdog,
+            K::ResetBySoftware,
+            K::Hang(just(4)),
+            K::Hang(just(12)),
+            K::Hang(just(19)),
+            K::Hang(just(400)),
+            core_dies(0),
+            core_dies(1),
+            core_dies(2),
+            K::Slow(just(2)),
+            K::Slow(just(4)),
+            K::Clock(just(1)),
+            K::Clock(just(-50)),
+            K::Clock(just(50)),
+            K::Clock(just(-500)),
+            K::Clock(just(1000)),
+            K::FlashHangs,
+            K::FlashLost,
+        ]
+    };
+    /// What the single faults and the swarm try in addition.
+    pub const FURTHER: [Self; 6] = [
+        Self::ClockJumps(just(-500)),
+        Self::ClockJumps(just(-7)),
+        Self::ClockJumps(just(7)),
+        Self::ClockJumps(just(500)),
+        Self::WrongResults,
+        Self::Scribble,
+    ];
+    /// Faults of both systems at once.
+    pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
+    /// What processes and emulated machines suffer. A time of 1 ms stands for one that is drawn.
+    pub const OF_PROCESSES: [Self; 34] = {
+        use Kind as K;
+        [
+            K::PowerLoss,
+            K::BrownOut(just(1)),
+            K::ResetBySoftware,
+            core_dies(0),
+            core_dies(1),
+            core_dies(2),
+            core_hangs(0),
+            core_hangs(1),
+            core_hangs(2),
+            K::Hang(just(1)),
+            K::SupplyHangs(just(1)),
+            K::Scribble,
+            K::FlashLost,
+            K::Cut { wire: BEAT_1 },
+            K::Cut { wire: BEAT_2 },
+            K::Cut { wire: START },
+            K::Cut { wire: Wire::Level },
+            K::Cut { wire: Wire::Link },
+            K::Cut { wire: Wire::Can },
+            flap(BEAT_1, 5),
+            flap(Wire::Level, 5),
+            flap(Wire::Link, 30),
+            flap(Wire::Can, 60),
+            K::LevelLow,
+            K::LevelGlitch(just(300)),
+            K::StrayBeats(just(3)),
+            K::StraySync,
+            K::Mute,
+            K::Deaf,
+            K::LosesSent(just(10)),
+            K::LosesHeard(just(10)),
+            K::Late(just(3)),
+            K::VehicleHangs(just(1)),
+            K::LauncherHangs(just(1)),
+        ]
+    };
+
+    /// With this time in place of one that is to be drawn.
+    #[must_use]
+    pub(crate) const fn with_time(self, ms: i32) -> Self {
+        let amount = just(ms);
+        match self {
+            Self::BrownOut(_) => Self::BrownOut(amount),
+            Self::Hang(_) => Self::Hang(amount),
+            Self::SupplyHangs(_) => Self::SupplyHangs(amount),
+            Self::VehicleHangs(_) => Self::VehicleHangs(amount),
+            Self::LauncherHangs(_) => Self::LauncherHangs(amount),
+            other => other,
+        }
+    }
+}
+
+const fn flap(wire: Wire, ms: i32) -> Kind {
+    Kind::Flap {
+        wire,
+        amount: just(ms),
+    }
+}
+
+const fn core_dies(core: i32) -> Kind {
+    Kind::CoreDies(just(core))
+}
+
+const fn core_hangs(core: i32) -> Kind {
+    Kind::CoreHangs(just(core))
+}

@@ -1,0 +1,28 @@
+//! Faults as data: what can fail, when and for how long; which faults a campaign tries; how long
+//! the vehicle may be without control under each; and the judge of a campaign.
+//!
+//! The simulator, the processes of a run and emulated machines suffer the same faults: each
+//! implements [`Suffer`]. A further kind of fault needs a variant and its [`Facts`] in `kind.rs`,
+//! and its effect in each board that can suffer it.
+#![forbid(unsafe_code)]
+
+mod amount;
+mod bound;
+mod entry;
+mod file;
+mod judge;
+mod kind;
+mod plan;
+mod sequence;
+mod site;
+mod words;
+
+pub use amount::{Amount, Given, just};
+pub use bound::Loss;
+pub use entry::{BusFaults, CannotSuffer, Effect, Fault, Suffer, Way, effects};
+pub use file::FileError;
+pub use judge::{Observed, known};
+pub use kind::{Ends, Facts, Kind, Scope};
+pub use plan::{DISTANCES, PHASES};
+pub use sequence::{Group, Sequence};
+pub use site::Site;

@@ -1,0 +1,161 @@
+//! A sequence of faults, and the longest gap that it may cost.
+
+use crate::bound::Loss;
+use crate::entry::{Fault, Way};
+use crate::kind::{Kind, Scope};
+use std::fmt;
+use tandem_board::{Duration, SystemId};
+use tandem_peripherals::network::Wire;
+use tandem_record::verdict::Limits;
+
+/// The kind of sequences.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// One fault at one of [`PHASES`](crate::PHASES) moments of the control cycle.
+    Single,
+    /// Two faults within one system, at one of [`DISTANCES`](crate::DISTANCES).
+    Pair,
+    /// Several faults in both systems, drawn from the number.
+    Random,
+    /// The same, but the number also draws which kinds there are at all: some sequences have many
+    /// faults of few kinds.
+    Swarm,
+    /// The faults of a file, or of [`Site::drawn`] or [`Site::cell`].
+    File,
+}
+
+/// One sequence of faults.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    /// Of which kind.
+    pub group: Group,
+    /// Which one.
+    pub number: u64,
+    /// The faults.
+    pub faults: Vec<Fault>,
+    /// Whether they begin at power-on; else in dual operation, A driving.
+    pub from_power_on: bool,
+    /// How long after their begin everything is restored.
+    pub span: Duration,
+}
+
+impl Fault {
+    /// How the vehicle loses its master by this fault while A drives and B stands by.
+    #[must_use]
+    pub fn loss(&self) -> Loss {
+        let facts = self.kind.facts();
+        match self.kind {
+            Kind::Hang(amount) if self.way == Way::Both => Loss::Stall(amount.ms()),
+            _ if facts.scope == Scope::Shared || self.way != Way::B => facts.loss,
+            _ => Loss::None,
+        }
+    }
+
+    /// Whether it leaves the frames of the system that drives as they are, so that this system must
+    /// keep its role. A bus that stands still delivers them too late: the vehicle refuses them, and
+    /// their sender may go.
+    #[must_use]
+    pub fn spares_the_master(&self) -> bool {
+        let is_bus = matches!(self.kind, Kind::VehicleHangs(_));
+        matches!(self.loss(), Loss::None | Loss::Stall(_)) && !is_bus
+    }
+}
+
+impl Sequence {
+    /// [`Fault::spares_the_master`] of all.
+    #[must_use]
+    pub fn spares_the_master(&self) -> bool {
+        self.faults.iter().all(Fault::spares_the_master)
+    }
+
+    /// The longest gap that its faults may cost, and the loss that says so; `None` if they are not
+    /// within one system.
+    #[must_use]
+    pub fn bound(&self, limits: &Limits) -> Option<(Loss, Duration)> {
+        let of_one = |fault: &Fault| {
+            let loss = fault.loss();
+            Some((loss, loss.bound(limits)))
+        };
+        let is_silent = |fault: &Fault| fault.kind == Kind::VehicleSilent;
+        match (self.group, &self.faults[..]) {
+            (Group::Random | Group::Swarm, _) => None,
+            (Group::Pair, _) => self.bound_within_a_system(limits),
+            (Group::File, _) if self.from_power_on => None,
+            (_, faults) if faults.iter().any(is_silent) => None,
+            (Group::Single, [one]) => of_one(one),
+            (Group::File, [one]) if one.has_loss() => of_one(one),
+            _ if self.is_within_a_system() => self.bound_within_a_system(limits),
+            _ => None,
+        }
+    }
+
+    /// Whether all faults are within one system.
+    fn is_within_a_system(&self) -> bool {
+        let within = |way: Way| {
+            self.faults.iter().all(|it| {
+                let is_of_wire = it.kind.facts().scope == Scope::Wire;
+                it.kind != Kind::Poison && (is_of_wire || it.way == way)
+            })
+        };
+        within(Way::A) || within(Way::B)
+    }
+
+    /// Of faults that are all within one system.
+    fn bound_within_a_system(&self, limits: &Limits) -> Option<(Loss, Duration)> {
+        let losses = self.faults.iter().map(|fault| match fault.kind {
+            Kind::Clock(amount) if amount.get() < -1 => Loss::of_refused_clock(amount.get()),
+            _ => Loss::Mute,
+        });
+        let bounds = losses.map(|loss| (loss, loss.bound(limits).max(limits.longest())));
+        bounds.max_by_key(|(_, bound)| *bound)
+    }
+
+    /// The faults, without their times.
+    #[must_use]
+    pub fn kinds(&self) -> String {
+        let kind = |fault: &Fault| format!("{:?} {}", fault.way, fault.kind);
+        let kinds: Vec<String> = self.faults.iter().map(kind).collect();
+        kinds.join(" + ")
+    }
+
+    /// Whether frames of both systems are lost on CAN, or carry a wrong command.
+    #[must_use]
+    pub fn spoils_frames_of_both(&self) -> bool {
+        let spoils = |fault: &Fault| match fault.kind {
+            Kind::LosesSent(_) | Kind::Mute | Kind::WrongResults => true,
+            Kind::Cut { wire } | Kind::Flap { wire, .. } => wire == Wire::Can,
+            _ => false,
+        };
+        let of = |of: SystemId| {
+            let mut faults = self.faults.iter();
+            faults.any(|fault| spoils(fault) && fault.way == Way::from(of))
+        };
+        of(SystemId::A) && of(SystemId::B)
+    }
+}
+
+impl Fault {
+    /// Whether its kind alone says what it costs. A fault of both systems has a bound only if the
+    /// fault is of what they share, or if both stand still.
+    fn has_loss(&self) -> bool {
+        let stands_still = matches!(self.kind, Kind::Hang(_));
+        self.way != Way::Both || self.kind.facts().scope != Scope::System || stands_still
+    }
+}
+
+impl fmt::Display for Sequence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let faults: Vec<String> = self.faults.iter().map(Fault::to_string).collect();
+        let from = if self.from_power_on {
+            " from power-on"
+        } else {
+            ""
+        };
+        let (group, number, faults) = (self.group, self.number, faults.join("; "));
+        let span = self.span.as_ms_f64();
+        write!(
+            f,
+            "{group:?} {number}{from}: {faults}; restored at {span:.1} ms"
+        )
+    }
+}

@@ -1,0 +1,65 @@
+//! One round of a drive: a sequence of faults is injected, then everything is restored until one
+//! system is master and the other its standby again.
+
+use std::path::Path;
+
+use clap::Parser as _;
+use tandem_board::{Duration, RoleLamp, SystemId};
+
+use crate::args::{Cli, Command};
+use tandem::args::RunArgs;
+
+/// After everything was restored, the systems must be master and standby again within this time.
+pub(super) const HEALED_WITHIN: Duration = Duration::from_ms(60_000);
+/// A system that has suspended itself for this long is switched off and on.
+pub(super) const SUSPENDED_FOR: Duration = Duration::from_ms(3_000);
+/// The systems have been master and standby for at least this long before a fault, ms.
+pub(super) const SETTLED_MS: u64 = 300;
+/// A round ends within this time; the run is long enough for all.
+const LONGEST_FAULT_S: f64 = 12.0;
+
+/// One sequence of faults that was injected.
+#[derive(Clone, Debug)]
+pub(super) struct Injected {
+    pub(super) number: u64,
+    /// The system that drove.
+    pub(super) driver: SystemId,
+    /// When, ns.
+    pub(super) at_ns: u64,
+    /// When the systems were master and standby again, ns.
+    pub(super) healed_ns: Option<u64>,
+    /// How often a system that had suspended itself was switched off and on.
+    pub(super) power_cycles: u32,
+    /// The roles when the wait was over, for a message.
+    pub(super) roles: [RoleLamp; 2],
+}
+
+/// The arguments of a run that is long enough for these faults.
+pub(super) fn arguments(numbers: &[u64], out: &Path, further: &[&str]) -> anyhow::Result<RunArgs> {
+    let duration_s = (numbers.len() as f64 * LONGEST_FAULT_S + 60.0).min(3_600.0);
+    let line =
+        format!("tandem run --scenario free-lane --duration {duration_s}s --reintegrate --quiet");
+    let words = line
+        .split(' ')
+        .chain(further.iter().copied())
+        .chain(["--out"]);
+    let words = words.map(Into::into).chain([out.into()]);
+    match Cli::try_parse_from::<_, std::ffi::OsString>(words)?.command {
+        Command::Run(args) => Ok(args),
+        _ => anyhow::bail!("`{line}` is no run"),
+    }
+}
+
+/// How long the systems have been master and standby before a fault: another time for each, so that
+/// the faults meet the control cycle everywhere.
+pub(super) fn settled(number: u64) -> Duration {
+    Duration::from_ms(SETTLED_MS + number.wrapping_mul(7_919) % 311)
+}
+
+/// The system that drives, if the other is its standby. By the roles of A and B.
+pub(super) fn driver(roles: [RoleLamp; 2]) -> Option<SystemId> {
+    SystemId::ALL.into_iter().find(|system| {
+        let of = |system: SystemId| roles[system.index()];
+        of(*system) == RoleLamp::Master && of(system.peer()) == RoleLamp::Standby
+    })
+}

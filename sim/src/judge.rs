@@ -1,0 +1,172 @@
+//! The judge of a simulated sequence: the rules of every campaign, and those that need what only the
+//! simulator sees.
+
+use crate::bench::{Bench, State};
+use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
+use std::fmt;
+use tandem_board::{Duration, Instant, RoleLamp, SystemId};
+use tandem_faults::{Fault, Kind, Loss, Observed};
+use tandem_record::verdict::limits::CONTROL_PERIOD;
+use tandem_record::verdict::{HEADWAY_MIN_S, LATERAL_ERROR_MAX_M, Rule};
+use tandem_redundancy::{Loaded, SystemState};
+use tandem_vehicle::World;
+use tandem_vehicle::gate::Acceptance;
+
+/// The outcome of one sequence.
+#[derive(Clone, Debug, Default)]
+pub struct Tried {
+    /// The longest time without control, from the first fault until everything is restored.
+    pub gap: Duration,
+    /// How often the driver changed.
+    pub changes: usize,
+    /// Systems that suspended themselves.
+    pub suspended: usize,
+    /// Virtual time of the whole run, with its start and the time to settle.
+    pub simulated: Duration,
+    /// Every frame on the bus and every event of a system, as one number.
+    pub digest: u64,
+    /// The states that the faults hit.
+    pub covered: Vec<(Kind, State)>,
+    /// The rules that were broken.
+    pub violations: Vec<Rule>,
+}
+
+impl fmt::Display for Tried {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (gap, changes, suspended) = (self.gap.as_ms_f64(), self.changes, self.suspended);
+        let violations = &self.violations;
+        write!(
+            f,
+            "gap {gap:.1} ms, {changes} changes of driver, {suspended} suspended, {violations:?}"
+        )
+    }
+}
+
+/// Programs of the flash that one fault explains, in each system.
+const PROGRAMS_OF_A_FAULT: usize = 12;
+
+impl Bench {
+    /// Judges a run whose faults began at `begin`, and in which everything was restored at
+    /// `restored`. `bound`: the longest permitted gap in between.
+    #[must_use]
+    pub fn judge(
+        &self,
+        faults: &[Fault],
+        [begin, restored]: [Instant; 2],
+        bound: Option<Duration>,
+    ) -> Tried {
+        let vehicle = self.vehicle.borrow();
+        let gap = longest_gap(&vehicle.accepted, begin, restored);
+        let changed = |pair: &&[Acceptance]| pair[0].system != pair[1].system;
+        let changes = vehicle.accepted.windows(2).filter(changed).count();
+        let drive = vehicle.world().map(World::metrics);
+        let evidence = Observed {
+            faults,
+            acted: &vehicle.accepted,
+            changes,
+            collisions: drive
+                .as_ref()
+                .map_or(0, |drive| drive.collisions_by_ego as usize),
+        };
+        let is_too_long = bound.is_some_and(|bound| gap > bound);
+        let mut violations: Vec<Rule> = is_too_long.then_some(Rule::Gap).into_iter().collect();
+        violations.extend(evidence.findings().into_iter().map(|finding| finding.rule));
+        let mut check = |broken: bool, rule| violations.extend(broken.then_some(rule));
+        check(vehicle.chatters, Rule::Chatters);
+        for system in SystemId::ALL {
+            let destroyed = faults.iter().any(|fault| {
+                fault.kind == Kind::FlashLost && fault.way.systems().any(|of| of == system)
+            });
+            let (loaded, programs) = self.record_of(system);
+            let lost = !matches!(loaded, Loaded::State(_));
+            let worn = programs > PROGRAMS_OF_A_FAULT * (faults.len() + 1);
+            check(!destroyed && lost, Rule::StateLost);
+            check(!destroyed && worn, Rule::FlashWorn);
+        }
+        if let Some(drive) = drive {
+            check(drive.excursion_max_m > 0.0, Rule::LeftLane);
+            let beside_m = drive.lateral_error_max_m;
+            check(beside_m > LATERAL_ERROR_MAX_M, Rule::LateralError);
+            check(vehicle.headway_s < HEADWAY_MIN_S, Rule::TooClose);
+        }
+        drop(vehicle);
+        violations.extend(self.judge_end());
+        Tried {
+            gap,
+            changes,
+            suspended: self.suspended(),
+            simulated: self.pair.now().since(self.born),
+            digest: self.pair.digest(),
+            covered: self.covered.clone(),
+            violations,
+        }
+    }
+
+    /// The rule that the end of the run breaks, long after everything was restored.
+    fn judge_end(&self) -> Option<Rule> {
+        let now = self.pair.now();
+        let from = Instant::from_ns(now.as_ns().saturating_sub(STEADY.as_ns()));
+        let believes = SystemId::ALL.map(|system| {
+            let lamp = self.pair.lamp(system);
+            matches!(lamp, Some(RoleLamp::Master | RoleLamp::DegradedMaster))
+        });
+        let vehicle = self.vehicle.borrow();
+        let last = vehicle.accepted.last();
+        let obeyed = last.filter(|last| {
+            now.as_ns().saturating_sub(last.at_ns) <= CONTROL_PERIOD.times(2).as_ns()
+        });
+        let Some(obeyed) = obeyed else {
+            return Some(match self.suspended() {
+                2 => Rule::BothSuspended,
+                _ => Rule::NoneObeyed,
+            });
+        };
+        let longest = Loss::None.bound(&self.profile.bounds()) + self.profile.time.allowance();
+        let late = longest_gap(&vehicle.accepted, from, now) > longest;
+        let since = vehicle
+            .accepted
+            .iter()
+            .rev()
+            .take_while(|frame| frame.at_ns >= from.as_ns());
+        // One handover is no violation: a system with a fault gives way when the hold-down is over.
+        let frames: Vec<&Acceptance> = since.collect();
+        let changed = frames.chunk_by(|a, b| a.system == b.system).count() > 2;
+        let fenced = vehicle
+            .fenced
+            .last()
+            .is_some_and(|frame| frame.at_ns >= from.as_ns());
+        match believes {
+            _ if !believes[usize::from(obeyed.system)] => Some(Rule::ObeysNoMaster),
+            [true, true] => Some(Rule::TwoMasters),
+            _ if late || changed || fenced => Some(Rule::Unsteady),
+            _ => None,
+        }
+    }
+
+    /// The newest record in the flash of a system, and how many it has space used by.
+    fn record_of(&self, system: SystemId) -> (Loaded, usize) {
+        let bytes = self.pair.flash(system);
+        let loaded = newest_record(&bytes);
+        let slots = bytes[..2 * FLASH_SECTOR_BYTES as usize].chunks(SystemState::BYTES);
+        let used = slots.filter(|slot| slot.iter().any(|byte| *byte != 0xFF));
+        (loaded, used.count())
+    }
+}
+
+/// For this long at the end a system must have driven without a pause.
+const STEADY: Duration = Duration::from_ms(200);
+
+/// The longest time without a control frame that acted, within these times.
+fn longest_gap(accepted: &[Acceptance], from: Instant, until: Instant) -> Duration {
+    let (from_ns, until_ns) = (from.as_ns(), until.as_ns());
+    let before = accepted.iter().rev().find(|frame| frame.at_ns <= from_ns);
+    let mut last = before.map_or(from_ns, |frame| frame.at_ns);
+    let mut longest = 0;
+    for frame in accepted {
+        if frame.at_ns > from_ns && frame.at_ns <= until_ns {
+            longest = longest.max(frame.at_ns - last);
+            last = frame.at_ns;
+        }
+    }
+    Duration::from_ns(longest.max(until_ns.saturating_sub(last)))
+}

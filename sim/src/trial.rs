@@ -1,0 +1,75 @@
+//! A sequence of faults on the simulated machine.
+
+use crate::bench::{Bench, Profile};
+pub use crate::judge::Tried;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use tandem_board::{RoleLamp, SystemId};
+use tandem_faults::Sequence;
+use tandem_record::verdict::Rule;
+
+/// Each sequence whose number this divides is watched for the whole time within which a system must
+/// drive, even if master and standby are there earlier.
+const HEALS_WHOLLY: u64 = 16;
+
+impl Profile {
+    /// Runs a sequence. `keeps_events`: whether the events of the cores are kept.
+    #[must_use]
+    pub fn run(self, sequence: &Sequence, keeps_events: bool) -> (Tried, Bench) {
+        let mut bench = if sequence.from_power_on {
+            let mut bench = Bench::new(self, 0, keeps_events);
+            bench.power_on();
+            bench
+        } else {
+            Bench::dual(self, 0, keeps_events)
+        };
+        bench.pair.reseed(sequence.number);
+        let begin = bench.pair.now();
+        bench.suffer(&sequence.faults, sequence.span);
+        let restored = bench.pair.now();
+        bench.heal(sequence.number.is_multiple_of(HEALS_WHOLLY));
+        let bound = sequence.bound(&self.bounds());
+        let bound = bound.map(|(_, bound)| bound + self.time.allowance());
+        let mut trial = bench.judge(&sequence.faults, [begin, restored], bound);
+        let is_alone = |bench: &Bench| {
+            let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
+            !SystemId::ALL.iter().any(stands_by)
+        };
+        if trial.suspended == 0 && is_alone(&bench) {
+            // A long hold-down may have let the other start only now, to stand by or to suspend
+            // itself.
+            bench.pair.run_for(bench.settles_within());
+            if bench.suspended() == 0 && is_alone(&bench) {
+                trial.violations.push(Rule::NoStandby);
+            }
+        }
+        if bound.is_some() && bench.vehicle.borrow().is_stopped() {
+            trial.violations.push(Rule::Stopped);
+        }
+        (trial, bench)
+    }
+
+    /// The same sequence with as few faults as still break this rule.
+    #[must_use]
+    pub fn shrunk(self, sequence: &Sequence, rule: Rule) -> Sequence {
+        let mut least = sequence.clone();
+        while let Some(shorter) = (0..least.faults.len()).find_map(|index| {
+            let mut shorter = least.clone();
+            shorter.faults.remove(index);
+            let breaks = self.try_run(&shorter).violations.contains(&rule);
+            (breaks && !shorter.faults.is_empty()).then_some(shorter)
+        }) {
+            least = shorter;
+        }
+        least
+    }
+
+    /// Runs a sequence; a panic is a violation.
+    #[must_use]
+    pub fn try_run(self, sequence: &Sequence) -> Tried {
+        let run = AssertUnwindSafe(|| self.run(sequence, false).0);
+        catch_unwind(run).unwrap_or_else(|_| Tried {
+            violations: vec![Rule::Panic],
+            ..Tried::default()
+        })
+    }
+}
