@@ -10,7 +10,7 @@ const MAY_DEPEND_ON: &str = "\
 shm:
 bus:
 board:
-redundancy: shm bus board
+redundancy: board
 cores: shm bus board redundancy
 boot: board
 boot-host: board boot
@@ -26,7 +26,7 @@ golden: board bus cores peripherals
 record: board bus cores redundancy vehicle
 faults: board peripherals record vehicle
 sim: board board-sim bus cores faults record redundancy vehicle
-board-conformance: board shm
+board-conformance: board
 board-sim: board peripherals
 peripherals: board
 cosim: board peripherals
