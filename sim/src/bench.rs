@@ -412,7 +412,7 @@ impl Suffer for Bench {
         }
         match kind {
             Kind::Cut { wire } if on => pair.cut(wire, of),
-            Kind::Cut { wire } => pair.mend(wire, of),
+            Kind::Cut { wire } => pair.restore(wire, of),
             Kind::LevelLow => pair.hold_level_low(of, on),
             Kind::PowerLoss if on => pair.power_off(of),
             Kind::PowerLoss => pair.power_on(of),
@@ -461,7 +461,9 @@ impl Suffer for Bench {
         self.vehicle.borrow_mut().silent = false;
         let pair = &mut self.pair;
         for of in SystemId::ALL {
-            Wire::ALL.into_iter().for_each(|wire| pair.mend(wire, of));
+            Wire::ALL
+                .into_iter()
+                .for_each(|wire| pair.restore(wire, of));
             pair.hold_level_low(of, false);
             pair.disturb_bus(of, BusFault::default());
             pair.rest_core(of, CoreId::CONTROL, Duration::ZERO);

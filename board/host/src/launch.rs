@@ -19,7 +19,7 @@ use tandem_board::SystemId;
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
 use crate::clock;
-use crate::flash::{Claimed, FlashFileError, HostFlash};
+use crate::flash_file::{Claimed, FlashFileError, HostFlash};
 use crate::injection::Injection;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
@@ -79,7 +79,7 @@ pub struct Plan {
 /// How the vehicle ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// Its exit status; `None` if it could not be learned.
+    /// Its exit status; `None` if it is not known.
     pub vehicle: Option<ExitStatus>,
     /// Whether a person ended the run early (Ctrl-C, SIGTERM, a closed terminal).
     pub interrupted: bool,
@@ -156,7 +156,7 @@ impl Launcher {
         })
     }
 
-    /// The place of the run's files; its display is the line that tells what was granted.
+    /// The place of the run's files; its display is the line that says what was granted.
     #[must_use]
     pub const fn isolation(&self) -> &Isolation {
         &self.isolation

@@ -277,7 +277,7 @@ pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     Ok(())
 }
 
-/// Sends until the other core has seen enough.
+/// Sends until the other core ends the case.
 pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     let mut number = 0;
@@ -291,7 +291,7 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// Interrupts may be spurious, but not in all of many waits.
+/// Interrupts may be spurious, but not in every one of these waits.
 pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     let mut quiet = 0_u32;
@@ -321,7 +321,7 @@ pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     wait_for_cores(board, HERE, 2)
 }
 
-/// Receives nothing until all has been sent; received and lost frames must then add up to all.
+/// Waits until all frames have been sent; received and lost frames must then add up to all.
 pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let before = board.can().overruns();
     wait_for_cores(board, HERE, 1)?;

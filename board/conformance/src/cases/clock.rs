@@ -1,4 +1,4 @@
-//! The clock, and `wait` in so far as it concerns time.
+//! The clock, and the deadline of `wait`.
 
 use crate::barrier::{SETTLE, spin_until, wait_for_cores, word};
 use crate::case::{Failure, check};

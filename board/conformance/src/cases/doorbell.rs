@@ -90,7 +90,7 @@ pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fail
     sleep(board, SETTLE)
 }
 
-/// T-SYNC-1: a token goes round, forwards and backwards: every core rings every other one.
+/// T-SYNC-1: a token circulates in both directions: every core rings every other one.
 pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const LAPS: u32 = 4;
     let token = word(board, 0);

@@ -1,4 +1,4 @@
-//! Faults of the hardware: each has an effect that portable code sees, and ends when it is mended.
+//! Faults of the hardware: each has an effect that portable code sees, until it is repaired.
 
 use super::supply::{is_first_incarnation, middle, reset_for, serve};
 use crate::barrier::{
@@ -25,7 +25,7 @@ pub const fn case_of(fault: HardwareFault) -> &'static str {
     }
 }
 
-/// T-CHIP-6: the diagnosis register tells what the output driver finds.
+/// T-CHIP-6: the diagnosis register shows the fault of the output driver.
 pub(super) fn outputs<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let finds = |expected, what| sleep_until(board, what, || board.output_diagnosis() == expected);
     for (fault, found) in [
@@ -37,7 +37,7 @@ pub(super) fn outputs<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(
         finds(found, "the output driver finds the fault")?;
         board.set_fault(place.system, fault, false);
     }
-    finds(OutputDiagnosis::Good, "a fault that is mended is gone")
+    finds(OutputDiagnosis::Good, "a repaired fault has no effect")
 }
 
 fn frame(number: u8) -> Result<CanFrame, Failure> {
@@ -67,7 +67,7 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), Failure> {
     )
 }
 
-/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault mended.
+/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault repaired.
 pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let errors = || board.can().errors();
     wait_for_cores(board, HERE, 1)?;
@@ -84,7 +84,7 @@ pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Resu
     })?;
     check(errors().bus_offs > 0, "a bus-off is counted")?;
     wait_for_cores(board, HERE, 3)?;
-    // The other core looks.
+    // The other core checks its receiver.
     wait_for_cores(board, HERE, 4)?;
     board.set_fault(place.system, HardwareFault::CanTransmit, false);
     send(board, 2)?;
@@ -95,7 +95,7 @@ pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Resu
 }
 
 /// Receives what the other core sends, and nothing while that is destroyed.
-pub(super) fn hears_when_mended<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn hears_after_repair<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     receive(board, 0)?;
     wait_for_cores(board, HERE, 2)?;
@@ -144,7 +144,7 @@ pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Resul
     wait_for_cores(board, HERE, 3)
 }
 
-/// First incarnation: runs well until its supply resets it. Second incarnation: reads `cause`.
+/// First incarnation: runs without a fault until its supply resets it. Second incarnation: reads `cause`.
 fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     if !is_first_incarnation(board) {
         return reset_for(board, cause);
@@ -158,7 +158,7 @@ fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), Failure>
     fail("the supply resets the system")
 }
 
-/// Makes the fault in system A, and mends it when that is in reset.
+/// Makes the fault in system A, and repairs it while A is in reset.
 fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), Failure> {
     if !is_first_incarnation(board) {
         // After this role has ended, no role services this system's watchdog.
@@ -182,7 +182,7 @@ fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), Failure>
     until("time passes", &|| board.now() >= over)?;
     check(!powered(), "the fault holds the system in reset")?;
     board.set_fault(SystemId::A, fault, false);
-    until("the system starts when the fault is mended", &powered)
+    until("the system starts when the fault is repaired", &powered)
 }
 
 /// T-CHIP-6

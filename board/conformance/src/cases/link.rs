@@ -96,7 +96,7 @@ pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
     }
     check(sent > 0, "an empty link has room")?;
     wait_for_peer(board, 2)?;
-    // The next datagram tells the number of datagrams before it.
+    // The next datagram contains the number of datagrams before it.
     sleep_until(board, "a link that is emptied has room", || {
         board.link().try_send(&[u32::MAX, sent]).is_ok()
     })

@@ -16,7 +16,7 @@ fn begins<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, CoreId::COUNT + core.index())
 }
 
-/// A core 0 that services the watchdog while it waits.
+/// Core 0 that services the watchdog while it waits.
 struct Servant<'b, B> {
     board: &'b B,
     next_service: Instant,

@@ -18,7 +18,7 @@ pub(super) fn serve<B: Board>(board: &B) {
         .service_watchdog(watchdog_answer(board.supply().watchdog_question()));
 }
 
-/// Every service comes in the middle of the window with the right answer: no reset.
+/// Every service is in the middle of the window and has the right answer: no reset.
 pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const ROUNDS: u32 = 20;
     let cause = board.supply().reset_cause();
@@ -45,7 +45,7 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     )
 }
 
-/// Every service comes just after the window opens: no reset.
+/// Every service is just after the window opens: no reset.
 pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const ROUNDS: u32 = 10;
     // Half a millisecond for differences between the clocks.
