@@ -180,7 +180,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::SyncHeard => "sync edge of the other system",
         Evidence::PeerRuns => "the other system is running",
         Evidence::HandshakeDone => "handshake done",
-        Evidence::NobodyThere => "no system answered",
+        Evidence::NoAnswer => "no system answered",
         Evidence::PeerOff => "power level fell and heartbeats ended",
         Evidence::PeerSilent => "heartbeats and control frames silent",
         Evidence::BeatsSilent => "heartbeats silent",
