@@ -6,7 +6,7 @@ use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
 
-use crate::roles::State;
+use crate::roles::RoleState;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
 /// Whether a core tells of this in every cycle, or its scheduler does: a story leaves it out.
@@ -34,7 +34,7 @@ pub fn core_event(event: Event) -> Option<String> {
         }
         Event::Role { role, mode, term } => {
             let full = mode == ModeCode::L3 as u8;
-            let state = State::of_codes(role, mode)?.name();
+            let state = RoleState::of_codes(role, mode)?.name();
             format!("is {state}{}, term {term}", if full { ", L3" } else { "" })
         }
         Event::TookOver { cause, .. } => format!(

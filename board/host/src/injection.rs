@@ -181,7 +181,7 @@ impl Injection {
     /// The process of a system's supply, if it lives.
     fn supply(&self, system: SystemId) -> Option<Pid> {
         let is_supply = |process: &Process| {
-            process.system == Some(system) && process.kind == processes::Kind::Supply
+            process.system == Some(system) && process.kind == processes::ProcessKind::Supply
         };
         let pid = processes::of_run(&self.run)
             .into_iter()

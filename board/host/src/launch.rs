@@ -67,7 +67,7 @@ pub enum LaunchError {
 
 /// The configuration of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct LaunchPlan {
     /// How the processes are scheduled.
     pub schedule: Schedule,
     /// The files that are the data flashes of A and B; created if missing.
@@ -187,7 +187,7 @@ impl Launcher {
     /// what was started is killed when the launcher is dropped.
     pub fn start(
         &mut self,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Result<(), LaunchError> {
         for path in &plan.flash {
@@ -236,7 +236,7 @@ impl Launcher {
     /// `command` as for [`Launcher::start`]. A supply that does not start is one without power.
     pub fn wait_and_switch(
         &mut self,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Ended {
         self.wait_with(&mut |launcher| {
@@ -251,7 +251,7 @@ impl Launcher {
     fn switch_on(
         &mut self,
         system: SystemId,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) {
         let Some(supply) = self.children.get_mut(system.index()) else {
@@ -374,7 +374,7 @@ impl Launcher {
     }
 }
 
-fn common(run: &RunName, plan: &Plan) -> Common {
+fn common(run: &RunName, plan: &LaunchPlan) -> Common {
     Common {
         run: run.clone(),
         schedule: plan.schedule.clone(),
@@ -382,7 +382,7 @@ fn common(run: &RunName, plan: &Plan) -> Common {
     }
 }
 
-fn supply_args(run: &RunName, plan: &Plan, system: SystemId) -> SupplyArgs {
+fn supply_args(run: &RunName, plan: &LaunchPlan, system: SystemId) -> SupplyArgs {
     SupplyArgs {
         common: common(run, plan),
         system,

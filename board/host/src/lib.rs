@@ -52,7 +52,7 @@ pub use can::HostCan;
 pub use doorbell::DoorbellError;
 pub use flash_file::{FlashFileError, HostFlash};
 pub use isolation::{Isolation, IsolationError};
-pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};
+pub use launch::{Ended, LaunchError, LaunchPlan, Launcher, Leftovers};
 pub use lines::{HostLines, HostLink};
 pub use memory::{LMU_WORDS, MemoryError};
 pub use name::{InvalidRunName, RunName};

@@ -64,10 +64,10 @@ pub struct BootFrom {
 
 /// The straps of the controller's image.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Options {
+pub struct MachineOptions {
     /// A system that returns becomes the standby of the running one.
     pub reintegrate: bool,
-    /// The timing profile is `chip`, else `rt`. For [`Layout::One`](crate::Layout::One): from one
+    /// The timing profile is `chip`, else `rt`. For [`WorldLayout::One`](crate::Layout::One): from one
     /// machine to another, edges and datagrams take up to 2 ms.
     pub chip: bool,
     /// An overload of core 0's tasks: strap `Third`, explained in the image's main. 0: none.
@@ -96,7 +96,7 @@ impl Machine {
     pub fn start(
         image: &Path,
         systems: &[SystemId],
-        options: Options,
+        options: MachineOptions,
         boot: Option<&BootFrom>,
     ) -> Result<Self, MachineError> {
         let folder = tempfile::Builder::new()

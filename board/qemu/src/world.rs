@@ -14,11 +14,11 @@ use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Reach, Sender, decode_trace};
 use tandem_peripherals::network::{self, BusFault, Network, Wire};
 
-use crate::machine::{BootFrom, Machine, MachineError, Options};
+use crate::machine::{BootFrom, Machine, MachineError, MachineOptions};
 
 /// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
+pub enum WorldLayout {
     /// Both in one emulator.
     One,
     /// One emulator each: either can be killed.
@@ -65,10 +65,14 @@ impl EmulatedWorld {
     ///
     /// # Errors
     /// [`MachineError`]
-    pub fn start(image: &Path, layout: Layout, options: Options) -> Result<Self, MachineError> {
+    pub fn start(
+        image: &Path,
+        layout: WorldLayout,
+        options: MachineOptions,
+    ) -> Result<Self, MachineError> {
         let groups: &[&[SystemId]] = match layout {
-            Layout::One => &[&SystemId::ALL],
-            Layout::Two => &[&[SystemId::A], &[SystemId::B]],
+            WorldLayout::One => &[&SystemId::ALL],
+            WorldLayout::Two => &[&[SystemId::A], &[SystemId::B]],
         };
         let machines = groups.iter().map(|systems| {
             let machine = Machine::start(image, systems, options, None)?;
@@ -88,9 +92,9 @@ impl EmulatedWorld {
         reintegrate: bool,
         from: &[(SystemId, BootFrom)],
     ) -> Result<Self, MachineError> {
-        let options = Options {
+        let options = MachineOptions {
             reintegrate,
-            ..Options::default()
+            ..MachineOptions::default()
         };
         let machines = from.iter().map(|(system, from)| {
             let machine = Machine::start(bootloader, &[*system], options, Some(from))?;

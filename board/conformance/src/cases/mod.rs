@@ -11,7 +11,7 @@ mod lmu;
 mod release;
 mod supply;
 
-use crate::case::{Case, Part, Setting};
+use crate::case::{Case, CasePart, Setting};
 pub use fault::case_of;
 use tandem_board::{CoreAddress, FaultSource};
 
@@ -26,7 +26,7 @@ macro_rules! case {
         Case {
             name: $name,
             setting: $setting,
-            parts: const { &[$(Part { place: CoreAddress::$place, role: $role }),+] },
+            parts: const { &[$(CasePart { place: CoreAddress::$place, role: $role }),+] },
         }
     };
 }
