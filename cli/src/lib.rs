@@ -30,7 +30,7 @@ mod three_frames;
 mod timeline;
 mod update;
 pub mod vehicle;
-mod world_record;
+pub mod world_record;
 
 use std::alloc::System;
 use std::io::{self, Write as _};

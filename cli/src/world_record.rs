@@ -13,7 +13,8 @@ const ROAD_STEP_M: f64 = 4.0;
 const ROAD_ASIDE_M: f64 = 30.0;
 
 /// The vehicle's own figures.
-pub(crate) fn figures(metrics: &WorldMetrics) -> DriveFigures {
+#[must_use]
+pub fn figures(metrics: &WorldMetrics) -> DriveFigures {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     DriveFigures {
         collisions: metrics.collisions,

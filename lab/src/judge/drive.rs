@@ -5,8 +5,11 @@ use std::path::Path;
 use std::rc::Rc;
 
 use serde::Serialize;
+use tandem::world_record;
 use tandem_board::{Duration, Instant, SystemId};
 use tandem_board_sim::{Config, SimPair};
+use tandem_record::verdict::figures::of_drive;
+use tandem_record::verdict::{Finding, Rule};
 use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
@@ -17,7 +20,7 @@ const PATH_STEP: Duration = Duration::from_ms(200);
 const ROAD_STEP_M: f64 = 4.0;
 /// The road in the picture reaches so far around the path, m.
 const ROAD_AROUND_M: f64 = 40.0;
-/// If no control frame was accepted by then, none will be.
+/// A drive without an accepted control frame by then is given up.
 const GIVE_UP: Duration = Duration::from_ms(15_000);
 
 /// Slower is standing, m/s.
@@ -45,7 +48,7 @@ pub(crate) struct Judgement {
     pub(crate) verdict: Verdict,
     /// Why it was refused or stopped; empty if driven.
     pub(crate) reason: String,
-    /// The ego touched another.
+    /// The ego touched another vehicle.
     pub(crate) collision: bool,
     /// In one of the collisions it was the cause.
     pub(crate) collision_by_ego: bool,
@@ -80,7 +83,9 @@ pub(crate) struct Judgement {
     /// Scenario time and way that were driven, s and m.
     pub(crate) driven_s: f64,
     pub(crate) distance_m: f64,
-    /// What of the file is not used.
+    /// The rules of a good run that the drive broke.
+    pub(crate) findings: Vec<Finding>,
+    /// The parts of the file that are not used.
     pub(crate) warnings: Vec<String>,
     #[serde(skip)]
     pub(crate) picture: Picture,
@@ -153,7 +158,10 @@ fn refused(file: &str, reason: String) -> Judgement {
 }
 
 fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
+    let mut findings = of_drive(&world_record::figures(metrics));
+    findings.extend(Rule::Stopped.exceeded(metrics.standing_s));
     Judgement {
+        findings,
         file: file.to_owned(),
         verdict: Verdict::Refused,
         reason: String::new(),
@@ -202,7 +210,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
     let mut picture = Picture::default();
     loop {
         pair.run_for(PATH_STEP);
-        // Nothing here reads what a machine keeps for its observers.
+        // Drops the records for observers, which are not needed here.
         pair.take_trace();
         pair.take_bus_log();
         let world = shared.borrow();

@@ -1,4 +1,4 @@
-//! `tandem judge`: drives a folder of scenarios in virtual time, and says how each went.
+//! `tandem judge`: drives a folder of scenarios in virtual time, and judges each drive.
 
 mod drive;
 mod page;
@@ -13,6 +13,7 @@ use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
 use indicatif::{ProgressBar, ProgressStyle};
 use tandem_page::output::OutputFile;
+use tandem_record::verdict::Rule;
 
 use crate::args::JudgeArgs;
 use tandem::failure::Failure;
@@ -176,7 +177,7 @@ fn goal(judgement: &Judgement) -> &'static str {
 }
 
 impl Judgement {
-    /// What else there is to say, in one line.
+    /// The reason, the findings and further remarks, in one line.
     fn remark(&self) -> String {
         let mut remarks = vec![];
         if !self.reason.is_empty() {
@@ -188,28 +189,16 @@ impl Judgement {
             }
         };
         remark(!self.goal_missed.is_empty(), self.goal_missed.clone());
-        let asked = self.takeover_asked_s.unwrap_or_default();
-        remark(
-            self.takeover_asked_s.is_some(),
-            format!("asked the driver to take over at {asked:.1} s"),
-        );
-        let stopped = self.safe_stop_s.unwrap_or_default();
-        remark(
-            self.safe_stop_s.is_some(),
-            format!("minimal-risk stop at {stopped:.1} s"),
-        );
-        remark(
-            self.outside_domain_s > 0.0,
-            format!("outside the domain for {:.1} s", self.outside_domain_s),
-        );
+        // Collisions and excursions have columns of their own.
+        let own_column = [Rule::Collision, Rule::LeftLane];
+        let findings = self.findings.iter();
+        for finding in findings.filter(|it| !own_column.contains(&it.rule)) {
+            remark(true, finding.to_string());
+        }
         remark(self.hit_while_standing, "hit while it stood".to_owned());
         remark(
             self.wrong_way_s > 0.0,
             format!("wrong way for {:.1} s", self.wrong_way_s),
-        );
-        remark(
-            self.standing_s > 0.0,
-            format!("stood {:.1} s without a reason ahead", self.standing_s),
         );
         remark(
             !self.brake_reason.is_empty(),

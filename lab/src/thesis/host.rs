@@ -8,6 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::{CoreId, RoleLamp, SystemId};
 use tandem_board_host::{Backplane, clock};
 use tandem_record::RunLog;
+use tandem_record::verdict::Beside;
 
 use super::outputs::Done;
 use crate::args::{Cli, Command};
@@ -32,13 +33,13 @@ fn arguments() -> anyhow::Result<RunArgs> {
 
 /// Records a staggered start and two takeovers: core 0 of A is killed, which resets A; when A has
 /// returned as standby, the supply of B is killed.
-pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
+pub(super) fn takeovers() -> anyhow::Result<(RunLog, Beside, Done)> {
     let recorded = run::recorded(&arguments()?, |injection, _| {
         let done = act(injection.backplane());
         injection.backplane().request_stop();
         done
     })?;
-    Ok((recorded.log, recorded.done))
+    Ok((recorded.log, recorded.around.beside, recorded.done))
 }
 
 fn act(backplane: Backplane) -> anyhow::Result<Done> {

@@ -10,8 +10,12 @@ use std::fmt::Write as _;
 
 use anyhow::Context as _;
 use serde::Serialize;
+use tandem_board::Duration;
 use tandem_page::output::OutputFile;
+use tandem_record::gap::Bounds;
+use tandem_record::verdict::{Beside, Figures, Limits, Rule};
 use tandem_record::{RunLog, start};
+use tandem_redundancy::Config;
 
 use crate::args::{ThesisArgs, ThesisBoard};
 use crate::{boot_demo, rtos_demo};
@@ -153,9 +157,10 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             );
             let free = attempts(|| Ok(two_cores::counter(cpus, INCREMENTS, false)?))?;
             shown.count(&free, &two_cores::counter(cpus, INCREMENTS, true)?);
-            let (log, done) = host::takeovers()?;
+            let (log, beside, done) = host::takeovers()?;
             shown.start(&log, "this machine's time")?;
             shown.takeovers(&log, done, "this machine")?;
+            shown.verdict(&log, &beside);
             shown.kernel(DemoBoard::Host)?;
             shown.download(DemoBoard::Host)?;
         }
@@ -168,6 +173,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             let (log, done) = simulated::takeovers()?;
             shown.start(&log, "virtual time: a line of the simulator takes none")?;
             shown.takeovers(&log, done, "virtual time")?;
+            shown.verdict(&log, &virtual_time(Duration::from_ms(1)));
             shown.periods(&rtos_demo::simulated()?, "the kernel's virtual time");
         }
         ThesisBoard::Qemu => {
@@ -178,11 +184,23 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             shown.start(&emulated::start()?, "both systems in one machine")?;
             let (log, done) = emulated::takeovers()?;
             shown.takeovers(&log, done, "the emulator's time")?;
+            // The bus moves once a millisecond, and so does what passes between the machines.
+            shown.verdict(&log, &virtual_time(Duration::from_ms(4)));
             shown.kernel(DemoBoard::Qemu)?;
             shown.download(DemoBoard::Qemu)?;
         }
     }
     Ok(shown)
+}
+
+/// The knowledge beside a recording in virtual time, with the limits of the profile rt. `on_bus`:
+/// how much later than sent a frame arrives.
+fn virtual_time(on_bus: Duration) -> Beside {
+    Beside {
+        bounds: Bounds::new(Limits::RT, on_bus, Duration::ZERO),
+        product: Some(Config::rt()),
+        ..Beside::default()
+    }
 }
 
 /// Repeats the count without the lock until an increment is lost, which needs both cores to run at
@@ -298,6 +316,28 @@ impl Shown {
         }
         self.svg = Some(outputs.draw());
         Ok(())
+    }
+
+    /// The rules of a good run, as far as they are about the systems that drive.
+    fn verdict(&mut self, log: &RunLog, beside: &Beside) {
+        let about_systems = [
+            Rule::Gap,
+            Rule::TwoMasters,
+            Rule::BothTransmitted,
+            Rule::StaleFrames,
+            Rule::Needless,
+            Rule::Limits,
+        ];
+        let mut verdict = Figures::of(log, beside, None).verdict(log, beside);
+        verdict
+            .findings
+            .retain(|it| about_systems.contains(&it.rule));
+        let broken = verdict.objections();
+        let row = Row::new("takeover/verdict", [0.0, broken.len() as f64, 0.0], "rules");
+        self.rows.push(row.means(match broken.is_empty() {
+            true => "rules of a good run that the takeovers broke".to_owned(),
+            false => broken.join("; "),
+        }));
     }
 
     /// 6.4.1 on a board of the demonstrations.
@@ -432,8 +472,9 @@ mod tests {
         let (log, done) = simulated::takeovers().unwrap();
         shown.start(&log, "virtual time").unwrap();
         shown.takeovers(&log, done, "virtual time").unwrap();
+        shown.verdict(&log, &virtual_time(Duration::from_ms(1)));
         let bad: Vec<_> = shown.rows.iter().filter(|row| !row.ok).collect();
         assert!(bad.is_empty(), "{bad:?}");
-        assert_eq!(shown.rows.len(), 4);
+        assert_eq!(shown.rows.len(), 5);
     }
 }

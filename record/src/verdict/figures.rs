@@ -7,6 +7,7 @@ use tandem_vehicle::Ruling;
 use super::modes::{self, Stop};
 use super::{Finding, Rule, Verdict, Watch};
 use crate::gap::{self, Bounds, EndedBy, Gap};
+use crate::log::DriveFigures;
 use crate::run_log::{Stall, Stood};
 use crate::{RunLog, Takeover, description, ms_between, takeovers};
 
@@ -186,6 +187,30 @@ impl TakeoverFigures {
     }
 }
 
+/// The findings about the drive itself, except stops: only a recording has their reasons.
+#[must_use]
+pub fn of_drive(drive: &DriveFigures) -> Vec<Finding> {
+    let figures = [
+        (Rule::Collision, f64::from(drive.collisions)),
+        (Rule::LeftLane, drive.excursion_max_m),
+        (Rule::LateralError, drive.lateral_error_max_m),
+        (Rule::OutsideDomain, drive.outside_domain_s),
+    ];
+    let figures = figures
+        .into_iter()
+        .filter_map(|(rule, it)| rule.exceeded(it));
+    let ends = [
+        (Rule::TakeoverAsked, drive.takeover_asked_s),
+        (Rule::SafeStop, drive.safe_stop_s),
+    ];
+    let ends = ends.into_iter().filter_map(|(rule, at_s)| {
+        let at_s = at_s?;
+        let words = format!("{} at {at_s:.1} s", rule.row().words);
+        Some(Finding::new(rule, [at_s, 0.0], words).at(at_s))
+    });
+    figures.chain(ends).collect()
+}
+
 /// The finding that both systems transmitted for longer than their hand-overs permit, ms.
 #[must_use]
 pub fn both_transmitted(both_ms: f64, permitted_ms: f64) -> Option<Finding> {
@@ -247,22 +272,19 @@ impl Figures {
     /// The verdict on the run that has these figures.
     #[must_use]
     pub fn verdict(&self, log: &RunLog, beside: &Beside) -> Verdict {
-        let drive = &log.figures;
+        let mut findings = of_drive(&log.figures);
         let figures = [
-            (Rule::Collision, f64::from(drive.collisions)),
-            (Rule::LeftLane, drive.excursion_max_m),
-            (Rule::LateralError, drive.lateral_error_max_m),
-            (Rule::OutsideDomain, drive.outside_domain_s),
             (Rule::TwoMasters, self.two_masters_ms),
             (Rule::StaleFrames, self.stale_frames as f64),
             (Rule::SlowControl, self.control_period_p50_ms.unwrap_or(0.0)),
             (Rule::WrongMode, self.wrong_mode_s),
             (Rule::Leftovers, self.leftovers.len() as f64),
         ];
-        let mut findings: Vec<_> = figures
-            .into_iter()
-            .filter_map(|(rule, measured)| rule.exceeded(measured))
-            .collect();
+        findings.extend(
+            figures
+                .into_iter()
+                .filter_map(|(rule, it)| rule.exceeded(it)),
+        );
         let whole = [
             (Rule::NoControl, self.control_frames > 0),
             (Rule::CutShort, self.complete),
@@ -297,24 +319,11 @@ impl Figures {
             }
             None => None,
         });
-        for (rule, at_s, what) in [
-            (
-                Rule::NoStandby,
-                self.redundancy_lost_s,
-                "to the end: no system stood by",
-            ),
-            (Rule::TakeoverAsked, drive.takeover_asked_s, ""),
-            (Rule::SafeStop, drive.safe_stop_s, ""),
-        ] {
-            let words = match rule {
-                Rule::NoStandby => "redundancy was lost",
-                _ => rule.row().words,
-            };
-            findings.extend(at_s.map(|at_s| {
-                let words = format!("{words} at {at_s:.1} s {what}");
-                Finding::new(rule, [at_s, 0.0], words.trim_end()).at(at_s)
-            }));
-        }
+        findings.extend(self.redundancy_lost_s.map(|at_s| {
+            let words =
+                format!("redundancy was lost at {at_s:.1} s to the end: no system stood by");
+            Finding::new(Rule::NoStandby, [at_s, 0.0], words).at(at_s)
+        }));
         Verdict::new(findings, beside.watch)
     }
 }
