@@ -4,8 +4,8 @@
 //! Trace records and frames are binary, because there are thousands in a second; the vehicle's own
 //! records are JSON. A recording whose writer was killed can be read up to its last whole entry.
 
-use std::fs::File;
-use std::io::{self, BufReader, Read as _, Write};
+use std::fs;
+use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -28,8 +28,8 @@ const VERDICTS: [Ruling; 6] = [
     Ruling::Implausible,
 ];
 
-/// The line of a frame in a CAN log, without a line feed; `epoch_us` is the time of day at the
-/// clock's 0.
+/// Returns the line of a frame in a CAN log, without a line feed. `epoch_us` is the time of day at
+/// which the run's clock was 0.
 #[must_use]
 pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> String {
     let frame = &logged.frame;
@@ -51,7 +51,7 @@ pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> String {
 pub enum Entry {
     /// A record of a core's trace.
     Trace(Traced),
-    /// Something that a supply did or saw.
+    /// An event of a supply.
     Supply(Instant, SystemId, SupplyEvent),
     /// A frame on the bus.
     Frame(LoggedFrame),
@@ -146,7 +146,7 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
     bytes
 }
 
-/// The part of an entry's content that is not yet read.
+/// The unread part of an entry's content.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -195,27 +195,26 @@ impl Bytes<'_> {
 /// # Errors
 /// If the file cannot be read, holds an invalid entry, or `into` fails.
 pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
-    let file = File::open(path)
+    let bytes = fs::read(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
-    let mut file = BufReader::new(file);
-    let mut at = 0;
-    // A writer that was killed leaves a part of an entry: the recording ends before it.
-    while let Some(length) = whole(file.read_exact_into::<4>())? {
-        let length = u32::from_le_bytes(length);
+    let mut rest = &bytes[..];
+    // A killed writer leaves a partial entry. The recording ends before it.
+    while let Some((length, content)) = rest.split_first_chunk() {
+        let at = bytes.len() - rest.len();
         let foreign = || format!("{}: no entry at byte {at}", path.display());
+        let length = u32::from_le_bytes(*length);
         anyhow::ensure!((1..=LONGEST).contains(&length), foreign());
-        let mut content = vec![0; length as usize];
-        if whole(file.read_exact(&mut content))?.is_none() {
+        let Some((entry, after)) = content.split_at_checked(length as usize) else {
             break;
-        }
-        into(Entry::read(content[0], &content[1..]).with_context(foreign)?)?;
-        at += 4 + u64::from(length);
+        };
+        into(Entry::read(entry[0], &entry[1..]).with_context(foreign)?)?;
+        rest = after;
     }
     Ok(())
 }
 
-/// Bytes of the whole entries at the beginning of `bytes`, as many as fit into `most`; the first
-/// one even if it does not. `None` if there is no whole entry.
+/// Returns the length of the whole entries at the beginning of `bytes` that fit into `most` bytes.
+/// The first entry counts even if it does not fit. Returns `None` if there is no whole entry.
 #[must_use]
 pub fn whole_entries(bytes: &[u8], most: usize) -> Option<usize> {
     let mut end = 0;
@@ -251,27 +250,6 @@ pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()
 pub fn verdict_code(verdict: Option<Ruling>) -> u8 {
     let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
     verdict.and_then(judged).map_or(0, |place| place as u8 + 1)
-}
-
-/// `None` at the end of the file.
-fn whole<T>(read: io::Result<T>) -> io::Result<Option<T>> {
-    match read {
-        Ok(read) => Ok(Some(read)),
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
-        Err(error) => Err(error),
-    }
-}
-
-trait ReadArray {
-    fn read_exact_into<const N: usize>(&mut self) -> io::Result<[u8; N]>;
-}
-
-impl<R: io::Read> ReadArray for R {
-    fn read_exact_into<const N: usize>(&mut self) -> io::Result<[u8; N]> {
-        let mut bytes = [0; N];
-        self.read_exact(&mut bytes)?;
-        Ok(bytes)
-    }
 }
 
 #[cfg(test)]
@@ -349,7 +327,7 @@ mod tests {
         assert_eq!(one.len() as u64, TRACE_BYTES);
     }
 
-    /// Cut after any byte, as a kill of the writer may: whole entries are read, nothing fails.
+    /// A killed writer may cut the file after any byte. Whole entries are read without an error.
     #[test]
     fn a_recording_that_was_cut_is_read_up_to_its_last_whole_entry() {
         let bytes = written(&entries());
@@ -362,7 +340,7 @@ mod tests {
         assert_eq!(most, entries().len() - 1);
     }
 
-    /// Cut anywhere into pieces of whole entries, a recording is the same.
+    /// A recording that is read in pieces of whole entries has the same content.
     #[test]
     fn a_recording_is_read_in_pieces_of_whole_entries() {
         let bytes = written(&entries());
@@ -381,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_writer_wrote_is_an_error_that_says_where() {
+    fn foreign_bytes_are_an_error_that_names_their_place() {
         let mut bytes = written(&entries()[..1]);
         let at = bytes.len();
         bytes.extend([2, 0, 0, 0, 99, 0]);
