@@ -14,7 +14,7 @@ use crate::percentiles::Spans;
 use crate::report;
 use crate::timeline::{self, Timeline};
 
-/// The data of the run's shared memory, taken out before that is wiped.
+/// The data of a run, copied from its shared memory before that is wiped.
 pub struct Collected {
     pub(crate) log: RunLog,
     timeline: Timeline,
@@ -43,7 +43,7 @@ impl Collected {
         })
     }
 
-    /// A run that is not in a file: its recording, and its frames as lines.
+    /// Collects a run that is not in a file: its recording, and its frames as lines.
     ///
     /// # Errors
     /// If the folder cannot be written.
@@ -59,7 +59,7 @@ impl Collected {
         })
     }
 
-    /// Writes the report and what lies beside it.
+    /// Writes the report and the files beside it.
     ///
     /// # Errors
     /// If the folder cannot be written.
@@ -85,10 +85,10 @@ impl Collected {
     }
 }
 
-/// The recording; its frames become the CAN log.
+/// Reads the recording, and writes its frames as the CAN log.
 ///
 /// # Errors
-/// If the one cannot be read or the other not be written.
+/// If the recording cannot be read or the log cannot be written.
 pub fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
     let writing = || format!("writing {}", candump.display());
     let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);

@@ -12,9 +12,9 @@ use tandem_vehicle::Ruling;
 use crate::percentiles::Spans;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
-/// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
+/// Value of [`Metrics::schema`], by which a report folder is recognised.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
-/// Jerk is the change of acceleration over this span, s: shorter ones show the log's resolution.
+/// Jerk is the change of acceleration over this span, s. Shorter spans show the log's resolution.
 const JERK_SPAN_S: f64 = 0.1;
 
 /// The knowledge of the run beside the vehicle's log.
@@ -123,7 +123,7 @@ pub struct Metrics {
 /// [`Metrics::stalls`].
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct StallMetrics {
-    /// What watched: the thread's scheduling, in words. Empty on a board in virtual time.
+    /// How the watching threads were scheduled, in words. Empty on a board in virtual time.
     pub(crate) watched_by: String,
     /// How often it woke late.
     pub(crate) count: usize,

@@ -20,8 +20,8 @@ use crate::live::Live;
 /// schedulers are left out: after about six minutes of a run.
 const TRACE_LIMIT_BYTES: u64 = 64 << 20;
 
-/// Bytes of trace records in a place with so much free space at the start: half of it is for the
-/// rest of the recording, which grows more slowly and without which there is no report.
+/// Returns how many bytes of trace records a recording may have, from the free space at the start.
+/// Half of it is for the rest of the recording, which grows more slowly and is needed for a report.
 fn trace_limit_bytes(free_bytes: u64) -> u64 {
     TRACE_LIMIT_BYTES.min(free_bytes / 2)
 }
@@ -33,14 +33,14 @@ struct Batch {
     live: Option<Live>,
 }
 
-/// The side of the thread that has the data: it collects, and hands over from time to time. Nothing
-/// here blocks or makes a system call but [`Recorder::hand_over`], which wakes the writer.
+/// Collects entries on the thread that has the data, and hands them to the writer at times.
+/// Only [`Recorder::hand_over`] makes a system call, which wakes the writer. Nothing blocks.
 #[derive(Debug)]
 pub struct Recorder {
     batch: Batch,
     /// Bytes of trace records in the recording.
     trace_bytes: u64,
-    /// How many it may have, but for those that the analysis needs.
+    /// How many it may have. Records that the analysis needs are written beyond that.
     trace_limit_bytes: u64,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
@@ -86,7 +86,7 @@ impl Recorder {
         true
     }
 
-    /// Takes how the run stands.
+    /// Takes the live state of the run.
     pub fn live(&mut self, live: Live) {
         self.batch.live = Some(live);
     }
@@ -128,7 +128,7 @@ fn write_all(
             .entries
             .iter()
             .try_for_each(|entry| entry.write(&mut recording))
-            // Whole entries at every time, for a run that is cut short.
+            // Flushes whole entries, for a run that is cut short.
             .and_then(|()| recording.flush())
             .and_then(|()| batch.live.map_or(Ok(()), |state| state.write(live)));
         written.context("the run's recording (is /dev/shm full?)")?;
@@ -150,9 +150,9 @@ mod tests {
         assert_eq!(trace_limit_bytes(u64::MAX), TRACE_LIMIT_BYTES);
     }
 
-    /// A long run loses detail, and none of what the analysis needs.
+    /// A long run loses the events of schedulers, and nothing that the analysis needs.
     #[test]
-    fn a_full_recording_leaves_out_what_schedulers_write_and_nothing_else() {
+    fn a_full_recording_omits_only_the_events_of_schedulers() {
         let folder = tempfile::tempdir().unwrap();
         let files = RunFiles::within(folder.path());
         let mut recorder = Recorder::create(&files).unwrap();

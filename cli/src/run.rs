@@ -10,7 +10,7 @@ use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
-    CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, Schedule,
+    CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
@@ -70,7 +70,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
     };
-    tell_updates(args, &files);
+    print_updates(args, &files);
     let collected = Collected::new(&checked.out, &files, &because);
     let around = surroundings(&config, granted).after(machine, &launcher.finish());
     conclude(args, &checked, collected, &around, ended.interrupted)
@@ -80,7 +80,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub struct Recorded<T> {
     /// The recording.
     pub log: RunLog,
-    /// What the run knows beside it.
+    /// The knowledge about the run beside it.
     pub around: Surroundings,
     /// The return value of `inject`.
     pub done: T,
@@ -140,18 +140,18 @@ pub fn run_elsewhere(
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
     let files = RunFiles::within(folder.path());
-    let (told, ended) = drive(&config, &files)?;
-    tell_updates(args, &files);
+    let (summary, ended) = drive(&config, &files)?;
+    print_updates(args, &files);
     if !args.quiet {
-        eprintln!("{told}");
+        eprintln!("{summary}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     let interrupted = ended == vehicle::DriveEnd::Stopped;
-    let around = surroundings(&config, told);
+    let around = surroundings(&config, summary);
     conclude(args, &checked, collected, &around, interrupted)
 }
 
-fn tell_updates(args: &RunArgs, files: &RunFiles) {
+fn print_updates(args: &RunArgs, files: &RunFiles) {
     if args.update.is_some() && !args.quiet {
         eprint!("{}", UpdateFiles::results(files));
     }
@@ -190,7 +190,7 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
     })
 }
 
-/// What a run knows beside its recording, before it was driven.
+/// The knowledge about a run beside its recording, before it is driven.
 #[must_use]
 pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let product = core_process::config(config).redundancy;
@@ -211,7 +211,7 @@ pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
 }
 
 impl Surroundings {
-    /// The same, after a run of processes.
+    /// Adds what is known after a run of processes.
     fn after(self, machine: Seen, left: &Leftovers) -> Self {
         Self {
             beside: Beside {
@@ -226,7 +226,7 @@ impl Surroundings {
     }
 }
 
-/// Writes the report, tells of it, and judges the run. A run that a person ended early has the
+/// Writes the report, prints its summary, and judges the run. A run that was ended by hand has a
 /// report of what was driven, if anything was.
 fn conclude(
     args: &RunArgs,
@@ -242,7 +242,7 @@ fn conclude(
     let metrics = collected
         .and_then(|c| c.write(&checked.out, around))
         .map_err(Failure::Run)?;
-    tell(args, &checked.out, &metrics).map_err(Failure::Run)?;
+    print_summary(args, &checked.out, &metrics).map_err(Failure::Run)?;
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
@@ -252,7 +252,7 @@ fn conclude(
     }
 }
 
-/// What was found to be right before anything is started.
+/// The arguments and the machine, checked before anything is started.
 struct Checked {
     out: ReportFolder,
     pinning: Pinning,
@@ -316,7 +316,7 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Whether the vehicle's process will be able to read the scenario.
+/// Checks that the vehicle's process will be able to read the scenario.
 fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     let path = Path::new(scenario);
     // A pipe can only be read once, and not by another process.
@@ -337,7 +337,7 @@ fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
 }
 
-/// A run has a `/dev/shm` of its own: what lies in the machine's is out of reach for it.
+/// Refuses a path in the machine's `/dev/shm`, because a run has a `/dev/shm` of its own.
 fn outside_shared_memory(option: &str, path: &Path) -> anyhow::Result<()> {
     if path.starts_with("/dev/shm") {
         bail!(
@@ -403,7 +403,7 @@ fn limits(budget: &Budget, longest: Option<Duration>) -> String {
     )
 }
 
-/// Finds out what the machine grants, and says it in a line.
+/// Determines what the machine grants, with a line that says so.
 fn grant(
     args: &RunArgs,
     checked: &Checked,
@@ -416,7 +416,7 @@ fn grant(
             memory_locked: false,
         }
     } else {
-        // In a thread of its own: this one stays as it is.
+        // In a separate thread, because a claim changes its thread.
         let probe = || {
             claim(Claim {
                 priority: Some(1),
@@ -479,7 +479,7 @@ fn drive(
     if let Some(stagger_s) = args.stagger {
         launcher.stagger(SystemId::A, Duration::from_us((stagger_s * 1e6) as u64));
     }
-    let plan = LaunchPlan {
+    let plan = Plan {
         schedule,
         flash,
         extra: config.to_extra()?,
@@ -513,7 +513,7 @@ fn drive(
 pub fn this_program(args: &ProcessArgs) -> Command {
     let mut command = Command::new("/proc/self/exe");
     command.arg0("tandem").args(args.to_argv());
-    // Nothing of a run may keep the caller's pipes open after `tandem run` itself has ended.
+    // No process of a run may keep the caller's pipes open after `tandem run` has ended.
     command.stdin(Stdio::null()).stdout(Stdio::null());
     command
 }
@@ -531,8 +531,8 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
     processes.chain(found.files.iter().cloned()).collect()
 }
 
-/// The end of the run on the terminal.
-fn tell(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
+/// Prints the end of the run on the terminal.
+fn print_summary(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
     if args.json {
         let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;
@@ -548,21 +548,21 @@ fn tell(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result
 mod tests {
     use super::*;
 
-    /// T-RED-8: the limits are printed with the stall that they follow from: a calm machine has
-    /// shorter ones, and those of one that stalls end where the goal ends.
+    /// T-RED-8: the limits are printed with the stall that they follow from. A calm machine has
+    /// shorter limits. The goal limits those of a machine that stalls.
     #[test]
-    fn limits_are_told_with_the_stall_that_they_follow_from() {
-        let told = |us| {
+    fn limits_are_printed_with_the_stall_that_they_follow_from() {
+        let line = |us| {
             let longest = Duration::from_us(us);
             limits(&Budget::RT.measured(longest), Some(longest))
         };
         assert_eq!(
-            told(500),
+            line(500),
             "longest stall in 500 ms: 0.5 ms; limits: line silent 6 ms, third witness 14 ms; \
              without control for at most 17 ms at a takeover, while stalls stay below 3 ms"
         );
         assert_eq!(
-            told(9_000),
+            line(9_000),
             "longest stall in 500 ms: 9.0 ms; limits: line silent 8 ms, third witness 17 ms; \
              without control for at most 19 ms at a takeover, while stalls stay below 5 ms"
         );

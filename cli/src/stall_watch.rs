@@ -2,13 +2,13 @@
 //! milliseconds again and again, and notes when it woke late. A stall is noted from the end of the
 //! sleep, so up to two milliseconds too short, never too long.
 //!
-//! Where real time is permitted, the threads go before all of the run (SCHED_FIFO above the
-//! supplies): what holds them up is not Tandem, but the machine below it. They do no work, and run
-//! in `tandem run`, without which the systems would drive as well.
+//! Where real time is permitted, the threads have priority over the whole run (SCHED_FIFO above the
+//! supplies), so only the machine below Tandem can hold them up. They do no work, and run in
+//! `tandem run`, which the systems do not need.
 //!
 //! Each core 0 postpones the end of the sleep on its CPU at each of its ticks, so a thread sleeps
-//! on while core 0 runs. If core 0 gets no CPU, is stopped or dead, the thread wakes when it is
-//! due, as without it: only the thread's own lateness is evidence.
+//! while core 0 runs. If core 0 gets no CPU, is stopped or dead, the thread wakes when it is due.
+//! Only the thread's own lateness is evidence.
 
 use std::io::Read as _;
 use std::os::unix::net::UnixStream;
@@ -28,11 +28,11 @@ use tandem_record::verdict::Watch;
 use crate::control_core::WATCH_PERIOD;
 use crate::run_config::StallTimer;
 
-/// The same before a run, when its limits are chosen.
+/// The period of the threads before a run, when its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);
-/// A thread that wakes later than this was held up. Seen without a stall: 0.2 ms at p99.9.
+/// A thread that wakes later than this was held up. Without a stall p99.9 is 0.2 ms.
 pub const LATE: Duration = Duration::from_us(500);
-/// Above the supplies, which have 80; less where no more is permitted.
+/// Above the supplies, which have 80, or equal to them where no more is permitted.
 const PRIORITIES: [u8; 2] = [90, 80];
 /// The handler of SIGCONT may run this much later than a thread that it continues.
 const CONTINUED_WITHIN: Duration = Duration::from_ms(50);
@@ -78,7 +78,7 @@ impl StallWatch {
         let (mut threads, mut signals) = (vec![], vec![]);
         for &(number, place) in cpus {
             let priority = move || realtime.then(|| claim_cpu(place)).flatten();
-            // A machine without room for a thread gives no evidence; the run goes on.
+            // Without room for a thread there is no evidence, and the run continues.
             let Some((continued, signal)) = continuations() else {
                 continue;
             };
@@ -92,8 +92,8 @@ impl StallWatch {
         }
     }
 
-    /// The timers that a core 0 may postpone, for processes that are started from now on. A thread
-    /// that core 0 could hold up has none: after a stall core 0 would be there first.
+    /// Returns the timers that a core 0 may postpone, for processes that are started from now on. A
+    /// thread without priority over core 0 has none: after a stall core 0 would run first.
     pub(crate) fn timers(&self) -> Vec<StallTimer> {
         let urgent = self.threads.iter().filter(|watcher| watcher.fifo.is_some());
         urgent
@@ -104,14 +104,14 @@ impl StallWatch {
             .collect()
     }
 
-    /// Ends the threads; what they saw.
+    /// Ends the threads and returns what they saw.
     pub fn end(self) -> Seen {
         self.over.store(true, Ordering::Relaxed);
         let mut stalls = vec![];
         let priorities = self.threads.iter().map(|watcher| watcher.fifo);
         let least = priorities.min().flatten();
         for Watcher { alarm, thread, .. } in self.threads {
-            // Again and again: a core 0 that is left may postpone it.
+            // Repeated, because a remaining core 0 may postpone the timer.
             while !thread.is_finished() {
                 alarm.postpone(Duration::ZERO);
                 clock::sleep_until(clock::now() + FINE_PERIOD);
@@ -139,8 +139,7 @@ impl StallWatch {
     }
 }
 
-/// The longest stall of these CPUs within `span`; of shorter ones than [`LATE`] nothing is known.
-/// Blocks for that long.
+/// Returns the longest stall of these CPUs within `span`, at least [`LATE`]. Blocks for that long.
 pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
     let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
@@ -149,7 +148,7 @@ pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Durat
     longest.max().unwrap_or(LATE)
 }
 
-/// Claims the CPU; the priority that was granted.
+/// Claims the CPU and returns the priority that was granted.
 fn claim_cpu(place: usize) -> Option<u8> {
     PRIORITIES.into_iter().find_map(|priority| {
         let grant = claim(Claim {
@@ -187,7 +186,7 @@ impl Watcher {
     }
 }
 
-/// A stream that is readable once this process was stopped and goes on.
+/// Returns a stream that is readable after this process was stopped and continued.
 fn continuations() -> Option<(UnixStream, SigId)> {
     let (read, write) = UnixStream::pair().ok()?;
     read.set_nonblocking(true).ok()?;
@@ -205,11 +204,11 @@ fn look(
     loop {
         alarm.postpone(period);
         let expired = alarm.wait(continued);
-        // The end sets the timer, too.
+        // `end` sets the timer as well.
         if over.load(Ordering::Relaxed) {
             return stalls;
         }
-        // A stop of this process is no stall, nor is what was noted just before its signal came.
+        // A stop of this process is no stall, nor is a stall noted just before its signal arrived.
         if continued.read(&mut [0; 16]).is_ok() {
             let since_ns = clock::now()
                 .as_ns()
@@ -263,7 +262,7 @@ mod tests {
         };
         let held_up = Duration::from_ms(30);
         let mut spans = vec![];
-        // A machine may stand still in one of them, but not in all.
+        // The machine may stall in one of them, but not in all.
         for _ in 0..10 {
             core_0(40);
             let from = clock::now();

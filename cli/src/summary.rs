@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::metrics::Metrics;
 
-/// The most important figures, and where the rest is.
+/// The most important figures, and the path of the report.
 pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| {

@@ -26,18 +26,17 @@ const STATUS_NS: u64 = 250_000_000;
 /// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
 /// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
-/// A control frame that nothing holds up has arrived within this time after it was made, ms: a
-/// control period.
+/// A control frame that nothing delays arrives within this time after it was made, ms: a control
+/// period.
 const USUAL_WAY_MS: f64 = 10.0;
-/// A new master hears a predecessor that still lives within one control period and one move of the
-/// bus, ms.
+/// A new master hears a live predecessor within one control period and one move of the bus, ms.
 pub const HAND_OVER_MS: f64 = 11.0;
 
 /// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// The old master fell silent, on any evidence but the following two. Also without a takeover:
-    /// a master that is late for longer is replaced.
+    /// The old master fell silent: any evidence but the following two. Also the bound without a
+    /// takeover, because a master that is late for longer is replaced.
     pub silent_ms: f64,
     /// The power level of the old master fell.
     pub power_ms: f64,
@@ -94,8 +93,8 @@ impl Bounds {
         }
     }
 
-    /// Whether the heartbeats had been silent when the power level fell: then no heartbeat can
-    /// confirm it, and the level must be low for the third witness's limit.
+    /// Tests whether the heartbeats were already silent when the power level fell. No heartbeat can
+    /// confirm the fall then, so the level must be low for the third witness's limit.
     fn was_silent(&self, log: &RunLog, takeover: &Takeover) -> bool {
         let before_ns = self.limits.silent_before().as_ns();
         let report = report_of(log, takeover.to, takeover.at_ns);
@@ -106,7 +105,7 @@ impl Bounds {
     }
 }
 
-/// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
+/// Tests whether the new master was in its hold-down when the old one's last frame was accepted.
 fn is_held(log: &RunLog, takeover: &Takeover) -> bool {
     let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
     let of_core_0 = |event: &&CoreEvent| {
@@ -163,7 +162,7 @@ pub struct Gap {
     pub ended_by: EndedBy,
     /// How long it may be, ms.
     pub bound_ms: f64,
-    /// If it is longer than that: how much of it stalls excuse, ms.
+    /// How much of a longer gap stalls excuse, ms.
     pub stalled_ms: f64,
     /// Those stalls.
     pub stalls: Vec<Stall>,
@@ -182,7 +181,7 @@ impl Gap {
         self.ms() - self.stalled_ms
     }
 
-    /// Whether it would have kept its bound without the stalls.
+    /// Tests whether it would have kept its bound without the stalls.
     #[must_use]
     pub fn is_explained(&self) -> bool {
         self.net_ms() <= self.bound_ms
@@ -251,7 +250,7 @@ pub fn periods(
         .collect()
 }
 
-/// Whether the system stood by at that time, by its last status frame.
+/// Tests whether the system stood by at that time, by its last status frame.
 fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
     let mut of_system = log.status.iter().rev().filter(|it| it.system == system);
     let last = of_system.find(|status| status.at_ns <= at_ns);
@@ -260,22 +259,22 @@ fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
 
 /// The systems that must drive in a gap.
 struct Responsible {
-    /// The master, up to `until_ns`. Without a successor to the end.
+    /// The master. It is responsible until `until_ns`, or to the end if there is no successor.
     driver: SystemId,
-    /// The standby: by `until_ns` it must have replaced the master, whatever held that up.
+    /// The standby. It must have replaced the master by `until_ns`, whatever held the master up.
     successor: Option<SystemId>,
     until_ns: u64,
-    /// The longest time that a standby in order waits before it takes over.
+    /// The longest time that a correct standby waits before it takes over.
     waits: Duration,
 }
 
 impl Responsible {
-    /// How much of this time, ns, is excused by stalls of the bus and of the CPUs of the systems
-    /// that must drive; and these stalls. What overlaps counts once.
+    /// Returns how much of this time, ns, is excused by stalls of the bus and of the CPUs of the
+    /// systems that must drive, and these stalls. Overlapping stalls count once.
     ///
-    /// A standby that was held up begins its limits anew, once, because its own absence is no
-    /// evidence: the time that it had waited by then counts as well, but not more than a standby in
-    /// order waits.
+    /// A standby that was held up restarts its limits once, because its own absence is no evidence.
+    /// The time that it had waited by then counts as well, but at most the time that a correct
+    /// standby waits.
     fn excused(
         &self,
         log: &RunLog,
@@ -355,9 +354,8 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     both.two_masters_ns() as f64 * 1e-6
 }
 
-/// How long both systems may have transmitted, ms. A master that resigns sends until it hears the
-/// new one, and so does one whose frames were lost, and one that was held up may have a frame under
-/// way.
+/// Returns how long both systems may have transmitted, ms. A master that resigns, or whose frames
+/// were lost, sends until it hears the new one. One that was held up may have a frame under way.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     hand_overs(takeovers) as f64 * HAND_OVER_MS
@@ -371,8 +369,8 @@ pub fn hand_overs(takeovers: &[Takeover]) -> usize {
     takeovers.iter().filter(lived).count()
 }
 
-/// Control frames that arrived within a second after a takeover, but were made, or rest on data
-/// from, too long ago, though nothing stood still for so long.
+/// Counts the control frames that arrived within a second after a takeover and were too old to act,
+/// or rested on data that was too old, although no stall made up for their delay.
 #[must_use]
 pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> usize {
     let follows = |frame: &&ControlFrame| {
@@ -387,8 +385,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
     stale.filter(follows).count()
 }
 
-/// Whether stalls of the bus and of its sender's CPU make up for the delay of this frame: without
-/// them, it would have arrived as usual.
+/// Tests whether stalls of the bus and of its sender's CPU make up for the delay of this frame.
 fn was_held_up(log: &RunLog, frame: &ControlFrame, stalls: &[Stall]) -> bool {
     let max_delay_ms = f64::from(MAX_DELAY_MS);
     let cpu = log.control_cpu(frame.system).map(Stood::Cpu);
@@ -556,7 +553,7 @@ mod tests {
         let gap = &found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
         assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
         assert!(!gap.is_explained());
-        // A person ended it early: there is no end, but the last state of the world.
+        // Ended early by hand: the last state of the world is the end.
         let mut early = log(&[(0, A), (10, A)], 4_010);
         early.end_ns = None;
         early.samples = vec![Sample {
@@ -642,8 +639,8 @@ mod tests {
         assert!(found.iter().all(|gap| !gap.is_explained()));
     }
 
-    /// The limits of a standby that was held up begin anew, once. That costs the stall and the time
-    /// that it had waited, which is at most a takeover's.
+    /// A standby that was held up restarts its limits once. That costs the stall and the time that
+    /// it had waited, which is at most that of a takeover.
     #[test]
     fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
         for (to_ms, stalls, is_explained) in [
@@ -701,7 +698,7 @@ mod tests {
             vec![frame(504, A, fenced)],
         ];
         assert_eq!(both(&thawed.concat()), 9.0);
-        // A clean takeover, and there and back; and a standby whose frames claim no mastership.
+        // Two clean takeovers, and a standby whose frames claim no mastership.
         let clean = [
             row(A, accepted, 0, 100).collect(),
             row(B, accepted, 113, 300).collect::<Vec<_>>(),
@@ -745,7 +742,7 @@ mod tests {
         assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
     }
 
-    /// A frame that was made before a stall and came after it says nothing about its sender.
+    /// A frame that was made before a stall and arrived after it says nothing about its sender.
     #[test]
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
@@ -763,7 +760,7 @@ mod tests {
         ] {
             assert_eq!(count(&log, stalls), stale, "{stalls:?}");
         }
-        // On the bus for longer than that.
+        // The frame was on the bus for longer than the stall.
         log.control.last_mut().unwrap().sent_ns -= 80_000_000;
         assert_eq!(count(&log, &[cpu(838, 899)]), 1);
     }

@@ -29,7 +29,7 @@ pub struct Limits {
     pub profile: &'static str,
     /// Two heartbeats, and how late they are seen although nothing stalls.
     beats: Duration,
-    /// How long a low power level, without a heartbeat, is not yet believed.
+    /// How long the power level must be low, without a heartbeat, before the standby believes it.
     level: Duration,
     /// How long a master that hears nothing on CAN may transmit beside its successor.
     pub deaf_hand_over: Duration,
@@ -75,7 +75,7 @@ impl Limits {
         }
     }
 
-    /// After this time without a change of the driver the next one is the first again.
+    /// A change of the driver counts as the first if none preceded it for this time.
     pub const HEALTHY_AFTER: Duration = Duration::from_ms(60_000);
 
     /// For how long a system that has become standby waits for the vehicle's word, after this many

@@ -3,8 +3,8 @@
 use crate::RunLog;
 
 /// By how much a measurement may be placed before its time, ns: the age in a control frame is
-/// rounded, and the world around an emulated machine goes on in steps of 1 ms, so that a frame has
-/// the time of the step before the one in which it was sent. Sensors measure further apart.
+/// rounded, and the world around an emulated machine advances in steps of 1 ms, so a frame has the
+/// time of the step before the one in which it was sent. Sensors measure further apart.
 const EARLY_NS: u64 = 1_100_000;
 
 /// The two distributions, ms.
@@ -19,9 +19,9 @@ pub struct Reaction {
 /// Follows each measurement to the control frames, by the age that they carry.
 ///
 /// A control frame gives the age of its oldest measurement, which the controller knows up to the
-/// shortest way over the bus; what a list waited for the bus beyond that is part of its age. So the
-/// oldest measurement of a frame is the last one that was measured, not the last one that was on
-/// the bus, by that time. A measurement belongs to the last command whose oldest measurement is not
+/// shortest way over the bus. Any further wait of a list for the bus is part of its age. So the
+/// oldest measurement of a frame is the last one that was measured by that time, not the last one
+/// that was on the bus. A measurement belongs to the last command whose oldest measurement is not
 /// newer. The reaction ends when that command first acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
@@ -115,8 +115,8 @@ mod tests {
         assert_eq!(ages, [20.0, 30.0, 40.0, 50.0, 60.0]);
     }
 
-    /// The clocks drift, so a measurement may be placed before its list was on the bus; and by a
-    /// world in steps, a step earlier. It is not taken for one of the round before.
+    /// The clocks drift, so a measurement may be placed before its list was on the bus, and a world
+    /// in steps places it one step earlier. It must not be taken for one of the round before.
     #[test]
     fn a_measurement_that_is_placed_early_stays_in_its_round() {
         for early_ns in [WAY_NS, WAY_NS + MS] {
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_do_not_act_or_rest_on_nothing_tell_nothing() {
+    fn frames_without_effect_or_data_are_not_counted() {
         let mut silent = log(20);
         for (index, frame) in silent.control.iter_mut().enumerate() {
             match index % 2 {

@@ -12,8 +12,7 @@ use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 /// A part of the run that stood still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
-    /// A CPU of the machine: a thread that has priority over the whole run and does nothing else
-    /// did not get it.
+    /// A CPU of the machine: it did not run a waiting thread of higher priority than the whole run.
     Cpu(usize),
     /// The vehicle's process, and with it the bus: it was stopped, or got no CPU.
     Bus,
@@ -22,7 +21,7 @@ pub enum Stood {
 /// A time in which something stood still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stall {
-    /// What.
+    /// What stood still.
     pub of: Stood,
     /// From, on the run's clock, ns.
     pub from_ns: u64,
@@ -241,7 +240,7 @@ impl RunLog {
         self.header.cpus.get(core).copied()
     }
 
-    /// The end of the run, or of what there is of a run that was ended early, ns.
+    /// The end of the run, ns. For a run that was ended early, the last state of the world.
     #[must_use]
     pub fn until_ns(&self) -> Option<u64> {
         self.end_ns.or_else(|| self.samples.last().map(|s| s.at_ns))

@@ -6,8 +6,8 @@ use tandem_redundancy::Phase;
 
 use crate::RunLog;
 
-/// How far apart both systems left the start protocol together, ns: one as master, the other as its
-/// standby, within `TOGETHER_NS`. `None` if they did not.
+/// Returns the time between the two systems' ends of the start protocol, ns. `None` unless one left
+/// it as master and the other as its standby, within `TOGETHER_NS`.
 #[must_use]
 pub fn skew_ns(log: &RunLog) -> Option<u64> {
     let left = |system: SystemId| {
@@ -29,7 +29,7 @@ pub fn skew_ns(log: &RunLog) -> Option<u64> {
     (a != b && skew_ns <= TOGETHER_NS).then_some(skew_ns)
 }
 
-/// Systems that leave it further apart did not leave it on one sync edge, ns.
+/// Two systems that leave the protocol on one sync edge do so within this time, ns.
 const TOGETHER_NS: u64 = 100_000_000;
 
 #[cfg(test)]

@@ -88,7 +88,7 @@ pub fn detected_ms(report: Event) -> Option<f64> {
             since_control_us,
             ..
         } => Some(f64::from(since_control_us) * 1e-3),
-        // Heartbeats whose lines were cut before say nothing about the master.
+        // The lines may have been cut earlier: then only the control frames count.
         Event::TookOver {
             since_heartbeat_us,
             since_control_us,
@@ -98,7 +98,7 @@ pub fn detected_ms(report: Event) -> Option<f64> {
     }
 }
 
-/// Whether this event is a control cycle whose frame was late.
+/// Tests whether this event is a control cycle whose frame was late.
 #[must_use]
 pub const fn is_late(event: Event) -> bool {
     matches!(event, Event::ControlCycle { lateness_ns, .. } if lateness_ns > LATE_NS)
@@ -114,8 +114,8 @@ pub(crate) fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<
         .map(|event| event.event)
 }
 
-/// Whether the old master found, before it gave up its role, that it had been held up or had left
-/// out cycles. Then it was as silent as a dead one, and the takeover was right.
+/// Tests whether the old master found, before it gave up its role, that it had been held up or had
+/// skipped cycles. It was as silent as a dead one then, and the takeover was right.
 fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     let since = || {
         let of_core_0 =
@@ -137,8 +137,8 @@ fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     })
 }
 
-/// Whether the old master continued as if nothing had happened: it sent a further control frame in
-/// time, or its status frames followed without a break and without a restart, in a role that works.
+/// Tests whether the old master continued undisturbed: it sent a further control frame in time, or
+/// its status frames followed without a break and without a restart, as master or standby.
 fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> bool {
     let restarted = |until_ns: u64| {
         log.events.iter().any(|event| {
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn a_takeover_has_its_gap_and_what_the_new_master_says_of_it() {
+    fn a_takeover_has_its_gap_and_the_report_of_the_new_master() {
         let mut log = log(vec![frame(0, A, 2), frame(10, A, 2), frame(23, B, 3)]);
         let report = |cause, since_heartbeat_us| Event::TookOver {
             cause,

@@ -15,7 +15,7 @@ pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
 const SCENARIO: &str = "stop-and-go";
 
 /// What is outside the systems, and what it heard of them.
-pub struct OutsideVehicle {
+pub struct Vehicle {
     outside: Outside,
     /// Control frames that acted.
     pub accepted: Vec<Acceptance>,
@@ -48,7 +48,7 @@ struct Alone {
     echoed: Option<u64>,
 }
 
-impl OutsideVehicle {
+impl Vehicle {
     /// In a lane of the embedded scenario if `moves`, else a gate alone. `told`: whether each frame
     /// is kept.
     pub(crate) fn new(moves: bool, told: bool) -> Self {

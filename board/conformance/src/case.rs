@@ -5,15 +5,15 @@ use core::panic::Location;
 use tandem_board::CoreAddress;
 
 /// The function of one core in a case. Its argument says which core it is meant to be.
-pub type CaseRole<B> = fn(&B, CoreAddress) -> Result<(), CaseFailure>;
+pub type Role<B> = fn(&B, CoreAddress) -> Result<(), Failure>;
 
 /// A role and the core that runs it.
 #[derive(Clone, Copy, Debug)]
-pub struct CasePart<B: 'static> {
+pub struct Part<B: 'static> {
     /// The core.
     pub place: CoreAddress,
     /// Its function.
-    pub role: CaseRole<B>,
+    pub role: Role<B>,
 }
 
 /// What a case needs in addition to two systems with power.
@@ -58,12 +58,12 @@ pub struct Case<B: 'static> {
     /// What the case needs.
     pub setting: Setting,
     /// The cores that take part, with their roles.
-    pub parts: &'static [CasePart<B>],
+    pub parts: &'static [Part<B>],
 }
 
 /// A broken contract, as one role saw it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CaseFailure {
+pub struct Failure {
     /// The contract.
     pub what: &'static str,
     /// The observed and the expected value, if it is a number.
@@ -72,7 +72,7 @@ pub struct CaseFailure {
     pub at: &'static Location<'static>,
 }
 
-impl fmt::Display for CaseFailure {
+impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.what)?;
         if let Some((seen, expected)) = self.numbers {
@@ -85,12 +85,12 @@ impl fmt::Display for CaseFailure {
     }
 }
 
-impl core::error::Error for CaseFailure {}
+impl core::error::Error for Failure {}
 
 /// Fails with `what`.
 #[track_caller]
-pub(crate) fn fail<T>(what: &'static str) -> Result<T, CaseFailure> {
-    Err(CaseFailure {
+pub(crate) fn fail<T>(what: &'static str) -> Result<T, Failure> {
+    Err(Failure {
         what,
         numbers: None,
         at: Location::caller(),
@@ -99,7 +99,7 @@ pub(crate) fn fail<T>(what: &'static str) -> Result<T, CaseFailure> {
 
 /// Fails with `what` unless `holds`.
 #[track_caller]
-pub(crate) fn check(holds: bool, what: &'static str) -> Result<(), CaseFailure> {
+pub(crate) fn check(holds: bool, what: &'static str) -> Result<(), Failure> {
     if holds { Ok(()) } else { fail(what) }
 }
 
@@ -109,11 +109,11 @@ pub(crate) fn equal(
     seen: impl Into<u64>,
     expected: impl Into<u64>,
     what: &'static str,
-) -> Result<(), CaseFailure> {
+) -> Result<(), Failure> {
     let (seen, expected) = (seen.into(), expected.into());
     match seen == expected {
         true => Ok(()),
-        false => Err(CaseFailure {
+        false => Err(Failure {
             what,
             numbers: Some((seen, expected)),
             at: Location::caller(),

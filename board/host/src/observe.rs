@@ -1,4 +1,4 @@
-//! Reads the bus without an effect on any process of the run.
+//! A look at the bus that no process of the run notices.
 
 use tandem_board::Received;
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};

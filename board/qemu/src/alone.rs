@@ -1,4 +1,4 @@
-//! Runs an image to its end, in a machine without a vehicle.
+//! Runs an image to its end, without a world around its machine.
 
 use std::fs::File;
 use std::path::Path;

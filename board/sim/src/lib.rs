@@ -18,7 +18,7 @@ mod digest;
 mod event;
 mod fabric;
 mod faults;
-mod flash_medium;
+mod flash;
 mod machine;
 mod outbox;
 mod pair;

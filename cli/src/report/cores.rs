@@ -17,9 +17,9 @@ use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
 /// The span of the timeline before and after its moment, ms: a period of perception and more.
 const WIDE_MS: (f64, f64) = (-40.0, 20.0);
-/// The same of a takeover alone.
+/// The span before and after a takeover, ms.
 const CLOSE_MS: (f64, f64) = (-2.5, 0.5);
-/// What is shown around a pass through the chain, ms.
+/// The span around a pass through the chain, ms.
 const AROUND_CHAIN_MS: f64 = 0.1;
 const LABELS: f64 = 150.0;
 const RIGHT: f64 = 14.0;
@@ -46,7 +46,7 @@ const LEGEND: [(TaskCode, Color); 8] = [
 /// The timeline around the first takeover from a master that failed, or of some moment of a run
 /// without a takeover; nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
-    // One from a master that was only held up shows the machine, not the controller.
+    // A takeover from a master that was held up shows the machine, not the controller.
     let failed = takeovers.iter().find(|takeover| !takeover.held_up);
     let takeover = failed.or(takeovers.first());
     let Some(zero_ns) = takeover.map(|t| t.at_ns).or_else(|| quiet_moment(timeline)) else {
@@ -143,7 +143,7 @@ fn task_color(work: Work) -> Color {
 }
 
 struct Drawing {
-    /// Only this system, and not the vehicle.
+    /// Draws only this system, without the vehicle.
     only: Option<SystemId>,
     zero_ns: u64,
     from_ms: f64,

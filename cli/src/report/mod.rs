@@ -7,14 +7,14 @@ mod top_view;
 use maud::{Markup, html};
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
-use tandem_record::roles::RoleState;
+use tandem_record::roles::State;
 use tandem_record::verdict::Grade;
 use tandem_record::{RunLog, Takeover, description, takeovers};
 
 use crate::metrics::Metrics;
 use crate::timeline::Timeline;
 
-/// Rows of the event log; more would bury what matters.
+/// Rows of the event log. More would hide the important ones.
 const EVENT_ROWS: usize = 200;
 
 /// The whole page.
@@ -120,7 +120,7 @@ fn card(title: &str, note: &str, chart: &Chart) -> Markup {
 }
 
 fn roles(log: &RunLog, takeovers: &[Takeover]) -> Markup {
-    let states = RoleState::ALL.map(|state| (state.name(), sections::state_color(state)));
+    let states = State::ALL.map(|state| (state.name(), sections::state_color(state)));
     let note = match takeovers.len() {
         0 => "What each system was, over scenario time in seconds.",
         _ => "What each system was, over scenario time in seconds. Red dashes mark takeovers.",
@@ -357,7 +357,7 @@ fn events(log: &RunLog) -> Markup {
     }
 }
 
-/// Events that say the same again and again become one row that counts them.
+/// Merges equal events that follow each other into one row that counts them.
 fn merged(rows: Vec<EventRow>) -> Vec<EventRow> {
     let mut merged: Vec<(EventRow, u32)> = Vec::new();
     for row in rows {

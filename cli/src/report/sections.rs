@@ -7,10 +7,10 @@ use tandem_board::SystemId;
 use tandem_page::chart::{self, Axis, Chart, Polygon, Series, Style, thin};
 use tandem_page::svg::Color;
 use tandem_record::log::Sample;
-use tandem_record::roles::{RoleState, timeline};
+use tandem_record::roles::{State, timeline};
 use tandem_record::{RunLog, Takeover, ms_between};
 
-/// More points than this in a line cannot be told apart.
+/// More points than this in a line cannot be distinguished.
 const LINE_POINTS: usize = 1_500;
 /// More dots than this only make the file large.
 const DOTS: usize = 3_000;
@@ -27,15 +27,15 @@ pub(super) const fn system_color(system: SystemId) -> Color {
 }
 
 /// The colour of a state.
-pub(super) const fn state_color(state: RoleState) -> Option<Color> {
+pub(super) const fn state_color(state: State) -> Option<Color> {
     match state {
-        RoleState::Master => Some(Color::GOOD),
-        RoleState::Degraded => Some(Color::WARN),
-        RoleState::SafeStop => Some(Color::B),
-        RoleState::Standby => Some(Color::CALM),
-        RoleState::Starting => Some(Color::PALE),
-        RoleState::Suspended => Some(Color::BAD),
-        RoleState::Off => None,
+        State::Master => Some(Color::GOOD),
+        State::Degraded => Some(Color::WARN),
+        State::SafeStop => Some(Color::B),
+        State::Standby => Some(Color::CALM),
+        State::Starting => Some(Color::PALE),
+        State::Suspended => Some(Color::BAD),
+        State::Off => None,
     }
 }
 
@@ -129,8 +129,8 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     chart
 }
 
-/// Distance from the centre of the lane. It jumps where the vehicle goes over the line between two
-/// lanes: the line of the chart is broken there.
+/// Distance from the centre of the lane. The chart's line is broken where the vehicle crosses into
+/// another lane, because the distance jumps.
 pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let mut points: Vec<(f64, f64)> = Vec::with_capacity(log.samples.len());
     let mut lane = None;
@@ -147,7 +147,7 @@ pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let series = vec![line("lateral error", Color::A, &points)];
     let mut chart = time_chart(log, takeovers, 230.0, "m, left +", series);
     let (low, high) = chart.y.range;
-    // Never so close that noise of a centimetre looks like a swerve.
+    // The axis is wide enough that noise of a centimetre does not look like a swerve.
     chart.y = Axis::linear("m, left +", (low.min(-0.3), high.max(0.3)), 5);
     chart
 }

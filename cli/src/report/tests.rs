@@ -36,7 +36,7 @@ fn synthetic_page() -> String {
     page(&log, &timeline, &metrics)
 }
 
-/// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
+/// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for inspection.
 #[test]
 fn the_page_needs_nothing_from_outside() {
     let page = synthetic_page();
@@ -76,7 +76,7 @@ fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
 }
 
 #[test]
-fn what_is_said_again_and_again_is_counted() {
+fn equal_events_are_counted() {
     let row = |at_s: f64, what: &str| (at_s, "A0".to_owned(), what.to_owned());
     let rows = merged(vec![row(1.0, "x"), row(2.0, "x"), row(3.0, "y")]);
     assert_eq!(rows, [row(1.0, "x (2 times)"), row(3.0, "y")]);
@@ -96,7 +96,7 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
 }
 
 /// A run in which both systems lose power in the middle, and what its report says.
-fn nobody_drives(watch: Watch, stalls: Vec<Stall>) -> (metrics::Metrics, String) {
+fn no_system_drives(watch: Watch, stalls: Vec<Stall>) -> (metrics::Metrics, String) {
     let mut log = synthetic::with_takeover(8.0);
     let middle_ns = log.start_ns.unwrap() + 4_000_000_000;
     log.control.retain(|frame| frame.at_ns < middle_ns);
@@ -122,7 +122,7 @@ fn nobody_drives(watch: Watch, stalls: Vec<Stall>) -> (metrics::Metrics, String)
 
 #[test]
 fn a_run_in_which_no_system_drives_fails() {
-    let (metrics, page) = nobody_drives(Watch::Urgent, vec![]);
+    let (metrics, page) = no_system_drives(Watch::Urgent, vec![]);
     let objections = metrics.verdict.objections();
     assert_eq!(objections.len(), 1, "{objections:?}");
     assert!(
@@ -144,7 +144,7 @@ fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
         to_ns: start_ns + to_ms * 1_000_000,
     };
     let bus = stall(Stood::Bus, 8_000);
-    let (metrics, page) = nobody_drives(Watch::Urgent, vec![bus]);
+    let (metrics, page) = no_system_drives(Watch::Urgent, vec![bus]);
     assert_eq!(metrics.verdict.objections(), Vec::<String>::new());
     assert!(metrics.figures.gaps[0].explained && metrics.stalls.count == 1);
     let reported = &metrics.verdict.parts()[0].1;
@@ -153,13 +153,13 @@ fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
         "{reported}"
     );
     assert!(page.contains(reported.as_str()) && !page.contains("under control from start"));
-    let (metrics, _) = nobody_drives(Watch::Urgent, vec![stall(Stood::Cpu(3), 6_000)]);
+    let (metrics, _) = no_system_drives(Watch::Urgent, vec![stall(Stood::Cpu(3), 6_000)]);
     let objections = metrics.verdict.objections();
     assert!(
         objections[0].ends_with("CPU 3 gone for 2000.0 ms at 4.000 s does not explain it"),
         "{objections:?}"
     );
-    let (metrics, page) = nobody_drives(Watch::Ordinary, vec![bus]);
+    let (metrics, page) = no_system_drives(Watch::Ordinary, vec![bus]);
     assert_eq!(metrics.verdict.outcome, Outcome::NotJudged);
     assert_eq!(metrics.verdict.objections().len(), 1);
     assert!(page.contains("not judged: no real time"));

@@ -55,7 +55,7 @@ impl View {
                 local.push(point);
                 continue;
             };
-            // Fine steps, so that what leaves the view is cut at its edge.
+            // Fine steps, so that a line that leaves the view is cut at its edge.
             let steps = ((point.0 - last.0).hypot(point.1 - last.1) / 0.5)
                 .ceil()
                 .clamp(1.0, 400.0);
@@ -116,7 +116,7 @@ impl View {
 
 /// The road at the sample with vehicles that is nearest to `at_ns`; `None` if there is none.
 pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
-    // Runs without any traffic have no vehicles in any sample; then any sample does.
+    // Without traffic no sample has vehicles, and any sample will do.
     let with_others = log.samples.iter().any(|sample| !sample.others.is_empty());
     let sample = log
         .samples

@@ -43,7 +43,7 @@ const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 
 /// The choices of the machine.
 #[derive(Clone, Copy, Debug)]
-pub struct RuntimeOptions {
+pub struct Options {
     /// Bytes of each task's stack.
     pub stack_bytes: usize,
     /// Counts the rings that the machine holds back before they reach this core; wraps around.
@@ -65,7 +65,7 @@ pub struct Overload {
 
 /// Core 0 does not run under the kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RuntimeError {
+pub enum RunError {
     /// A task cannot be made.
     Spawn(Core0Task, SpawnError),
     /// The doorbell has another handler.
@@ -76,7 +76,7 @@ pub enum RuntimeError {
     Stopped,
 }
 
-impl fmt::Display for RuntimeError {
+impl fmt::Display for RunError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Spawn(task, error) => write!(out, "the task {}: {error}", task.info().name),
@@ -87,7 +87,7 @@ impl fmt::Display for RuntimeError {
     }
 }
 
-impl core::error::Error for RuntimeError {}
+impl core::error::Error for RunError {}
 
 /// The state that all tasks reach.
 struct Runtime<B: Board + 'static> {
@@ -97,7 +97,7 @@ struct Runtime<B: Board + 'static> {
     /// By [`Core0Task`].
     states: [TaskState; Core0Task::ALL.len()],
     doorbell: DoorbellThrottle,
-    options: RuntimeOptions,
+    options: Options,
 }
 
 /// What the trace knows of a task, to tell switches within a job from those between jobs.
@@ -293,7 +293,7 @@ fn spawn<B, T>(
     runtime: &'static Runtime<B>,
     made: &mut Handles,
     body: T,
-) -> Result<(), RuntimeError>
+) -> Result<(), RunError>
 where
     B: Board + Sync + 'static,
     T: TaskBody<'static, B> + Send + 'static,
@@ -314,7 +314,7 @@ where
         run(&executor, body);
     };
     let handle = kernel.spawn(&options, entry);
-    let handle = handle.map_err(|error| RuntimeError::Spawn(task, error))?;
+    let handle = handle.map_err(|error| RunError::Spawn(task, error))?;
     let number = handle.number(kernel).unwrap_or(0);
     runtime.state(task).number.store(number, Relaxed);
     made[task as usize] = Some(handle);
@@ -326,14 +326,14 @@ where
 /// `on_doorbell` is called in each interrupt of the doorbell, before anything else.
 ///
 /// # Errors
-/// [`RuntimeError`]
+/// [`RunError`]
 pub fn start<B: Board + Sync>(
     kernel: Kernel,
     board: &'static B,
     config: Config,
-    options: RuntimeOptions,
+    options: Options,
     mut on_doorbell: impl FnMut() + Send + 'static,
-) -> Result<Infallible, RuntimeError> {
+) -> Result<Infallible, RunError> {
     let Parts {
         shared,
         drive,
@@ -380,10 +380,8 @@ pub fn start<B: Board + Sync>(
     };
     kernel
         .attach(Interrupt::DOORBELL, DOORBELL_PRIORITY, interrupt)
-        .map_err(RuntimeError::Doorbell)?;
+        .map_err(RunError::Doorbell)?;
     kernel.trace(runtime);
-    kernel
-        .start(TickSource::Wall)
-        .map_err(RuntimeError::Start)?;
-    Err(RuntimeError::Stopped)
+    kernel.start(TickSource::Wall).map_err(RunError::Start)?;
+    Err(RunError::Stopped)
 }

@@ -24,9 +24,9 @@ pub(super) struct Outcome {
     pub(super) class: String,
     /// Whether the fault leaves the frames of the system that drives as they are.
     pub(super) spares_control: bool,
-    /// From the injection until the other system did something about it.
+    /// From the injection until the other system reacted, ms.
     pub(super) detection_ms: Option<f64>,
-    /// The longest time without control. Beyond its bound without what stood still in it.
+    /// The longest time without control, ms, without what stalls excuse.
     pub(super) gap_ms: f64,
     /// The bound of that time: that of the sign which ended it.
     pub(super) bound_ms: f64,
@@ -56,7 +56,7 @@ pub(super) fn judge(
     };
     let mut outcomes = Vec::new();
     for (index, injected) in recorded.done.iter().enumerate() {
-        // What happens up to the next fault belongs to this one.
+        // Everything up to the next fault belongs to this one.
         let next = recorded.done.get(index + 1);
         let until_ns = next.map_or(u64::MAX, |next| next.at_ns);
         let (sequence, _) = source.sequence(injected.number)?;
@@ -70,12 +70,12 @@ pub(super) fn judge(
     Ok((outcomes, wrong))
 }
 
-/// How an old master learns of the new one. The later, the greater.
+/// How an old master learns of the new one, from the soonest to the latest.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Hears {
     All,
-    /// It is cut off the bus. Mended, it sends until it hears the next frame.
-    WhenMended,
+    /// It is cut off the bus. When the wire is whole again, it sends until it hears the next frame.
+    WhenRepaired,
     /// Its receiver is dead.
     OverTheLink,
 }
@@ -87,7 +87,7 @@ impl Hears {
             Kind::Cut { wire: Wire::Can }
             | Kind::Flap {
                 wire: Wire::Can, ..
-            } => Self::WhenMended,
+            } => Self::WhenRepaired,
             _ => Self::All,
         }
     }
@@ -113,7 +113,7 @@ impl Run<'_> {
             &self.stalls,
             [at_ns, until_ns],
         );
-        // One that the next fault ends belongs to that.
+        // A gap that the next fault ends belongs to that fault.
         times.retain(|gap| gap.to_ns <= until_ns);
         let longest = times
             .iter()
@@ -128,7 +128,7 @@ impl Run<'_> {
         let beyond = times.iter().filter(|gap| gap.ms() > gap.bound_ms);
         let beyond = beyond.map(|gap| GapFigures::of(log, gap).finding());
         let (excused, mut findings): (Vec<Finding>, Vec<_>) = beyond.partition(|it| it.excused);
-        // Where the bus stands still by a fault, that is no stall of the machine.
+        // A bus that a fault stops is no stall of the machine.
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
         let excused = excused.into_iter().filter(|_| is_machine);
@@ -192,12 +192,12 @@ impl Run<'_> {
                 hand_overs(&takeovers) as f64 * one_ms
             }
             // It hears the next frame.
-            Hears::WhenMended => takeovers.len() as f64 * HAND_OVER_MS,
+            Hears::WhenRepaired => takeovers.len() as f64 * HAND_OVER_MS,
         };
         found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
         let stale = stale_frames(&log, &takeovers, &self.stalls);
         found.extend(Rule::StaleFrames.exceeded(stale as f64));
-        // A stalled machine is another matter: then the old master found that it was held up.
+        // On a stalled machine the old master found that it was held up.
         let mut needless = takeovers.iter().filter(|it| !it.held_up);
         if spares_control && let Some(takeover) = needless.next_back() {
             let (from, cause) = (takeover.from, takeover.cause_in_words());
