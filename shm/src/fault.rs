@@ -127,48 +127,41 @@ impl AtomicU32 {
         Self(Word::new(value))
     }
 
-    /// As the machine's atomic; a dead operation reads 0.
+    /// The word, for one access; `None` for a dead operation, which then reads 0.
+    fn access(&self) -> Option<&Word> {
+        step().then_some(&self.0)
+    }
+
+    /// As the machine's atomic.
     pub fn load(&self, order: Ordering) -> u32 {
-        if step() { self.0.load(order) } else { 0 }
+        self.access().map_or(0, |word| word.load(order))
     }
 
     /// As the machine's atomic.
     pub fn store(&self, value: u32, order: Ordering) {
-        if step() {
-            self.0.store(value, order);
+        if let Some(word) = self.access() {
+            word.store(value, order);
         }
     }
 
     /// As the machine's atomic.
     pub fn swap(&self, value: u32, order: Ordering) -> u32 {
-        if step() { self.0.swap(value, order) } else { 0 }
+        self.access().map_or(0, |word| word.swap(value, order))
     }
 
     /// As the machine's atomic.
     pub fn fetch_add(&self, value: u32, order: Ordering) -> u32 {
-        if step() {
-            self.0.fetch_add(value, order)
-        } else {
-            0
-        }
+        self.access().map_or(0, |word| word.fetch_add(value, order))
     }
 
     /// As the machine's atomic.
     pub fn fetch_or(&self, value: u32, order: Ordering) -> u32 {
-        if step() {
-            self.0.fetch_or(value, order)
-        } else {
-            0
-        }
+        self.access().map_or(0, |word| word.fetch_or(value, order))
     }
 
     /// As the machine's atomic.
     pub fn fetch_and(&self, value: u32, order: Ordering) -> u32 {
-        if step() {
-            self.0.fetch_and(value, order)
-        } else {
-            0
-        }
+        self.access().map_or(0, |word| word.fetch_and(value, order))
     }
 
     /// As the machine's atomic.
@@ -180,11 +173,8 @@ impl AtomicU32 {
         success: Ordering,
         failure: Ordering,
     ) -> Result<u32, u32> {
-        if step() {
-            self.0.compare_exchange(current, new, success, failure)
-        } else {
-            Err(0)
-        }
+        let word = self.access().ok_or(0_u32)?;
+        word.compare_exchange(current, new, success, failure)
     }
 }
 

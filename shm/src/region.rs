@@ -308,10 +308,8 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
         incarnation: Incarnation,
     ) -> Result<newest::Writer<'a, T>, EndError> {
         let words = self.claimed(map, ring::CLAIM_AT, incarnation)?;
-        Ok(newest::Writer::attach(newest::ring(
-            words,
-            Newest::<T, SLOTS>::SHAPE,
-        )?))
+        let ring = newest::ring(words, Newest::<T, SLOTS>::SHAPE)?;
+        Ok(newest::Writer::attach(ring))
     }
 
     /// A reading end; there may be any number of them.
@@ -320,10 +318,8 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
     /// [`FitError`] if the region is not of this map's layout.
     pub fn reader<'a>(&self, map: &Map<'a>) -> Result<newest::Reader<'a, T>, FitError> {
         let words = self.words(map)?;
-        Ok(newest::Reader::attach(newest::ring(
-            words,
-            Newest::<T, SLOTS>::SHAPE,
-        )?))
+        let ring = newest::ring(words, Newest::<T, SLOTS>::SHAPE)?;
+        Ok(newest::Reader::attach(ring))
     }
 }
 
@@ -366,10 +362,8 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
         incarnation: Incarnation,
     ) -> Result<broadcast::Writer<'a, T>, EndError> {
         let words = self.claimed(map, ring::CLAIM_AT, incarnation)?;
-        Ok(broadcast::Writer::attach(broadcast::ring(
-            words,
-            Broadcast::<T, SLOTS>::SHAPE,
-        )?))
+        let ring = broadcast::ring(words, Broadcast::<T, SLOTS>::SHAPE)?;
+        Ok(broadcast::Writer::attach(ring))
     }
 
     /// A receiving end, for values published from now on; there may be any number of them.
@@ -378,10 +372,8 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
     /// [`FitError`] if the region is not of this map's layout.
     pub fn receiver<'a>(&self, map: &Map<'a>) -> Result<broadcast::Receiver<'a, T>, FitError> {
         let words = self.words(map)?;
-        Ok(broadcast::Receiver::attach(broadcast::ring(
-            words,
-            Broadcast::<T, SLOTS>::SHAPE,
-        )?))
+        let ring = broadcast::ring(words, Broadcast::<T, SLOTS>::SHAPE)?;
+        Ok(broadcast::Receiver::attach(ring))
     }
 }
 
