@@ -78,7 +78,7 @@ extern void tandem_on_panic(void);
 // The most blocks of a pool.
 #define TANDEM_MAX_BLOCKS 511
 
-// Power came on.
+// The power was switched on.
 #define TANDEM_CAUSE_POWER_ON 0
 
 // The software asked for the reset.
@@ -156,7 +156,7 @@ extern void tandem_on_panic(void);
 // Too many abnormal resets in a row.
 #define TANDEM_FAILURE_ABNORMAL_RESETS 1
 
-// Nothing is heard on a CAN bus that is alive.
+// Nothing is received on a CAN bus that is alive.
 #define TANDEM_FAILURE_CAN_OPEN_CIRCUIT 2
 
 // The output driver's diagnosis register reports a fault.
@@ -291,8 +291,8 @@ typedef struct tandem_map_t {
   size_t opaque[8];
 } tandem_map_t;
 
-// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read and
-// written whole.
+// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read
+// and written whole.
 typedef struct tandem_words_t {
   // The first word.
   tandem_word_t *first;
@@ -360,7 +360,7 @@ typedef struct tandem_config_t {
   uint32_t stagger_us;
   // How much longer B waits before its sync edge.
   uint32_t sync_stagger_us;
-  // How long a standby that has heard a handshake waits for the sync edge.
+  // How long a standby that has received a handshake waits for the sync edge.
   uint32_t promote_limit_us;
   // How long heartbeats must have been back before the other system counts as recovered.
   uint32_t recover_after_us;
@@ -370,7 +370,7 @@ typedef struct tandem_config_t {
   uint32_t abnormal_limit;
   // Operation without a reset for this long ends a row of abnormal resets.
   uint32_t healthy_after_us;
-  // Nothing heard on CAN for this long, while the other system reports a live bus, is an open
+  // Nothing received on CAN for this long, while the other system reports a live bus, is an open
   // circuit.
   uint32_t can_open_limit_us;
   // Time between two reports over the link.
@@ -379,8 +379,8 @@ typedef struct tandem_config_t {
   uint32_t report_limit_us;
   // Without a status frame of the standby on CAN for this long, a master has no backup.
   uint32_t status_limit_us;
-  // For this long after a takeover, a new standby takes over only if the vehicle's report demands
-  // it.
+  // For this long after a takeover, a new standby takes over only if the vehicle's report
+  // demands it.
   uint32_t hold_down_us;
 } tandem_config_t;
 
@@ -509,7 +509,7 @@ typedef struct tandem_actions_t {
   uint32_t persist;
   // The state, if `persist`.
   struct tandem_state_t state;
-  // A `TANDEM_RESET_…` to ask the supply for, as soon as the store is settled.
+  // A `TANDEM_RESET_…` to request from the supply as soon as the store is settled.
   uint32_t reset;
   // How many of `events` there are.
   uint32_t event_count;
@@ -539,7 +539,7 @@ typedef struct tandem_report_t {
   uint32_t mode;
   // The highest term that it knows.
   uint32_t term;
-  // Not 0: it hears frames on CAN.
+  // Not 0: it receives frames on CAN.
   uint32_t can_alive;
 } tandem_report_t;
 
@@ -644,8 +644,8 @@ tandem_status_t tandem_newest_reader_attach(struct tandem_newest_reader_t *reade
                                             size_t slots,
                                             size_t slot_words);
 
-// The newest value, to be read in place. What is read counts only if `tandem_newest_finish` returns
-// `TANDEM_STATUS_OK`. Does not block.
+// The newest value, to be read in place. What is read counts only if `tandem_newest_finish`
+// returns `TANDEM_STATUS_OK`. Does not block.
 //
 // `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
 // faster: try again.
@@ -973,8 +973,8 @@ tandem_status_t tandem_redundancy_status_frame(struct tandem_redundancy_t *machi
                                                const struct tandem_report_t *report,
                                                struct tandem_actions_t *actions);
 
-// A datagram of the other system arrived over the link: `words` of `count` words. Any context; does
-// not block.
+// A datagram of the other system arrived over the link: `words` of `count` words. Any context;
+// does not block.
 //
 // `TANDEM_STATUS_INVALID` if it is no report.
 //

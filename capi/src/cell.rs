@@ -124,7 +124,7 @@ unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, Tan
 pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: the mark says that `put` has been here; ours alone for the call by 3.
+    // SAFETY: by the mark, `put` has written the value; ours alone for the call by 3.
     Ok(unsafe { (*cell).value.assume_init_mut() })
 }
 
@@ -135,7 +135,7 @@ pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inn
 pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on; nothing is written through the pointer.
     let cell = unsafe { attached(object.cast_mut()) }?;
-    // SAFETY: the mark says that `put` has been here, and all others only read.
+    // SAFETY: by the mark, `put` has written the value, and all others only read.
     Ok(unsafe { (*cell).value.assume_init_ref() })
 }
 

@@ -36,7 +36,7 @@ pub struct TandemConfig {
     pub stagger_us: u32,
     /// How much longer B waits before its sync edge.
     pub sync_stagger_us: u32,
-    /// How long a standby that has heard a handshake waits for the sync edge.
+    /// How long a standby that has received a handshake waits for the sync edge.
     pub promote_limit_us: u32,
     /// How long heartbeats must have been back before the other system counts as recovered.
     pub recover_after_us: u32,
@@ -46,7 +46,7 @@ pub struct TandemConfig {
     pub abnormal_limit: u32,
     /// Operation without a reset for this long ends a row of abnormal resets.
     pub healthy_after_us: u32,
-    /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
+    /// Nothing received on CAN for this long, while the other system reports a live bus, is an open
     /// circuit.
     pub can_open_limit_us: u32,
     /// Time between two reports over the link.

@@ -10,7 +10,7 @@ use tandem_redundancy::{
     Redundancy, RedundancyEvent, Role, Term,
 };
 
-/// Power came on.
+/// The power was switched on.
 pub const TANDEM_CAUSE_POWER_ON: u32 = 0;
 /// The software asked for the reset.
 pub const TANDEM_CAUSE_SOFTWARE: u32 = 1;
@@ -120,7 +120,7 @@ pub struct TandemReport {
     pub mode: u32,
     /// The highest term that it knows.
     pub term: u32,
-    /// Not 0: it hears frames on CAN.
+    /// Not 0: it receives frames on CAN.
     pub can_alive: u32,
 }
 
@@ -150,7 +150,7 @@ pub struct TandemActions {
     pub persist: u32,
     /// The state, if `persist`.
     pub state: TandemState,
-    /// A `TANDEM_RESET_…` to ask the supply for, as soon as the store is settled.
+    /// A `TANDEM_RESET_…` to request from the supply as soon as the store is settled.
     pub reset: u32,
     /// How many of `events` there are.
     pub event_count: u32,
@@ -211,7 +211,7 @@ impl From<Actions> for TandemActions {
                 }
                 Action::Reset(request) => {
                     made.reset = match request {
-                        // The redundancy asks for no download.
+                        // The redundancy requests no download.
                         ResetRequest::Software | ResetRequest::Download => TANDEM_RESET_SOFTWARE,
                         ResetRequest::CoreDead => TANDEM_RESET_CORE_DEAD,
                         ResetRequest::Suspend => TANDEM_RESET_SUSPEND,

@@ -45,7 +45,7 @@ pub struct TandemState {
 pub const TANDEM_FAILURE_NONE: u32 = 0;
 /// Too many abnormal resets in a row.
 pub const TANDEM_FAILURE_ABNORMAL_RESETS: u32 = 1;
-/// Nothing is heard on a CAN bus that is alive.
+/// Nothing is received on a CAN bus that is alive.
 pub const TANDEM_FAILURE_CAN_OPEN_CIRCUIT: u32 = 2;
 /// The output driver's diagnosis register reports a fault.
 pub const TANDEM_FAILURE_IO_MODULE: u32 = 3;

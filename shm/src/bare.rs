@@ -8,7 +8,7 @@
 //! # Errors
 //! Each function returns [`FitError`] if the words are too few or do not start at a cache line.
 
-#![allow(clippy::missing_errors_doc, reason = "said once above")]
+#![allow(clippy::missing_errors_doc, reason = "stands once above")]
 
 use crate::fifo::{Consumer, Producer};
 use crate::incarnation::{Incarnation, Incarnations};

@@ -5,7 +5,7 @@
 //! stamp share one cache line, and only that line moves (J. Giacomoni et al., "FastForward for
 //! efficient pipeline parallelism", PPoPP 2008). In the other direction the consumer publishes how
 //! many values it has released. The producer keeps a copy of that index and reads it again only
-//! when the copy says full.
+//! when the queue is full by that copy.
 //!
 //! A queue of 64 slots and more publishes releases in groups of 8, and when the consumer finds the
 //! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free

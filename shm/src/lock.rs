@@ -222,16 +222,16 @@ impl<'a> Lock<'a> {
         self.look(false).ok().map(|orphan| self.acquired(orphan, 0))
     }
 
-    /// Takes the lock, with at most `looks` polls. `relax(n)` is called between two polls to pass
+    /// Takes the lock, with at most `polls` polls. `relax(n)` is called between two polls to pass
     /// the time of n spins (1 ..= 64): use [`spin`](crate::sync::spin) on a core that runs nothing
     /// else, and a function that yields the CPU on a shared one. Task context.
     ///
     /// # Errors
-    /// [`LockTimedOut`] after `looks` polls.
+    /// [`LockTimedOut`] after `polls` polls.
     #[inline]
     pub fn lock(
         &mut self,
-        looks: u32,
+        polls: u32,
         relax: impl FnMut(u32),
     ) -> Result<Acquired<'_, 'a>, LockTimedOut> {
         if self.retake() {
@@ -240,7 +240,7 @@ impl<'a> Lock<'a> {
                 waited: 0,
             }));
         }
-        let (orphan, waited) = self.wait(looks, relax)?;
+        let (orphan, waited) = self.wait(polls, relax)?;
         Ok(self.acquired(orphan, waited))
     }
 
@@ -280,14 +280,14 @@ impl<'a> Lock<'a> {
     #[cold]
     fn wait(
         &mut self,
-        looks: u32,
+        polls: u32,
         mut relax: impl FnMut(u32),
     ) -> Result<(bool, u32), LockTimedOut> {
         let own_bit = waiting_bit(self.core);
         let mut announced = None;
         let mut pause = 1;
         let mut passed = (0, 0);
-        for _ in 0..looks {
+        for _ in 0..polls {
             match self.look(passed.1 >= self.patience()) {
                 Ok(orphan) => {
                     let turns = |first| self.mine.wrapping_sub(first) >> TURN_SHIFT;

@@ -513,7 +513,8 @@ mod tests {
         assert_eq!(task(15).index(), 15);
     }
 
-    /// T-SYNC-3: a second signal before the first is handled is not lost; lower ids come first.
+    /// T-SYNC-3: a second signal before the first is handled is not lost; lower ids are handled
+    /// first.
     #[test]
     fn signals_are_counted_and_come_in_order_of_their_ids() {
         let words = zeroed(WORDS);

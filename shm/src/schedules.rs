@@ -85,7 +85,7 @@ fn the_lock_in_random_schedules_with_deaths() {
 }
 
 /// T-SHM-1, T-SHM-2: cores borrow runs of several blocks, die at any access or still run after they
-/// were declared dead. No block is lent to two living owners, and everything comes back.
+/// were declared dead. No block is lent to two living owners, and all blocks become free again.
 #[test]
 fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
     const BLOCKS: usize = 6;

@@ -244,7 +244,7 @@ fn help(map: Map<'static>) {
     let mut to = must(ONE_TO_2.sender(&map, incarnation(1, 1)));
     let mut producer = must(WORK_1_TO_2.producer(&map, incarnation(1, 1)));
     let step = |number: u32| (STEP.load(Ordering::Acquire) == number).then_some(());
-    wait_for("core 0 wants work to be sent", || step(SEND));
+    wait_for("core 0 requests work", || step(SEND));
     for item in 0..ITEMS {
         wait_for("C works off the queue", || {
             producer
@@ -256,9 +256,7 @@ fn help(map: Map<'static>) {
         }
     }
     let mut lock = must(LOCK.attach(&map, incarnation(1, 1)));
-    wait_for("core 0 wants the lock to be contended for", || {
-        step(CONTEND)
-    });
+    wait_for("core 0 requests contention for the lock", || step(CONTEND));
     count(&mut lock, map);
     STEP.store(0, Ordering::Release);
 }

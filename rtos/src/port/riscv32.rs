@@ -2,7 +2,7 @@
 //!
 //! The tick is the machine timer interrupt, the doorbell the machine software interrupt (bit 0 of
 //! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
-//! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
+//! Interrupts do not nest, so a switch that a handler requests happens when it returns.
 
 use super::events::{self, KernelEventKind};
 use super::{StartError, TickSource};

@@ -126,10 +126,10 @@ impl TaskContext {
         info.unused_stack_words * size_of::<usize>()
     }
 
-    /// Calls `look` for every task that is alive. `look` must not block; no other task runs until
+    /// Calls `visit` for every task that is alive. `visit` must not block; no other task runs until
     /// this call returns.
-    pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {
-        port::without_others(|| task::each(look));
+    pub fn each_task(&self, visit: impl FnMut(&TaskStatistics<'_>)) {
+        port::without_others(|| task::each(visit));
     }
 
     /// Runs `body` with interrupts masked: neither handlers nor other tasks run before it returns.

@@ -16,7 +16,7 @@ struct Inner<T> {
 }
 
 // SAFETY: the value is reached by one task at a time, which the kernel's mutex sees to, on the
-// core's thread; it goes from task to task, so it must be `Send`.
+// core's thread; it moves from task to task, so it must be `Send`.
 unsafe impl<T: Send> Send for Inner<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Inner<T> {}

@@ -404,17 +404,17 @@ fn statistics(record: &Record) -> TaskStatistics<'_> {
     }
 }
 
-/// Calls `look` for every task that is alive, the kernel's own ones first, while no other task
+/// Calls `visit` for every task that is alive, the kernel's own ones first, while no other task
 /// runs.
-pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
+pub(crate) fn each(mut visit: impl FnMut(&TaskStatistics<'_>)) {
     let _no_switch = NoSwitch::begin();
-    look(&statistics(&IDLE));
-    look(&statistics(&TIMERS));
+    visit(&statistics(&IDLE));
+    visit(&statistics(&TIMERS));
     let mut at = TASKS.load(Ordering::Relaxed);
     // SAFETY: what is in the list lives, and only tasks change the list.
     while let Some(record) = unsafe { at.as_ref() } {
         if record.alive.load(Ordering::Relaxed) {
-            look(&statistics(record));
+            visit(&statistics(record));
         }
         at = record.next.load(Ordering::Relaxed);
     }

@@ -138,7 +138,10 @@ impl Play {
         let in_doubt = end.is_none() && sent == number + 1;
         let expected = number + u32::from(end == Some(true) || in_doubt);
         assert_eq!(sent, expected, "values sent, {end:?}");
-        assert!(self.received.get() <= sent, "a value came and was not sent");
+        assert!(
+            self.received.get() <= sent,
+            "a value was received and never sent"
+        );
         self.values.borrow_mut().truncate(sent as usize);
         self.killed
             .update(|killed| killed + u32::from(end.is_none()));
@@ -156,7 +159,7 @@ impl Play {
         freeze_at(at, self.others(7, Self::consume), attach).0
     }
 
-    /// The consumer receives, looks without release, or is killed or frozen while it receives.
+    /// The consumer receives, reads without release, or is killed or frozen while it receives.
     fn consume(self: &Rc<Self>, time: Time) {
         let Some(mut consumer) = self.consumer.take() else {
             return;
@@ -183,7 +186,8 @@ impl Play {
         self.consumer.set(Some(consumer));
     }
 
-    /// The successor of a killed consumer goes back to the last value published as released.
+    /// The successor of a killed consumer resumes after the last value that was published as
+    /// released.
     fn next_consumer(self: &Rc<Self>, time: Time) -> Consumer<'static, [u32; 2]> {
         if time == Time::Own {
             self.others(4, Self::produce)();

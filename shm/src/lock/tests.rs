@@ -309,7 +309,7 @@ fn a_waiter_killed_at_every_step_keeps_no_other_out() {
     bench.start(1, 2);
     assert!(
         c.try_lock().is_some(),
-        "and a successor waits only when it says so"
+        "and a successor waits only after it sets its bit"
     );
 }
 
@@ -388,7 +388,7 @@ fn waiting_backs_off_and_ends() {
     assert_eq!(
         bench.token().load(Ordering::Relaxed),
         before,
-        "it waits no more"
+        "it no longer waits"
     );
     drop(guard);
 }
@@ -428,7 +428,7 @@ fn a_waiting_core_is_patient_in_each_turn() {
     }
 }
 
-/// A guard tells how many turns others took while its core waited.
+/// A guard counts the turns that others took while its core waited.
 #[test]
 fn a_guard_counts_the_turns_that_it_waited() {
     for turns in [0, 1] {

@@ -61,7 +61,7 @@ fn a_run_of_the_dead_ends_within_the_pool() {
     }
 }
 
-/// T-SHM-2, T-SHM-4: memory comes back, and a stale or forged handle is an error.
+/// T-SHM-2, T-SHM-4: memory is given back, and a stale or forged handle is an error.
 #[test]
 fn stale_and_forged_handles_are_errors() {
     let bench = Bench::new();
@@ -113,7 +113,7 @@ fn ownership_is_handed_over() {
     assert_eq!(pool.free_words(), BLOCKS * BLOCK_WORDS);
 }
 
-/// T-SHM-2: the words of a dead core come back, and no others.
+/// T-SHM-2: the words of a dead core are freed, and no others.
 #[test]
 fn the_words_of_the_dead_are_reclaimed() {
     let bench = Bench::new();

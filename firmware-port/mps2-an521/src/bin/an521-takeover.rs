@@ -26,7 +26,7 @@ use tandem_redundancy::{
 entry!(main);
 
 const CONFIG: Config = Config::chip();
-/// Time from the start of system A to its sudden end; the strap comes on top.
+/// Time from the start of system A to its sudden end; the strap is added.
 const HANGS_AFTER: Duration = Duration::from_ms(1_000);
 /// When B moves its polls: both have their roles by then.
 const MOVES_AFTER: Duration = Duration::from_ms(800);
@@ -63,7 +63,7 @@ fn main(own: usize) -> ! {
     }
 }
 
-/// Core 0 of one system, as far as redundancy goes.
+/// The redundancy's part of core 0 of one system.
 struct Core<'b> {
     board: &'b An521Board,
     machine: Redundancy,

@@ -144,7 +144,7 @@ fn signal(to: &mut Sender<'static>) {
     }
 }
 
-/// Lets hart 0 come to rest, and wakes it.
+/// Waits until hart 0 is idle, and wakes it.
 fn when_idle(wake: impl FnOnce()) {
     (0..8).for_each(|_| hart::yield_turn());
     BEGAN_AT.store(hart::cycles(), Ordering::Relaxed);

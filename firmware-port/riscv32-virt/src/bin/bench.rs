@@ -81,7 +81,7 @@ static CONSUMER: Handed<Option<spsc::Consumer<'static, u32>>> = Handed(UnsafeCel
 /// The least that embassy-sync needs between several cores: a spin lock with interrupts off.
 struct HartMutex(AtomicBool);
 
-// SAFETY: one hart is inside at a time, and no interrupt of it comes between.
+// SAFETY: one hart is inside at a time, and its interrupts are off.
 #[allow(unsafe_code)]
 unsafe impl RawMutex for HartMutex {
     const INIT: Self = Self(AtomicBool::new(false));

@@ -150,7 +150,7 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     while PASSED.load(Acquire) < CORES as u32 {
         let failed = FAILED.load(Relaxed);
         if failed != 0 {
-            // The others may wait for the one that failed: tell them to give up.
+            // The others may wait for the one that failed: let them give up.
             let limit = hart::time() + HANGS_AFTER;
             while PASSED.load(Acquire) < CORES as u32 && hart::time() < limit {
                 doorbell::wait(Some(hart::time() + 100));
@@ -330,7 +330,7 @@ fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     Ok(())
 }
 
-/// T-SHM-1: no hart gets words that another one has, and all come back.
+/// T-SHM-1: no hart gets words that another one has, and all are given back.
 fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
     let pool = POOL.attach(map, incarnation).map_err(|_| 3u32)?;
     for round in 0..ROUNDS {

@@ -340,7 +340,7 @@ impl Peripherals {
         trap::release(CoreAddress::new(which, CoreId::CONTROL).index());
     }
 
-    /// The bus: every frame goes to all cores but its sender, in one order.
+    /// The bus: every frame is passed to all cores but its sender, in one order.
     fn move_frames(&mut self) {
         loop {
             let mut moved = false;

@@ -309,7 +309,7 @@ fn interrupt(context: usize, interrupted: usize) {
 pub(super) fn begin() -> Result<(), i32> {
     /// Bytes that a handler has on the stack below its frame.
     const BELOW: usize = 4 << 10;
-    // SAFETY: asks for a number; zero if it is not known.
+    // SAFETY: reads a number; zero if it is not known.
     let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
     NEAR.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
     signals::begin(on_signal)
@@ -357,7 +357,7 @@ mod tests {
 
     /// A doorbell and ticks that arrive at this thread together, with nothing to serve. As in a
     /// run, a doorbell has one signal under way at most; and a timer has none while its last one
-    /// has not been handled, so none comes to a handler that has blocked them.
+    /// has not been handled, so none arrives at a handler that has blocked them.
     fn signals_arrive() {
         let mut before = MaybeUninit::<libc::sigset_t>::uninit();
         // SAFETY: the set is a valid place, which the first call fills; the signals are handled

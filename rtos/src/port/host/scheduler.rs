@@ -37,8 +37,8 @@ extern "C" fn xPortStartScheduler() -> Base {
     // The first task serves interrupts that were raised before.
     state::want_attention();
     tick::begin();
-    // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context goes to
-    // STARTER, whence `leave` takes it.
+    // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context is saved
+    // in STARTER, where `leave` finds it.
     unsafe {
         let first: *mut Tcb = current_tcb();
         tandem_switch(STARTER.as_ptr(), (*first).top_of_stack);
