@@ -192,8 +192,8 @@ impl Jobs {
         });
     }
 
-    /// Records that the task got the CPU.
-    pub(super) fn begin(&mut self, code: TaskCode, at_ns: u64, begin: Begin) {
+    /// Records that the task got the CPU. Returns the number of its job, counted from 1.
+    pub(super) fn begin(&mut self, code: TaskCode, at_ns: u64, begin: Begin) -> u64 {
         let task = self.task(code);
         if let Begin::Released { late_ns, missed } = begin {
             task.missed += u64::from(missed);
@@ -212,6 +212,7 @@ impl Jobs {
             job.begun = true;
             task.begun += 1;
         }
+        task.begun
     }
 
     /// Records that a signal, sent at `sent_ns`, released the running job.

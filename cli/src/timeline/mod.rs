@@ -65,6 +65,9 @@ pub(crate) struct Slice {
     pub(crate) end_ns: u64,
     /// Number of enclosing slices.
     pub(crate) depth: usize,
+    /// Number of the job that the slice belongs to; `None` for a handler. A job has one slice for each
+    /// time that its task had the CPU.
+    pub(crate) job: Option<u64>,
     /// Delay after the release, ns, if the slice began a job with a known release.
     pub(crate) late_ns: Option<u32>,
     /// Releases before it without a job.
@@ -304,7 +307,9 @@ impl LineBuilder {
             }
             Event::TaskIn { task, begin } => self.task_in(at_ns, task, begin),
             Event::TaskOut { task, leaves } => self.task_out(at_ns, task, leaves),
-            Event::IrqIn { irq } => self.begin(at_ns, Work::Irq(irq), None, 0),
+            Event::IrqIn { irq } => {
+                self.begin(at_ns, Work::Irq(irq));
+            }
             Event::IrqOut { irq } => {
                 self.end(at_ns, Work::Irq(irq));
             }
@@ -339,12 +344,12 @@ impl LineBuilder {
     fn task_in(&mut self, at_ns: u64, task: TaskCode, begin: Begin) {
         // If it is still open, the record of its end was lost.
         self.end(at_ns, Work::Task(task));
-        self.jobs.begin(task, at_ns, begin);
-        let (late_ns, missed) = match begin {
-            Begin::Released { late_ns, missed } => (Some(late_ns), missed),
-            Begin::Goes => (None, 0),
-        };
-        self.begin(at_ns, Work::Task(task), late_ns, missed);
+        let job = self.jobs.begin(task, at_ns, begin);
+        let slice = self.begin(at_ns, Work::Task(task));
+        slice.job = Some(job);
+        if let Begin::Released { late_ns, missed } = begin {
+            (slice.late_ns, slice.missed) = (Some(late_ns), missed);
+        }
     }
 
     fn task_out(&mut self, at_ns: u64, task: TaskCode, leaves: Leaves) {
@@ -369,19 +374,21 @@ impl LineBuilder {
             })
     }
 
-    fn begin(&mut self, at_ns: u64, work: Work, late_ns: Option<u32>, missed: u32) {
+    fn begin(&mut self, at_ns: u64, work: Work) -> &mut Slice {
         let slice = self.line.slices.len();
         self.line.slices.push(Slice {
             work,
             begin_ns: at_ns,
             end_ns: at_ns,
             depth: self.open.len(),
-            late_ns,
-            missed,
+            job: None,
+            late_ns: None,
+            missed: 0,
             cut: false,
         });
         self.line.steps.push(Step::Begin(slice));
         self.open.push((slice, 0));
+        &mut self.line.slices[slice]
     }
 
     /// Ends the innermost slice of this work, and the slices within it, whose ends were lost. Returns

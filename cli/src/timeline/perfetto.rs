@@ -172,6 +172,7 @@ impl Trace {
         let track = self.thread(pid(line.system), number, core_name(line.core));
         let late = self.figures.number("late (µs)");
         let missed = self.figures.number("missed releases");
+        let job = self.figures.number("job");
         let category = self.categories.number("task");
         for step in &line.steps {
             let at_ns = line.at_ns(*step);
@@ -183,7 +184,8 @@ impl Trace {
                     event.category_iids.push(category);
                     let late_us = slice.late_ns.map(|late_ns| f64::from(late_ns) * 1e-3);
                     let missed_releases = (slice.missed > 0).then(|| slice.missed.into());
-                    let figures = [(late, late_us), (missed, missed_releases)];
+                    let number = slice.job.map(|job| job as f64);
+                    let figures = [(late, late_us), (missed, missed_releases), (job, number)];
                     let known = figures.iter().filter(|(_, value)| value.is_some());
                     let annotation = |(name, value): &(u64, Option<f64>)| DebugAnnotation {
                         name_iid: Some(*name),

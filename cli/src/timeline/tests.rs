@@ -115,6 +115,9 @@ fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
         slice("status", 7_100, 8_000, 0),
     ];
     assert_eq!(shown, expected);
+    // Three slices of one job say so.
+    let jobs: Vec<_> = timeline.cores[0].slices.iter().map(|it| it.job).collect();
+    assert_eq!(jobs, [Some(1), None, Some(1), Some(1), Some(1)]);
     let status = figures(&timeline, "status");
     assert_eq!((status.jobs, status.deadline_misses, status.cut), (1, 0, 0));
     assert_eq!(ms(status.response_max_ms), 7.0);
