@@ -237,16 +237,12 @@ where
                 });
             }
         }
-        let snapshot = self.world.snapshot();
-        if snapshot.running && !self.running {
-            self.running = true;
-            let at_ns = snapshot.accepted.map_or(now_ns, |accepted| accepted.at_ns);
-            recorder.record(VehicleRecord::Start { at_ns });
-        }
-        if snapshot.collides && !self.collides {
+        let collides = self.world.snapshot().collides;
+        if collides && !self.collides {
             recorder.record(VehicleRecord::Collision { at_ns: now_ns });
         }
-        self.collides = snapshot.collides;
+        self.collides = collides;
+        self.note_start(now_ns);
         if self.running {
             self.sample(now_ns);
         }
@@ -258,6 +254,16 @@ where
                     &self.world.metrics(),
                 )));
             self.recorder.hand_over();
+        }
+    }
+
+    /// Records the first control frame that the vehicle obeyed.
+    fn note_start(&mut self, now_ns: u64) {
+        let snapshot = self.world.snapshot();
+        if snapshot.running && !self.running {
+            self.running = true;
+            let at_ns = snapshot.accepted.map_or(now_ns, |accepted| accepted.at_ns);
+            self.recorder.record(VehicleRecord::Start { at_ns });
         }
     }
 
@@ -334,6 +340,14 @@ where
         let at_ns = self.port.now().as_ns();
         self.port.set_ignition(false);
         self.drain_traces();
+        if ended == DriveEnd::Stopped {
+            // The drive ends here, not at its last regular sample: one frame that was obeyed is a drive.
+            self.note_start(at_ns);
+            if self.running {
+                let last = self.state(at_ns, self.world.snapshot());
+                self.recorder.record(VehicleRecord::Sample(last));
+            }
+        }
         let Self { port, recorder, .. } = &mut self;
         port.salvage_trace(&mut |traced| {
             recorder.trace(traced);
