@@ -7,6 +7,7 @@ mod failure_modes;
 mod figures;
 mod firmware;
 mod instructions;
+mod licences;
 mod mutants;
 mod names;
 mod requirements;
@@ -59,6 +60,8 @@ struct Arguments {
 enum Task {
     /// Run all tests of the workspace, with cargo-nextest if it is installed
     Test,
+    /// Check the licences and sources of all dependencies against deny.toml
+    Licences,
     /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
     /// allowed, names that two things share, the lines of each room
     Tidy {
@@ -270,6 +273,7 @@ fn execute() -> Result<()> {
         .context("xtask has no parent")?;
     match Arguments::parse().task {
         Task::Test => test(root),
+        Task::Licences => licences::run(root),
         Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),
         Task::Broken { name, check } => broken::run(root, &name, check),
