@@ -1,11 +1,8 @@
 //! One `tandem` command under test, and everything that it started.
 
-use std::cell::Cell;
 use std::fs::{self, File};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -15,37 +12,6 @@ use tempfile::TempDir;
 /// No run of these tests takes longer than this, however busy the machine is.
 const WATCHDOG: Duration = Duration::from_secs(120);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
-/// A longer stall of the machine makes a sound master fall silent: docs/redundancy.md, profile rt.
-const TOLERATED_STALL_MS: f64 = 5.0;
-/// How often a test is tried whose runs met longer stalls.
-const ATTEMPTS: u32 = 5;
-
-/// A test that says when which system drives. If it fails and a run of it met a stall that no
-/// profile tolerates, it is tried again; what no stall may cause, such as two masters, fails it.
-pub(crate) fn unless_stalled(test: impl Fn(&Fixture)) {
-    for attempt in 1.. {
-        let fixture = Fixture::new();
-        let Err(failure) = catch_unwind(AssertUnwindSafe(|| test(&fixture))) else {
-            return;
-        };
-        let stalled_ms = fixture.seen.stalled_ms.get();
-        let is_excused = stalled_ms > TOLERATED_STALL_MS && !fixture.seen.harm.get();
-        if attempt == ATTEMPTS || !is_excused {
-            resume_unwind(failure);
-        }
-        eprintln!("tried again: the machine stood still for {stalled_ms} ms");
-    }
-}
-
-/// What the runs of a failed test saw, by their own verdict.
-#[derive(Default)]
-struct Seen {
-    /// The longest stall of the machine.
-    stalled_ms: Cell<f64>,
-    /// What must never happen, whatever the machine does.
-    harm: Cell<bool>,
-}
-
 /// The command must refuse these arguments and say all of `words`.
 pub(crate) fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
     let before = fixture.names();
@@ -62,39 +28,36 @@ pub(crate) fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
     assert_eq!(fixture.names(), before, "{args:?} has left something");
 }
 
-/// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only
-/// measure each other.
+/// A folder of its own, and a share of the machine's CPUs.
 pub(crate) struct Fixture {
     folder: TempDir,
-    seen: Rc<Seen>,
     _turn: File,
 }
 
 impl Fixture {
+    /// Runs beside the other tests.
     pub(crate) fn new() -> Self {
-        let turn = File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap();
+        let turn = turn();
+        turn.lock_shared().unwrap();
+        Self::with(turn)
+    }
+
+    /// Waits until no other test has a run: this one takes a CPU from all of them, or judges times.
+    pub(crate) fn alone() -> Self {
+        let turn = turn();
         turn.lock().unwrap();
+        Self::with(turn)
+    }
+
+    fn with(turn: File) -> Self {
         Self {
             folder: tempfile::tempdir().unwrap(),
-            seen: Rc::default(),
             _turn: turn,
         }
     }
 
     pub(crate) fn folder(&self) -> &Path {
         self.folder.path()
-    }
-
-    /// Notes the stalls that a campaign's report names.
-    #[allow(dead_code, reason = "the tests of campaigns use it")]
-    pub(crate) fn heard_of_stalls(&self, report: &str) {
-        let told = report.split("gone for ").skip(1);
-        let ms = told.filter_map(|rest| rest.split(' ').next()?.parse::<f64>().ok());
-        let longest_ms = ms.fold(self.seen.stalled_ms.get(), f64::max);
-        self.seen.stalled_ms.set(longest_ms);
-        let harm = ["two masters", "touched another", "was sound"].iter();
-        let harm = harm.copied().any(|word| report.contains(word));
-        self.seen.harm.set(self.seen.harm.get() || harm);
     }
 
     /// The command with these arguments, in the fixture's folder.
@@ -130,7 +93,6 @@ impl Fixture {
             stdout,
             stderr,
             since: Instant::now(),
-            seen: Rc::clone(&self.seen),
         }
     }
 
@@ -144,6 +106,29 @@ impl Fixture {
     }
 }
 
+fn turn() -> File {
+    File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap()
+}
+
+/// What no stall of the machine may cause in a run.
+pub(crate) fn sound(metrics: &Value) {
+    assert_eq!(metrics["collisions"], 0, "{metrics:#}");
+    assert_eq!(metrics["false_takeovers"], 0, "{metrics:#}");
+    assert_eq!(metrics["two_masters_ms"], 0.0, "{metrics:#}");
+    let ms = |name: &str| metrics[name].as_f64().unwrap();
+    let both_ms = ms("both_transmitted_ms");
+    assert!(both_ms <= ms("hand_over_ms"), "{metrics:#}");
+    let left = metrics["leftovers"].as_array().map(Vec::len);
+    assert_eq!(left, Some(0), "{metrics:#}");
+}
+
+/// The takeovers of a run. Without those from a master that the machine had held up: a busy machine
+/// adds such ones to any run.
+pub(crate) fn takeovers(metrics: &Value) -> Vec<&Value> {
+    let takeovers = metrics["takeovers"].as_array().unwrap().iter();
+    takeovers.filter(|it| it["held_up"] != true).collect()
+}
+
 /// A run under way. Dropping it kills all of it.
 pub(crate) struct Run {
     launcher: Child,
@@ -152,7 +137,6 @@ pub(crate) struct Run {
     stdout: PathBuf,
     stderr: PathBuf,
     since: Instant,
-    seen: Rc<Seen>,
 }
 
 /// One line of `tandem ps --json`.
@@ -229,6 +213,14 @@ impl Run {
         })
     }
 
+    /// The process of a core.
+    pub(crate) fn core(&self, system: &str, core: u64) -> i32 {
+        let is_it = |p: &&Process| p.core == Some(core) && p.system.as_deref() == Some(system);
+        self.until("the core", |processes| {
+            processes.iter().find(is_it).map(|process| process.pid)
+        })
+    }
+
     /// The process of `tandem run` itself.
     pub(crate) fn launcher_pid(&self) -> i32 {
         self.launcher.id() as i32
@@ -249,24 +241,39 @@ impl Run {
         }
     }
 
-    /// Waits for the end; the figures of a run that was not objected to.
+    /// Waits for the end of a drive to its end. Returns its figures, of which
+    /// [`sound`] holds. The exit status also judges times, which are the machine's here.
     pub(crate) fn metrics(&mut self) -> Value {
         let status = self.end();
-        assert!(status.success(), "{status}\n{}", self.said());
-        self.told()
+        assert!(
+            matches!(status.code(), Some(0 | 1)),
+            "{status}\n{}",
+            self.said()
+        );
+        self.figures()
     }
 
-    /// Ends the run as a person does, and waits; the figures of what was driven.
+    /// Ends the run as a person does, and waits. Returns the figures of what was driven, of which
+    /// [`sound`] holds.
     pub(crate) fn interrupt(&mut self) -> Value {
         send(self.launcher_pid(), Signal::INT);
         let status = self.end();
         assert_eq!(status.code(), Some(130), "{}", self.said());
-        self.told()
+        self.figures()
+    }
+
+    /// The figures on stdout of a run that has ended, of which [`sound`] holds.
+    fn figures(&self) -> Value {
+        let figures = self.printed();
+        sound(&figures);
+        assert!(!self.said().contains("panicked"), "{}", self.said());
+        figures
     }
 
     /// The figures on stdout of a run that has ended.
-    pub(crate) fn told(&self) -> Value {
-        serde_json::from_str(&fs::read_to_string(&self.stdout).unwrap()).unwrap()
+    pub(crate) fn printed(&self) -> Value {
+        let text = fs::read_to_string(&self.stdout).unwrap();
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {}", self.said()))
     }
 
     /// Waits until no process of the run is left.
@@ -281,12 +288,9 @@ impl Run {
         fs::read_to_string(&self.stderr).unwrap()
     }
 
-    /// Nothing of this run is left on the machine: no stall excuses that.
+    /// Nothing of this run is left on the machine.
     pub(crate) fn left_nothing(&self) {
         let files = self.files();
-        self.seen
-            .harm
-            .set(self.seen.harm.get() || !files.is_empty());
         assert!(files.is_empty(), "{files:?}");
     }
 
@@ -301,36 +305,8 @@ impl Run {
     }
 }
 
-impl Run {
-    /// Ends the run with its verdict, and keeps what may excuse a failed test.
-    fn note_what_it_saw(&mut self) {
-        // The number of one that has ended may be another process's.
-        if matches!(self.launcher.try_wait(), Ok(None)) {
-            send(self.launcher_pid(), Signal::INT);
-        }
-        let patience = Instant::now() + WATCHDOG;
-        while matches!(self.launcher.try_wait(), Ok(None)) && Instant::now() < patience {
-            std::thread::sleep(LOOK_AGAIN);
-        }
-        let told = fs::read_to_string(&self.stdout).unwrap_or_default();
-        let told: Value = serde_json::from_str(&told).unwrap_or_default();
-        let figure = |name: &str| told.pointer(name).and_then(Value::as_f64).unwrap_or(0.0);
-        let longest_ms = figure("/stalls/longest_ms").max(self.seen.stalled_ms.get());
-        self.seen.stalled_ms.set(longest_ms);
-        let harm = ["/two_masters_ms", "/false_takeovers", "/collisions"]
-            .iter()
-            .any(|name| figure(name) > 0.0)
-            || self.said().contains("panicked")
-            || figure("/both_transmitted_ms") > figure("/hand_over_ms");
-        self.seen.harm.set(self.seen.harm.get() || harm);
-    }
-}
-
 impl Drop for Run {
     fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.note_what_it_saw();
-        }
         let _ = self.launcher.kill();
         let _ = self.launcher.wait();
         for process in self.processes() {

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use tandem_board_host::realtime::{Claim, claim};
 
 use crate::fixture::{Fixture, kill};
+use crate::observers::until_driven;
 
 /// How much of a stall has no evidence, ms: the thread that watches sleeps for 2 ms.
 const UNSEEN_MS: f64 = 2.0;
@@ -34,15 +35,11 @@ fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
 #[test]
 fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
     for (ms, dies) in [(40, false), (60, true)] {
-        let fixture = Fixture::new();
-        let mut run = fixture.run(&["--duration", "4"]);
+        let fixture = Fixture::alone();
+        let mut run = fixture.run(&["--duration", "60"]);
         run.until_dual();
-        let victim = run.until("core 0", |processes| {
-            let is_it = |p: &&crate::fixture::Process| {
-                p.core == Some(0) && p.system.as_deref() == Some("A")
-            };
-            processes.iter().find(is_it).map(|p| p.pid)
-        });
+        until_driven(&run);
+        let victim = run.core("A", 0);
         let first = || {
             if dies {
                 kill(victim);
@@ -52,9 +49,7 @@ fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
             eprintln!("skipped: no priority above the run's is permitted");
             return;
         };
-        // A standby whose CPU was gone may be too late: that is no matter here.
-        run.end();
-        let metrics = run.told();
+        let metrics = run.interrupt();
         let longest_ms = metrics["stalls"]["longest_ms"].as_f64().unwrap();
         assert!(longest_ms >= gone_ms - UNSEEN_MS - 0.5, "{metrics:#}");
     }

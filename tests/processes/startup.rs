@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::fixture::{kill, unless_stalled};
+use crate::fixture::{Fixture, kill};
 
 /// How many starts are killed, unless `TANDEM_STARTUP_KILLS` says otherwise.
 const KILLS: u64 = 6;
@@ -21,31 +21,30 @@ fn scattered(n: u64) -> u64 {
 /// end nothing is left.
 #[test]
 fn any_start_may_be_killed() {
-    unless_stalled(|fixture| {
-        let kills = std::env::var("TANDEM_STARTUP_KILLS")
-            .ok()
-            .and_then(|n| n.parse().ok());
-        let mut killed = Vec::new();
-        for attempt in 0..kills.unwrap_or(KILLS) {
-            let mut run = fixture.run(&["--duration", "0.2", "--quiet", "--out", "cut-short"]);
-            let at_us = scattered(2 * attempt) % (WITHIN_MS * 1_000);
-            std::thread::sleep(Duration::from_micros(at_us));
-            let processes = run.processes();
-            let choice = scattered(2 * attempt + 1) as usize % (processes.len() + 1);
-            // One of the processes, or `tandem run` itself.
-            let victim = processes
-                .get(choice)
-                .map_or(run.launcher_pid(), |process| process.pid);
-            kill(victim);
-            run.end();
-            // Without its launcher a run that drives continues to its end.
-            run.until_vanished();
-            killed.push(run);
-        }
-        let metrics = fixture.run(&["--duration", "1"]).metrics();
-        assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
-        for run in &killed {
-            run.left_nothing();
-        }
-    });
+    let fixture = Fixture::new();
+    let kills = std::env::var("TANDEM_STARTUP_KILLS")
+        .ok()
+        .and_then(|n| n.parse().ok());
+    let mut killed = Vec::new();
+    for start in 0..kills.unwrap_or(KILLS) {
+        let mut run = fixture.run(&["--duration", "0.2", "--quiet", "--out", "cut-short"]);
+        let at_us = scattered(2 * start) % (WITHIN_MS * 1_000);
+        std::thread::sleep(Duration::from_micros(at_us));
+        let processes = run.processes();
+        let choice = scattered(2 * start + 1) as usize % (processes.len() + 1);
+        // One of the processes, or `tandem run` itself.
+        let victim = processes
+            .get(choice)
+            .map_or(run.launcher_pid(), |process| process.pid);
+        kill(victim);
+        run.end();
+        // Without its launcher a run that drives continues to its end.
+        run.until_vanished();
+        killed.push(run);
+    }
+    let metrics = fixture.run(&["--duration", "0.2"]).metrics();
+    assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
+    for run in &killed {
+        run.left_nothing();
+    }
 }

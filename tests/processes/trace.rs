@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 
-use crate::fixture::{kill, unless_stalled};
+use crate::deaths::dual_master;
+use crate::fixture::{Fixture, kill};
+use crate::observers::until_driven_for;
 
 /// One field of a protobuf message: its number, and its content.
 enum Field<'b> {
@@ -69,6 +71,8 @@ struct Moment {
     thread: String,
     kind: u64,
     name: String,
+    /// The number of the job that a slice belongs to.
+    job: Option<u64>,
 }
 
 const BEGIN: u64 = 1;
@@ -80,10 +84,14 @@ const LISTS: std::ops::Range<u16> = 0x200..0x260;
 
 fn events(trace: &[u8]) -> Vec<Moment> {
     let (mut names, mut threads) = (HashMap::new(), HashMap::new());
+    let mut figures = HashMap::new();
     let mut events = Vec::new();
     for packet in all(trace, 1) {
         for name in all(packet, 12).iter().flat_map(|interned| all(interned, 2)) {
             names.insert(number(name, 1).unwrap(), text(name, 2).unwrap());
+        }
+        for name in all(packet, 12).iter().flat_map(|interned| all(interned, 3)) {
+            figures.insert(number(name, 1).unwrap(), text(name, 2).unwrap());
         }
         if let Some(track) = all(packet, 60).first() {
             let thread = all(track, 4).first().map(|thread| {
@@ -93,11 +101,17 @@ fn events(trace: &[u8]) -> Vec<Moment> {
             threads.insert(number(track, 1).unwrap(), thread.unwrap_or_default());
         }
         if let Some(event) = all(packet, 11).first() {
+            let mut annotations = all(event, 4).into_iter();
+            let job = annotations.find(|it| figures[&number(it, 1).unwrap()] == "job");
             events.push(Moment {
                 at_ns: number(packet, 8).unwrap(),
                 thread: threads[&number(event, 11).unwrap()].clone(),
                 kind: number(event, 9).unwrap(),
                 name: number(event, 10).map_or(String::new(), |name| names[&name].clone()),
+                job: job.map(|job| {
+                    let bytes = all(job, 5)[0].try_into().unwrap();
+                    f64::from_le_bytes(bytes) as u64
+                }),
             });
         }
     }
@@ -181,89 +195,93 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
 /// The age of sensor data in the metrics is what the trace and the bus say.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
-    unless_stalled(|fixture| {
-        let mut run = fixture.run(&["--duration", "5"]);
-        run.until_dual();
-        let master = run.master_supply().system.unwrap();
-        let victim = run.until("core 0", |processes| {
-            let is_it = |p: &&crate::fixture::Process| {
-                p.core == Some(0) && p.system.as_deref() == Some(&*master)
-            };
-            processes.iter().find(is_it).map(|p| p.pid)
-        });
-        kill(victim);
-        let metrics = run.metrics();
-        assert_eq!(metrics["lost_trace"], 0, "{metrics:#}");
-        let report = fixture.folder().join("tandem-report");
-        let events = events(&std::fs::read(report.join("trace.perfetto-trace")).unwrap());
-
-        let pid = if master == "A" { 1 } else { 2 };
-        let (core, supply) = (format!("{pid}/core 0: control"), format!("{pid}/supply"));
-        let died = "core 0 died of signal 9";
-        let death = events
-            .iter()
-            .position(|e| e.thread == supply && e.name == died);
-        let death_ns = events[death.unwrap()].at_ns;
-        let reborn = events
-            .iter()
-            .find(|e| e.thread == core && e.name.starts_with("starts, incarnation 2"));
-        let reborn_ns = reborn.unwrap().at_ns;
-        assert!(death_ns < reborn_ns);
-
-        // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which
-        // was traced.
-        let cycles = events
-            .iter()
-            .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
-        let cycles: Vec<u64> = cycles.map(|e| e.at_ns).collect();
-        let obeyed = events
-            .iter()
-            .filter(|e| e.name == format!("{master} obeyed"));
-        let obeyed = obeyed.filter(|e| e.at_ns < reborn_ns).count();
-        assert!(obeyed > 0);
-        let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
-        assert!(before >= obeyed, "{before} cycles, {obeyed} frames");
-        // And nothing between the incarnations.
-        assert!(
-            !cycles
-                .iter()
-                .any(|at_ns| (death_ns + 1..reborn_ns).contains(at_ns))
-        );
-
-        let mut depth: HashMap<&str, (i32, u64)> = HashMap::new();
-        for event in events.iter().filter(|event| !event.thread.is_empty()) {
-            let (depth, last_ns) = depth.entry(&event.thread).or_default();
-            assert!(
-                *last_ns <= event.at_ns,
-                "time goes back on {}",
-                event.thread
-            );
-            *last_ns = event.at_ns;
-            match event.kind {
-                BEGIN => *depth += 1,
-                END => *depth -= 1,
-                _ => {}
-            }
-            assert!(*depth >= 0, "an end without a begin on {}", event.thread);
-        }
-        assert!(depth.values().all(|(depth, _)| *depth == 0));
-        // All six cores, both supplies and the bus were heard of.
-        assert_eq!(depth.len(), 9, "{:?}", depth.keys());
-        let woken = events
-            .iter()
-            .filter(|e| e.name == "woken by core 2")
-            .count();
-        assert!(woken > 0);
-
-        let control = metrics["tasks"].as_array().unwrap().iter();
-        let mut control = control.filter(|t| t["task"] == "control" && t["system"] == *master);
-        let jobs = control.next().unwrap()["jobs"].as_u64().unwrap();
-        assert_eq!(jobs, cycles.len() as u64);
-
-        let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
-        let ages_ms = sensor_ages_ms(&events, &candump);
-        let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
-        let differs_ms = (ours - told.as_f64().unwrap()).abs();
-        assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "60"]);
+    let master = dual_master(&run);
+    until_driven_for(&run, 1.0);
+    let victim = run.core(&master, 0);
+    kill(victim);
+    run.until("core 0 again", |processes| {
+        let is_it = |p: &&crate::fixture::Process| {
+            p.core == Some(0) && p.system.as_deref() == Some(&*master) && p.pid != victim
+        };
+        processes.iter().find(is_it).map(|_| ())
     });
+    until_driven_for(&run, 2.0);
+    let metrics = run.interrupt();
+    let lost = metrics["lost_trace"].as_u64().unwrap() as usize;
+    let report = fixture.folder().join("tandem-report");
+    let events = events(&std::fs::read(report.join("trace.perfetto-trace")).unwrap());
+
+    let pid = if master == "A" { 1 } else { 2 };
+    let (core, supply) = (format!("{pid}/core 0: control"), format!("{pid}/supply"));
+    let died = "core 0 died of signal 9";
+    let death = events
+        .iter()
+        .position(|e| e.thread == supply && e.name == died);
+    let death_ns = events[death.unwrap()].at_ns;
+    let reborn = events
+        .iter()
+        .find(|e| e.thread == core && e.name.starts_with("starts, incarnation 2"));
+    let reborn_ns = reborn.unwrap().at_ns;
+    assert!(death_ns < reborn_ns);
+
+    // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which
+    // was traced.
+    let cycles = events
+        .iter()
+        .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
+    // A cycle that was pre-empted has a slice for each time that it had the CPU.
+    let mut slices: Vec<(u64, u64)> = cycles.map(|e| (e.job.unwrap(), e.at_ns)).collect();
+    slices.dedup_by_key(|(job, _)| *job);
+    let cycles: Vec<u64> = slices.iter().map(|(_, at_ns)| *at_ns).collect();
+    let obeyed = events
+        .iter()
+        .filter(|e| e.name == format!("{master} obeyed"));
+    let obeyed = obeyed.filter(|e| e.at_ns < reborn_ns).count();
+    assert!(obeyed > 0);
+    let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
+    assert!(before + lost >= obeyed, "{before} cycles, {obeyed} frames");
+    // And nothing between the incarnations.
+    assert!(
+        !cycles
+            .iter()
+            .any(|at_ns| (death_ns + 1..reborn_ns).contains(at_ns))
+    );
+
+    let mut depth: HashMap<&str, (i32, u64)> = HashMap::new();
+    for event in events.iter().filter(|event| !event.thread.is_empty()) {
+        let (depth, last_ns) = depth.entry(&event.thread).or_default();
+        assert!(
+            *last_ns <= event.at_ns,
+            "time goes back on {}",
+            event.thread
+        );
+        *last_ns = event.at_ns;
+        match event.kind {
+            BEGIN => *depth += 1,
+            END => *depth -= 1,
+            _ => {}
+        }
+        assert!(*depth >= 0, "an end without a begin on {}", event.thread);
+    }
+    assert!(depth.values().all(|(depth, _)| *depth == 0));
+    // All six cores, both supplies and the bus were heard of.
+    assert_eq!(depth.len(), 9, "{:?}", depth.keys());
+    let woken = events
+        .iter()
+        .filter(|e| e.name == "woken by core 2")
+        .count();
+    assert!(woken > 0);
+
+    let control = metrics["tasks"].as_array().unwrap().iter();
+    let mut control = control.filter(|t| t["task"] == "control" && t["system"] == *master);
+    let jobs = control.next().unwrap()["jobs"].as_u64().unwrap();
+    assert_eq!(jobs, cycles.len() as u64);
+
+    let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
+    let ages_ms = sensor_ages_ms(&events, &candump);
+    let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
+    let differs_ms = (ours - told.as_f64().unwrap()).abs();
+    assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
 }

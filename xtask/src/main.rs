@@ -169,6 +169,13 @@ enum Campaign {
         #[arg(long, default_value_t = 200)]
         count: u32,
     },
+    /// Judge the times of runs with real processes: takeovers within their bounds. Says how often a
+    /// stall of the machine made it try again
+    Processes {
+        /// How often each drive is made
+        #[arg(long, default_value_t = 3)]
+        rounds: u32,
+    },
     /// Run random task sets on FreeRTOS and compare their schedules with a model's
     RtosSoak {
         /// For how long
@@ -329,6 +336,12 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         Campaign::StartupKills { count } => {
             let count = ("TANDEM_STARTUP_KILLS", count.into());
             test("tandem", "processes", "any_start", &[count])
+        }
+        Campaign::Processes { rounds } => {
+            let rounds = ("TANDEM_PROCESS_ROUNDS", rounds.into());
+            let mut command = test("tandem", "processes", "bounds::", &[rounds]);
+            command.arg("--ignored");
+            command
         }
         Campaign::RtosSoak { minutes, seed } => {
             let seconds = ("TANDEM_RTOS_SOAK_SECONDS", u64::from(minutes) * 60);
