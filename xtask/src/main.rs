@@ -21,10 +21,12 @@ mod weakened;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, Subcommand};
+use std::collections::BTreeSet;
 use std::env;
 use std::ffi::OsString;
+use std::io::{BufRead as _, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, Stdio};
 
 /// Crates that run in firmware: no_std, without dependencies on a board.
 const PORTABLE: [&str; 8] = [
@@ -58,7 +60,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Task {
-    /// Run all tests of the workspace, with cargo-nextest if it is installed
+    /// Run all tests of the workspace, with cargo-nextest if it is installed, and list what failed
     Test,
     /// Check the licences and sources of all dependencies against deny.toml
     Licences,
@@ -503,12 +505,92 @@ fn test(root: &Path) -> Result<()> {
     }
     run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
     let nextest = cargo(root, &["nextest", "--version"]).output();
-    if nextest.is_ok_and(|output| output.status.success()) {
-        run(cargo(root, &["nextest", "run", "--workspace"]))?;
-        return run(cargo(root, &["test", "--workspace", "--doc"]));
+    let commands: &[&[&str]] = if nextest.is_ok_and(|output| output.status.success()) {
+        &[
+            &["nextest", "run", "--workspace", "--no-fail-fast"],
+            &["test", "--workspace", "--doc", "--no-fail-fast"],
+        ]
+    } else {
+        println!("cargo-nextest is not installed; cargo test runs the same tests");
+        &[&["test", "--workspace", "--no-fail-fast"]]
+    };
+    let mut counts = Counts::default();
+    let mut has_failed = false;
+    for arguments in commands {
+        let mut command = cargo(root, arguments);
+        println!("$ {command:?}");
+        // Results of nextest stand on stderr, those of cargo test on stdout.
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let read = std::thread::spawn(move || echo(stderr, &mut std::io::stderr()));
+        counts.add(&echo(stdout, &mut std::io::stdout()));
+        counts.add(&read.join().unwrap_or_default());
+        has_failed |= !child.wait()?.success();
     }
-    println!("cargo-nextest is not installed; cargo test runs the same tests");
-    run(cargo(root, &["test", "--workspace"]))
+    let Counts { passed, failed } = counts;
+    println!("\n{passed} tests passed, {} failed", failed.len());
+    for name in &failed {
+        println!("FAILED: {name}");
+    }
+    ensure!(passed > 0, "no test ran");
+    ensure!(!has_failed && failed.is_empty(), "not all tests pass");
+    Ok(())
+}
+
+/// Hands the lines on as they arrive, and returns those with results.
+fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<String> {
+    let mut results = Vec::new();
+    for line in from
+        .into_iter()
+        .flat_map(|pipe| BufReader::new(pipe).split(b'\n'))
+    {
+        let Ok(line) = line else { break };
+        let _ = to.write_all(&[&line[..], b"\n"].concat());
+        let line = String::from_utf8_lossy(&line);
+        // A failed test's own output has such lines too, indented.
+        if line.starts_with("test ") {
+            results.push(line.trim().to_owned());
+        }
+        let status = line.trim_start().split(' ').next().unwrap_or_default();
+        let is_status = ["PASS", "LEAK", "FAIL", "LEAK-FAIL", "TIMEOUT"].contains(&status);
+        if is_status || status.starts_with("SIG") {
+            results.push(line.trim().to_owned());
+        }
+    }
+    results
+}
+
+/// What the runners said.
+#[derive(Default)]
+struct Counts {
+    passed: u32,
+    /// Names of tests, each once.
+    failed: BTreeSet<String>,
+}
+
+impl Counts {
+    fn add(&mut self, results: &[String]) {
+        for line in results {
+            let of_cargo = line
+                .strip_prefix("test ")
+                .and_then(|it| it.rsplit_once(" ... "));
+            match of_cargo {
+                Some((_, "ok")) => self.passed += 1,
+                Some((name, "FAILED")) => _ = self.failed.insert(name.to_owned()),
+                Some(_) => {}
+                None if line.starts_with("PASS") || line.starts_with("LEAK ") => self.passed += 1,
+                None if line.starts_with("test ") => {}
+                // "FAIL [  1.0s] (1/2) package::file name", and once more at the end.
+                None => {
+                    let name = line.rsplit(") ").next().unwrap_or(line);
+                    self.failed.insert(name.to_owned());
+                }
+            }
+        }
+    }
 }
 
 fn bare_metal(root: &Path) -> Result<()> {
