@@ -165,7 +165,7 @@ fn take_over(script: &mut Script, added: Option<i64>) {
     // The counter counts: a core that sleeps and has a tick makes these.
     for number in [SYS_PAUSE, libc::SYS_rt_sigreturn] {
         let times = counted.iter().find(|(counted, _)| *counted == number);
-        assert!(times.is_some_and(|(_, times)| *times > 500), "{table}");
+        assert!(times.is_some_and(|(_, times)| *times > 0), "{table}");
     }
 }
 

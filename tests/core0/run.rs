@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration as Span, Instant as Clock};
 use tandem_board::{
-    Board, CoreId, Duration, Instant, SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort, Wake,
+    Board, CoreId, Duration, Instant, SystemId, Traced, VehicleBus, VehiclePort, Wake,
 };
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{CoreArgs, HostBoard, HostVehiclePort, ProcessArgs, supply};
@@ -18,10 +18,6 @@ use tandem_vehicle::{Ruling, Scenario, World};
 
 /// A case that takes longer hangs.
 const PATIENCE: Span = Span::from_secs(60);
-
-/// A core 0 that does nothing for this long was held up: the watchdog's window, less the time
-/// between two services.
-const HELD_UP: Duration = Duration::from_ms(80);
 
 /// One case.
 pub(crate) struct Case {
@@ -46,8 +42,6 @@ pub(crate) struct Script {
     pub(crate) traced: Vec<(Traced, Event)>,
     /// When control frames were accepted, and from which system.
     pub(crate) accepted: Vec<(Instant, SystemId)>,
-    /// When the supplies reset which system.
-    resets: Vec<(Instant, SystemId)>,
 }
 
 /// Runs a case in processes of its own and says what they said if it failed.
@@ -93,7 +87,6 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 folder: args.common.extra[1].clone().into(),
                 traced: vec![],
                 accepted: vec![],
-                resets: vec![],
             };
             script.port.set_ignition(true);
             (case.vehicle)(&mut script);
@@ -159,26 +152,6 @@ impl Script {
         port.drain_trace(&mut |entry| {
             traced.extend(Event::decode(entry.record).map(|event| (entry, event)));
         });
-        let resets = &mut self.resets;
-        port.drain_supplies(&mut |at, of, event| {
-            if matches!(event, SupplyEvent::Reset(_)) {
-                resets.push((at, of));
-            }
-        });
-    }
-
-    /// Whether core 0 of this system, which has a tick each millisecond, did nothing in the time
-    /// before its last reset: the machine had taken its CPU.
-    pub(crate) fn was_held_up(&self, system: SystemId) -> bool {
-        let mut resets = self.resets.iter().rev();
-        let Some((reset, _)) = resets.find(|(_, of)| *of == system) else {
-            return false;
-        };
-        let of_core = self.traced.iter().filter(|(entry, _)| {
-            (entry.system, entry.core) == (system, CoreId::CONTROL) && entry.at < *reset
-        });
-        let last = of_core.map(|(entry, _)| entry.at).max();
-        last.is_some_and(|last| reset.since(last) >= HELD_UP)
     }
 
     /// The folder of the case.
