@@ -258,7 +258,7 @@ enum Campaign {
         #[arg(long, default_value_t = 0)]
         from: u32,
     },
-    /// Compare the tick of FreeRTOS with the clock
+    /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// After how long
         #[arg(long, default_value_t = 60)]
@@ -352,12 +352,10 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         }
         Campaign::RtosDrift { seconds } => {
             let seconds = ("TANDEM_RTOS_DRIFT_SECONDS", seconds.into());
-            test(
-                "tandem-rtos",
-                "scheduling",
-                "the_tick_does_not_drift",
-                &[seconds],
-            )
+            let name = "the_tick_does_not_drift";
+            let mut command = test("tandem-rtos", "scheduling", name, &[seconds]);
+            command.arg("three_tasks_run_with_their_periods");
+            command
         }
         Campaign::PowerCuts {
             json,

@@ -24,7 +24,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 /// First trace record of every core in the case of that name: whether it was granted real-time
 /// priority.
 pub(crate) const GRANTED: u32 = 1_000;
-/// Trace record of a core 0 just before it services the watchdog.
+/// Trace record of a core 0 just after it serviced the watchdog.
 const SERVES: u32 = 1_001;
 
 /// One case: the work of every core, and the script.
@@ -279,11 +279,12 @@ pub(crate) fn serve(board: &HostBoard) {
 /// Services the watchdog once, correctly.
 pub(crate) fn service(board: &HostBoard) {
     use tandem_board::Supply;
-    board.trace([SERVES, 0, 0, 0]);
     let question = board.supply().watchdog_question();
     board
         .supply()
         .service_watchdog(tandem_board::watchdog_answer(question));
+    // After it: a core that loses its CPU in between was served no later than the record says.
+    board.trace([SERVES, 0, 0, 0]);
 }
 
 /// Core 0 services the watchdog, the others sleep.
