@@ -207,7 +207,7 @@ pub struct Control {
     pub acceleration: f32,
     /// Age of the sensor data that the command rests on. 0 ..= 6553.5 ms in steps of 0.1
     pub command_age: f32,
-    /// When the frame was made, on the clock of its sender, wraps around; 0 = not told. 0 ..= 65535 ms
+    /// When the frame was made, on the clock of its sender, wraps around; 0 = not known. 0 ..= 65535 ms
     pub sent_at: u16,
 }
 
@@ -551,7 +551,7 @@ pub struct CameraLanes {
     pub left_exists: bool,
     /// There is a lane to the right in the same direction.
     pub right_exists: bool,
-    /// The lane goes on behind OwnEnd, but outside of the operational design domain.
+    /// The lane continues behind OwnEnd, but outside of the operational design domain.
     pub ends_domain: bool,
     /// Signal `C0`. -32.768 ..= 32.767 m in steps of 0.001
     pub c0: f32,

@@ -2,8 +2,8 @@
 //!
 //! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first, byte 2 a counter that goes up by one
 //! with every frame of an id and wraps around. The CRC covers the bytes from 2 on and then the
-//! data id, low byte first; the data id is the CAN id and is not sent, so that a frame under a
-//! wrong id is found as well. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
+//! data id, low byte first; the data id is the CAN id and is not sent, so a frame under a
+//! wrong id is found too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
 
 use crc::{CRC_16_IBM_3740, Crc};
 

@@ -11,7 +11,7 @@ use tandem_board_host::{Alarm, HostBoard, clock};
 use tandem_cores::Config;
 use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_rtos::{Interrupt, Kernel, host};
-use tandem_runtime::Options;
+use tandem_runtime::RuntimeOptions;
 
 /// Bytes of a task's stack.
 const STACK_BYTES: usize = 64 << 10;
@@ -45,7 +45,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
         .name("doorbell".to_owned())
         .spawn(move || listen(board, grant))
         .context("the doorbell's thread")?;
-    let options = Options {
+    let options = RuntimeOptions {
         stack_bytes: STACK_BYTES,
         held_back: &HELD_BACK,
         overload: None,

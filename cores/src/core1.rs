@@ -12,7 +12,7 @@ use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, age_n
 use crate::schedule::Release;
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
-use crate::{Core, Heard, RETRY, read_can};
+use crate::{Core, RETRY, ReceivedFrame, read_can};
 use tandem_board::{Board, Can, CoreId, Duration, Instant};
 use tandem_bus::FrameReceiver;
 use tandem_shm::mailbox::{Ring, Sender};
@@ -21,10 +21,10 @@ use tandem_shm::newest::{Reader, Writer};
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;
 
-/// From the last frame of a round to the time at which the core looks for it, a period later: one
-/// look finds it then, if the sensors are punctual.
+/// The core polls this long after the time at which a round is expected: one poll finds it, if the
+/// sensors are punctual.
 const MARGIN: Duration = Duration::from_us(200);
-/// How long a cycle waits for a list that is late. The sensors' clocks, and the bus, are less late.
+/// How long a cycle waits for a late list. The sensors' clocks and the bus delay it less.
 const PATIENCE: Duration = Duration::from_ms(5);
 /// Shortest time between two cycles, whatever the sensors send.
 const SHORTEST: Duration = Duration::from_us(12_500);
@@ -38,7 +38,7 @@ struct Attached<'b> {
     map: ControllerMap<'b>,
     to_planning: Sender<'b>,
     scenes: Writer<'b, Scene>,
-    told: Reader<'b, Knowledge>,
+    knowledge: Reader<'b, Knowledge>,
 }
 
 /// A cycle between its two halves.
@@ -90,24 +90,24 @@ impl<'b, B: Board> Core1<'b, B> {
         let Ok(map) = ControllerMap::attach(self.board) else {
             return;
         };
-        let (Ok(to_planning), Ok(scenes), Ok(told)) = (
+        let (Ok(to_planning), Ok(scenes), Ok(knowledge)) = (
             MAILBOX_1_TO_2.sender(&map.map, map.incarnation),
             SCENE.writer(&map.map, map.incarnation),
             KNOWLEDGE.reader(&map.map),
         ) else {
             return;
         };
-        // What an earlier incarnation has counted, but not rung for.
+        // An earlier incarnation may have posted a signal without ringing.
         self.board.ring(CoreId::PLANNING);
         self.attached = Some(Attached {
             map,
             to_planning,
             scenes,
-            told,
+            knowledge,
         });
     }
 
-    /// Takes in what the bus has brought. If that releases a cycle, the cycle begins, and the next
+    /// Reads the frames that have arrived. If they release a cycle, the cycle begins, and the next
     /// [`Core::poll`] completes it. For an executor that gives a cycle time: frames that arrive in
     /// between wait for the next cycle. Returns whether a cycle has begun. Context as of `poll`.
     pub fn begin(&mut self) -> bool {
@@ -152,13 +152,13 @@ impl<'b, B: Board> Core1<'b, B> {
         self.expected = next.unwrap_or(begun.released + (PERIOD - PATIENCE));
     }
 
-    /// Takes in what the bus has brought. Returns when the frame came that completed the round, if
-    /// it is complete.
+    /// Reads the frames that have arrived. Returns when the frame that completed the round was on the
+    /// bus, if the round is complete.
     fn receive(&mut self) -> Option<Instant> {
         let mut completed = None;
         let mut left = CAN_FRAMES;
-        while let Some((at, heard)) = read_can(self.board, &mut self.frames, &mut left) {
-            if let Heard::Valid(message) = heard {
+        while let Some((at, frame)) = read_can(self.board, &mut self.frames, &mut left) {
+            if let ReceivedFrame::Valid(message) = frame {
                 self.perception.on_message(at, &message);
                 completed = match self.perception.is_round_complete() {
                     true => completed.or(Some(at)),
@@ -188,10 +188,12 @@ impl<'b, B: Board> Core1<'b, B> {
         let Some(attached) = &mut self.attached else {
             return;
         };
-        let is_young = self.perception.is_young();
-        let told = is_young.then(|| attached.told.fetch().ok()?).flatten();
+        let is_starting = self.perception.is_starting();
+        let knowledge = is_starting
+            .then(|| attached.knowledge.fetch().ok()?)
+            .flatten();
         let before = self.perception.scene().missing;
-        let scene = self.perception.cycle_with(now, told.as_ref());
+        let scene = self.perception.cycle_with(now, knowledge.as_ref());
         let (flow, missing) = (scene.cycle, scene.missing);
         if missing != before {
             self.board.trace(Event::Sensors { missing }.encode());
@@ -222,13 +224,13 @@ impl<B: Board> Core for Core1<'_, B> {
             if waits == woken {
                 break;
             }
-            // A frame may have come before the call.
+            // A frame may have arrived before the call.
             woken = waits;
         }
-        let look = self.expected + if woken { PATIENCE } else { MARGIN };
+        let poll_at = self.expected + if woken { PATIENCE } else { MARGIN };
         match self.attached {
-            Some(_) => look,
-            None => look.min(self.board.now() + RETRY),
+            Some(_) => poll_at,
+            None => poll_at.min(self.board.now() + RETRY),
         }
     }
 }

@@ -16,8 +16,7 @@ use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
 use tandem_shm::newest::{Reader, Writer};
 
-/// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the
-/// drive.
+/// Period of polls without a doorbell: a lost doorbell costs one cycle.
 const LOOK: Duration = Duration::from_ms(50);
 
 /// The planning task with all that it uses: what core 1's signal runs.
@@ -29,7 +28,7 @@ struct Planning<'b, B: Board> {
     cycles: Cycles,
     trajectories: Writer<'b, Trajectory>,
     control_steps: Reader<'b, ControlStep>,
-    told: Reader<'b, Knowledge>,
+    knowledge: Reader<'b, Knowledge>,
     to_control: Sender<'b>,
 }
 
@@ -53,10 +52,10 @@ impl<B: Board> Planning<'_, B> {
 
     fn plan(&mut self) {
         self.judge_control();
-        if self.planner.is_young()
-            && let Ok(Some(told)) = self.told.fetch()
+        if self.planner.is_starting()
+            && let Ok(Some(knowledge)) = self.knowledge.fetch()
         {
-            self.planner.recall(&told);
+            self.planner.recall(&knowledge);
         }
         match self.scenes.fetch() {
             Ok(Some(scene)) => {
@@ -130,11 +129,11 @@ impl<'b, B: Board> Core2<'b, B> {
             cycles: Cycles::default(),
             trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,
             control_steps: CONTROL_STEP.reader(&map).ok()?,
-            told: KNOWLEDGE.reader(&map).ok()?,
+            knowledge: KNOWLEDGE.reader(&map).ok()?,
             to_control: MAILBOX_2_TO_0.sender(&map, incarnation).ok()?,
         };
         lmu.judge_control(true);
-        // What an earlier incarnation has counted, but not rung for.
+        // An earlier incarnation may have posted a signal without ringing.
         self.board.ring(CoreId::CONTROL);
         let receiver = MAILBOX_1_TO_2.receiver(&map, incarnation).ok()?;
         self.attached = Some((receiver, planning));

@@ -1,4 +1,4 @@
-//! What an application hears of the download protocol (`docs/boot.md`): a host that wants the
+//! The part of the download protocol (`docs/boot.md`) that an application receives: a host wants the
 //! bootloader of this system. T-BOOT-1
 
 use tandem_board::{CanFrame, CanId, SystemId};

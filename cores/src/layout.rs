@@ -35,7 +35,7 @@ pub const TRAJECTORY: Region<Newest<Trajectory>> = SCENE.then("trajectory");
 /// Core 0 publishes, core 2 reads and computes again.
 pub const CONTROL_STEP: Region<Newest<ControlStep>> = TRAJECTORY.then("control step");
 
-/// Core 0 publishes what another system told; cores 1 and 2 read it while they are young.
+/// Core 0 publishes the knowledge of another system; cores 1 and 2 read it when newly started.
 pub const KNOWLEDGE: Region<Newest<Knowledge>> = CONTROL_STEP.then("knowledge");
 
 const LAYOUT: Layout = KNOWLEDGE.end();

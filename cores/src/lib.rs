@@ -1,7 +1,7 @@
 //! The programs of the cores of one system: the driving functions and their wiring over one board.
 //!
-//! [`driving`] is pure computation (sensor frames in; scene, trajectory, command out), told the
-//! time. [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for
+//! [`driving`] is pure computation: sensor frames and the time in; scene, trajectory and command
+//! out. [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for
 //! all:
 //!
 //! ```text
@@ -31,12 +31,12 @@ use tandem_bus::{Message, ReceiveError};
 
 /// The work of one core, in steps that end by themselves.
 pub trait Core {
-    /// Does all that is due and returns when to be called again at the latest; also to be called
-    /// when an interrupt has come. Task context; never blocks, never allocates.
+    /// Does everything that is due and returns the latest time of the next call. Also called after
+    /// an interrupt. Task context; never blocks, never allocates.
     fn poll(&mut self) -> Instant;
 }
 
-/// How often a core that waits for the LMU to be formatted looks again.
+/// Period of polls of a core that waits for the LMU to be formatted.
 const RETRY: Duration = Duration::from_ms(1);
 
 /// Limits that depend on how punctual the machine's timers are.
@@ -84,7 +84,7 @@ impl Config {
 }
 
 /// A received frame of the DBC.
-enum Heard {
+enum ReceivedFrame {
     /// It passed its end-to-end check.
     Valid(Message),
     /// Its CRC is right, but its counter is wrong: repeated, or out of sequence.
@@ -102,25 +102,25 @@ fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::FrameReceiver,
     left: &mut u32,
-) -> Option<(Instant, Heard)> {
+) -> Option<(Instant, ReceivedFrame)> {
     while *left > 0 {
         let received = board.can().try_receive()?;
         *left -= 1;
         let CanId::Standard(id) = received.frame.id() else {
             match download::requested(&received.frame) {
-                Some(system) => return Some((received.at, Heard::Download(system))),
+                Some(system) => return Some((received.at, ReceivedFrame::Download(system))),
                 None => continue,
             }
         };
         let data = received.frame.data();
         match receiver.receive(id.into(), data) {
-            Ok(message) => return Some((received.at, Heard::Valid(message))),
+            Ok(message) => return Some((received.at, ReceivedFrame::Valid(message))),
             Err(ReceiveError::Protection(check)) => {
                 board.trace(trace::Event::Refused { id: id.into() }.encode());
                 if check != Check::CrcError
                     && let Ok(message) = Message::decode(id.into(), data)
                 {
-                    return Some((received.at, Heard::WrongCounter(message)));
+                    return Some((received.at, ReceivedFrame::WrongCounter(message)));
                 }
             }
             Err(ReceiveError::Decode(_)) => {}

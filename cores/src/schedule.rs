@@ -72,7 +72,7 @@ impl Grid {
 
     /// The release that is due, if one is.
     ///
-    /// A task that is late by whole periods runs once, and is told how many releases it missed.
+    /// A task that is late by whole periods runs once; the release says how many were missed.
     pub fn release(&mut self, now: Instant) -> Option<Release> {
         if now < self.next {
             return None;

@@ -58,7 +58,7 @@ pub enum ReleasedBy {
 
 /// What tasks of core 0 share, each behind a lock of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum SharedPart {
     /// The redundancy, CAN, link, flash and outputs: [`SharedState`](crate::core0::SharedState).
     Shared,
     /// Scene, trajectory and the controllers' state: [`Driving`](crate::core0::Driving).
@@ -76,14 +76,14 @@ pub struct TaskInfo {
     pub released_by: &'static [ReleasedBy],
     /// Time between two releases. Control's is a tick less while its grid follows the trajectories.
     pub period: Duration,
-    /// The longest time from a release to the end of its job. `None` if the trace does not tell
+    /// The longest time from a release to the end of its job. `None` if the trace does not have
     /// the release; then the analysis takes the period.
     pub deadline: Option<Duration>,
     /// Priority of the kernel's task, 1 to 30: a higher one pre-empts a lower one. 0 on cores
     /// without a kernel.
     pub priority: u8,
     /// The parts that it shares with other tasks of its core.
-    pub uses: &'static [Part],
+    pub uses: &'static [SharedPart],
     /// What it does, for the table in the documentation.
     pub purpose: &'static str,
 }
@@ -114,7 +114,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(1),
         deadline: None,
         priority: 12,
-        uses: &[Part::Shared],
+        uses: &[SharedPart::Shared],
         purpose: "reads CAN and the data link, judges the lines, sends heartbeats, changes roles, \
                   drives the flash",
     },
@@ -125,7 +125,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(5),
         deadline: Some(Duration::from_ms(5)),
         priority: 10,
-        uses: &[Part::Shared],
+        uses: &[SharedPart::Shared],
         purpose: "window and functional watchdog, alive counters of cores 1 and 2",
     },
     TaskInfo {
@@ -136,7 +136,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(10),
         deadline: Some(Duration::from_ms(10)),
         priority: 8,
-        uses: &[Part::Shared, Part::Drive],
+        uses: &[SharedPart::Shared, SharedPart::Drive],
         purpose: "motion control, control frame, report over the link",
     },
     TaskInfo {
@@ -146,7 +146,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(10),
         deadline: None,
         priority: 7,
-        uses: &[Part::Shared, Part::Drive],
+        uses: &[SharedPart::Shared, SharedPart::Drive],
         purpose: "the same cycle with the L2 functions, when the system drives alone",
     },
     TaskInfo {
@@ -157,7 +157,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(50),
         deadline: None,
         priority: 5,
-        uses: &[Part::Shared, Part::Drive],
+        uses: &[SharedPart::Shared, SharedPart::Drive],
         purpose: "fetches scene and trajectory that cores 1 and 2 published",
     },
     TaskInfo {
@@ -167,7 +167,7 @@ pub const CORE_0: [TaskInfo; 6] = [
         period: Duration::from_ms(100),
         deadline: Some(Duration::from_ms(100)),
         priority: 3,
-        uses: &[Part::Shared],
+        uses: &[SharedPart::Shared],
         purpose: "status frame",
     },
 ];

@@ -11,13 +11,14 @@
 //! that says [`Leaves::Done`].
 
 use crate::task_table::{IrqCode, TaskCode};
+use strum::{FromRepr, VariantArray};
 use tandem_board::{CanErrors, CoreId, Duration, TraceRecord};
 use tandem_redundancy::{Evidence, Phase};
 
-/// How a task comes to the CPU.
+/// How a task gets the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// It continues, or begins a job whose release an [`Event::Ready`] or [`Event::Woken`] tells.
+    /// It continues, or begins a job whose release is an [`Event::Ready`] or [`Event::Woken`].
     Goes,
     /// It begins a job.
     Released {
@@ -29,7 +30,8 @@ pub enum Begin {
 }
 
 /// What a task does that leaves the CPU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
+#[repr(u8)]
 pub enum Leaves {
     /// Its job is done; it waits for the next release.
     Done,
@@ -41,20 +43,9 @@ pub enum Leaves {
     Gives,
 }
 
-impl Leaves {
-    const fn from_code(code: u8) -> Option<Self> {
-        Some(match code {
-            0 => Self::Done,
-            1 => Self::Blocked,
-            2 => Self::Preempted,
-            3 => Self::Gives,
-            _ => return None,
-        })
-    }
-}
-
 /// A source of frames, edges or interrupts that core 0 does not control.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
+#[repr(u8)]
 pub enum FloodSource {
     /// Frames on the CAN bus.
     Can,
@@ -66,17 +57,6 @@ pub enum FloodSource {
     HeartbeatLines,
     /// The doorbell: cores 1 and 2, edges on the start line, the other system's power level.
     Doorbell,
-}
-
-impl FloodSource {
-    /// All, in the order of their codes.
-    pub const ALL: [Self; 5] = [
-        Self::Can,
-        Self::Link,
-        Self::StartLine,
-        Self::HeartbeatLines,
-        Self::Doorbell,
-    ];
 }
 
 /// One thing that happened on a core.
@@ -129,7 +109,7 @@ pub enum Event {
     },
     /// Both heartbeat lines are silent, but the other system is seen to live.
     LinesSplit,
-    /// Nothing is heard on CAN, or something again.
+    /// Nothing arrives on CAN, or frames arrive again.
     CanSilent(bool),
     /// A frame came that no correct peer sends, or one of a lower term; it was ignored.
     Ignored {
@@ -165,7 +145,7 @@ pub enum Event {
         core: u8,
     },
     /// Jobs of a task did not run, because an earlier one or a more urgent task took their time.
-    /// That of the roles is told with each status frame.
+    /// Those of the roles are traced with each status frame.
     DeadlineMiss {
         /// Which.
         task: TaskCode,
@@ -426,7 +406,7 @@ impl Event {
         }
     }
 
-    /// The event in a record; `None` if it is none of ours.
+    /// The event in a record; `None` if the record has another kind.
     #[must_use]
     pub fn decode([first, x, y, z]: TraceRecord) -> Option<Self> {
         let [kind, a, b, c] = first.to_le_bytes();
@@ -494,7 +474,7 @@ impl Event {
             },
             18 => Self::TaskOut {
                 task: TaskCode(a),
-                leaves: Leaves::from_code(b)?,
+                leaves: Leaves::from_repr(b)?,
             },
             19 => Self::Ready { task: TaskCode(a) },
             20 => Self::IrqIn { irq: IrqCode(a) },
@@ -528,7 +508,7 @@ impl Event {
             30 if a <= 1 => Self::WrongCommand { witness: a },
             31 if a <= 2 => Self::ClockWrong { of: a },
             28 => Self::Flood {
-                source: *FloodSource::ALL.get(usize::from(a))?,
+                source: FloodSource::from_repr(a)?,
                 times: x,
                 beyond: y,
             },

@@ -1,12 +1,12 @@
 //! Scene and trajectory as words of the LMU, and back.
 //!
-//! What comes out of shared memory is an allegation of another core: decoding checks every count,
-//! tag and number, and refuses the whole if one is impossible. Numbers cross as IEEE 754 bits.
+//! Values in shared memory are not trusted: decoding checks every count, tag and number, and refuses
+//! the whole value if one is impossible. Numbers cross as IEEE 754 bits.
 
-use crate::driving::knowledge::{Knowledge, KnownObject, Line, PLAN_POINTS, Plan};
+use crate::driving::knowledge::{Knowledge, KnownLine, KnownObject, KnownPlan, PLAN_POINTS};
 use crate::driving::types::{
-    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass,
-    RouteCode, Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
+    ClassCode, Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, RouteCode,
+    Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -159,7 +159,7 @@ impl Payload for Object {
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
         let id = take();
         let tags = take();
-        let class = ObjectClass::of((tags & 0xFF) as u8).ok_or(Corrupt)?;
+        let class = *ClassCode::ALL.get((tags & 0xFF) as usize).ok_or(Corrupt)?;
         let cuts_in = match tags >> 16 & 0xFF {
             0 => false,
             1 => true,
@@ -338,7 +338,7 @@ impl Payload for Knowledge {
         let at = instant(take);
         let ego = Ego::load(take)?;
         let is_seen = flag(take)?;
-        let line = Line {
+        let line = KnownLine {
             c: [finite(take)?, finite(take)?, finite(take)?, finite(take)?],
             view_range: finite(take)?,
         };
@@ -357,7 +357,7 @@ impl Payload for Knowledge {
             at,
             ego,
             line: is_seen.then_some(line),
-            plan: is_planned.then_some(Plan { memory, points }),
+            plan: is_planned.then_some(KnownPlan { memory, points }),
             objects: (0..count).map(object).collect(),
         };
         knowledge.is_plausible().then_some(knowledge).ok_or(Corrupt)

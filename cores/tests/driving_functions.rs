@@ -10,9 +10,7 @@ use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX
 use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::perception::Perception;
 use tandem_cores::driving::planning::Planner;
-use tandem_cores::driving::types::{
-    Command, Ego, Lanes, Maneuver, Object, ObjectClass, Scene, Trajectory,
-};
+use tandem_cores::driving::types::{Command, Ego, Lanes, Maneuver, Object, Scene, Trajectory};
 
 const CYCLE: Duration = Duration::from_ms(50);
 
@@ -121,7 +119,7 @@ fn two_sensors_confirm_one_object_at_once() {
         (object.x - 40.0).abs() < 1.0 && (object.vx - 15.0).abs() < 0.5,
         "{object:?}"
     );
-    assert_eq!((object.class, object.lane), (ObjectClass::Truck, 0));
+    assert_eq!((object.class, object.lane), (ClassCode::Truck, 0));
 }
 
 /// One sensor alone needs three cycles; the track keeps its identity, coasts over gaps, and ends.
@@ -261,7 +259,7 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
 fn object(x: f32, y: f32, vx: f32) -> Object {
     Object {
         id: 1,
-        class: ObjectClass::Car,
+        class: ClassCode::Car,
         x,
         y,
         vx,

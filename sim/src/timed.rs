@@ -233,14 +233,7 @@ impl TimedCore0 {
         flow.released.set(TaskSet::NONE);
         flow.has_begun.set(false);
         board.hold(Some(task as u8));
-        let deadline = match task {
-            Core0Task::Roles => tasks.roles.poll(flow),
-            Core0Task::Monitoring => tasks.monitoring.poll(flow),
-            Core0Task::Control => tasks.control.poll(flow),
-            Core0Task::Degraded => tasks.degraded.poll(flow),
-            Core0Task::TrajectoryInput => tasks.trajectory_input.poll(flow),
-            Core0Task::Status => tasks.status.poll(flow),
-        };
+        let deadline = tasks.poll(task, flow);
         board.hold(None);
         let released = flow.released.get();
         for (index, state) in self.states.iter_mut().enumerate() {

@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use tandem_board::Duration;
 use tandem_cores::doorbell::DOORBELL_DISTANCE;
-use tandem_cores::task_table::{CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
+use tandem_cores::task_table::{CORE_0, INTERRUPTS, ReleasedBy, SharedPart, TaskInfo};
 
 /// The page with the table, and the name of its marks.
 const PAGE: &str = "docs/rtos-tasks.md";
@@ -73,7 +73,7 @@ fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
 fn blocking_locks(index: usize) -> usize {
     let uses = |infos: &[TaskInfo], part| infos.iter().any(|info| info.uses.contains(&part));
     let (above, below) = CORE_0.split_at(index + 1);
-    let parts = [Part::Shared, Part::Drive].into_iter();
+    let parts = [SharedPart::Shared, SharedPart::Drive].into_iter();
     parts
         .filter(|part| uses(above, *part) && uses(below, *part))
         .count()

@@ -5,7 +5,7 @@ use anyhow::{Context, Result, bail};
 use std::fmt::Write as _;
 use std::path::Path;
 use tandem_board::CoreId;
-use tandem_cores::task_table::{self, CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
+use tandem_cores::task_table::{self, CORE_0, INTERRUPTS, ReleasedBy, SharedPart, TaskInfo};
 
 /// A page, the name of two marks in it, and the table between them.
 type Place = (&'static str, &'static str, fn() -> String);
@@ -75,7 +75,7 @@ fn priorities() -> String {
 }
 
 fn locks() -> String {
-    let users = |part: Part| {
+    let users = |part: SharedPart| {
         let users = CORE_0.iter().filter(|info| info.uses.contains(&part));
         users.map(|info| info.name).collect::<Vec<_>>().join(", ")
     };
@@ -84,12 +84,12 @@ fn locks() -> String {
         (
             "shared",
             "redundancy, CAN, link, flash, outputs",
-            Part::Shared,
+            SharedPart::Shared,
         ),
         (
             "drive",
             "scene, trajectory, state of the controllers",
-            Part::Drive,
+            SharedPart::Drive,
         ),
     ] {
         let _ = writeln!(out, "| {name} | {what} | {} |", users(part));

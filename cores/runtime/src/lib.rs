@@ -43,7 +43,7 @@ const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 
 /// The choices of the machine.
 #[derive(Clone, Copy, Debug)]
-pub struct Options {
+pub struct RuntimeOptions {
     /// Bytes of each task's stack.
     pub stack_bytes: usize,
     /// Counts the rings that the machine holds back before they reach this core; wraps around.
@@ -65,7 +65,7 @@ pub struct Overload {
 
 /// Core 0 does not run under the kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RunError {
+pub enum RuntimeError {
     /// A task cannot be made.
     Spawn(Core0Task, SpawnError),
     /// The doorbell has another handler.
@@ -76,7 +76,7 @@ pub enum RunError {
     Stopped,
 }
 
-impl fmt::Display for RunError {
+impl fmt::Display for RuntimeError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Spawn(task, error) => write!(out, "the task {}: {error}", task.info().name),
@@ -87,7 +87,7 @@ impl fmt::Display for RunError {
     }
 }
 
-impl core::error::Error for RunError {}
+impl core::error::Error for RuntimeError {}
 
 /// The state that all tasks reach.
 struct Runtime<B: Board + 'static> {
@@ -97,10 +97,10 @@ struct Runtime<B: Board + 'static> {
     /// By [`Core0Task`].
     states: [TaskState; Core0Task::ALL.len()],
     doorbell: DoorbellThrottle,
-    options: Options,
+    options: RuntimeOptions,
 }
 
-/// What the trace knows of a task, to tell switches within a job from those between jobs.
+/// A task's state for the trace, which distinguishes switches within a job from those between jobs.
 #[derive(Default)]
 struct TaskState {
     /// The kernel's number of it.
@@ -225,7 +225,7 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
     // The kernel's count may be behind the clock, or beyond the due tick if the machine stood still
-    // since the look at the clock. Both wrap around after 49 days.
+    // since the clock was read. Both wrap around after 49 days.
     let left = ctx.now().until(Ticks(due as u32));
     if far {
         ctx.take_notifications(LONGEST);
@@ -293,7 +293,7 @@ fn spawn<B, T>(
     runtime: &'static Runtime<B>,
     made: &mut Handles,
     body: T,
-) -> Result<(), RunError>
+) -> Result<(), RuntimeError>
 where
     B: Board + Sync + 'static,
     T: TaskBody<'static, B> + Send + 'static,
@@ -314,7 +314,7 @@ where
         run(&executor, body);
     };
     let handle = kernel.spawn(&options, entry);
-    let handle = handle.map_err(|error| RunError::Spawn(task, error))?;
+    let handle = handle.map_err(|error| RuntimeError::Spawn(task, error))?;
     let number = handle.number(kernel).unwrap_or(0);
     runtime.state(task).number.store(number, Relaxed);
     made[task as usize] = Some(handle);
@@ -326,14 +326,14 @@ where
 /// `on_doorbell` is called in each interrupt of the doorbell, before anything else.
 ///
 /// # Errors
-/// [`RunError`]
+/// [`RuntimeError`]
 pub fn start<B: Board + Sync>(
     kernel: Kernel,
     board: &'static B,
     config: Config,
-    options: Options,
+    options: RuntimeOptions,
     mut on_doorbell: impl FnMut() + Send + 'static,
-) -> Result<Infallible, RunError> {
+) -> Result<Infallible, RuntimeError> {
     let Parts {
         shared,
         drive,
@@ -380,8 +380,8 @@ pub fn start<B: Board + Sync>(
     };
     kernel
         .attach(Interrupt::DOORBELL, DOORBELL_PRIORITY, interrupt)
-        .map_err(RunError::Doorbell)?;
+        .map_err(RuntimeError::Doorbell)?;
     kernel.trace(runtime);
-    kernel.start(TickSource::Wall).map_err(RunError::Start)?;
-    Err(RunError::Stopped)
+    kernel.start(TickSource::Wall).map_err(RuntimeError::Start)?;
+    Err(RuntimeError::Stopped)
 }

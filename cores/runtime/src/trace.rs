@@ -1,4 +1,4 @@
-//! What the kernel's hooks tell, in the words of the cores' trace.
+//! The kernel's events as events of the cores' trace.
 
 use crate::Runtime;
 use core::sync::atomic::Ordering::Relaxed;

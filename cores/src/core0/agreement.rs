@@ -1,7 +1,7 @@
 //! Whether both systems would command the same: the command of the one that drives is compared with
 //! the one that the other would give. T-RED-9
 //!
-//! Two channels cannot vote. A difference that lasts is told, and a system that finds itself wrong
+//! Two channels cannot vote. A difference that lasts is reported, and a system that finds itself wrong
 //! leaves. If neither does, the vehicle is stopped. The rule and its reasons stand in
 //! `docs/decisions/0020-two-systems-that-disagree.md`.
 
@@ -19,8 +19,8 @@ const WARM_UP: Duration = Duration::from_ms(1000);
 const RESOLVE: Duration = Duration::from_ms(300);
 /// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
-/// The other system has told so often in succession that it sees no way out.
-const TOLD_TIMES: u8 = 3;
+/// The other system asks for a stop if it reports [`Stage::Unresolved`] this often in succession.
+const UNRESOLVED_REPORTS: u8 = 3;
 /// Period of the comparison, s.
 const PERIOD_S: f32 = 0.01;
 
@@ -102,8 +102,9 @@ pub(super) struct Agreement {
     since: Option<Instant>,
     disagreed: Instant,
     absent: u8,
-    told: u8,
-    /// The largest share of a limit that was told, in tenths.
+    /// Successive reports of the other system that it is unresolved.
+    reports: u8,
+    /// The largest share of a limit that was traced, in tenths.
     worst_tenths: u8,
 }
 
@@ -120,7 +121,7 @@ impl Agreement {
             since: None,
             disagreed: Instant::ORIGIN,
             absent: 0,
-            told: 0,
+            reports: 0,
             worst_tenths: 0,
         }
     }
@@ -129,7 +130,7 @@ impl Agreement {
         self.stage
     }
 
-    /// Whether this system has run its functions for long enough for its opinion to count.
+    /// Whether this system has run its functions for long enough for its command to count.
     pub(super) fn is_warm(&self, now: Instant) -> bool {
         self.since.is_some_and(|since| now.since(since) >= WARM_UP)
     }
@@ -178,15 +179,15 @@ impl Agreement {
         (is_new || is_worst).then_some((stage, percent))
     }
 
-    /// The other system's word. Either system may ask for the stop: none can judge the reasons of
-    /// the other.
+    /// The stage that the other system reports. Either system may ask for the stop: neither can judge
+    /// the reasons of the other.
     pub(super) fn on_stage_of_peer(&mut self, stage: Stage) -> Option<Change> {
-        self.told = if stage == Stage::Unresolved {
-            self.told.saturating_add(1)
+        self.reports = if stage == Stage::Unresolved {
+            self.reports.saturating_add(1)
         } else {
             0
         };
-        if self.told < TOLD_TIMES || self.stage == Stage::Unresolved {
+        if self.reports < UNRESOLVED_REPORTS || self.stage == Stage::Unresolved {
             return None;
         }
         self.stage = Stage::Unresolved;
@@ -239,18 +240,18 @@ mod tests {
         let mut stages: Vec<(u64, Stage)> = Vec::new();
         for (cycle, deviation) in deviations.enumerate() {
             let cycle = cycle as u64;
-            let told = agreement.cycle(at(100 + cycle), Phase::Standby, deviation);
+            let change = agreement.cycle(at(100 + cycle), Phase::Standby, deviation);
             let before = stages.last().map_or(Stage::Agreed, |(_, stage)| *stage);
             if agreement.stage() != before {
-                assert_eq!(told.map(|(stage, _)| stage), Some(agreement.stage()));
+                assert_eq!(change.map(|(stage, _)| stage), Some(agreement.stage()));
                 stages.push((cycle, agreement.stage()));
             }
         }
         stages
     }
 
-    /// T-RED-9: what is tolerated never adds up; what exceeds it is told the sooner the larger it
-    /// is, whatever its sign, and asks for a stop if no system leaves.
+    /// T-RED-9: a tolerated difference never adds up. A larger one is reported the sooner the
+    /// larger it is, whatever its sign, and asks for a stop if no system leaves.
     #[test]
     fn a_difference_that_lasts_is_told_and_then_stops_the_vehicle() {
         use Stage::{Disagreed, Unresolved};
@@ -284,10 +285,10 @@ mod tests {
         for stage in [Stage::Unresolved, Stage::Unresolved, Stage::Disagreed] {
             assert_eq!(agreement.on_stage_of_peer(stage), None);
         }
-        let told: Vec<_> = (0..4)
+        let changes: Vec<_> = (0..4)
             .filter_map(|_| agreement.on_stage_of_peer(Stage::Unresolved))
             .collect();
-        assert_eq!(told, [(Stage::Unresolved, 100)]);
+        assert_eq!(changes, [(Stage::Unresolved, 100)]);
         assert_eq!(agreement.stage(), Stage::Unresolved);
     }
 }

@@ -12,17 +12,17 @@ struct Watched {
     seen: bool,
 }
 
-/// Looks are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
-/// cores 1 and 2 with it: time in which core 0 did not look is no silence.
+/// Polls are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
+/// cores 1 and 2 with it: time in which core 0 did not poll does not count as silence.
 const HELD_UP: Duration = Duration::from_ms(20);
-/// This much of that time counts as silence, so that a core 0 that is always late finds a dead
-/// core too.
+/// This much of that time counts nevertheless, so that a core 0 that is always late still finds a
+/// dead core.
 const COUNTS: Duration = Duration::from_ms(5);
 
 /// Watches the cycle counters of cores 1 and 2.
 pub(crate) struct Alive {
     watched: [Watched; 2],
-    looked: Instant,
+    polled: Instant,
 }
 
 impl Alive {
@@ -39,12 +39,11 @@ impl Alive {
         };
         Self {
             watched: [watch(CoreId::PERCEPTION), watch(CoreId::PLANNING)],
-            looked: now,
+            polled: now,
         }
     }
 
-    /// Looks at the counters; the first core that is silent, and whether all have run at least
-    /// once.
+    /// Reads the counters; returns the first core that is silent.
     ///
     /// Core 2 is woken by core 1, so with both silent the fault is core 1's.
     pub(crate) fn silent(
@@ -53,7 +52,7 @@ impl Alive {
         limit: Duration,
         cycles: impl Fn(CoreId) -> u32,
     ) -> Option<CoreId> {
-        let unwatched = now.since(core::mem::replace(&mut self.looked, now));
+        let unwatched = now.since(core::mem::replace(&mut self.polled, now));
         let excused = if unwatched > HELD_UP {
             unwatched - COUNTS
         } else {
@@ -102,21 +101,21 @@ mod tests {
         let both = |n: u32| move |_: CoreId| n;
         for cycle in 0..10u32 {
             let begin = u64::from(cycle) * 50;
-            assert_eq!(look(&mut alive, begin..begin + 50, both(8 + cycle)), None);
+            assert_eq!(poll(&mut alive, begin..begin + 50, both(8 + cycle)), None);
         }
         assert!(alive.all_seen());
         let planning_stops = |core| if core == CoreId::PLANNING { 17 } else { 18 };
-        assert_eq!(look(&mut alive, 500..526, planning_stops), None);
+        assert_eq!(poll(&mut alive, 500..526, planning_stops), None);
         assert_eq!(
-            look(&mut alive, 526..600, planning_stops),
+            poll(&mut alive, 526..600, planning_stops),
             Some((526, CoreId::PLANNING))
         );
         let both_stop = (527..=600).map(|ms| alive.silent(at(ms), LIMIT, planning_stops));
         assert_eq!(both_stop.last().flatten(), Some(CoreId::PERCEPTION));
     }
 
-    /// Looks every millisecond; when the first core was silent, and which.
-    fn look(
+    /// Polls every millisecond; returns when the first core was silent, and which.
+    fn poll(
         alive: &mut Alive,
         mut ms: core::ops::Range<u64>,
         cycles: impl Fn(CoreId) -> u32 + Copy,
@@ -124,20 +123,20 @@ mod tests {
         ms.find_map(|ms| Some((ms, alive.silent(at(ms), LIMIT, cycles)?)))
     }
 
-    /// T-CHIP-3: cores that were held up together with core 0 get their turn before they are
-    /// judged; one that is dead is found then, and also by a core 0 that is always late.
+    /// T-CHIP-3: cores that were held up together with core 0 may run before they are judged. A dead
+    /// one is found after that, and also by a core 0 that is always late.
     #[test]
-    fn what_nobody_looked_at_is_no_silence() {
+    fn time_without_polls_is_no_silence() {
         let mut alive = Alive::new(at(0), FIRST, |_| 0);
-        assert_eq!(look(&mut alive, 0..50, |_| 1), None);
+        assert_eq!(poll(&mut alive, 0..50, |_| 1), None);
         assert_eq!(alive.silent(at(5_000), LIMIT, |_| 1), None);
-        let dead = look(&mut alive, 5_000..6_000, |_| 1);
+        let dead = poll(&mut alive, 5_000..6_000, |_| 1);
         assert_eq!(dead, Some((5_022, CoreId::PERCEPTION)));
 
         let mut late = Alive::new(at(0), FIRST, |_| 0);
         assert_eq!(late.silent(at(10), LIMIT, |_| 1), None);
-        let looks = (1..1_000).map(|n| at(10 + n * 60));
-        let found = looks
+        let polls = (1..1_000).map(|n| at(10 + n * 60));
+        let found = polls
             .filter_map(|now| late.silent(now, LIMIT, |_| 1))
             .next();
         assert_eq!(found, Some(CoreId::PERCEPTION));
@@ -146,9 +145,9 @@ mod tests {
     #[test]
     fn the_first_cycle_may_take_longer() {
         let mut alive = Alive::new(at(0), FIRST, |_| 0);
-        assert_eq!(look(&mut alive, 0..1_001, |_| 0), None);
+        assert_eq!(poll(&mut alive, 0..1_001, |_| 0), None);
         assert_eq!(
-            look(&mut alive, 1_001..2_000, |_| 0),
+            poll(&mut alive, 1_001..2_000, |_| 0),
             Some((1_001, CoreId::PERCEPTION))
         );
     }

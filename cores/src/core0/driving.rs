@@ -2,7 +2,7 @@
 
 use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
-use crate::driving::function::{Driver, Function, Inputs, State, stays_in_domain};
+use crate::driving::function::{Driver, Function, FunctionState, Inputs, stays_in_domain};
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
@@ -14,7 +14,7 @@ pub(crate) struct Output {
     pub(crate) command: Command,
     /// The function that produced it: below the mode asked for if its inputs were missing.
     pub(crate) mode: Mode,
-    /// Age of the oldest measurement it rests on; `None` if it rests on none.
+    /// Age of the oldest measurement that it uses; `None` if it uses none.
     pub(crate) age: Option<Duration>,
     /// The command of this system if it had driven all the time.
     pub(crate) standalone: Command,
@@ -22,7 +22,7 @@ pub(crate) struct Output {
     pub(crate) speed: f32,
     /// The step of the motion control, if that gave the command.
     pub(crate) step: Option<ControlStep>,
-    pub(crate) state: State,
+    pub(crate) state: FunctionState,
 }
 
 /// The motion control of core 0 with its inputs.
@@ -101,7 +101,7 @@ impl Driving {
     }
 
     /// The state of the driving function, with what is known at `now`.
-    fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> State {
+    fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> FunctionState {
         let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
         let scene = self.scene.as_ref().filter(fresh);
         let lanes = scene.and_then(|scene| Some((scene.lanes.as_ref()?, scene.ego.speed)));
@@ -123,7 +123,7 @@ impl Driving {
 
     /// The command for `now` by the best function that `permitted`, the state of the driving
     /// function and the inputs allow.
-    /// `other`: the command of the other system, while both disagree and none knows why.
+    /// `other`: the command of the other system, while both disagree without a known cause.
     pub(crate) fn cycle(
         &mut self,
         now: Instant,

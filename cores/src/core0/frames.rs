@@ -2,7 +2,7 @@
 //! redundancy.
 
 use super::driving::Output;
-use crate::driving::function::{Driver, State};
+use crate::driving::function::{Driver, FunctionState};
 use crate::driving::types::Command;
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
 use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Status};
@@ -32,7 +32,7 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
     Control {
         role: bus_role(redundancy.role()),
         mode: bus_mode(output.mode),
-        takeover_request: output.state == State::TakeoverRequest,
+        takeover_request: output.state == FunctionState::TakeoverRequest,
         term: redundancy.term().bits(),
         steering_angle: output.command.steering_angle,
         acceleration: output.command.acceleration,

@@ -1,10 +1,11 @@
-//! How much core 0 takes from sources that another system can flood, and how it tells of a flood.
+//! How much core 0 reads from sources that another system can flood, and how it reports a flood.
 //!
 //! The most urgent task reads CAN, the link and the lines. Each limit here bounds the work of one
 //! poll. [`DOORBELL_DISTANCE`](crate::doorbell::DOORBELL_DISTANCE) bounds how often an interrupt
 //! causes a poll. So the worst case of the task is a sum of constants: see `docs/rtos-tasks.md`.
 
 use crate::trace::{Event, FloodSource};
+use strum::VariantArray;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::LineSnapshot;
 
@@ -15,14 +16,14 @@ pub const CAN_FRAMES: u32 = 64;
 
 /// Datagrams that one poll takes from the link, which is as many as a link holds. Of these the
 /// newest valid report counts. The other system sends one in a control cycle (each millisecond with
-/// the profile of a chip), an opinion, and while one of both joins an ask or two chunks.
+/// the profile of a chip), its command, and while one of both joins a request or two chunks.
 pub const LINK_DATAGRAMS: u32 = 16;
 
 /// Edges in a millisecond beyond which a line is flooded. Edges are counters: a flood costs no time
 /// and loses nothing. A heartbeat line has 1 edge in a millisecond.
 pub const EDGES_PER_MS: u32 = 4;
 
-/// Floods are told at most once in this time for each source.
+/// A flood is reported at most once in this time for each source.
 const WINDOW: Duration = Duration::from_ms(100);
 
 /// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
@@ -40,7 +41,7 @@ struct Excess {
 #[derive(Debug)]
 pub(super) struct Floods {
     since: Instant,
-    sources: [Excess; FloodSource::ALL.len()],
+    sources: [Excess; FloodSource::VARIANTS.len()],
     /// Counts of the last poll and when it was.
     lines: Option<(Instant, LineSnapshot)>,
     /// Running counts of the last poll.
@@ -107,7 +108,7 @@ impl Floods {
         }
     }
 
-    /// What is to be told now.
+    /// The floods to report now.
     pub(super) fn events(&mut self, now: Instant) -> impl Iterator<Item = Event> + use<> {
         let over = now.since(self.since) >= WINDOW;
         let sources = if over {
@@ -116,7 +117,7 @@ impl Floods {
         } else {
             Default::default()
         };
-        let all = FloodSource::ALL.into_iter().zip(sources);
+        let all = FloodSource::VARIANTS.iter().copied().zip(sources);
         all.filter(|(_, excess)| excess.times >= EXCEEDED).map(
             |(source, Excess { times, beyond })| Event::Flood {
                 source,
@@ -148,7 +149,7 @@ mod tests {
     /// One edge a millisecond is no flood, also not if they are counted after a stall.
     #[test]
     fn only_a_rate_that_lasts_is_a_flood() {
-        for (edges_per_ms, told) in [(1, 0), (100, 9)] {
+        for (edges_per_ms, reported) in [(1, 0), (100, 9)] {
             let mut floods = Floods::new(at_us(0));
             let mut events = 0;
             let polls = (0..1_000).filter(|ms| !(300..350).contains(ms));
@@ -158,7 +159,7 @@ mod tests {
                 floods.lines(at_us(ms * 1_000), &snapshot(edges));
                 events += floods.events(at_us(ms * 1_000)).count();
             }
-            assert_eq!(events, told, "{edges_per_ms} edges in a millisecond");
+            assert_eq!(events, reported, "{edges_per_ms} edges in a millisecond");
         }
     }
 }

@@ -170,6 +170,20 @@ pub struct Tasks<'b, B: Board> {
     pub status: StatusTask<'b, B>,
 }
 
+impl<'b, B: Board> Tasks<'b, B> {
+    /// Runs this task; see [`TaskBody::poll`].
+    pub fn poll(&mut self, task: Core0Task, executor: &impl Executor<'b, B>) -> Instant {
+        match task {
+            Core0Task::Roles => self.roles.poll(executor),
+            Core0Task::Monitoring => self.monitoring.poll(executor),
+            Core0Task::Control => self.control.poll(executor),
+            Core0Task::Degraded => self.degraded.poll(executor),
+            Core0Task::TrajectoryInput => self.trajectory_input.poll(executor),
+            Core0Task::Status => self.status.poll(executor),
+        }
+    }
+}
+
 /// Core 0 in parts, for an executor.
 pub struct Parts<'b, B: Board> {
     /// The state that all tasks share.

@@ -2,8 +2,8 @@
 //!
 //! The vehicle's echo names the control frame that it obeys, by the frame's counter, and the
 //! command. A fault between the computation and the bus (a stuck signal with a valid protection,
-//! for instance) shows here within some control periods. An echo may come late: the frames of the
-//! last 0.3 s are remembered, and what is older is not judged.
+//! for instance) shows here within some control periods. An echo may be late: the frames of the
+//! last 0.3 s are remembered, and echoes of older ones are not judged.
 
 use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
 use super::frames;
@@ -18,7 +18,7 @@ const WRONG_ECHOES: u8 = 2;
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
 /// In a stop with a wrong command, beside what two systems may differ by for ever: how far aside
-/// the wheel may be, rad, and the least share of the braking that is told.
+/// the wheel may be, rad, and the least share of the braking that was sent.
 const ASIDE: f32 = 5e-3;
 const LEAST_BRAKING: f32 = 0.5;
 
@@ -66,7 +66,7 @@ impl ReadBack {
 
     /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
     /// `stops_at`: this system stops the vehicle though its command is wrong; the vehicle's speed,
-    /// m/s. Then a difference is none with which the vehicle stops in its lane.
+    /// m/s. Then a difference does not count if the vehicle still stops in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
         // is all that was sent.
@@ -99,14 +99,14 @@ impl ReadBack {
     }
 }
 
-/// Whether a vehicle that is told to stop still does in its lane: it obeys another command at this
-/// speed, m/s.
-fn stops_with(told: &Command, obeyed: &Command, speed: f32) -> bool {
-    let deviation = Deviation::of(told, obeyed, speed);
-    let in_lane = (told.steering_angle - obeyed.steering_angle).abs() <= ASIDE
+/// Whether the vehicle still stops in its lane although it obeys another command than was sent, at
+/// this speed, m/s.
+fn stops_with(sent: &Command, obeyed: &Command, speed: f32) -> bool {
+    let deviation = Deviation::of(sent, obeyed, speed);
+    let in_lane = (sent.steering_angle - obeyed.steering_angle).abs() <= ASIDE
         && deviation.lateral.abs() <= LATERAL.tolerance;
-    let brakes = told.acceleration < 0.0
-        && obeyed.acceleration <= LEAST_BRAKING * told.acceleration
+    let brakes = sent.acceleration < 0.0
+        && obeyed.acceleration <= LEAST_BRAKING * sent.acceleration
         && deviation.longitudinal <= LONGITUDINAL.tolerance;
     in_lane && brakes
 }
@@ -141,7 +141,8 @@ mod tests {
         }
     }
 
-    /// Sends 400 frames, and hears for each what `obeyed` makes of it; when that was found wrong.
+    /// Sends 400 frames; the echo of each is what `obeyed` makes of it. Returns the first cycle that
+    /// is found wrong.
     fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
         found_at(None, obeyed)
     }
@@ -154,9 +155,9 @@ mod tests {
         })
     }
 
-    /// T-RED-9: what is obeyed as it was sent is right, also when the echo comes late; what is
-    /// obeyed otherwise, or refused again and again, is wrong. Another system's command is none of
-    /// ours.
+    /// T-RED-9: a command that the vehicle obeys as it was sent is right, also if the echo is late.
+    /// One that it obeys otherwise, or keeps refusing, is wrong. Commands of the other system are not
+    /// judged.
     #[test]
     fn a_command_that_is_obeyed_otherwise_is_wrong() {
         assert_eq!(found(|_, echo| echo), None);

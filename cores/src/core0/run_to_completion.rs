@@ -1,6 +1,6 @@
 //! The executor without a kernel: one pass runs what is due, each task to its end.
 
-use super::{Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks};
+use super::{Core0Task, Driving, Executor, Parts, SharedState, TaskSet, Tasks};
 use crate::doorbell::{DoorbellThrottle, RingOutcome};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
@@ -83,18 +83,6 @@ impl<'b, B: Board> Core0<'b, B> {
     pub fn phase(&self) -> Option<Phase> {
         self.executor.shared.borrow().phase()
     }
-
-    fn run(&mut self, task: Core0Task) -> Instant {
-        let (tasks, executor) = (&mut self.tasks, &self.executor);
-        match task {
-            Core0Task::Roles => tasks.roles.poll(executor),
-            Core0Task::Monitoring => tasks.monitoring.poll(executor),
-            Core0Task::Control => tasks.control.poll(executor),
-            Core0Task::Degraded => tasks.degraded.poll(executor),
-            Core0Task::TrajectoryInput => tasks.trajectory_input.poll(executor),
-            Core0Task::Status => tasks.status.poll(executor),
-        }
-    }
 }
 
 impl<B: Board> Core for Core0<'_, B> {
@@ -115,7 +103,7 @@ impl<B: Board> Core for Core0<'_, B> {
             let released = self.executor.released.get().contains(task)
                 || (interrupted && task.info().is_for_interrupts());
             if released || self.due[index] <= now {
-                self.due[index] = self.run(task);
+                self.due[index] = self.tasks.poll(task, &self.executor);
                 now = self.executor.board.now();
             }
         }

@@ -14,7 +14,7 @@ use super::redundancy_port::{Outcome, RedundancyPort};
 use super::{Core0Task, TaskSet, frames};
 use crate::schedule::TickGrid;
 use crate::trace::Event;
-use crate::{Config, Heard, read_can};
+use crate::{Config, ReceivedFrame, read_can};
 use tandem_board::{
     Board, Can, Instant, Lines, Link, OutputDiagnosis, ResetRequest, Supply, SystemId,
 };
@@ -87,11 +87,11 @@ impl<'b, B: Board> SharedState<'b, B> {
     pub(super) fn read_bus(&mut self) -> TaskSet {
         let mut released = TaskSet::NONE;
         let mut left = CAN_FRAMES;
-        while let Some((at, heard)) = read_can(self.board, &mut self.can.receiver, &mut left) {
-            released |= match heard {
-                Heard::Valid(message) => self.on_message(at, message),
-                Heard::WrongCounter(message) => self.on_stale_message(message),
-                Heard::Download(system) => self.on_download_request(system),
+        while let Some((at, frame)) = read_can(self.board, &mut self.can.receiver, &mut left) {
+            released |= match frame {
+                ReceivedFrame::Valid(message) => self.on_message(at, message),
+                ReceivedFrame::WrongCounter(message) => self.on_stale_message(message),
+                ReceivedFrame::Download(system) => self.on_download_request(system),
             };
         }
         if left == 0 {

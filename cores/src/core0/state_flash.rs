@@ -9,8 +9,8 @@ pub(super) fn load<F: DataFlash>(flash: &F) -> (StateStore, Loaded) {
     StateStore::load(geometry, |offset, into| flash.read(offset, into))
 }
 
-/// One step: tells the store what the flash does and starts the operation that it asks for. Never
-/// blocks.
+/// One step: gives the flash's status to the store and starts the operation that the store asks
+/// for. Never blocks.
 pub(super) fn drive(store: &mut StateStore, flash: &impl DataFlash) {
     let started = match store.poll(flash.status()) {
         None => return,

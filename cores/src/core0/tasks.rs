@@ -64,7 +64,7 @@ impl<'b, B: Board> TaskBody<'b, B> for RolesTask<'b, B> {
     }
 }
 
-/// Steps in succession that core 2 finds wrong, until the command is. It looks every 50 ms.
+/// The command is wrong after this many wrong steps in succession. Core 2 checks every 50 ms.
 const WRONG_STEPS: u32 = 2;
 
 /// The window and functional watchdog, and the cores' alive counters.
@@ -115,7 +115,7 @@ impl Progress {
     }
 }
 
-/// So many polls in a row must find a fault of the outputs.
+/// This many polls in a row must find a fault of the outputs.
 const OUTPUT_FAULT_POLLS: u8 = 3;
 
 impl<'b, B: Board> MonitoringTask<'b, B> {
@@ -162,13 +162,13 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
         let supply = self.board.supply();
         supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
-        // Looked at anew: had this core been held up since the look above, the next service would
-        // seem to be due while the window is still closed.
+        // Read the clock again: if this core was held up since the first reading, the next service
+        // would seem due while the window is still closed.
         self.last_service = Some(self.board.now());
     }
 
-    /// A control task that hangs ends its system: a standby that only looks alive is none. So does
-    /// a wrong command: the watchdog resets a system that has no other to leave the vehicle to.
+    /// Ends a system whose control task hangs: such a standby cannot take over. Ends one with a wrong
+    /// command too: the watchdog resets a system that has no other to leave the vehicle to.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
             self.control.poll(shared.counters.control_cycles);
@@ -180,8 +180,8 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// A fault of the output driver counts when this many polls in a row found it: a switch that
-    /// opens or closes just then is sound.
+    /// Reports a fault of the output driver that [`OUTPUT_FAULT_POLLS`] polls in a row found: a switch
+    /// that is just opening or closing is sound.
     fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
         let found = self.board.output_diagnosis();
         self.output_faults = match found {
@@ -197,8 +197,8 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// What the CAN controller says of itself. One that was bus-off has sent nothing for some
-    /// control cycles: that is a fault of this system until its counters are good again.
+    /// Reads the state of the CAN controller. After bus-off it has sent nothing for some control
+    /// cycles: that is a fault of this system until its counters are good again.
     fn supervise_can(&mut self, executor: &impl Executor<'b, B>) {
         let can = self.board.can();
         let (errors, overruns) = (can.errors(), can.overruns());

@@ -11,7 +11,7 @@ use super::control::{
 };
 use super::idm::{self, Driver, Leader};
 use super::math::{abs, max, min, sqrt, wrap_angle};
-use super::odometry::{Pose, motion};
+use super::odometry::{EgoPose, motion};
 use super::road::CentreLine;
 use super::types::{Command, Ego, Object, Scene};
 use super::vehicle::{LENGTH_M, WIDTH_M};
@@ -114,7 +114,7 @@ impl DegradedControl {
             steering_angle: 0.5 * (own.steering_angle + other.steering_angle),
             acceleration: min(own.acceleration, other.acceleration),
         };
-        // The own wish stays: it is this system's opinion.
+        // The own wish stays: it is what this system would command.
         self.shaper.shape(&wish(command), ego)
     }
 
@@ -167,7 +167,7 @@ impl DegradedControl {
         )
     }
 
-    /// Stops with what the chassis alone tells: brakes moderately, lets the wheels go straight
+    /// Stops with the chassis' own sensors alone: brakes moderately, lets the wheels go straight
     /// slowly.
     pub fn safe_stop(&mut self, ego: &Ego) -> Command {
         // The last curve is held for a while and left within some seconds: better than either going
@@ -183,7 +183,7 @@ impl DegradedControl {
     }
 
     /// No lane is seen: stays in the driven curve, keeps the distance, and slows down to a stop.
-    fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &Pose) -> Command {
+    fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &EgoPose) -> Command {
         let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
         let distance = keep_distance(&DRIVER, ego, scene, &line, WIDTH_M + 1.0, (age_s, pose));
         let acceleration = min(-BLIND_BRAKING, distance);
@@ -213,7 +213,7 @@ fn wish(command: Command) -> Wish {
 }
 
 /// Road wheel angle that keeps the vehicle, now at `pose`, on the line.
-fn keep(line: &CentreLine, pose: &Pose, ego: &Ego) -> f32 {
+fn keep(line: &CentreLine, pose: &EgoPose, ego: &Ego) -> f32 {
     let (foot, offset) = line.project(pose.x, pose.y);
     let error = PathError {
         offset,
@@ -240,7 +240,7 @@ fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
 enum Concern {
     /// Not ahead, or in another lane.
     None,
-    /// It will come into the lane soon.
+    /// It will enter the lane soon.
     Soon,
     /// It is ahead and in the lane, or reaches into it.
     Now,
@@ -268,7 +268,7 @@ fn keep_distance(
     scene: &Scene,
     line: &CentreLine,
     lane_width: f32,
-    (age_s, pose): (f32, &Pose),
+    (age_s, pose): (f32, &EgoPose),
 ) -> f32 {
     let mut acceleration = driver.max_acceleration;
     for object in &scene.objects {

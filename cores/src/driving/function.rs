@@ -63,7 +63,7 @@ pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
 /// State of the driving function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub enum State {
+pub enum FunctionState {
     /// What it needs is not known: no lanes, no motion of the chassis.
     #[default]
     Off = 0,
@@ -79,7 +79,7 @@ pub enum State {
     MinimalRisk = 5,
 }
 
-impl State {
+impl FunctionState {
     /// All, in the order of their codes.
     pub const ALL: [Self; 6] = [
         Self::Off,
@@ -160,8 +160,8 @@ impl Signal {
 /// The next state: a row for each state, a column for each signal.
 ///
 /// The driver can always take over. A minimal-risk stop is completed: only the driver ends it.
-pub const NEXT: [[State; Signal::ALL.len()]; State::ALL.len()] = {
-    use State::{
+pub const NEXT: [[FunctionState; Signal::ALL.len()]; FunctionState::ALL.len()] = {
+    use FunctionState::{
         Active as Act, Degraded as Deg, MinimalRisk as Mrm, Off, Ready as Rdy,
         TakeoverRequest as Req,
     };
@@ -179,7 +179,7 @@ pub const NEXT: [[State; Signal::ALL.len()]; State::ALL.len()] = {
 /// The request of the driver, from the driver's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Driver {
-    /// Nothing was heard of the driver.
+    /// No frame of the driver has arrived.
     #[default]
     Unheard,
     /// Drives, or wants to.
@@ -205,7 +205,7 @@ pub struct Inputs {
 /// The driving function of one system. Both systems run one each, with the same inputs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Function {
-    state: State,
+    state: FunctionState,
     since: Instant,
     seen: Instant,
 }
@@ -213,13 +213,13 @@ pub struct Function {
 impl Function {
     /// The state after the last cycle.
     #[must_use]
-    pub const fn state(&self) -> State {
+    pub const fn state(&self) -> FunctionState {
         self.state
     }
 
     /// One control cycle. The driver comes first and the clock last; a signal acts on the state
     /// that the one before it has led to.
-    pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> State {
+    pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> FunctionState {
         if inputs.sees {
             self.seen = now;
         }
@@ -293,8 +293,8 @@ mod tests {
             format!("{} of braking", seconds(STOP_LIMIT)),
         ];
         let docs = docs.replace('\n', " ");
-        for told in parts.iter().chain([&whole]) {
-            assert!(docs.contains(told), "{told}");
+        for words in parts.iter().chain([&whole]) {
+            assert!(docs.contains(words), "{words}");
         }
     }
 
@@ -302,15 +302,15 @@ mod tests {
     #[test]
     fn the_table_in_the_docs_is_the_one_that_runs() {
         let docs = include_str!("../../../docs/driving-function.md");
-        let name = |state: State| match state {
-            State::Off => "off",
-            State::Ready => "ready",
-            State::Active => "active",
-            State::Degraded => "degraded",
-            State::TakeoverRequest => "takeover request",
-            State::MinimalRisk => "minimal-risk stop",
+        let name = |state: FunctionState| match state {
+            FunctionState::Off => "off",
+            FunctionState::Ready => "ready",
+            FunctionState::Active => "active",
+            FunctionState::Degraded => "degraded",
+            FunctionState::TakeoverRequest => "takeover request",
+            FunctionState::MinimalRisk => "minimal-risk stop",
         };
-        for state in State::ALL {
+        for state in FunctionState::ALL {
             let row = docs
                 .lines()
                 .find(|line| line.starts_with(&format!("| **{}** |", name(state))));
@@ -326,7 +326,7 @@ mod tests {
     /// Properties that hold in each cell, whatever the table says.
     #[test]
     fn the_driver_always_gets_the_vehicle_and_a_stop_is_completed() {
-        for state in State::ALL {
+        for state in FunctionState::ALL {
             let next = |signal: Signal| NEXT[state as usize][signal as usize];
             assert!(!next(Signal::Override).is_driving(), "{state:?}");
             // Only the driver makes the function drive.
@@ -336,16 +336,19 @@ mod tests {
                 // While it drives, only the driver makes it stop driving.
                 let ends = state.is_driving() && !next(signal).is_driving();
                 assert!(!ends || signal == Signal::Override, "{state:?} {signal:?}");
-                let aborts = state == State::MinimalRisk && next(signal) != state;
+                let aborts = state == FunctionState::MinimalRisk && next(signal) != state;
                 assert!(!aborts || signal == Signal::Override, "{signal:?}");
             }
         }
-        assert_eq!(State::ALL.map(|state| state as u8), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(
+            FunctionState::ALL.map(|state| state as u8),
+            [0, 1, 2, 3, 4, 5]
+        );
     }
 
     #[test]
     fn no_state_drives_by_more_than_is_permitted() {
-        for (state, permitted) in State::ALL.into_iter().flat_map(|state| {
+        for (state, permitted) in FunctionState::ALL.into_iter().flat_map(|state| {
             (0..)
                 .map_while(Mode::from_repr)
                 .map(move |mode| (state, mode))
@@ -362,7 +365,7 @@ mod tests {
     #[test]
     fn degraded_mode_ends_within_its_limit() {
         let mut function = Function::default();
-        assert_eq!(function.cycle(MS(0), &DRIVES), State::Active);
+        assert_eq!(function.cycle(MS(0), &DRIVES), FunctionState::Active);
         let alone = Inputs {
             permitted: Mode::DegradedL2,
             ..DRIVES
@@ -371,7 +374,7 @@ mod tests {
         let mut changes = vec![];
         while changes
             .last()
-            .is_none_or(|(_, state)| *state != State::MinimalRisk)
+            .is_none_or(|(_, state)| *state != FunctionState::MinimalRisk)
         {
             let state = function.cycle(MS(at), &alone);
             if changes.last().is_none_or(|(_, last)| *last != state) {
@@ -381,21 +384,21 @@ mod tests {
         }
         let degraded = DEGRADED_LIMIT.as_us() / 1_000;
         let expected = [
-            (0, State::Degraded),
-            (degraded, State::TakeoverRequest),
+            (0, FunctionState::Degraded),
+            (degraded, FunctionState::TakeoverRequest),
             (
                 degraded + TAKEOVER_LIMIT.as_us() / 1_000,
-                State::MinimalRisk,
+                FunctionState::MinimalRisk,
             ),
         ];
         assert_eq!(changes, expected);
         // Nothing but the driver ends it.
-        assert_eq!(function.cycle(MS(at), &DRIVES), State::MinimalRisk);
+        assert_eq!(function.cycle(MS(at), &DRIVES), FunctionState::MinimalRisk);
         let takes = Inputs {
             driver: Driver::Drives,
             ..DRIVES
         };
-        assert_eq!(function.cycle(MS(at + 10), &takes), State::Ready);
+        assert_eq!(function.cycle(MS(at + 10), &takes), FunctionState::Ready);
     }
 
     #[test]
@@ -406,15 +409,18 @@ mod tests {
             in_domain: false,
             ..DRIVES
         };
-        assert_eq!(function.cycle(MS(10), &leaves), State::TakeoverRequest);
+        assert_eq!(
+            function.cycle(MS(10), &leaves),
+            FunctionState::TakeoverRequest
+        );
         assert_eq!(function.state().mode(Mode::L3), Mode::L3);
-        assert_eq!(function.cycle(MS(20), &DRIVES), State::Active);
+        assert_eq!(function.cycle(MS(20), &DRIVES), FunctionState::Active);
         let alone = Inputs {
             permitted: Mode::DegradedL2,
             ..DRIVES
         };
-        assert_eq!(function.cycle(MS(30), &alone), State::Degraded);
-        assert_eq!(function.cycle(MS(40), &DRIVES), State::Active);
+        assert_eq!(function.cycle(MS(30), &alone), FunctionState::Degraded);
+        assert_eq!(function.cycle(MS(40), &DRIVES), FunctionState::Active);
     }
 
     /// The request comes with the time for an answer and a stop, later while a lane beside goes
@@ -455,7 +461,10 @@ mod tests {
             sees: false,
             ..DRIVES
         };
-        assert_eq!(function.cycle(MS(2_000), &blind), State::Active);
-        assert_eq!(function.cycle(MS(2_010), &blind), State::MinimalRisk);
+        assert_eq!(function.cycle(MS(2_000), &blind), FunctionState::Active);
+        assert_eq!(
+            function.cycle(MS(2_010), &blind),
+            FunctionState::MinimalRisk
+        );
     }
 }

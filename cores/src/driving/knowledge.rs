@@ -1,27 +1,27 @@
-//! What a system that drives knows, and one that has just joined cannot know yet. T-CHIP-5
+//! The knowledge of a driving system that one that has just joined lacks. T-CHIP-5
 //!
-//! It is told by another system. So it may only sharpen what the own sensors see (see
-//! `docs/decisions/0021-state-for-a-system-that-joins.md`): it makes no object and no lane, and it
-//! is taken only in the first [`YOUNG_CYCLES`] cycles.
+//! Another system sends it. So it may only make more precise what the own sensors see (see
+//! `docs/decisions/0021-state-for-a-system-that-joins.md`): it creates no object and no lane, and it
+//! is used only in the first [`STARTING_CYCLES`] cycles.
 
 use super::math::{clamp, max, min};
 use super::types::{
-    Ego, MAX_OBJECTS, Memory, Object, ObjectClass, Scene, Trajectory, TrajectoryPoint,
+    ClassCode, Ego, MAX_OBJECTS, Memory, Object, Scene, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::{Duration, Instant};
 
-/// A core takes what it is told in its first cycles only, 400 ms. Afterwards it computes from its
-/// own sensors alone, well before the commands of both systems are compared.
-pub const YOUNG_CYCLES: u32 = 8;
-/// What is older is not used: the traffic has moved on.
+/// A core uses knowledge in its first cycles only, for 400 ms. Afterwards it computes from its own
+/// sensors alone, well before the commands of both systems are compared.
+pub const STARTING_CYCLES: u32 = 8;
+/// Older knowledge is not used: the traffic has changed.
 pub const KNOWLEDGE_MAX_AGE: Duration = Duration::from_ms(200);
 /// Samples of a plan that its continuation needs: 0.3 s, and one more.
 pub const PLAN_POINTS: usize = 5;
 
-/// The begin of a plan, and what decision remembers.
+/// The first part of a plan, and the memory of decision.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub struct KnownPlan {
     /// The memory of decision.
     pub memory: Memory,
     /// Samples every [`super::types::TRAJECTORY_STEP_S`].
@@ -30,14 +30,14 @@ pub struct Plan {
 
 /// The centre line of the own lane, as in [`super::types::Lanes`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Line {
+pub struct KnownLine {
     /// Its polynomial.
     pub c: [f32; 4],
     /// How far it holds, m.
     pub view_range: f32,
 }
 
-/// What one system tells another one. All in the vehicle frame at [`Knowledge::at`].
+/// What one system sends to another one. All in the vehicle frame at [`Knowledge::at`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knowledge {
     /// The time of the scene, on the clock of the system that holds this.
@@ -45,9 +45,9 @@ pub struct Knowledge {
     /// Motion of the own vehicle at `at`.
     pub ego: Ego,
     /// The own lane; `None` if none is seen.
-    pub line: Option<Line>,
+    pub line: Option<KnownLine>,
     /// The plan for this scene; `None` while there is none.
-    pub plan: Option<Plan>,
+    pub plan: Option<KnownPlan>,
     /// Confirmed tracks, nearest first.
     pub objects: Vec<KnownObject, MAX_OBJECTS>,
 }
@@ -60,11 +60,11 @@ impl Knowledge {
         Self {
             at: scene.at,
             ego: scene.ego,
-            line: scene.lanes.as_ref().map(|lanes| Line {
+            line: scene.lanes.as_ref().map(|lanes| KnownLine {
                 c: lanes.c,
                 view_range: lanes.view_range,
             }),
-            plan: plan.map(|trajectory| Plan {
+            plan: plan.map(|trajectory| KnownPlan {
                 memory: trajectory.memory,
                 points: core::array::from_fn(|index| trajectory.points[index]),
             }),
@@ -72,7 +72,7 @@ impl Knowledge {
         }
     }
 
-    /// Whether all values are such as occur on a road.
+    /// Whether all values can occur on a road.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         let within = |value: f32, limit: f32| value.abs() <= limit;
@@ -82,7 +82,7 @@ impl Knowledge {
             && within(ego.acceleration, 20.0)
             && within(ego.steering_angle, 1.0)
             && within(ego.slip_angle, 0.5)
-            && self.line.is_none_or(|Line { c, view_range }| {
+            && self.line.is_none_or(|KnownLine { c, view_range }| {
                 let limits = [10.0, 0.5, 0.02, 2e-4];
                 c.iter().zip(limits).all(|(c, limit)| within(*c, limit))
                     && (0.0..=300.0).contains(&view_range)
@@ -106,10 +106,10 @@ impl Knowledge {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KnownObject(pub [u32; Self::WORDS]);
 
-/// A track as another system tells it.
+/// A track of another system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Known {
-    pub(crate) class: ObjectClass,
+    pub(crate) class: ClassCode,
     /// Position (m), velocity (m/s) and acceleration (m/s²) along x.
     pub(crate) x: [f32; 3],
     /// The same along y.
@@ -140,14 +140,14 @@ impl KnownObject {
         ])
     }
 
-    /// The track; `None` if no road user is so.
+    /// The track; `None` if no road user can be like that.
     pub(crate) fn unpack(self) -> Option<Known> {
         let m = |word: u32, shift: u32| f32::from((word >> shift) as u16 as i16) / 100.0;
         let [place, velocity, acceleration, rest] = self.0;
         let [length, width, class, approaching] = rest.to_le_bytes();
         let axis = |shift| [m(place, shift), m(velocity, shift), m(acceleration, shift)];
         let known = Known {
-            class: ObjectClass::of(class)?,
+            class: *ClassCode::ALL.get(usize::from(class))?,
             x: axis(0),
             y: axis(16),
             length: f32::from(length) / 10.0,

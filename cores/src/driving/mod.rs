@@ -1,4 +1,4 @@
-//! The driving functions of the three cores: pure computation, told the time. T-CHIP-3
+//! The driving functions of the three cores: pure computation, given the time. T-CHIP-3
 
 pub mod control;
 pub mod degraded;

@@ -7,7 +7,7 @@ use super::types::Ego;
 
 /// A place and direction in the plane, as seen from a parent frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pose {
+pub struct EgoPose {
     /// m
     pub x: f32,
     /// m
@@ -16,7 +16,7 @@ pub struct Pose {
     pub heading: f32,
 }
 
-impl Pose {
+impl EgoPose {
     /// The pose that one reaches by `step`, given in the frame of `self`.
     #[must_use]
     pub fn then(self, step: Self) -> Self {
@@ -89,11 +89,11 @@ impl Axes {
 /// The pose after `dt` seconds of motion that goes evenly from `from` to `to`, as seen from the
 /// start.
 #[must_use]
-pub fn motion(from: &Ego, to: &Ego, dt: f32) -> Pose {
+pub fn motion(from: &Ego, to: &Ego, dt: f32) -> EgoPose {
     let turn = 0.5 * (from.yaw_rate + to.yaw_rate) * dt;
     let course = 0.5 * turn + 0.5 * (from.slip_angle + to.slip_angle);
     let way = 0.5 * (from.speed + to.speed) * dt;
-    Pose {
+    EgoPose {
         x: way * cos(course),
         y: way * sin(course),
         heading: turn,
@@ -110,7 +110,7 @@ const REBASE_M: f32 = 500.0;
 #[derive(Clone, Copy, Debug, Default)]
 struct Mark {
     at: Instant,
-    pose: Pose,
+    pose: EgoPose,
 }
 
 /// Dead reckoning from the chassis sensors, with a memory of 640 ms.
@@ -145,7 +145,7 @@ impl Odometry {
         if self.count == 0 {
             self.marks[0] = Mark {
                 at: now,
-                pose: Pose::default(),
+                pose: EgoPose::default(),
             };
             self.count = 1;
             self.ego = *ego;
@@ -184,14 +184,14 @@ impl Odometry {
     /// oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
     /// before the first update.
     #[must_use]
-    pub fn between(&self, from: Instant, to: Instant) -> Pose {
+    pub fn between(&self, from: Instant, to: Instant) -> EgoPose {
         self.pose_at(to).seen_from(self.pose_at(from))
     }
 
-    fn pose_at(&self, at: Instant) -> Pose {
+    fn pose_at(&self, at: Instant) -> EgoPose {
         let newest = self.marks[self.newest];
         if self.count == 0 {
-            return Pose::default();
+            return EgoPose::default();
         }
         if at >= newest.at {
             let dt = clamp(at.since(newest.at).as_secs_f32(), 0.0, MAX_EXTRAPOLATION_S);
@@ -204,7 +204,7 @@ impl Odometry {
                 let span = later.at.since(mark.at).as_secs_f32();
                 let share = clamp(at.since(mark.at).as_secs_f32() / max(span, 1e-6), 0.0, 1.0);
                 let turn = wrap_angle(later.pose.heading - mark.pose.heading);
-                return Pose {
+                return EgoPose {
                     x: lerp(mark.pose.x, later.pose.x, share),
                     y: lerp(mark.pose.y, later.pose.y, share),
                     heading: wrap_angle(mark.pose.heading + turn * share),
@@ -275,7 +275,7 @@ mod tests {
         let odometry = Odometry::new();
         assert_eq!(
             odometry.between(Instant::ORIGIN, Instant::NEVER),
-            Pose::default()
+            EgoPose::default()
         );
         assert_eq!(odometry.newest_at(), None);
     }

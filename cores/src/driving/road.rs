@@ -1,7 +1,7 @@
 //! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet
 //! frame.
 
-use super::knowledge::Line;
+use super::knowledge::KnownLine;
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
 
@@ -28,8 +28,8 @@ impl CentreLine {
         }
     }
 
-    /// The centre line that another system tells.
-    pub(crate) fn told(line: &Line) -> Self {
+    /// The centre line that another system sent.
+    pub(crate) fn received(line: &KnownLine) -> Self {
         Self {
             c: line.c,
             end: clamp(line.view_range, 5.0, 250.0),

@@ -6,7 +6,7 @@
 
 use heapless::Vec;
 use tandem_board::Instant;
-pub use tandem_bus::RouteCode;
+pub use tandem_bus::{ClassCode, RouteCode};
 
 /// How many objects a scene holds; the nearest ones stay.
 pub const MAX_OBJECTS: usize = 24;
@@ -46,7 +46,7 @@ pub struct Lanes {
     pub right: Option<f32>,
     /// Distance to the end of the own lane, m; `f32::INFINITY` if no end is in sight.
     pub own_end: f32,
-    /// The own lane goes on behind its end, but outside of the operational design domain.
+    /// The own lane continues behind its end, but outside of the operational design domain.
     pub ends_domain: bool,
     /// The same distance for the lane to the left.
     pub left_end: f32,
@@ -76,46 +76,13 @@ impl Lanes {
     }
 }
 
-/// Kind of an object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ObjectClass {
-    /// Not known (yet).
-    Unknown,
-    /// A passenger car.
-    Car,
-    /// A truck or a bus.
-    Truck,
-    /// A motorcycle or a bicycle.
-    Motorcycle,
-    /// A person on foot.
-    Pedestrian,
-    /// Something that does not move.
-    Static,
-}
-
-impl ObjectClass {
-    /// The class with this number, as `as u8` gives it.
-    #[must_use]
-    pub const fn of(number: u8) -> Option<Self> {
-        Some(match number {
-            0 => Self::Unknown,
-            1 => Self::Car,
-            2 => Self::Truck,
-            3 => Self::Motorcycle,
-            4 => Self::Pedestrian,
-            5 => Self::Static,
-            _ => return None,
-        })
-    }
-}
-
 /// One confirmed track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
     /// Stays the same as long as the object is tracked.
     pub id: u32,
     /// Kind of object.
-    pub class: ObjectClass,
+    pub class: ClassCode,
     /// Centre, m.
     pub x: f32,
     /// Centre, m.
@@ -146,7 +113,7 @@ impl Object {
     pub(crate) const fn truck() -> Self {
         Self {
             id: 7,
-            class: ObjectClass::Truck,
+            class: ClassCode::Truck,
             x: 31.5,
             y: -3.4,
             vx: 22.0,
@@ -168,7 +135,7 @@ pub struct Scene {
     /// The time that it is predicted to, on this system's clock.
     pub at: Instant,
     /// When the oldest measurement that came in with this cycle was on the bus; of the last cycle
-    /// with one if none came in.
+    /// with one if none arrived.
     pub measured: Instant,
     /// Counts the cycles of core 1, wraps around.
     pub cycle: u32,

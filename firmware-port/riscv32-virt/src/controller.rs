@@ -23,7 +23,7 @@ use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::{Config, Core};
 use tandem_rtos::Kernel;
-use tandem_runtime::{Options, Overload};
+use tandem_runtime::{RuntimeOptions, Overload};
 
 /// Value of strap `First`.
 const BOTH_SYSTEMS: u32 = 3;
@@ -132,7 +132,7 @@ fn under_kernel(board: &VirtBoard) -> ! {
     doorbell::set_slice(0);
     let kernel = kernel();
     let board: &'static VirtBoard = Box::leak(Box::new(board.clone()));
-    let options = Options {
+    let options = RuntimeOptions {
         stack_bytes: STACK_BYTES,
         held_back: &HELD_BACK,
         overload: overload(),

@@ -6,7 +6,7 @@ use tandem_sim::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// A system that was reset is standby again within 60 ms; 100 ms later the other fails.
-const YOUNG: Duration = Duration::from_ms(160);
+const NEWLY_STARTED: Duration = Duration::from_ms(160);
 /// Long enough to know all that the other knows.
 const OLD: Duration = Duration::from_ms(5_000);
 
@@ -71,7 +71,7 @@ fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {
     ];
     let mut worst = (0.0_f32, 0.0_f32);
     for (scenario, at_ms) in places {
-        let young = difference(scenario, MS(at_ms), YOUNG);
+        let young = difference(scenario, MS(at_ms), NEWLY_STARTED);
         let old = difference(scenario, MS(at_ms), OLD);
         println!("{scenario} {at_ms} ms: after 100 ms {young:?}, after 5 s {old:?}");
         for (steering, acceleration) in [young, old] {

@@ -9,7 +9,7 @@ pub(crate) use shaping::{HARD_BRAKING, STANDSTILL_BRAKE, Shaper, Wish};
 use tandem_board::{Duration, Instant};
 
 use super::math::{abs, atan, bound, cos, lerp, max, min, sin, wrap_angle};
-use super::odometry::{Odometry, Pose, motion};
+use super::odometry::{EgoPose, Odometry, motion};
 use super::types::{
     Command, ControlStep, Ego, Maneuver, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S, Trajectory,
     TrajectoryPoint,
@@ -185,7 +185,7 @@ struct FeedForward {
 /// The unlimited command that holds the vehicle, now at the step's pose, on the trajectory.
 fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
     let (age_s, ego, [x, y, heading]) = (step.age_s, &step.ego, step.pose);
-    let pose = Pose { x, y, heading };
+    let pose = EgoPose { x, y, heading };
     let reference = sample(trajectory, age_s);
     let feed_forward = FeedForward {
         curvature: sample(trajectory, age_s + STEERING_PREVIEW_S).curvature,

@@ -120,7 +120,7 @@ impl Axis {
     }
 
     /// An axis that another system has tracked.
-    pub(crate) fn told(state: [f32; 3], settled: &Settled) -> Self {
+    pub(crate) fn received(state: [f32; 3], settled: &Settled) -> Self {
         let Settled {
             position,
             velocity,

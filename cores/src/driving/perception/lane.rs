@@ -9,7 +9,7 @@ use tandem_board::{Duration, Instant};
 use tandem_bus::CameraLanes;
 
 use crate::driving::math::{abs, clamp};
-use crate::driving::odometry::Pose;
+use crate::driving::odometry::EgoPose;
 use crate::driving::road::DEFAULT_LANE_WIDTH_M;
 use crate::driving::types::Lanes;
 
@@ -26,7 +26,8 @@ const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
 
 /// Standard deviations of a filter that has settled.
 const SETTLED: [f32; 4] = [0.015, 0.001, 2e-5, 3e-7];
-/// What is told differs by no more than this from the first lines that the camera sees: 5 sigma.
+/// A received line differs by no more than this from the first lines that the camera sees:
+/// 5 sigma.
 const GATE: [f32; 4] = [0.12, 0.008, 2e-4, 2.5e-6];
 
 /// The filter.
@@ -37,7 +38,7 @@ pub(crate) struct LaneFilter {
     state: Vector4<f32>,
     covariance: Matrix4<f32>,
     /// Another system's word was taken.
-    told: bool,
+    received: bool,
 }
 
 impl LaneFilter {
@@ -47,12 +48,12 @@ impl LaneFilter {
             lanes: Lanes::alone(DEFAULT_LANE_WIDTH_M, 0.0),
             state: Vector4::zeros(),
             covariance: Matrix4::zeros(),
-            told: false,
+            received: false,
         }
     }
 
     /// Carries the lanes into the frame of the vehicle that has moved by `step` in `dt` seconds.
-    pub(crate) fn predict(&mut self, dt: f32, step: &Pose) {
+    pub(crate) fn predict(&mut self, dt: f32, step: &EgoPose) {
         if self.seen.is_none() {
             return;
         }
@@ -136,8 +137,8 @@ impl LaneFilter {
     /// What another system knew `dt` seconds ago, since when the vehicle has moved by `step`, is
     /// the expectation that the camera's lines correct. Once; and not without such lines or if
     /// these contradict it.
-    pub(crate) fn recall(&mut self, now: Instant, c: &[f32; 4], dt: f32, step: &Pose) {
-        let Some(seen) = self.seen.filter(|_| !self.told) else {
+    pub(crate) fn recall(&mut self, now: Instant, c: &[f32; 4], dt: f32, step: &EgoPose) {
+        let Some(seen) = self.seen.filter(|_| !self.received) else {
             return;
         };
         let mut known = self.clone();
@@ -154,7 +155,7 @@ impl LaneFilter {
             *self = Self {
                 state: known.state,
                 covariance: known.covariance,
-                told: true,
+                received: true,
                 ..self.clone()
             };
         }

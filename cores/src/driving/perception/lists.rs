@@ -1,4 +1,4 @@
-//! Object lists as they come in over the bus: a header, then one frame for each object.
+//! Object lists as they arrive over the bus: a header, then one frame for each object.
 
 use heapless::Vec;
 use tandem_board::{Duration, Instant};
@@ -25,7 +25,7 @@ struct SensorClock {
 }
 
 impl SensorClock {
-    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 tells no time.
+    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 stands for no time.
     fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
         if measured_at == 0 {
             return now;
@@ -50,7 +50,7 @@ impl SensorClock {
 struct List {
     /// When the sensor measured.
     at: Instant,
-    /// When it began to come in.
+    /// When its header arrived.
     begun: Instant,
     /// When the last of what is there came in.
     done: Instant,
@@ -79,7 +79,7 @@ impl Lists {
     }
 
     /// Adds an object to the list that the sensor has begun. More than the header announced are
-    /// ignored, and so is what comes after the list was taken.
+    /// ignored, and so are those after the list was taken.
     pub(crate) fn add(&mut self, now: Instant, sensor: SensorId, object: &SensorObject) {
         let list = &mut self.lists[sensor.index()];
         if list.fresh && list.objects.len() < list.expected {
@@ -142,13 +142,13 @@ mod tests {
         assert_eq!(
             at(1_005, 0),
             1_005,
-            "the first one tells the difference of the clocks"
+            "the first one gives the difference of the clocks"
         );
         assert_eq!(at(1_055, 50), 1_055);
         assert_eq!(at(1_140, 100), 1_105, "held back by 35 ms, after the wrap");
         assert_eq!(at(1_152, 150), 1_152, "a faster way is the new smallest");
         assert_eq!(at(1_205, 200), 1_202);
-        assert_eq!(at(9_000, 10), 9_000, "a clock that was set tells nothing");
+        assert_eq!(at(9_000, 10), 9_000, "a clock that was set gives no time");
         assert_eq!(at(9_050, 60), 9_050);
     }
 

@@ -1,7 +1,7 @@
 //! Perception (core 1, every 50 ms): fuses five radars and a camera into one scene. T-CHIP-3,
 //! T-CHIP-4
 //!
-//! Bus frames come in by [`Perception::on_message`] at any time; [`Perception::cycle`] does the
+//! [`Perception::on_message`] takes bus frames at any time; [`Perception::cycle`] does the
 //! work: predict the tracks to each list's time, assign, update, begin and end tracks, then analyse
 //! motion and scene. Everything stands in the frame of the vehicle and is carried along with its
 //! motion.
@@ -19,7 +19,7 @@ use tandem_board::{Duration, Instant};
 use tandem_bus::{CameraLanes, DriverRequest, EgoMotion, Message, SensorId, SensorObject};
 
 use super::control::driven_curvature;
-use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
+use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, STARTING_CYCLES};
 use super::odometry::{Odometry, motion};
 use super::types::{Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
@@ -112,8 +112,8 @@ impl Perception {
         }
     }
 
-    /// Whether all has come in again that the last cycle took in: there is nothing to wait for. A
-    /// sensor that missed the last cycle is not waited for, so one that is lost delays one cycle.
+    /// Whether everything that the last cycle used has arrived again. A sensor that missed the last
+    /// cycle is not waited for, so a lost sensor delays one cycle.
     #[must_use]
     pub fn is_round_complete(&self) -> bool {
         self.round.is_next_complete(|member| match member {
@@ -122,27 +122,27 @@ impl Perception {
         })
     }
 
-    /// When all of that is expected the next time, after `now`, if it comes every `period`; `None`
-    /// if the last cycle took in nothing.
+    /// When all of that is expected next, after `now`, if it arrives every `period`; `None` if
+    /// nothing arrived for the last cycle.
     pub fn next_round(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         self.round.next_end(now, period)
     }
 
-    /// The scene at `now`, from all that came in. To be called every 50 ms; time is bounded.
+    /// The scene at `now`, from everything that has arrived. Called every 50 ms; time is bounded.
     pub fn cycle(&mut self, now: Instant) -> &Scene {
         self.cycle_with(now, None)
     }
 
-    /// Whether [`Perception::cycle_with`] still takes what it is told.
+    /// Whether [`Perception::cycle_with`] still accepts knowledge.
     #[must_use]
-    pub const fn is_young(&self) -> bool {
-        self.scene.cycle < YOUNG_CYCLES
+    pub const fn is_starting(&self) -> bool {
+        self.scene.cycle < STARTING_CYCLES
     }
 
-    /// [`Perception::cycle`] with what another system tells. It sharpens what the own sensors see,
-    /// and ends nothing and adds nothing to the scene. Old knowledge is not used, nor any once this
-    /// function is no longer young.
-    pub fn cycle_with(&mut self, now: Instant, told: Option<&Knowledge>) -> &Scene {
+    /// [`Perception::cycle`] with knowledge of another system. It makes the own tracks and lanes
+    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is not used, and
+    /// none after the first [`STARTING_CYCLES`] cycles.
+    pub fn cycle_with(&mut self, now: Instant, received: Option<&Knowledge>) -> &Scene {
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;
         // At most one list of each sensor is pending.
@@ -152,7 +152,7 @@ impl Perception {
             };
             self.round.add(sensor.index(), done);
             self.measured[sensor.index()] = Some(at);
-            // The oldest comes first.
+            // Oldest first.
             oldest = oldest.or(Some(at));
             self.advance(at);
             self.fuse(sensor, at, &objects);
@@ -166,10 +166,11 @@ impl Perception {
         self.scene.measured = oldest.unwrap_or(self.scene.measured);
         self.scene.missing = self.missing(now);
         self.advance(now);
-        if let Some(told) = told.filter(|told| now.since(told.at) <= KNOWLEDGE_MAX_AGE)
-            && self.is_young()
+        if let Some(received) =
+            received.filter(|received| now.since(received.at) <= KNOWLEDGE_MAX_AGE)
+            && self.is_starting()
         {
-            self.recall(now, told);
+            self.recall(now, received);
         }
         self.tidy();
         self.lanes.expire(now);
@@ -252,14 +253,14 @@ impl Perception {
     }
 
     /// Takes what another system knew as what was expected: own detections correct it.
-    fn recall(&mut self, now: Instant, told: &Knowledge) {
-        let dt = now.since(told.at).as_secs_f32();
-        let step = motion(&told.ego, self.odometry.ego(), dt);
-        if let Some(line) = &told.line {
+    fn recall(&mut self, now: Instant, received: &Knowledge) {
+        let dt = now.since(received.at).as_secs_f32();
+        let step = motion(&received.ego, self.odometry.ego(), dt);
+        if let Some(line) = &received.line {
             self.lanes.recall(now, &line.c, dt, &step);
         }
-        for known in told.objects.iter().filter_map(|object| object.unpack()) {
-            let known = Track::told(self.next_id, &known, dt, &step);
+        for known in received.objects.iter().filter_map(|object| object.unpack()) {
+            let known = Track::received(self.next_id, &known, dt, &step);
             match self.tracks.iter_mut().find(|own| own.is_same(&known)) {
                 Some(own) => own.recall(&known, dt),
                 // Not confirmed: it stays out of the scene until an own sensor sees it.

@@ -1,6 +1,6 @@
-//! The sensors' round: what comes in within each period, and when all of it is there.
+//! The sensors' round: what arrives in each period, and when it is complete.
 //!
-//! The sensors are not synchronised with this core, and do not tell their phase. The end of a round
+//! The sensors are not synchronised with this core, and do not report their phase. The end of a round
 //! is where the longest pause begins: a cycle there has the freshest lists.
 
 use tandem_board::{Duration, Instant};
@@ -36,7 +36,7 @@ impl Round {
 
     /// When the next round ends, the first time after `now`; `None` if this one has no members.
     ///
-    /// The next round begins in the middle of the pause: what comes before was late, and a member
+    /// The next round begins in the middle of the pause: what arrives before was late, and a member
     /// that was missed once would otherwise be taken for punctual, a period old each time. If one
     /// is early by more than half of the pause, the cycle waits for it until its time-out, once.
     pub(super) fn next_end(&mut self, now: Instant, period: Duration) -> Option<Instant> {

@@ -1,4 +1,4 @@
-//! Scene analysis: which lane an object is in, and whether it is about to come into the own one.
+//! Scene analysis: which lane an object is in, and whether it is about to enter the own one.
 
 use crate::driving::math::{abs, cos, sin};
 use crate::driving::road::{CentreLine, DEFAULT_LANE_WIDTH_M};

@@ -5,8 +5,8 @@ use tandem_bus::{ClassCode, SensorId, SensorObject};
 use super::kalman::{Axis, Innovation, Measured, Motion, Settled, Span};
 use crate::driving::knowledge::Known;
 use crate::driving::math::{abs, clamp, lerp, max, min};
-use crate::driving::odometry::{Axes, Pose};
-use crate::driving::types::{Ego, ObjectClass};
+use crate::driving::odometry::{Axes, EgoPose};
+use crate::driving::types::Ego;
 
 /// Along the road vehicles brake with up to 8 m/s² within half a second.
 const ALONG: Motion = Motion {
@@ -18,7 +18,7 @@ const ACROSS: Motion = Motion {
     acceleration_noise: 1.0,
     fading_s: 0.5,
 };
-/// What a track that another system tells is worth.
+/// How much a track from another system counts.
 const ALONG_SETTLED: Settled = Settled {
     position: 0.03,
     velocity: 0.012,
@@ -88,7 +88,7 @@ impl Detection {
 
     /// Where the object is after `lag_s` at its speed, seen from where the own vehicle is after
     /// `step`.
-    pub(crate) fn carried(mut self, lag_s: f32, step: Pose) -> Self {
+    pub(crate) fn carried(mut self, lag_s: f32, step: EgoPose) -> Self {
         let along = self.x.position + self.x.velocity * lag_s;
         let across = self.y.position + self.y.velocity * lag_s;
         (self.x.position, self.y.position) = step.to_local(along, across);
@@ -140,7 +140,7 @@ pub(crate) struct Passage {
 
 impl Passage {
     /// Of `dt` seconds, in which the vehicle moves by `step`.
-    pub(crate) fn new(dt: f32, step: &Pose) -> Self {
+    pub(crate) fn new(dt: f32, step: &EgoPose) -> Self {
         Self {
             dt,
             along: ALONG.over(dt),
@@ -156,7 +156,7 @@ pub(crate) struct Track {
     pub(crate) id: u32,
     pub(crate) x: Axis,
     pub(crate) y: Axis,
-    pub(crate) class: ObjectClass,
+    pub(crate) class: ClassCode,
     pub(crate) length: f32,
     pub(crate) width: f32,
     pub(crate) confirmed: bool,
@@ -166,7 +166,7 @@ pub(crate) struct Track {
     sensors: u8,
     unseen_s: f32,
     /// Another system has tracked it: the first own detection confirms it.
-    told: bool,
+    received: bool,
 }
 
 impl Track {
@@ -175,7 +175,7 @@ impl Track {
             id,
             x: Axis::new(&detection.x),
             y: Axis::new(&detection.y),
-            class: ObjectClass::Unknown,
+            class: ClassCode::Unknown,
             length: if detection.length > 0.3 {
                 detection.length
             } else {
@@ -191,18 +191,18 @@ impl Track {
             hits: 0,
             sensors: 0,
             unseen_s: 0.0,
-            told: false,
+            received: false,
         };
         track.seen(detection);
         track
     }
 
-    /// A track that another system told `dt` seconds ago; the vehicle has moved by `step` since.
-    pub(crate) fn told(id: u32, known: &Known, dt: f32, step: &Pose) -> Self {
+    /// A track that another system sent, `dt` seconds old; the vehicle has moved by `step` since.
+    pub(crate) fn received(id: u32, known: &Known, dt: f32, step: &EgoPose) -> Self {
         let mut track = Self {
             id,
-            x: Axis::told(known.x, &ALONG_SETTLED),
-            y: Axis::told(known.y, &ACROSS_SETTLED),
+            x: Axis::received(known.x, &ALONG_SETTLED),
+            y: Axis::received(known.y, &ACROSS_SETTLED),
             class: known.class,
             length: known.length,
             width: known.width,
@@ -211,7 +211,7 @@ impl Track {
             hits: 0,
             sensors: 0,
             unseen_s: 0.0,
-            told: true,
+            received: true,
         };
         track.predict(&Passage::new(dt, step));
         track.unseen_s = 0.0;
@@ -221,7 +221,7 @@ impl Track {
     /// Another system has tracked this object for longer: what it knew `dt` seconds ago is the
     /// expectation that newer own detections correct. Once; and not if these contradict it.
     pub(crate) fn recall(&mut self, known: &Self, dt: f32) {
-        if self.told && self.hits > 0 {
+        if self.received && self.hits > 0 {
             return;
         }
         let (mut x, mut y) = (known.x, known.y);
@@ -239,7 +239,7 @@ impl Track {
             self.confirmed = true;
         }
         let class = match self.class {
-            ObjectClass::Unknown => known.class,
+            ClassCode::Unknown => known.class,
             own => own,
         };
         *self = Self {
@@ -249,7 +249,7 @@ impl Track {
             length: known.length,
             width: known.width,
             approaching: max_of(self.approaching, known.approaching),
-            told: true,
+            received: true,
             ..*self
         };
     }
@@ -290,11 +290,11 @@ impl Track {
         self.hits = self.hits.saturating_add(1);
         self.sensors |= 1 << detection.sensor.index();
         self.unseen_s = 0.0;
-        self.confirmed |= self.told
+        self.confirmed |= self.received
             || self.hits >= CONFIRMING_HITS
             || self.sensors.count_ones() >= CONFIRMING_SENSORS;
         if detection.class != ClassCode::Unknown {
-            self.class = kind(detection.class);
+            self.class = detection.class;
         }
         if detection.length > 0.3 {
             self.length = lerp(self.length, detection.length, 0.2);
@@ -335,7 +335,7 @@ impl Track {
         self.hits = self.hits.saturating_add(double.hits);
         self.confirmed |= double.confirmed || self.sensors.count_ones() >= CONFIRMING_SENSORS;
         self.unseen_s = min(self.unseen_s, double.unseen_s);
-        if self.class == ObjectClass::Unknown {
+        if self.class == ClassCode::Unknown {
             self.class = double.class;
         }
     }
@@ -343,15 +343,4 @@ impl Track {
 
 const fn max_of(a: u8, b: u8) -> u8 {
     if a > b { a } else { b }
-}
-
-fn kind(class: ClassCode) -> ObjectClass {
-    match class {
-        ClassCode::Car => ObjectClass::Car,
-        ClassCode::Truck => ObjectClass::Truck,
-        ClassCode::Motorcycle => ObjectClass::Motorcycle,
-        ClassCode::Pedestrian => ObjectClass::Pedestrian,
-        ClassCode::Static => ObjectClass::Static,
-        _ => ObjectClass::Unknown,
-    }
 }

@@ -15,9 +15,9 @@ mod prediction;
 use heapless::Vec;
 
 use super::control::{driven_curvature, sample};
-use super::knowledge::{Knowledge, PLAN_POINTS, YOUNG_CYCLES};
+use super::knowledge::{Knowledge, PLAN_POINTS, STARTING_CYCLES};
 use super::math::{abs, bound, max, min, sqrt, wrap_angle};
-use super::odometry::{Pose, motion};
+use super::odometry::{EgoPose, motion};
 use super::road::{CentreLine, DEFAULT_LANE_WIDTH_M, FrenetFrame};
 use super::types::{
     Ego, Lanes, MAX_OBJECTS, Maneuver, Scene, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S, Trajectory,
@@ -115,16 +115,16 @@ impl Planner {
         }
     }
 
-    /// Whether [`Planner::recall`] still takes what it is told.
+    /// Whether [`Planner::recall`] still accepts knowledge.
     #[must_use]
-    pub const fn is_young(&self) -> bool {
-        self.plans < YOUNG_CYCLES
+    pub const fn is_starting(&self) -> bool {
+        self.plans < STARTING_CYCLES
     }
 
-    /// Goes on from the plan of another system, if this one is young: the next plan joins it. Each
+    /// Continues the plan of another system, if this one is newly started: the next plan joins it. Each
     /// plan is made for the own scene; what that does not permit is not done.
-    pub fn recall(&mut self, told: &Knowledge) {
-        let Some(plan) = told.plan.as_ref().filter(|_| self.is_young()) else {
+    pub fn recall(&mut self, received: &Knowledge) {
+        let Some(plan) = received.plan.as_ref().filter(|_| self.is_starting()) else {
             return;
         };
         self.behaviour = Behaviour::recall(plan.memory);
@@ -132,16 +132,16 @@ impl Planner {
         let points = core::array::from_fn(|index| plan.points[index.min(PLAN_POINTS - 1)]);
         self.last = Some(Last {
             trajectory: Trajectory {
-                at: told.at,
-                measured: told.at,
+                at: received.at,
+                measured: received.at,
                 // No step of core 0 follows it.
                 cycle: 0,
                 maneuver: Maneuver::Follow,
                 memory: plan.memory,
                 points,
             },
-            ego: told.ego,
-            line: told.line.as_ref().map(CentreLine::told),
+            ego: received.ego,
+            line: received.line.as_ref().map(CentreLine::received),
         });
     }
 
@@ -294,7 +294,7 @@ impl Planner {
         }
         let step = motion(&last.ego, &scene.ego, age);
         let planned = sample(&last.trajectory, age);
-        let pose = Pose {
+        let pose = EgoPose {
             x: planned.x,
             y: planned.y,
             heading: planned.heading,

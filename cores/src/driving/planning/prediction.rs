@@ -38,7 +38,7 @@ pub(crate) struct Predicted {
     sideways: Sideways,
 }
 
-/// How an object goes on across the road.
+/// How an object continues across the road.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Sideways {
     /// It ends its movement: a swerve.
@@ -84,7 +84,7 @@ impl Predicted {
         }
     }
 
-    /// Place along the road and speed in `t` seconds: braking goes on the longer the harder it is,
+    /// Place along the road and speed in `t` seconds: braking lasts the longer the harder it is,
     /// acceleration does not go on.
     pub(crate) fn along(&self, t: f32) -> (f32, f32) {
         if self.speed <= 0.0 {
