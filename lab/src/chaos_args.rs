@@ -48,14 +48,14 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 
-    /// Inject these faults in one run and end: what the campaign starts
+    /// Inject these faults in one drive and end: what the campaign starts
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
     pub(crate) drive: Option<Vec<u64>>,
 }
 
 const EXAMPLES: &str = "\
-The faults are those of `tandem sim`. In one run after the other, each fault meets a master and a
-standby, and is mended. Then the systems must be master and standby again before the next one. The
+The faults are those of `tandem sim`. Each drive injects one fault after the other into a master and a
+standby. After each, everything is restored, and the systems must be master and standby again. The
 report has, for each class of faults, how long the other system needed to notice, and how long the
 vehicle was without control, beside the bound that is computed. A gap beyond its bound is no
 violation if the evidence shows that the machine itself stood still for that long.

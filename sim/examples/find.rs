@@ -19,7 +19,7 @@ fn main() -> ExitCode {
     let profile = Profile::from(Config::rt());
     // A finite group is covered evenly.
     let step = group.count().map_or(1, |count| count.div_ceil(seeds));
-    // The panics of a broken variant are told as violations.
+    // A panic of a broken variant counts as a violation.
     std::panic::set_hook(Box::new(|_| {}));
     let count = group.count().unwrap_or(u64::MAX);
     for seed in (0..seeds).take_while(|seed| seed * step < count) {

@@ -60,7 +60,7 @@ impl Bench {
         let changed = |pair: &&[Acceptance]| pair[0].system != pair[1].system;
         let changes = vehicle.accepted.windows(2).filter(changed).count();
         let drive = vehicle.world().map(World::metrics);
-        let evidence = Observed {
+        let observed = Observed {
             faults,
             acted: &vehicle.accepted,
             changes,
@@ -70,7 +70,7 @@ impl Bench {
         };
         let is_too_long = bound.is_some_and(|bound| gap > bound);
         let mut violations: Vec<Rule> = is_too_long.then_some(Rule::Gap).into_iter().collect();
-        violations.extend(evidence.findings().into_iter().map(|finding| finding.rule));
+        violations.extend(observed.findings().into_iter().map(|finding| finding.rule));
         let mut check = |broken: bool, rule| violations.extend(broken.then_some(rule));
         check(vehicle.chatters, Rule::Chatters);
         for system in SystemId::ALL {
@@ -143,7 +143,7 @@ impl Bench {
         }
     }
 
-    /// The newest record in the flash of a system, and how many it has space used by.
+    /// The newest record in the flash of a system, and the number of used slots.
     fn record_of(&self, system: SystemId) -> (Loaded, usize) {
         let bytes = self.pair.flash(system);
         let loaded = newest_record(&bytes);

@@ -1,4 +1,4 @@
-//! What is outside the systems: a gate alone, or a whole vehicle in its lane.
+//! The world outside the systems: a gate alone, or a whole vehicle in its lane.
 
 use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, VehicleBus as _};
@@ -14,14 +14,14 @@ pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
 /// road is straight for as long as a sequence lasts.
 const SCENARIO: &str = "stop-and-go";
 
-/// What is outside the systems, and what it heard of them.
+/// The world outside the systems, and what it received from them.
 pub struct Vehicle {
     outside: Outside,
     /// Control frames that acted.
     pub accepted: Vec<Acceptance>,
     /// Control frames of an old term.
     pub fenced: Vec<Acceptance>,
-    /// A system that is no master has sent a control frame.
+    /// A system that is not master has sent a control frame.
     pub(crate) chatters: bool,
     /// The shortest time, s, in which the vehicle would have reached the place of the one in front.
     pub(crate) headway_s: f64,
@@ -34,24 +34,24 @@ pub struct Vehicle {
     frames: Option<Vec<LoggedFrame>>,
 }
 
-/// Who judges the control frames, and sends what the systems need to hear.
+/// The receiver of the control frames, and the sender of what the systems need.
 enum Outside {
     Gate(Box<Alone>),
     World(Box<World>),
 }
 
-/// A gate without a vehicle, which tells of a constant speed.
+/// A gate without a vehicle, which reports a constant speed.
 struct Alone {
     gate: Gate,
     transmitter: FrameTransmitter,
-    /// When the frame arrived of which the last echo told, ns.
+    /// Arrival of the frame that the last echo reported, ns.
     echoed: Option<u64>,
 }
 
 impl Vehicle {
-    /// In a lane of the embedded scenario if `moves`, else a gate alone. `told`: whether each frame
-    /// is kept.
-    pub(crate) fn new(moves: bool, told: bool) -> Self {
+    /// In a lane of the embedded scenario if `moves`, else a gate alone. `keeps_frames`:
+    /// whether each frame is kept.
+    pub(crate) fn new(moves: bool, keeps_frames: bool) -> Self {
         static LOADED: OnceLock<Scenario> = OnceLock::new();
         let outside = if moves {
             let loaded = LOADED.get_or_init(|| Scenario::load(SCENARIO).expect("embedded"));
@@ -74,7 +74,7 @@ impl Vehicle {
             ticks: 0,
             silent: false,
             poison: false,
-            frames: told.then(Vec::new),
+            frames: keeps_frames.then(Vec::new),
         }
     }
 

@@ -34,7 +34,7 @@ struct Flow {
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     doorbell: DoorbellThrottle,
-    /// The body that runs has told that it begins a job.
+    /// The body that runs has reported the begin of a job.
     has_begun: Cell<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! A campaign: its runs one after the other, each in a process of its own.
+//! A campaign: its drives one after the other, each in a process of its own.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
@@ -20,7 +20,7 @@ use crate::chaos_args::ChaosArgs;
 use tandem::failure::Failure;
 use tandem::print;
 
-/// Faults of one run. A longer one would fill memory with its recording.
+/// Faults of one drive. The recording of a longer one would fill the memory.
 const FAULTS_OF_A_RUN: usize = 100;
 
 /// Injects the faults of these numbers, and reports.
@@ -45,7 +45,7 @@ pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<
     }
     let violated = report::violated(&found);
     if violated > 0 {
-        let objection = format!("{violated} faults violate what must be so");
+        let objection = format!("{violated} faults violate a rule");
         return Err(Failure::Objections(vec![objection]));
     }
     if interrupted.load(Ordering::Relaxed) {
@@ -72,14 +72,14 @@ fn inject(
     while let Some(first) = left.first()
         && !interrupted.load(Ordering::Relaxed)
     {
-        let numbers_of_drive = &left[..left.len().min(FAULTS_OF_A_RUN)];
+        let part = &left[..left.len().min(FAULTS_OF_A_RUN)];
         let done = found.outcomes.len() as u64;
-        let ended = one_drive(source, numbers_of_drive, args, interrupted, &|count| {
+        let ended = one_drive(source, part, args, interrupted, &|count| {
             bar.set_position(done + count);
         });
         let (outcomes, wrong) = match ended {
             Ok(ended) => ended,
-            // What the other runs found is worth its report.
+            // Report what the earlier drives found.
             Err(error) if done > 0 => {
                 found.wrong.push(format!("faults from {first}: {error:#}"));
                 break;
@@ -106,7 +106,7 @@ fn inject(
     Ok(found)
 }
 
-/// One run, to its end.
+/// Runs one drive to its end.
 fn one_drive(
     source: &Source,
     numbers: &[u64],
@@ -129,7 +129,7 @@ fn one_drive(
         .context("starting a run")?;
     let ended = follow(&mut child, interrupted, done);
     if !matches!(ended, Ok(Some(_))) {
-        // It ends its run by itself.
+        // The process ends its run by itself.
         signal(&child, Signal::TERM);
     }
     let mut said = String::new();
@@ -156,7 +156,7 @@ fn follow(
     done: &dyn Fn(u64),
 ) -> anyhow::Result<Option<(Vec<Outcome>, Vec<String>)>> {
     let stdout = child.stdout.take().context("a pipe")?;
-    let (lines, told) = std::sync::mpsc::channel();
+    let (lines, reported) = std::sync::mpsc::channel();
     let reader = std::thread::spawn(move || {
         for line in BufReader::new(stdout).lines().map_while(Result::ok) {
             if lines.send(line).is_err() {
@@ -171,7 +171,7 @@ fn follow(
             // Ctrl-C in a terminal reaches it too; once is enough, the second kills the vehicle.
             signal(child, Signal::TERM);
         }
-        let line = match told.recv_timeout(Duration::from_millis(50)) {
+        let line = match reported.recv_timeout(Duration::from_millis(50)) {
             Ok(line) => line,
             Err(std::sync::mpsc::RecvTimeoutError::Timeout) => continue,
             Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => break None,
@@ -186,7 +186,7 @@ fn follow(
             Line::Ended(outcomes, wrong) => break Some((outcomes, wrong)),
         }
     };
-    drop(told);
+    drop(reported);
     let _ = reader.join();
     Ok(ended)
 }

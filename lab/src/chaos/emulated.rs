@@ -31,7 +31,7 @@ use tandem::{output, vehicle};
 
 /// A system that is switched off and on is without power for this long.
 const OFF: Duration = Duration::from_ms(50);
-/// The recording goes on for this long after the last fault.
+/// The recording continues for this long after the last fault.
 const AFTERWARDS: Duration = Duration::from_ms(300);
 /// The period of control frames.
 const CYCLE: Duration = Duration::from_ms(10);
@@ -88,24 +88,24 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
 enum Doing {
     /// Since then one system has been master and the other its standby.
     Settle { since: Instant },
-    /// The faults come and go.
+    /// The faults begin and end.
     Suffer {
         begin: Instant,
         changes: VecDeque<(Duration, Effect)>,
         until: Instant,
     },
-    /// Everything works again, and the systems find together, at the latest then.
+    /// Everything works again. The systems have until then to become master and standby.
     Heal { until: Instant },
     /// The consequences of the last fault are recorded up to then.
     End { at: Instant },
 }
 
-/// The machines, and what is done to them.
+/// The machines, and the faults that they suffer.
 struct Disturbed {
     world: EmulatedWorld,
     left: VecDeque<(u64, Sequence, Option<Duration>)>,
     doing: Doing,
-    /// The fault that is under way; `None` before the first one.
+    /// The current fault; `None` before the first one.
     injected: Option<Injected>,
     done: Vec<Injected>,
     bus: BusFaults,
@@ -140,7 +140,7 @@ impl Disturbed {
         }
     }
 
-    /// What is due before the machines go on.
+    /// Does what is due before the next step of the machines.
     fn act_until_next(&mut self) -> Result<(), CannotSuffer> {
         let now = self.world.reported();
         let roles = SystemId::ALL.map(|system| self.world.role(system));
@@ -206,7 +206,7 @@ impl Disturbed {
         Ok(())
     }
 
-    /// Begins with the next sequence, if the systems have been together for long enough.
+    /// Begins the next sequence if the systems have been master and standby for long enough.
     fn begin(&mut self, now: Instant, since: Instant, driver: SystemId) {
         let next = self.left.front();
         let Some((number, sequence, phase)) =

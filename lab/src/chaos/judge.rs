@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use tandem_board_host::Wire;
 use tandem_cores::trace::Event;
-use tandem_faults::{Fault, Kind, Scope, Sequence, Way};
+use tandem_faults::{Fault, Kind, Observed, Scope, Sequence, Way};
 use tandem_record::gap::{
     Bounds, HAND_OVER_MS, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
 };
@@ -11,6 +11,7 @@ use tandem_record::run_log::Stall;
 use tandem_record::verdict::figures::{GapFigures, both_transmitted};
 use tandem_record::verdict::{Finding, Rule, Watch};
 use tandem_record::{RunLog, Takeover, ms_between, takeovers};
+use tandem_vehicle::gate::Acceptance;
 
 use super::Source;
 use super::round::Injected;
@@ -105,7 +106,6 @@ impl Run<'_> {
     fn outcome(&self, sequence: &Sequence, injected: &Injected, until_ns: u64) -> Outcome {
         let (log, at_ns) = (self.log, injected.at_ns);
         let within = |ns: u64| (at_ns..until_ns).contains(&ns);
-        let spares_control = sequence.spares_the_master();
         let mut times = periods(
             log,
             &self.takeovers,
@@ -134,9 +134,7 @@ impl Run<'_> {
         let excused = excused.into_iter().filter(|_| is_machine);
         let hears = sequence.faults.iter().map(|fault| Hears::under(fault.kind));
         let hears = hears.max().unwrap_or(Hears::All);
-        findings.extend(self.of_masters(&within, spares_control, hears));
-        let collisions = log.collisions_ns.iter().filter(|ns| within(**ns)).count();
-        findings.extend(Rule::Collision.exceeded(collisions as f64));
+        findings.extend(self.of_masters(&within, sequence, hears));
         if injected.healed_ns.is_none() {
             let words = format!("not master and standby again: {:?}", injected.roles);
             findings.push(Finding::new(Rule::NoStandby, [1.0, 0.0], words));
@@ -148,7 +146,7 @@ impl Run<'_> {
         Outcome {
             number: injected.number,
             class: class(sequence),
-            spares_control,
+            spares_control: sequence.spares_the_master(),
             detection_ms: self.detection_ms(sequence, injected, until_ns),
             gap_ms,
             bound_ms,
@@ -163,7 +161,7 @@ impl Run<'_> {
     fn of_masters(
         &self,
         within: &dyn Fn(u64) -> bool,
-        spares_control: bool,
+        sequence: &Sequence,
         hears: Hears,
     ) -> Vec<Finding> {
         let log = RunLog {
@@ -183,8 +181,31 @@ impl Run<'_> {
             .filter(|takeover| within(takeover.at_ns))
             .copied()
             .collect();
-        let two_ms = log.mastership().two_masters_ns() as f64 * 1e-6;
-        let mut found: Vec<Finding> = Rule::TwoMasters.exceeded(two_ms).into_iter().collect();
+        let acted = log.accepted().map(|frame| Acceptance {
+            at_ns: frame.at_ns,
+            system: frame.system.index() as u8,
+            term: frame.term,
+            verdict: frame.verdict,
+        });
+        // A stalled machine is another matter: then the old master found that it was held up.
+        let mut relieved = takeovers.iter().filter(|it| !it.held_up);
+        let observed = Observed {
+            faults: &sequence.faults,
+            acted: &acted.collect::<Vec<_>>(),
+            changes: relieved.clone().count(),
+            collisions: self
+                .log
+                .collisions_ns
+                .iter()
+                .filter(|ns| within(**ns))
+                .count(),
+        };
+        let mut found = observed.findings();
+        let needless = found.iter_mut().find(|it| it.rule == Rule::Needless);
+        if let (Some(needless), Some(takeover)) = (needless, relieved.next_back()) {
+            let (from, cause) = (takeover.from, takeover.cause_in_words());
+            needless.words = format!("{from} was relieved, though it was sound: {cause}");
+        }
         let permitted_ms = match hears {
             Hears::All => hand_over_ms(&takeovers),
             Hears::OverTheLink => {
@@ -197,13 +218,6 @@ impl Run<'_> {
         found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
         let stale = stale_frames(&log, &takeovers, &self.stalls);
         found.extend(Rule::StaleFrames.exceeded(stale as f64));
-        // On a stalled machine the old master found that it was held up.
-        let mut needless = takeovers.iter().filter(|it| !it.held_up);
-        if spares_control && let Some(takeover) = needless.next_back() {
-            let (from, cause) = (takeover.from, takeover.cause_in_words());
-            let words = format!("{from} was relieved, though it was sound: {cause}");
-            found.push(Finding::new(Rule::Needless, [1.0, 0.0], words));
-        }
         found
     }
 

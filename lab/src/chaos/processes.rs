@@ -18,7 +18,7 @@ use super::round::{
 use tandem::files::RunFiles;
 use tandem::run;
 
-const LOOK_AGAIN: Duration = Duration::from_ms(10);
+const POLL_PERIOD: Duration = Duration::from_ms(10);
 /// Injects the faults of these numbers in one run.
 ///
 /// # Errors
@@ -94,8 +94,8 @@ fn roles(backplane: Backplane) -> [RoleLamp; 2] {
     SystemId::ALL.map(|system| backplane.role(system))
 }
 
-/// Waits until one system is master and the other its standby; the master. A system that has no
-/// power is switched on, one that has suspended itself off and on.
+/// Waits until one system is master and the other its standby, and returns the master. Switches on
+/// a system that has no power, and switches one off and on that has suspended itself.
 fn heal(injection: &Injection, injected: &mut Injected) -> Option<SystemId> {
     let backplane = injection.backplane();
     let begin = clock::now();
@@ -117,7 +117,7 @@ fn heal(injection: &Injection, injected: &mut Injected) -> Option<SystemId> {
             }
             injection.request_power(system);
         }
-        clock::sleep_until(clock::now() + LOOK_AGAIN);
+        clock::sleep_until(clock::now() + POLL_PERIOD);
     }
     None
 }
@@ -127,7 +127,7 @@ fn wait_for_phase(backplane: Backplane, driver: SystemId, phase: Duration) -> an
     let mut tap = BusTap::new(backplane)
         .map_err(|error| anyhow::anyhow!("the bus cannot be read: {error:?}"))?;
     let id = CanId::Standard(Control::IDS[driver.index()]);
-    // Without a frame of the driver within 100 ms any phase is as good.
+    // If the driver sends no frame within 100 ms, take any phase.
     let until = clock::now() + Duration::from_ms(100);
     while clock::now() < until {
         while let Some((_, received)) = tap.try_next() {

@@ -12,8 +12,8 @@ use tandem::percentiles::Spans;
 /// Upper ends of the histogram's columns, ms; one more column is open.
 const COLUMNS_MS: [f64; 7] = [10.5, 11.5, 13.0, 15.0, 17.0, 19.0, 21.0];
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-/// Violations that are told one by one; the figures have all.
-const TOLD: usize = 12;
+/// Violations that are printed one by one; the figures have all.
+const SHOWN: usize = 12;
 
 /// The result of a campaign.
 #[derive(Default)]
@@ -41,7 +41,7 @@ impl<'o> Class<'o> {
         }
     }
 
-    /// A column for each span of gaps, as high as its part of all.
+    /// A column for each span of gaps; its height is the share of the span.
     fn histogram(&self) -> String {
         let mut counts = [0_usize; COLUMNS_MS.len() + 1];
         for outcome in &self.of {
@@ -70,7 +70,7 @@ impl<'o> Class<'o> {
     }
 }
 
-/// How many faults violate what must be so, and runs as a whole.
+/// Returns the number of faults with a violation, and of violations of runs as a whole.
 pub(super) fn violated(found: &Found) -> usize {
     let bad = found.outcomes.iter().filter(|it| !it.violations.is_empty());
     bad.count() + found.wrong.len()
@@ -88,7 +88,8 @@ fn classes<'o>(
     of.into_iter().map(class).collect()
 }
 
-/// The name of a row on the terminal. What leaves the control frames as they are shares two rows.
+/// The name of a row on the terminal. Faults that leave the control frames as they are share two
+/// rows.
 fn row_of(outcome: &Outcome) -> String {
     let of_standby = outcome.class.ends_with(" of the standby");
     match outcome.spares_control {
@@ -101,8 +102,8 @@ fn row_of(outcome: &Outcome) -> String {
 /// The report on the terminal.
 pub(super) fn text(source: &Source, found: &Found) -> String {
     let mut text = String::new();
-    let mut line = |told: String| {
-        let _ = writeln!(text, "{told}");
+    let mut line = |words: String| {
+        let _ = writeln!(text, "{words}");
     };
     line(format!(
         "{:34} {:>4} {:^23} {:^20} {:>6} gap: ms up to",
@@ -120,7 +121,7 @@ pub(super) fn text(source: &Source, found: &Found) -> String {
         .iter()
         .filter(|it| !it.violations.is_empty())
         .collect();
-    for outcome in bad.iter().take(TOLD) {
+    for outcome in bad.iter().take(SHOWN) {
         let (what, repeats) = (
             outcome.violations.join("; "),
             source.repeats(outcome.number),
@@ -133,10 +134,13 @@ pub(super) fn text(source: &Source, found: &Found) -> String {
     let explained: Vec<(&Outcome, &String)> = found
         .outcomes
         .iter()
-        .flat_map(|of| of.explained.iter().map(move |told| (of, told)))
+        .flat_map(|of| of.explained.iter().map(move |words| (of, words)))
         .collect();
-    for (outcome, told) in explained.iter().take(TOLD) {
-        line(format!("machine stalled, fault {}: {told}", outcome.number));
+    for (outcome, words) in explained.iter().take(SHOWN) {
+        line(format!(
+            "machine stalled, fault {}: {words}",
+            outcome.number
+        ));
     }
     let cycles: u32 = found.outcomes.iter().map(|it| it.power_cycles).sum();
     line(format!(
@@ -205,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_violation_is_told_with_the_command_that_repeats_it() {
+    fn a_violation_is_printed_with_the_command_that_repeats_it() {
         let source = Source {
             kind: SourceKind::Drawn { seed: 7 },
             site: Site::Processes,
@@ -221,10 +225,16 @@ mod tests {
         };
         assert_eq!(violated(&found), 0);
         found.outcomes[1].violations = vec!["24.0 ms without control".to_owned()];
-        let told = text(&source, &found);
-        assert!(told.contains("tandem chaos --seed 7 --only 2"), "{told}");
-        assert!(told.contains("4 faults, 1 violated"), "{told}");
-        assert!(told.contains("·▄··"), "one of two up to 15 ms: {told}");
+        let printed = text(&source, &found);
+        assert!(
+            printed.contains("tandem chaos --seed 7 --only 2"),
+            "{printed}"
+        );
+        assert!(printed.contains("4 faults, 1 violated"), "{printed}");
+        assert!(
+            printed.contains("·▄··"),
+            "one of two up to 15 ms: {printed}"
+        );
         let figures = json(&source, &found);
         assert_eq!(
             (&figures["faults"], &figures["violations"]),
@@ -260,8 +270,8 @@ mod tests {
             outcomes: outcomes.collect(),
             wrong: vec![],
         };
-        let told = text(&source, &found);
-        let lines = told.lines().count();
-        assert!(lines <= 40, "{lines}\n{told}");
+        let printed = text(&source, &found);
+        let lines = printed.lines().count();
+        assert!(lines <= 40, "{lines}\n{printed}");
     }
 }

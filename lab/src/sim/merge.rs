@@ -1,4 +1,4 @@
-//! Results of several machines or processes as one: each tried a range of numbers.
+//! Adds up the results of several machines or processes, each of a range of numbers.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -124,7 +124,7 @@ fn merged(files: &[PathBuf]) -> Result<(Totals, Map<String, Value>, Vec<Range>)>
             seeds: totals.seeds + part.seeds,
             violations: totals.violations + part.violations,
             simulated_s: totals.simulated_s + part.simulated_s,
-            // As if they had run one after the other: what ran beside what is not known.
+            // Assume that they ran one after the other: the files do not say what ran in parallel.
             wall_s: totals.wall_s + part.wall_s,
             cpu_s: totals.cpu_s + part.cpu_s,
             digest: totals.digest.wrapping_add(digest),

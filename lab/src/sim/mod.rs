@@ -83,7 +83,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["faults", "only"])]
     merge: Vec<PathBuf>,
 
-    /// Tell what happens in one sequence, as random:137; with --faults, the seed alone
+    /// Print the story of one sequence, as random:137; with --faults, the seed alone
     #[arg(long, value_name = "GROUP:NUMBER")]
     only: Option<String>,
 
@@ -171,7 +171,7 @@ impl SimArgs {
     }
 }
 
-/// Sequences that belong together.
+/// Where the sequences of a campaign are from.
 enum Source {
     Numbered(Group),
     File(FaultFile),
@@ -375,7 +375,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
     }
 }
 
-/// What another process of the campaign does: a line for each sequence.
+/// Runs a part of a campaign in a process of its own, and prints a line for each sequence.
 fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
     let (.., step) = source.numbers(arguments)?;
     for number in (chunk[0]..chunk[1]).step_by(usize::try_from(step)?) {
@@ -386,8 +386,7 @@ fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> 
     print(&format!("cpu {} {}\n", cpu.tv_sec, cpu.tv_nsec))
 }
 
-/// Runs the sequences in processes, some at a time.
-/// Also returns the processors' time.
+/// Runs the sequences in several processes at a time. Also returns the processor time.
 fn campaign(source: &Source, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
     let (from, to, step) = source.numbers(arguments)?;
     let chunk = CHUNK * step;
@@ -462,14 +461,14 @@ fn run_in_process(
     let (.., step) = source.numbers(arguments)?;
     if outcomes.len() as u64 != (to - from).div_ceil(step) {
         bail!(
-            "sequences {from} to {to}: only {} were told",
+            "sequences {from} to {to}: only {} were reported",
             outcomes.len()
         );
     }
     Ok((outcomes, text.lines().find_map(cpu_of).unwrap_or_default()))
 }
 
-/// The processor's time that a process tells.
+/// The processor time in the report of a process.
 fn cpu_of(line: &str) -> Option<Duration> {
     let (s, ns) = line.strip_prefix("cpu ")?.split_once(' ')?;
     Some(Duration::new(s.parse().ok()?, ns.parse().ok()?))

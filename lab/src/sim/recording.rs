@@ -13,7 +13,7 @@ use tandem::collected::Collected;
 use tandem::metrics::Surroundings;
 use tandem::output::ReportFolder;
 
-/// Writes it. The story of the bench is still to be told afterwards.
+/// Writes it. The story of the bench stays available.
 pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> Result<()> {
     let mut candump = String::new();
     for frame in bench.frames() {

@@ -13,7 +13,7 @@ use super::coverage::Coverage;
 use super::outcome::Outcome;
 use super::{SimArgs, Source};
 
-/// Classes of a violation that are printed, and sequences that are shrunk to find them.
+/// Classes of a violation that are printed, and the number of sequences that are shrunk for them.
 const CLASSES: usize = 12;
 const SHRUNK: usize = 40;
 
@@ -21,14 +21,14 @@ const SHRUNK: usize = 40;
 #[derive(Default)]
 pub(super) struct Summary {
     pub(super) sequences: u64,
-    /// Sequences that violate what is not known to be violated.
+    /// Sequences with a violation that is not a known one.
     pub(super) violated: u64,
     pub(super) simulated_ns: u64,
     /// Sequences that end with a suspended system.
     suspended: u64,
     gap_ns: u64,
     violations: BTreeMap<String, usize>,
-    /// How often what is known was violated, by its reason.
+    /// Known violations, by their reason.
     known: BTreeMap<String, u64>,
     /// The digests of all sequences, whatever their order.
     pub(super) digest: u64,

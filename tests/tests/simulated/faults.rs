@@ -4,7 +4,9 @@ use tandem_board::{CoreId, Duration, Edge, Instant, Line, RoleLamp, SystemId, Tr
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
-use tandem_faults::{Fault, Group, Kind, Loss, Sequence, Way, just, known};
+use tandem_faults::{
+    Fault, Group, Kind, Loss, Sequence, Site, Suffer as _, Way, effects, just, known,
+};
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Config;
 use tandem_sim::timing::Time;
@@ -53,6 +55,26 @@ fn two_faults_within_one_system_are_contained() {
 #[test]
 fn in_the_end_the_vehicle_obeys_a_master() {
     try_all(Group::Random, 0..200);
+}
+
+/// The simulator does each fault that the table gives it, and refuses each other one.
+#[test]
+fn the_simulator_suffers_what_the_table_says() {
+    for kind in Kind::samples() {
+        let mut bench = Bench::new(Config::rt(), 0, false);
+        let fault = Fault {
+            kind,
+            way: Way::A,
+            at: Duration::ZERO,
+            lasts: None,
+        };
+        let effects = effects(&[fault], Duration::from_ms(50), SystemId::A);
+        assert!(!effects.is_empty(), "{kind}");
+        let suffered = effects
+            .into_iter()
+            .all(|(_, effect)| bench.apply(effect).is_ok());
+        assert_eq!(suffered, kind.is_for(Site::Simulator), "{kind}");
+    }
 }
 
 fn at(time: Time) -> Profile {
