@@ -1,9 +1,9 @@
 //! Receives the records of a file, checks each one, and writes images to free slots.
 //!
 //! The manifest of an image arrives first and is checked before anything is erased. It is written
-//! last, after the body has been read back. So a slot with a readable manifest has a firm body, even
-//! if power was lost while the manifest was written. Finally, one write of the boot environment
-//! changes which slot boots. T-BOOT-5, U-3, U-5
+//! last, after the body has been read back. So a slot with a readable manifest has a firm body,
+//! even if power was lost while the manifest was written. Finally, one write of the boot
+//! environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program};

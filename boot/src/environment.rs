@@ -1,11 +1,11 @@
 //! The boot environment, in two copies: what boots, what is on trial, what is refused. U-2, U-3
 //!
-//! Each copy has its own sector. A change is written to one copy and then to the other, and each write
-//! erases the sector first. A page that a loss of power left half programmed may read as erased, as
-//! right, or differently each time. Therefore a page is programmed only in the life that erased it. A
-//! copy is a record, followed by a confirmation page that is programmed after the record has been read
-//! back. A confirmation that reads as right, even by luck, proves that its record is firm.
-//! `docs/boot.md` explains why two copies survive any two losses of power in a row.
+//! Each copy has its own sector. A change is written to one copy and then to the other, and each
+//! write erases the sector first. A page that a loss of power left half programmed may read as
+//! erased, as right, or differently each time. Therefore a page is programmed only in the life that
+//! erased it. A copy is a record, followed by a confirmation page that is programmed after the
+//! record has been read back. A confirmation that reads as right, even by luck, proves that its
+//! record is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, Slot};
@@ -37,8 +37,8 @@ pub struct Trial {
     pub executed: bool,
 }
 
-/// The progress of an update of the bootloader itself. A write of the environment ends each state, and
-/// the work of a state may be repeated from its beginning. U-4
+/// The progress of an update of the bootloader itself. A write of the environment ends each state,
+/// and the work of a state may be repeated from its beginning. U-4
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum LoaderUpdate {
@@ -186,7 +186,8 @@ impl EnvironmentStore {
         &self.current
     }
 
-    /// Makes both copies equal after a loss of power. Call it before anything acts on the environment.
+    /// Makes both copies equal after a loss of power. Call it before anything acts on the
+    /// environment.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be written.
@@ -199,8 +200,8 @@ impl EnvironmentStore {
         Ok(())
     }
 
-    /// Replaces the environment in both copies. Atomic: after a loss of power at any moment, the old
-    /// or the new environment is read.
+    /// Replaces the environment in both copies. Atomic: after a loss of power at any moment, the
+    /// old or the new environment is read.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be written; the flash then holds the old or the new

@@ -111,8 +111,8 @@ pub(crate) fn copy_to_bank(
     Ok(())
 }
 
-/// Chooses the bank to start, as the boot ROM does at every start: the first bank with a valid first
-/// page whose checksum matches the body. `None` means a bricked controller.
+/// Chooses the bank to start, as the boot ROM does at every start: the first bank with a valid
+/// first page whose checksum matches the body. `None` means a bricked controller.
 ///
 /// On the TC297 this is the evaluation of the boot mode headers: pages of 32 bytes with a checksum
 /// over a range, tried in a fixed order.

@@ -49,7 +49,8 @@ enum Entry {
 
 /// The entry rule of T-BOOT-1. A host may connect for [`CONNECT_WINDOW`] after power-on, and for
 /// [`HOST_SILENCE`] if the application requested it by an orderly reset, which it does only at
-/// standstill or as standby. It may never connect after an abnormal reset: a failover must not wait.
+/// standstill or as standby. It may never connect after an abnormal reset: a failover must not
+/// wait.
 const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
     match setup.cause {
         ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
@@ -112,8 +113,8 @@ pub struct Loader<'k, F> {
 }
 
 impl<'k, F: NorFlash> Loader<'k, F> {
-    /// Reads the boot environment, repairs it after a loss of power, rolls back an image that did not
-    /// approve itself, and takes the next step of an update of the bootloader.
+    /// Reads the boot environment, repairs it after a loss of power, rolls back an image that did
+    /// not approve itself, and takes the next step of an update of the bootloader.
     ///
     /// # Errors
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
@@ -157,7 +158,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
     pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
         if core::mem::take(&mut self.was_busy) {
-            // The loader does not read CAN while the flash is busy: that time is no silence of the host.
+            // The loader does not read CAN while the flash is busy: that time is no silence of the
+            // host.
             self.session.hear(now);
         }
         if let Some(frame) = self.answer.take() {
@@ -224,8 +226,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Whether to answer a request. Both loaders hear a host that names no system. At power-on only A
-    /// answers it. A loader that waits because of a request or an empty slot waits alone, and answers.
+    /// Whether to answer a request. Both loaders hear a host that names no system. At power-on only
+    /// A answers it. A loader that waits because of a request or an empty slot waits alone, and
+    /// answers.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;
@@ -390,8 +393,8 @@ fn manifest_at(
     (fits && ours).then_some((manifest, bytes))
 }
 
-/// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after the
-/// download still counts here, so that an approved image remains as fallback.
+/// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after
+/// the download still counts here, so that an approved image remains as fallback.
 fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) -> Option<Image> {
     let (manifest, bytes) = manifest_at(flash, target)?;
     let place = FlashRegion::Target(target).range().start;
@@ -461,10 +464,11 @@ fn raise(environment: &mut Environment, manifest: &Manifest) {
     environment.lowest_key = manifest.lowest_key.max(environment.lowest_key);
 }
 
-/// Approves the running application and its configuration: from now on they boot, and older versions
-/// are refused. Does nothing if nothing is on trial. U-3
+/// Approves the running application and its configuration: from now on they boot, and older
+/// versions are refused. Does nothing if nothing is on trial. U-3
 ///
-/// The application calls it in task context on one core, once it works. Blocks while the flash is busy.
+/// The application calls it in task context on one core, once it works. Blocks while the flash is
+/// busy.
 ///
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read or written; try again.

@@ -110,8 +110,8 @@ pub fn read_log(
     Ok(())
 }
 
-/// Appends an entry. A loss of power may have left the next page half programmed, so a page that does
-/// not read back is skipped.
+/// Appends an entry. A loss of power may have left the next page half programmed, so a page that
+/// does not read back is skipped.
 ///
 /// # Errors
 /// [`FlashFault`] if the entry cannot be written anywhere.

@@ -184,8 +184,8 @@ impl Manifest {
         Ok(())
     }
 
-    /// Returns what the boot ROM reads from a bootloader's first page: length and CRC-32 of the body.
-    /// `None` if the page is not the first one of a manifest.
+    /// Returns what the boot ROM reads from a bootloader's first page: length and CRC-32 of the
+    /// body. `None` if the page is not the first one of a manifest.
     #[must_use]
     pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
         let word = |at: usize| word(page, at);

@@ -1,8 +1,8 @@
 //! A connection with a host: acknowledgements, requests to resend, and the window. T-BOOT-3
 //!
-//! Without a window the host waits for the answer to each record, as in the thesis. With a window of n
-//! the host sends up to n records ahead, and one answer covers n records. After an error the host goes
-//! back to the record that the loader names.
+//! Without a window the host waits for the answer to each record, as in the thesis. With a window
+//! of n the host sends up to n records ahead, and one answer covers n records. After an error the
+//! host goes back to the record that the loader names.
 
 use crate::download::{Download, Ground, free_slot};
 use crate::protocol::{Answer, HostRequest, Refusal};
@@ -12,8 +12,8 @@ use tandem_board::{Duration, Instant};
 
 /// After this silence within a record or a window the loader requests a resend.
 pub const RESEND_AFTER: Duration = Duration::from_ms(100);
-/// The largest window. The receive buffer of a CAN controller must hold what the host sends during an
-/// erase: 16 records of 14 frames.
+/// The largest window. The receive buffer of a CAN controller must hold what the host sends during
+/// an erase: 16 records of 14 frames.
 pub const MAX_WINDOW: u8 = 16;
 /// After this many wrong records in a row the file is refused.
 const MAX_ATTEMPTS: u8 = 8;
@@ -203,7 +203,8 @@ impl Session {
         }
     }
 
-    /// Returns when [`Session::on_silence`] is due; `None` if no record is incomplete or unanswered.
+    /// Returns when [`Session::on_silence`] is due; `None` if no record is incomplete or
+    /// unanswered.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let under_way = self.assembler.is_inside() || self.unanswered > 0;
         (self.is_open() && under_way).then(|| self.heard + RESEND_AFTER)

@@ -46,8 +46,8 @@ impl SRecord {
     /// Parses a line without its line end.
     ///
     /// # Errors
-    /// [`SRecordError`] if it is not a record. A corrupted record may fail with any of them; request it
-    /// again.
+    /// [`SRecordError`] if it is not a record. A corrupted record may fail with any of them;
+    /// request it again.
     pub fn parse(line: &[u8]) -> Result<Self, SRecordError> {
         let [b'S', digit, hex @ ..] = line else {
             return Err(SRecordError::Type);

@@ -19,12 +19,12 @@ pub enum Leave {
 
 /// Services the watchdog if the bootloader runs longer than half the limit of the first service.
 pub trait Keeper {
-    /// Services the watchdog if it is due. Returns the next due time; [`Instant::NEVER`] if no further
-    /// call is needed.
+    /// Services the watchdog if it is due. Returns the next due time; [`Instant::NEVER`] if no
+    /// further call is needed.
     fn keep(&self) -> Instant;
 
-    /// Stops servicing. Returns whether an application may continue from here; if not, the bootloader
-    /// ends with a reset.
+    /// Stops servicing. Returns whether an application may continue from here; if not, the
+    /// bootloader ends with a reset.
     fn hand_over(&self) -> bool;
 }
 
@@ -79,8 +79,8 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
     }
 }
 
-/// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests it, and if
-/// the flash fails. Core 0, task context; blocks.
+/// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests it, and
+/// if the flash fails. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,

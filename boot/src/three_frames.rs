@@ -1,5 +1,5 @@
-//! The smallest application, for any board: each of its three cores sends a CAN frame with its number.
-//! T-BOOT-8
+//! The smallest application, for any board: each of its three cores sends a CAN frame with its
+//! number. T-BOOT-8
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Supply, watchdog_answer,

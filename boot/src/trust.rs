@@ -28,7 +28,8 @@ const ORDER: [u8; 32] = [
 ];
 
 impl Trust<'_> {
-    /// Whether a manifest is signed by the key that it names, and that key is not below `lowest_key`.
+    /// Whether a manifest is signed by the key that it names, and that key is not below
+    /// `lowest_key`.
     #[must_use]
     pub fn is_authentic(&self, manifest: &[u8; MANIFEST_BYTES], lowest_key: u8) -> bool {
         let number = manifest[7];
@@ -56,8 +57,8 @@ fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     }
     let hash = Sha512::new().updated(point).updated(key).updated(message);
     let hash = reduced(&hash.finalize());
-    // scalar * base - hash * public, both products bit by bit. All inputs are public, so the time may
-    // depend on them.
+    // scalar * base - hash * public, both products bit by bit. All inputs are public, so the time
+    // may depend on them.
     let (base, public) = (EdwardsPoint::basepoint(), -&public);
     let both = &base + &public;
     let mut sum = EdwardsPoint::neutral_element();

@@ -32,8 +32,8 @@ Examples:
 With --board qemu the same controller runs bare-metal in emulated machines. Time is the emulator's,
 and the report says so. The run prints the emulators' process ids; you can kill those too.
 
-Kill any process of the run while it drives (tandem ps lists them). At the end the run writes a report
-into the folder that --out names: report.html, metrics.json, candump.log and two .hgrm files.";
+Kill any process of the run while it drives (tandem ps lists them). At the end the run writes a
+report into the folder that --out names: report.html, metrics.json, candump.log, two .hgrm files.";
 
 /// A fail-operational controller: two systems of three cores each, and the vehicle that they drive
 #[derive(Debug, Parser)]
@@ -80,8 +80,8 @@ pub enum Command {
     Thesis(PassedArguments),
     /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(PassedArguments),
-    /// Download the smallest application over CAN to an empty controller, start it, and show a frame
-    /// of each core
+    /// Download the smallest application over CAN to an empty controller, start it, and show a
+    /// frame of each core
     BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
     Flash(PassedArguments),

@@ -1,5 +1,5 @@
-//! Programs beside this one: commands with dependencies that no drive needs. Each is built when it is
-//! first used.
+//! Programs beside this one: commands with dependencies that no drive needs. Each is built when it
+//! is first used.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::CommandExt as _;
@@ -58,8 +58,8 @@ pub struct PassedArguments {
 
 /// Replaces this process by the program, with these arguments. Returns only on failure.
 ///
-/// If this program runs from cargo's target folder and its sources exist, cargo first brings the other
-/// program up to date. If cargo fails, the existing program runs, with a warning on stderr.
+/// If this program runs from cargo's target folder and its sources exist, cargo first brings the
+/// other program up to date. If cargo fails, the existing program runs, with a warning on stderr.
 ///
 /// # Errors
 /// [`Failure::Usage`] if the program is missing.
@@ -92,7 +92,8 @@ fn build(program: Program, folder: &Path) -> anyhow::Result<()> {
     };
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    // Name both packages: cargo then unifies features as it did for this program, and reuses that build.
+    // Name both packages: cargo then unifies features as it did for this program, and reuses that
+    // build.
     command.args(["build", "--quiet", "-p", "tandem", "-p", program.package()]);
     command.args(["--bin", program.name(), "--profile", profile]);
     command.arg("--target-dir").arg(target);

@@ -37,8 +37,8 @@ pub struct ProgramFlashes {
 }
 
 impl ProgramFlashes {
-    /// Opens the flashes in these files. Creates a missing one as a factory would: with release 1 of
-    /// the controller, signed with this key.
+    /// Opens the flashes in these files. Creates a missing one as a factory would: with release 1
+    /// of the controller, signed with this key.
     ///
     /// # Errors
     /// If a file cannot be read or created, or is not a flash.

@@ -18,9 +18,9 @@ const STACK_BYTES: usize = 64 << 10;
 /// How many times the doorbell's thread has merged rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// How long the thread sleeps that watches this CPU for stalls; each end of a sleep is a wake-up. Two
-/// ticks of core 0: the timer that core 0 postpones is then never the next one of its CPU, which the
-/// kernel would have to reprogram at each tick.
+/// How long the thread sleeps that watches this CPU for stalls; each end of a sleep is a wake-up.
+/// Two ticks of core 0: the timer that core 0 postpones is then never the next one of its CPU,
+/// which the kernel would have to reprogram at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
 /// Postpones the end of that sleep at each tick from now on. Only the first call has an effect.

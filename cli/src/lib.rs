@@ -47,8 +47,9 @@ use tandem_rtos::host::TaskAllocator;
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
-/// Runs a process of a run if the arguments ask for one; otherwise runs `command`. Every program that
-/// starts runs uses this, because the processes of a run are this program with hidden arguments.
+/// Runs a process of a run if the arguments ask for one; otherwise runs `command`. Every program
+/// that starts runs uses this, because the processes of a run are this program with hidden
+/// arguments.
 pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
     if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
         return match process(args) {

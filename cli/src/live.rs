@@ -110,7 +110,8 @@ fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
 mod tests {
     use super::*;
 
-    /// The columns do not move while the values change, and the line fits on a terminal of 80 columns.
+    /// The columns do not move while the values change, and the line fits on a terminal of 80
+    /// columns.
     #[test]
     fn the_line_keeps_its_columns() {
         let line = |speed, lead_gap, role: &str| {

@@ -1,8 +1,8 @@
 //! Publishing of a run: a thread of `tandem run` reads the recording as it grows, and a separate
 //! process publishes it.
 //!
-//! The run depends on neither. The thread never waits: it drops what does not fit into the socket. The
-//! process must share `/dev/shm` with the observers, so it starts before the run gets its own.
+//! The run depends on neither. The thread never waits: it drops what does not fit into the socket.
+//! The process must share `/dev/shm` with the observers, so it starts before the run gets its own.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -31,8 +31,8 @@ use tandem_vehicle::LoggedFrame;
 
 /// Time to the next read after one that found nothing, or only part of an entry.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
-/// Time to the next read after one that found entries. The vehicle writes every 100 ms; a little less
-/// than that keeps each read just behind a write.
+/// Time to the next read after one that found entries. The vehicle writes every 100 ms; a little
+/// less than that keeps each read just behind a write.
 const READ_INTERVAL: Duration = Duration::from_millis(99);
 /// The largest message to the publisher, bytes. A longer entry is dropped.
 const MESSAGE_MAX: usize = 48 << 10;
@@ -133,7 +133,8 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
             .and_then(|from: &mut File| from.take(READ_MAX as u64).read_to_end(&mut left).ok());
         while let Some(end) = file::whole_entries(&left, MESSAGE_MAX) {
             if end <= MESSAGE_MAX {
-                // A publisher that is too slow loses these; without a publisher the error is harmless.
+                // A publisher that is too slow loses these; without a publisher the error is
+                // harmless.
                 let _ = to.send(&left[..end]);
             }
             left.drain(..end);

@@ -1,5 +1,5 @@
-//! The programming host of a vehicle: updates both systems, one after the other, each while the other
-//! drives. U-3, U-5
+//! The programming host of a vehicle: updates both systems, one after the other, each while the
+//! other drives. U-3, U-5
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -11,9 +11,9 @@ use tandem_boot_host::{FileSender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
-/// How long the roles must be stable before an update begins. By then a system that was just updated
-/// has approved its image: it does so one to two seconds after it has a role, and dual operation
-/// resumes after two seconds.
+/// How long the roles must be stable before an update begins. By then a system that was just
+/// updated has approved its image: it does so one to two seconds after it has a role, and dual
+/// operation resumes after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
 /// Frames of a download per millisecond that a bus of 500 kbit/s carries.
 const FRAMES_PER_MS: usize = 3;

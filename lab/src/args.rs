@@ -37,8 +37,8 @@ pub(crate) enum Command {
     Thesis(ThesisArgs),
     /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(RtosDemoArgs),
-    /// Download the smallest application over CAN to an empty controller, start it, and show a frame
-    /// of each core
+    /// Download the smallest application over CAN to an empty controller, start it, and show a
+    /// frame of each core
     BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
     Flash(FlashArgs),

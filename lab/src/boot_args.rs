@@ -17,8 +17,8 @@ Examples:
   tandem bootloader --flash a.flash --public key.pub.der --requested
                                                        a bootloader to send it to
 
-The file holds the data of one slot, after its first 256 bytes. For the protocol, the addresses and the
-meaning of refusals see docs/boot.md.";
+The file holds the data of one slot, after its first 256 bytes. For the protocol, the addresses and
+the meaning of refusals see docs/boot.md.";
 
 /// Arguments of `tandem flash`.
 #[derive(Debug, Args)]

@@ -93,8 +93,8 @@ impl Images {
         })
     }
 
-    /// Starts the machines, with program flashes in `folder`. Also returns the update that the systems
-    /// will receive.
+    /// Starts the machines, with program flashes in `folder`. Also returns the update that the
+    /// systems will receive.
     fn start(
         &self,
         layout: Layout,
@@ -163,7 +163,8 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     })
 }
 
-/// Drives to the end, or until the user ends the run. Returns a line on the run's clock and duration.
+/// Drives to the end, or until the user ends the run. Returns a line on the run's clock and
+/// duration.
 ///
 /// # Errors
 /// If the emulator does not start, hangs or fails.

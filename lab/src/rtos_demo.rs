@@ -1,8 +1,8 @@
 //! `tandem rtos-demo`: two tests of the kernel as pictures of digital outputs. T-RTOS-3, T-RTOS-4
 //!
 //! Each of three tasks toggles an output, which the thesis watches with an oscilloscope. The tasks
-//! record the time of each change, in this process or as firmware in an emulated machine. The picture
-//! is drawn from these records.
+//! record the time of each change, in this process or as firmware in an emulated machine. The
+//! picture is drawn from these records.
 
 use anyhow::{Context as _, Result, ensure};
 use std::fmt::Write as _;
@@ -41,7 +41,8 @@ pub(crate) struct Picture {
     changes: Changes,
 }
 
-/// Runs both tests and returns the text to show. Also writes the pictures to a file if one is named.
+/// Runs both tests and returns the text to show. Also writes the pictures to a file if one is
+/// named.
 pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
     let pictures = pictures(args.board, args.firmware.as_deref())?;
     if let Some(path) = &args.svg {
@@ -160,8 +161,8 @@ impl Picture {
         })
     }
 
-    /// Returns the largest deviation of an output's mean period from that of its task, ms; NaN if an
-    /// output never changed.
+    /// Returns the largest deviation of an output's mean period from that of its task, ms; NaN if
+    /// an output never changed.
     pub(crate) fn off_ms(&self) -> f64 {
         let off = (0..self.test.outputs.len()).map(|channel| {
             let asked_ms = f64::from(self.test.outputs[channel].period_ms);

@@ -46,8 +46,8 @@ impl FailureMode {
     /// All modes, in the order of their numbers.
     pub const ALL: &'static [Self] = Self::VARIANTS;
 
-    /// The mode with this number in flash or in the status frame; [`FailureMode::Unknown`] for a number
-    /// that this software does not know.
+    /// The mode with this number in flash or in the status frame; [`FailureMode::Unknown`] for a
+    /// number that this software does not know.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
         Self::from_repr(code).unwrap_or(Self::Unknown)
@@ -153,8 +153,8 @@ impl SystemState {
     /// The state and its sequence number, from a record.
     ///
     /// # Errors
-    /// [`StateDecodeError::Blank`] for erased flash, [`StateDecodeError::Invalid`] for everything else that
-    /// is not a record that [`SystemState::encode`] can have written.
+    /// [`StateDecodeError::Blank`] for erased flash, [`StateDecodeError::Invalid`] for everything
+    /// else that is not a record that [`SystemState::encode`] can have written.
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), StateDecodeError> {
         if bytes.iter().all(|&byte| byte == 0xFF) {
             return Err(StateDecodeError::Blank);

@@ -9,8 +9,8 @@ use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};
 use embedded_storage::nor_flash::NorFlash;
 
 impl<F: NorFlash> Loader<'_, F> {
-    /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if the
-    /// loader may continue. U-4
+    /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if
+    /// the loader may continue. U-4
     pub(super) fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
         let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
         let backup = FlashRegion::Bank(Bank::Backup).range().start;

@@ -41,8 +41,8 @@ pub(crate) struct TaskMetrics {
     pub(crate) response_p99_ms: Option<f64>,
     /// Its maximum, ms.
     pub(crate) response_max_ms: Option<f64>,
-    /// Median time on the CPU, without that of tasks and handlers that ran in between, ms. On the host
-    /// it includes time that the machine's own scheduler took away.
+    /// Median time on the CPU, without that of tasks and handlers that ran in between, ms. On the
+    /// host it includes time that the machine's own scheduler took away.
     pub(crate) execution_p50_ms: Option<f64>,
     /// Its 99th percentile, ms.
     pub(crate) execution_p99_ms: Option<f64>,
@@ -51,8 +51,8 @@ pub(crate) struct TaskMetrics {
     /// Bytes of its stack that were never used; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
-    /// Longest time for which it held a lock that other tasks may wait for, including interruptions,
-    /// ms; `None` where not measured.
+    /// Longest time for which it held a lock that other tasks may wait for, including
+    /// interruptions, ms; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) lock_held_max_ms: Option<f64>,
 }

@@ -1,8 +1,8 @@
 //! The timeline of a run, from its trace records: which task ran when on which core.
 //!
-//! The records of each core are processed in their own order. A slice is the time from when a task or
-//! handler gets the CPU to when it leaves it. Slices of a core nest and never cross, even if records
-//! are missing: a slice without a recorded end ends with its core.
+//! The records of each core are processed in their own order. A slice is the time from when a task
+//! or handler gets the CPU to when it leaves it. Slices of a core nest and never cross, even if
+//! records are missing: a slice without a recorded end ends with its core.
 
 mod jobs;
 mod perfetto;
@@ -83,7 +83,8 @@ pub(crate) struct Mark {
     pub(crate) at_ns: u64,
     /// What happened.
     pub(crate) event: Event,
-    /// Number of the arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 for none.
+    /// Number of the arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 for
+    /// none.
     pub(crate) flow: u64,
 }
 
@@ -391,8 +392,8 @@ impl LineBuilder {
         &mut self.line.slices[slice]
     }
 
-    /// Ends the innermost slice of this work, and the slices within it, whose ends were lost. Returns
-    /// its time without that of inner slices, ns; `None` if it never began.
+    /// Ends the innermost slice of this work, and the slices within it, whose ends were lost.
+    /// Returns its time without that of inner slices, ns; `None` if it never began.
     fn end(&mut self, at_ns: u64, work: Work) -> Option<u64> {
         let is_it = |(slice, _): &(usize, u64)| self.line.slices[*slice].work == work;
         let from = self.open.iter().rposition(is_it)?;
@@ -420,8 +421,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// Ends all slices: the core's incarnation ended before `until_ns`, when its supply recorded it, or
-    /// else at its last record.
+    /// Ends all slices: the core's incarnation ended before `until_ns`, when its supply recorded
+    /// it, or else at its last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

@@ -10,8 +10,8 @@ use super::outputs::Done;
 use super::two_cores::{Counted, Exchange};
 use crate::emulated::image;
 
-/// In steps of a millisecond: the delay of switching A on after B, as in the thesis; the pause between
-/// two faults; and the longest wait for a state of the systems.
+/// In steps of a millisecond: the delay of switching A on after B, as in the thesis; the pause
+/// between two faults; and the longest wait for a state of the systems.
 const STAGGER: u32 = 40;
 const PAUSE: u32 = 1_000;
 const PATIENCE: u32 = 10_000;
@@ -128,8 +128,8 @@ pub(super) fn start() -> anyhow::Result<RunLog> {
     Emulated::start(Layout::One)?.end()
 }
 
-/// Records two takeovers: core 0 of A raises an exception, so A is reset and returns as standby; then
-/// B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
+/// Records two takeovers: core 0 of A raises an exception, so A is reset and returns as standby;
+/// then B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut of = Emulated::start(Layout::Two)?;
     let reset_ns = of.systems.reported().as_ns();

@@ -1,4 +1,5 @@
-//! `tandem thesis`: the experiments of chapter 6 of the thesis, its figures beside the measured ones.
+//! `tandem thesis`: the experiments of chapter 6 of the thesis, its figures beside the measured
+//! ones.
 
 mod emulated;
 mod host;
@@ -27,7 +28,8 @@ use two_cores::{Counted, Exchange};
 /// The figures of the thesis, and the bounds of the measured ones.
 const SYNC_NS: f64 = 660.0;
 const SKEW_US: f64 = 572.0;
-/// Both systems must see the sync edge within a heartbeat period, or they miss the first heartbeats.
+/// Both systems must see the sync edge within a heartbeat period, or they miss the first
+/// heartbeats.
 const SKEW_BOUND_US: f64 = 1_000.0;
 const RESET_MS: f64 = 2.08;
 const POWER_MS: f64 = 4.04;

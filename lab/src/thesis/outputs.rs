@@ -1,8 +1,8 @@
 //! Figure 6.21 of the thesis: a digital output of each system over time, and the response times
 //! between their edges.
 //!
-//! The output of a system is high while the system drives. It falls when the system fails. The output
-//! of the other system rises when that has detected the failure and taken over.
+//! The output of a system is high while the system drives. It falls when the system fails. The
+//! output of the other system rises when that has detected the failure and taken over.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::RoleCode;
@@ -38,9 +38,10 @@ fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
         .events
         .iter()
         .filter(|event| event.system == system && event.core == CoreId::CONTROL);
+    let master = RoleCode::Master as u8;
     of_system
         .filter(|event| event.at_ns >= from_ns)
-        .find(|event| matches!(event.event, Event::Role { role, .. } if role == RoleCode::Master as u8))
+        .find(|event| matches!(event.event, Event::Role { role, .. } if role == master))
         .map(|event| event.at_ns)
 }
 

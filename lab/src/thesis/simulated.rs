@@ -52,8 +52,8 @@ fn keep(pair: &mut SimPair, log: &Rc<RefCell<RunLog>>) {
     pair.take_bus_log();
 }
 
-/// Records a staggered start and two takeovers: A is reset; when it has returned as standby, B loses
-/// its power.
+/// Records a staggered start and two takeovers: A is reset; when it has returned as standby, B
+/// loses its power.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut config = tandem_cores::Config::rt();
     config.redundancy.reintegrate = true;
@@ -136,8 +136,8 @@ struct Messages {
 }
 
 /// Core 0 sends 4 bytes every millisecond and rings; the doorbell wakes core 1, whose task receives
-/// them. The time of an exchange is the execution time of both ends on this machine, because virtual
-/// time stands still while a core computes.
+/// them. The time of an exchange is the execution time of both ends on this machine, because
+/// virtual time stands still while a core computes.
 pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
     let messages = Arc::new(Mutex::new(Messages::default()));
     let shared = Arc::clone(&messages);
@@ -203,8 +203,8 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
         .collect())
 }
 
-/// Cores 0 and 1 increment one counter `each` times. Between reading and writing back, each core reads
-/// its clock, which lets the other core run.
+/// Cores 0 and 1 increment one counter `each` times. Between reading and writing back, each core
+/// reads its clock, which lets the other core run.
 pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
     let seen = Arc::new(Mutex::new([Vec::new(), Vec::new()]));
     let shared = Arc::clone(&seen);

@@ -127,8 +127,8 @@ impl Counted {
     }
 }
 
-/// Two cores, which are processes on these CPUs, increment one counter `each` times, with or without
-/// the lock.
+/// Two cores, which are processes on these CPUs, increment one counter `each` times, with or
+/// without the lock.
 pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let part = |core: usize| {
