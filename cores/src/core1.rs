@@ -152,8 +152,8 @@ impl<'b, B: Board> Core1<'b, B> {
         self.expected = next.unwrap_or(begun.released + (PERIOD - PATIENCE));
     }
 
-    /// Reads the frames that have arrived. Returns when the frame that completed the round was on the
-    /// bus, if the round is complete.
+    /// Reads the frames that have arrived. Returns when the frame that completed the round was on
+    /// the bus, if the round is complete.
     fn receive(&mut self) -> Option<Instant> {
         let mut completed = None;
         let mut left = CAN_FRAMES;

@@ -1,5 +1,5 @@
-//! The part of the download protocol (`docs/boot.md`) that an application receives: a host wants the
-//! bootloader of this system. T-BOOT-1
+//! The part of the download protocol (`docs/boot.md`) that an application receives: a host wants
+//! the bootloader of this system. T-BOOT-1
 
 use tandem_board::{CanFrame, CanId, SystemId};
 

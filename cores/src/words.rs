@@ -1,7 +1,7 @@
 //! Scene and trajectory as words of the LMU, and back.
 //!
-//! Values in shared memory are not trusted: decoding checks every count, tag and number, and refuses
-//! the whole value if one is impossible. Numbers cross as IEEE 754 bits.
+//! Values in shared memory are not trusted: decoding checks every count, tag and number, and
+//! refuses the whole value if one is impossible. Numbers cross as IEEE 754 bits.
 
 use crate::driving::knowledge::{Knowledge, KnownLine, KnownObject, KnownPlan, PLAN_POINTS};
 use crate::driving::types::{

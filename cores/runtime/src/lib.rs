@@ -382,6 +382,8 @@ pub fn start<B: Board + Sync>(
         .attach(Interrupt::DOORBELL, DOORBELL_PRIORITY, interrupt)
         .map_err(RuntimeError::Doorbell)?;
     kernel.trace(runtime);
-    kernel.start(TickSource::Wall).map_err(RuntimeError::Start)?;
+    kernel
+        .start(TickSource::Wall)
+        .map_err(RuntimeError::Start)?;
     Err(RuntimeError::Stopped)
 }

@@ -1,8 +1,8 @@
 //! Whether both systems would command the same: the command of the one that drives is compared with
 //! the one that the other would give. T-RED-9
 //!
-//! Two channels cannot vote. A difference that lasts is reported, and a system that finds itself wrong
-//! leaves. If neither does, the vehicle is stopped. The rule and its reasons stand in
+//! Two channels cannot vote. A difference that lasts is reported, and a system that finds itself
+//! wrong leaves. If neither does, the vehicle is stopped. The rule and its reasons stand in
 //! `docs/decisions/0020-two-systems-that-disagree.md`.
 
 use crate::driving::types::Command;
@@ -179,8 +179,8 @@ impl Agreement {
         (is_new || is_worst).then_some((stage, percent))
     }
 
-    /// The stage that the other system reports. Either system may ask for the stop: neither can judge
-    /// the reasons of the other.
+    /// The stage that the other system reports. Either system may ask for the stop: neither can
+    /// judge the reasons of the other.
     pub(super) fn on_stage_of_peer(&mut self, stage: Stage) -> Option<Change> {
         self.reports = if stage == Stage::Unresolved {
             self.reports.saturating_add(1)

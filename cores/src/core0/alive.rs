@@ -123,8 +123,8 @@ mod tests {
         ms.find_map(|ms| Some((ms, alive.silent(at(ms), LIMIT, cycles)?)))
     }
 
-    /// T-CHIP-3: cores that were held up together with core 0 may run before they are judged. A dead
-    /// one is found after that, and also by a core 0 that is always late.
+    /// T-CHIP-3: cores that were held up together with core 0 may run before they are judged. A
+    /// dead one is found after that, and also by a core 0 that is always late.
     #[test]
     fn time_without_polls_is_no_silence() {
         let mut alive = Alive::new(at(0), FIRST, |_| 0);

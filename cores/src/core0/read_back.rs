@@ -141,8 +141,8 @@ mod tests {
         }
     }
 
-    /// Sends 400 frames; the echo of each is what `obeyed` makes of it. Returns the first cycle that
-    /// is found wrong.
+    /// Sends 400 frames; the echo of each is what `obeyed` makes of it. Returns the first cycle
+    /// that is found wrong.
     fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
         found_at(None, obeyed)
     }
@@ -156,8 +156,8 @@ mod tests {
     }
 
     /// T-RED-9: a command that the vehicle obeys as it was sent is right, also if the echo is late.
-    /// One that it obeys otherwise, or keeps refusing, is wrong. Commands of the other system are not
-    /// judged.
+    /// One that it obeys otherwise, or keeps refusing, is wrong. Commands of the other system are
+    /// not judged.
     #[test]
     fn a_command_that_is_obeyed_otherwise_is_wrong() {
         assert_eq!(found(|_, echo| echo), None);

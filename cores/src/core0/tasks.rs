@@ -167,8 +167,8 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         self.last_service = Some(self.board.now());
     }
 
-    /// Ends a system whose control task hangs: such a standby cannot take over. Ends one with a wrong
-    /// command too: the watchdog resets a system that has no other to leave the vehicle to.
+    /// Ends a system whose control task hangs: such a standby cannot take over. Ends one with a
+    /// wrong command too: the watchdog resets a system that has no other to leave the vehicle to.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
             self.control.poll(shared.counters.control_cycles);
@@ -180,8 +180,8 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// Reports a fault of the output driver that [`OUTPUT_FAULT_POLLS`] polls in a row found: a switch
-    /// that is just opening or closing is sound.
+    /// Reports a fault of the output driver that [`OUTPUT_FAULT_POLLS`] polls in a row found: a
+    /// switch that is just opening or closing is sound.
     fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
         let found = self.board.output_diagnosis();
         self.output_faults = match found {

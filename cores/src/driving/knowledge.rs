@@ -1,8 +1,8 @@
 //! The knowledge of a driving system that one that has just joined lacks. T-CHIP-5
 //!
 //! Another system sends it. So it may only make more precise what the own sensors see (see
-//! `docs/decisions/0021-state-for-a-system-that-joins.md`): it creates no object and no lane, and it
-//! is used only in the first [`STARTING_CYCLES`] cycles.
+//! `docs/decisions/0021-state-for-a-system-that-joins.md`): it creates no object and no lane, and
+//! it is used only in the first [`STARTING_CYCLES`] cycles.
 
 use super::math::{clamp, max, min};
 use super::types::{

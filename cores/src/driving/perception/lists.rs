@@ -25,7 +25,8 @@ struct SensorClock {
 }
 
 impl SensorClock {
-    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 stands for no time.
+    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 stands for no
+    /// time.
     fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
         if measured_at == 0 {
             return now;

@@ -140,8 +140,8 @@ impl Perception {
     }
 
     /// [`Perception::cycle`] with knowledge of another system. It makes the own tracks and lanes
-    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is not used, and
-    /// none after the first [`STARTING_CYCLES`] cycles.
+    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is not used,
+    /// and none after the first [`STARTING_CYCLES`] cycles.
     pub fn cycle_with(&mut self, now: Instant, received: Option<&Knowledge>) -> &Scene {
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;

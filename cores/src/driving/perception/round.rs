@@ -1,7 +1,7 @@
 //! The sensors' round: what arrives in each period, and when it is complete.
 //!
-//! The sensors are not synchronised with this core, and do not report their phase. The end of a round
-//! is where the longest pause begins: a cycle there has the freshest lists.
+//! The sensors are not synchronised with this core, and do not report their phase. The end of a
+//! round is where the longest pause begins: a cycle there has the freshest lists.
 
 use tandem_board::{Duration, Instant};
 use tandem_bus::SensorId;

@@ -121,8 +121,8 @@ impl Planner {
         self.plans < STARTING_CYCLES
     }
 
-    /// Continues the plan of another system, if this one is newly started: the next plan joins it. Each
-    /// plan is made for the own scene; what that does not permit is not done.
+    /// Continues the plan of another system, if this one is newly started: the next plan joins it.
+    /// Each plan is made for the own scene; what that does not permit is not done.
     pub fn recall(&mut self, received: &Knowledge) {
         let Some(plan) = received.plan.as_ref().filter(|_| self.is_starting()) else {
             return;
