@@ -1,7 +1,7 @@
 //! Times without control, each compared with the bound of its cause, together with the stalls that
 //! excuse a part of it; and the times in which both systems transmitted.
 
-use tandem_board::{CoreId, Duration, ResetCause, SystemId};
+use tandem_board::{CoreId, Duration, ResetCause, SupplyEvent, SystemId};
 use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
@@ -82,7 +82,11 @@ impl Bounds {
     #[must_use]
     pub fn of_takeover(&self, log: &RunLog, takeover: &Takeover) -> f64 {
         let bound_ms = match takeover.cause {
-            Some(Evidence::PeerOff) if !self.was_silent(log, takeover) => self.power_ms,
+            Some(Evidence::PeerOff)
+                if !self.was_silent(log, takeover) && !core_died(log, takeover) =>
+            {
+                self.power_ms
+            }
             Some(Evidence::MasterMute) => self.mute_ms,
             _ => self.silent_ms,
         };
@@ -103,6 +107,18 @@ impl Bounds {
                 if u64::from(since_heartbeat_us) * 1_000 >= before_ns)
         })
     }
+}
+
+/// Tests whether core 0 of the old master died in the gap, while its supply had power. The level
+/// falls only when the supply has noticed the death, which may take it longer than the heartbeats
+/// take to be silent: that bound holds then.
+fn core_died(log: &RunLog, takeover: &Takeover) -> bool {
+    let gap_ns = takeover.from_ns..takeover.at_ns;
+    log.supplies.iter().any(|(at_ns, system, event)| {
+        *system == takeover.from
+            && gap_ns.contains(at_ns)
+            && matches!(event, SupplyEvent::CoreDied { core: died, .. } if *died == CoreId::CONTROL)
+    })
 }
 
 /// Tests whether the new master was in its hold-down when the old one's last frame was accepted.
@@ -461,16 +477,20 @@ mod tests {
     /// heartbeats were silent already is believed as late as silence is.
     #[test]
     fn a_gap_is_judged_by_the_bound_of_the_sign_that_ended_it() {
-        for (cause, since_heartbeat_us, to_ms, is_beyond) in [
-            (Evidence::PeerOff, 11_000, 26, false),
-            (Evidence::PeerOff, 11_000, 27, true),
-            (Evidence::PeerOff, 24_000, 27, true),
-            (Evidence::PeerOff, 129_000, 30, false),
-            (Evidence::PeerOff, 129_000, 31, true),
-            (Evidence::MasterMute, 0, 29, false),
-            (Evidence::MasterMute, 0, 30, true),
-            (Evidence::PeerSilent, 9_000, 30, false),
-            (Evidence::PeerSilent, 9_000, 31, true),
+        for (cause, since_heartbeat_us, died, to_ms, is_beyond) in [
+            (Evidence::PeerOff, 11_000, None, 26, false),
+            (Evidence::PeerOff, 11_000, None, 27, true),
+            // The supply noticed the death of core 0 late.
+            (Evidence::PeerOff, 11_000, Some(CoreId::CONTROL), 30, false),
+            (Evidence::PeerOff, 11_000, Some(CoreId::CONTROL), 31, true),
+            (Evidence::PeerOff, 11_000, Some(CoreId::PLANNING), 27, true),
+            (Evidence::PeerOff, 24_000, None, 27, true),
+            (Evidence::PeerOff, 129_000, None, 30, false),
+            (Evidence::PeerOff, 129_000, None, 31, true),
+            (Evidence::MasterMute, 0, None, 29, false),
+            (Evidence::MasterMute, 0, None, 30, true),
+            (Evidence::PeerSilent, 9_000, None, 30, false),
+            (Evidence::PeerSilent, 9_000, None, 31, true),
         ] {
             let mut log = log(&[(0, A), (10, A), (to_ms, B)], to_ms);
             log.events = vec![CoreEvent {
@@ -484,7 +504,10 @@ mod tests {
                     term: 3,
                 },
             }];
-            let what = format!("{cause:?} {since_heartbeat_us} {to_ms}");
+            let died = died.map(|core| SupplyEvent::CoreDied { core, signal: 9 });
+            log.supplies
+                .extend(died.map(|event| (20_000_000, A, event)));
+            let what = format!("{cause:?} {since_heartbeat_us} {to_ms} {died:?}");
             assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{what}");
         }
         let same = log(&[(0, A), (21, A)], 21);
