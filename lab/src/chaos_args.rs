@@ -54,8 +54,8 @@ pub(crate) struct ChaosArgs {
 }
 
 const EXAMPLES: &str = "\
-The faults are those of `tandem sim`. Each drive injects one fault after the other into a master and a
-standby. After each, everything is restored, and the systems must be master and standby again. The
+The faults are those of `tandem sim`. Each drive injects one fault after the other into a master and
+a standby. After each, everything is restored, and the systems must be master and standby again. The
 report has, for each class of faults, how long the other system needed to notice, and how long the
 vehicle was without control, beside the bound that is computed. A gap beyond its bound is no
 violation if the evidence shows that the machine itself stood still for that long.

@@ -1,5 +1,5 @@
-//! The judge of a simulated sequence: the rules of every campaign, and those that need what only the
-//! simulator sees.
+//! The judge of a simulated sequence: the rules of every campaign, and those for which only the
+//! simulator has evidence.
 
 use crate::bench::{Bench, State};
 use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
