@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow, bail, ensure};
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
-use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
+use tandem_board_host::{HostVehiclePort, LaunchPlan, Launcher, Schedule, VehicleArgs};
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FileSender, ToDo, records};
 
@@ -83,7 +83,7 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
         demo: Some(demo.clone()),
         ..RunConfig::default()
     };
-    let plan = Plan {
+    let plan = LaunchPlan {
         schedule: Schedule::default(),
         flash: SystemId::ALL.map(|system| files.flash(system)),
         extra: config.to_extra()?,

@@ -3,7 +3,7 @@
 use anyhow::Context as _;
 use serde::Serialize;
 use tandem_board::SystemId;
-use tandem_board_host::processes::{self, Kind, Process};
+use tandem_board_host::processes::{self, Process, ProcessKind};
 
 use crate::args::PsArgs;
 
@@ -28,8 +28,8 @@ fn row(process: &Process) -> Row {
         kind: process.kind.to_string(),
         system: process.system.map(|system: SystemId| system.to_string()),
         core: match process.kind {
-            Kind::Core(core, _) => Some(core.index()),
-            Kind::Supply | Kind::Vehicle => None,
+            ProcessKind::Core(core, _) => Some(core.index()),
+            ProcessKind::Supply | ProcessKind::Vehicle => None,
         },
         // Degraded is a mode of the master.
         role: role.map(|role| if role == DEGRADED { "master" } else { role }.to_owned()),
@@ -91,7 +91,7 @@ mod tests {
         Process {
             pid: 17,
             run: "tandem-1-a".parse().unwrap(),
-            kind: Kind::Core(CoreId::PLANNING, Generation(1)),
+            kind: ProcessKind::Core(CoreId::PLANNING, Generation(1)),
             system: Some(SystemId::B),
             role: Some(DEGRADED.to_owned()),
             cpu: Some(1),

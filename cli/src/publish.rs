@@ -25,7 +25,7 @@ use tandem_board_host::services::{Event, Frame, Publisher, Roles, Vehicle};
 use tandem_bus::Message;
 use tandem_cores::trace;
 use tandem_record::log::{Sample, VehicleRecord};
-use tandem_record::roles::State;
+use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
 use tandem_vehicle::LoggedFrame;
 
@@ -282,7 +282,7 @@ impl News {
                 let Some(system) = SystemId::from_index(system.into()) else {
                     return;
                 };
-                self.roles.state[system.index()] = code(State::of(status.role, status.mode));
+                self.roles.state[system.index()] = code(RoleState::of(status.role, status.mode));
                 // A system reports the lines that it receives: those from its peer.
                 let heard =
                     [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));
@@ -294,15 +294,15 @@ impl News {
 }
 
 /// Returns the number of [`Roles::state`].
-const fn code(state: State) -> u8 {
+const fn code(state: RoleState) -> u8 {
     match state {
-        State::Off => 0,
-        State::Starting => 1,
-        State::Standby => 2,
-        State::Master => 3,
-        State::Degraded => 4,
-        State::SafeStop => 5,
-        State::Suspended => 6,
+        RoleState::Off => 0,
+        RoleState::Starting => 1,
+        RoleState::Standby => 2,
+        RoleState::Master => 3,
+        RoleState::Degraded => 4,
+        RoleState::SafeStop => 5,
+        RoleState::Suspended => 6,
     }
 }
 

@@ -10,7 +10,7 @@ use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
-    CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
+    CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, Schedule,
 };
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
@@ -479,7 +479,7 @@ fn drive(
     if let Some(stagger_s) = args.stagger {
         launcher.stagger(SystemId::A, Duration::from_us((stagger_s * 1e6) as u64));
     }
-    let plan = Plan {
+    let plan = LaunchPlan {
         schedule,
         flash,
         extra: config.to_extra()?,

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::{CoreId, SystemId};
-use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options, PROGRAM_FLASH_AT};
+use tandem_board_qemu::{BootFrom, EmulatedWorld, MachineOptions, PROGRAM_FLASH_AT, WorldLayout};
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 use tandem_vehicle::Scenario;
 
@@ -97,7 +97,7 @@ impl Images {
     /// systems will receive.
     fn start(
         &self,
-        layout: Layout,
+        layout: WorldLayout,
         args: &RunArgs,
         files: &RunFiles,
         folder: &Path,
@@ -109,9 +109,9 @@ impl Images {
                     "--update: the systems must start through their bootloaders; use --board qemu \
                      without --firmware"
                 );
-                let options = Options {
+                let options = MachineOptions {
                     reintegrate: args.reintegrate,
-                    ..Options::default()
+                    ..MachineOptions::default()
                 };
                 let world = EmulatedWorld::start(image, layout, options)?;
                 return Ok((world, None));
@@ -175,8 +175,8 @@ fn drive(
     files: &RunFiles,
 ) -> anyhow::Result<(String, DriveEnd)> {
     let layout = match args.board {
-        BoardKind::QemuOne => Layout::One,
-        BoardKind::Host | BoardKind::Qemu => Layout::Two,
+        BoardKind::QemuOne => WorldLayout::One,
+        BoardKind::Host | BoardKind::Qemu => WorldLayout::Two,
     };
     let scenario = Scenario::load(&config.scenario)?;
     let folder = tempfile::tempdir().context("a folder for the program flashes")?;
@@ -212,8 +212,8 @@ fn drive(
         "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
          took {:.0} s of this machine's",
         match layout {
-            Layout::One => "one emulated machine, core 0 without a kernel",
-            Layout::Two => match images {
+            WorldLayout::One => "one emulated machine, core 0 without a kernel",
+            WorldLayout::Two => match images {
                 Images::Alone(_) => "two emulated machines, core 0 under FreeRTOS",
                 Images::Booting { .. } =>
                     "two emulated machines, started by their bootloaders, core 0 under FreeRTOS",

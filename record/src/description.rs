@@ -6,7 +6,7 @@ use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
 
-use crate::roles::State;
+use crate::roles::RoleState;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
 /// Tests whether a core or its scheduler writes this event in every cycle. A story omits it.
@@ -34,7 +34,7 @@ pub fn core_event(event: Event) -> Option<String> {
         }
         Event::Role { role, mode, term } => {
             let full = mode == ModeCode::L3 as u8;
-            let state = State::of_codes(role, mode)?.name();
+            let state = RoleState::of_codes(role, mode)?.name();
             format!("is {state}{}, term {term}", if full { ", L3" } else { "" })
         }
         Event::TookOver { cause, .. } => format!(
@@ -180,7 +180,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::SyncHeard => "sync edge of the other system",
         Evidence::PeerRuns => "the other system is running",
         Evidence::HandshakeDone => "handshake done",
-        Evidence::NobodyThere => "no system answered",
+        Evidence::NoAnswer => "no system answered",
         Evidence::PeerOff => "power level fell and heartbeats ended",
         Evidence::PeerSilent => "heartbeats and control frames silent",
         Evidence::BeatsSilent => "heartbeats silent",

@@ -12,7 +12,7 @@ const SILENT_NS: u64 = 250_000_000;
 
 /// The state of a system as a report shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum RoleState {
     /// No sign of it: without power, in reset, or dead.
     Off,
     /// Not yet in a role.
@@ -29,7 +29,7 @@ pub enum State {
     Suspended,
 }
 
-impl State {
+impl RoleState {
     /// All states, in the order of a legend.
     pub const ALL: [Self; 7] = [
         Self::Master,
@@ -55,7 +55,7 @@ impl State {
         }
     }
 
-    /// As [`State::of`], from the codes of a trace record; `None` if there is no such code.
+    /// As [`RoleState::of`], from the codes of a trace record; `None` if there is no such code.
     #[must_use]
     pub fn of_codes(role: u8, mode: u8) -> Option<Self> {
         let role = RoleCode::ALL.get(usize::from(role))?;
@@ -84,7 +84,7 @@ pub struct Span {
     /// To.
     pub to_s: f64,
     /// The state.
-    pub state: State,
+    pub state: RoleState,
 }
 
 /// The states of one system, without gaps from the start to the end of the run.
@@ -94,7 +94,7 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
     seen.sort_by_key(|(at_ns, _)| *at_ns);
     let end_s = log.driven_s();
     let mut spans: Vec<Span> = Vec::new();
-    let mut push = |from_s: f64, to_s: f64, state: State| {
+    let mut push = |from_s: f64, to_s: f64, state: RoleState| {
         let (from_s, to_s) = (from_s.clamp(0.0, end_s), to_s.clamp(0.0, end_s));
         if from_s >= to_s {
             return;
@@ -109,18 +109,18 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
         }
     };
     let first_s = seen.first().map_or(end_s, |(at_ns, _)| log.seconds(*at_ns));
-    push(0.0, first_s, State::Off);
+    push(0.0, first_s, RoleState::Off);
     for (index, (at_ns, state)) in seen.iter().enumerate() {
         let from_s = log.seconds(*at_ns);
         let next_s = seen
             .get(index + 1)
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
         // A suspended system stays suspended without reporting again.
-        if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != State::Suspended {
+        if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != RoleState::Suspended {
             // Shown for 10 ms, so that a single sign of life is visible.
             let until_s = (from_s + 0.01).min(next_s);
             push(from_s, until_s, *state);
-            push(until_s, next_s, State::Off);
+            push(until_s, next_s, RoleState::Off);
         } else {
             push(from_s, next_s, *state);
         }
@@ -128,7 +128,7 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
     spans
 }
 
-fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
+fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, RoleState)> {
     let status = log.status.iter().filter(|status| status.system == system);
     let control = log
         .control
@@ -138,18 +138,18 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
         .events
         .iter()
         .filter(|event| event.system == system && event.core == CoreId::CONTROL);
-    let mut seen: Vec<(u64, State)> = status
-        .map(|status| (status.at_ns, State::of(status.role, status.mode)))
+    let mut seen: Vec<(u64, RoleState)> = status
+        .map(|status| (status.at_ns, RoleState::of(status.role, status.mode)))
         .collect();
-    seen.extend(control.map(|frame| (frame.at_ns, State::of(RoleCode::Master, frame.mode))));
+    seen.extend(control.map(|frame| (frame.at_ns, RoleState::of(RoleCode::Master, frame.mode))));
     let off = log
         .power
         .iter()
         .filter(|power| power.system == system && !power.on);
-    seen.extend(off.map(|power| (power.at_ns, State::Off)));
+    seen.extend(off.map(|power| (power.at_ns, RoleState::Off)));
     seen.extend(events.filter_map(|event| match event.event {
-        Event::Role { role, mode, .. } => Some((event.at_ns, State::of_codes(role, mode)?)),
-        Event::Started { .. } => Some((event.at_ns, State::Starting)),
+        Event::Role { role, mode, .. } => Some((event.at_ns, RoleState::of_codes(role, mode)?)),
+        Event::Started { .. } => Some((event.at_ns, RoleState::Starting)),
         _ => None,
     }));
     seen
@@ -197,12 +197,15 @@ mod tests {
     #[test]
     fn a_master_that_loses_power_is_off_and_the_other_goes_from_standby_to_degraded() {
         let log = log();
-        let states = |system| -> Vec<State> {
+        let states = |system| -> Vec<RoleState> {
             let spans = timeline(&log, system).into_iter();
             spans.map(|span| span.state).collect()
         };
-        assert_eq!(states(SystemId::A), [State::Master, State::Off]);
-        assert_eq!(states(SystemId::B), [State::Standby, State::Degraded]);
+        assert_eq!(states(SystemId::A), [RoleState::Master, RoleState::Off]);
+        assert_eq!(
+            states(SystemId::B),
+            [RoleState::Standby, RoleState::Degraded]
+        );
         let off = timeline(&log, SystemId::A)[1];
         assert_eq!((off.from_s, off.to_s), (2.0, 4.0));
     }
@@ -215,7 +218,7 @@ mod tests {
         let all = Span {
             from_s: 0.0,
             to_s: 4.0,
-            state: State::Off,
+            state: RoleState::Off,
         };
         assert_eq!(spans, [all]);
     }

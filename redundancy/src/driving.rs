@@ -130,7 +130,7 @@ impl Driving {
     }
 }
 
-/// The phase `Thawed`: this master was held up, and listens whether the other drives now.
+/// The phase `Thawed`: this master was held up, and listens to find out whether the other drives.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thawed {
     /// The mastership to resume. After a stall no new term is taken: if the other took over

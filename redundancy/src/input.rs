@@ -59,8 +59,8 @@ pub struct ObeyedTerm {
     pub term: Term,
     /// Time since then.
     pub age: Duration,
-    /// When the vehicle sent this, ms on its own clock, the last eight bits, and how long it was on
-    /// its way to this call; `None` if it does not tell.
+    /// The last eight bits of the time of sending, ms on the vehicle's clock, and the time from then to
+    /// this call; `None` if unknown.
     pub sent: Option<(u8, Duration)>,
 }
 

@@ -95,12 +95,12 @@ pub struct Redundancy {
     /// The last state passed to the store.
     persisted: Option<SystemState>,
     /// The record was lost, and this is not yet reported.
-    untold_loss: bool,
+    unreported_loss: bool,
     /// The highest term is known well enough: the vehicle or a running system has reported it since
     /// the start, or this system was not off before and its record is whole.
     term_known: bool,
     /// The last stale term that was reported.
-    stale_told: Term,
+    stale_reported: Term,
     beats: BeatSender,
     /// When the last report went over the link, µs; wraps around.
     reported_us: u32,
@@ -143,9 +143,9 @@ impl Redundancy {
             changed_at: now,
             start_line_tested: false,
             persisted: None,
-            untold_loss: loaded == Loaded::Lost,
+            unreported_loss: loaded == Loaded::Lost,
             term_known: cause != ResetCause::PowerOn && matches!(loaded, Loaded::State(_)),
-            stale_told: Term::NONE,
+            stale_reported: Term::NONE,
             beats: BeatSender::new(config.heartbeat_period),
             reported_us: (now.as_ns() / 1_000) as u32,
             polls: Polls::new(now),
@@ -159,7 +159,7 @@ impl Redundancy {
     /// Takes one input at time `now`.
     pub fn on(&mut self, now: Instant, input: Input) -> Actions {
         let mut actions = Actions::none();
-        if core::mem::take(&mut self.untold_loss) {
+        if core::mem::take(&mut self.unreported_loss) {
             actions.record(RedundancyEvent::StateLost);
         }
         match input {
@@ -309,7 +309,7 @@ impl Redundancy {
         }
     }
 
-    /// What this system tells of itself, as in its status frame.
+    /// Returns this system's report about itself, as in its status frame.
     #[must_use]
     pub fn report(&self) -> PeerReport {
         let drives = |driving: Driving| !driving.is_refused();
@@ -319,7 +319,7 @@ impl Redundancy {
         };
         let hands_over = self.hands_over_until.is_some();
         let mode = match &self.phase {
-            // The standby takes over at this word. On CAN and to the vehicle nothing changes.
+            // This makes the standby take over. On CAN nothing changes.
             PhaseState::Master(_) if hands_over => Mode::SafeStop,
             _ => self.mode(),
         };
@@ -441,8 +441,8 @@ impl Redundancy {
         self.obey_fault(now, actions);
     }
 
-    /// The reaction to a fault of this system. It leaves only when the other drives: until then it
-    /// stops the vehicle, or stays ready for that.
+    /// Reacts to a fault of this system. The system leaves only when the other drives; until then it
+    /// stops the vehicle, or stays ready to do so.
     fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
         let Some(fault) = self.fault else {
             return;
@@ -459,7 +459,7 @@ impl Redundancy {
             PhaseState::Master(_) => Evidence::FaultStop,
             PhaseState::Starting(_) if !stays => leave,
             PhaseState::Standby(standby) if standby.master_drives(config, now, witnesses) => {
-                // Both have a permanent fault: the one that drives stops the vehicle, and this one
+                // Both systems have a permanent fault: the other one stops the vehicle, and this one
                 // is its backup.
                 if stays && witnesses.reports.resigns(now, config.report_limit) {
                     return;
@@ -493,7 +493,7 @@ impl Redundancy {
             Effect::FollowStart => actions.push(Action::AlignControl),
             Effect::MarkPeerFailed => self.set_peer_failed(now, true, actions),
             Effect::MarkPeerRecovered => self.set_peer_failed(now, false, actions),
-            Effect::TellLinesSplit => actions.record(RedundancyEvent::LinesSplit),
+            Effect::ReportLinesSplit => actions.record(RedundancyEvent::LinesSplit),
         }
     }
 

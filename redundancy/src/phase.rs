@@ -43,7 +43,7 @@ pub enum Phase {
     Master = 2,
     /// Drives alone. Output open, heartbeats.
     DegradedMaster = 3,
-    /// Was master, was held up longer than its lease, and listens whether the other drives now.
+    /// Was master, was held up longer than its lease, and listens to find out whether the other drives.
     /// Output closed, no heartbeats.
     Thawed = 4,
     /// Has requested a reset that may cure it. Output closed, no heartbeats.
@@ -108,7 +108,7 @@ pub enum Evidence {
     /// leads.
     HandshakeDone = 2,
     /// No system answered within the time limit.
-    NobodyThere = 3,
+    NoAnswer = 3,
     /// The other system's power level is low and its heartbeats have ended: it cannot transmit.
     PeerOff = 4,
     /// Both heartbeat lines are silent, or were since the master's last control frame, and no

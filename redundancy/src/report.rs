@@ -17,8 +17,8 @@ pub struct PeerReport {
     pub can_alive: bool,
 }
 
-/// A report as it goes over the link. It tells when it was sent, so that one that is repeated, or
-/// was on its way for too long, is no sign of life; and it carries its sender's clock to the other
+/// A report as sent over the link. It contains its time of sending: a report that is repeated, or was
+/// on its way for too long, is no sign of life. The time also gives the sender's clock to the other
 /// system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkReport {

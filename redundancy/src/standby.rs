@@ -151,7 +151,7 @@ impl Standby {
             {
                 Evidence::SyncStray
             }
-            // Heartbeats come, and no control frame ever did: the other is a standby too.
+            // Heartbeats arrive, but no control frame ever did: the other is a standby too.
             Evidence::PeerSilent | Evidence::MasterMute
                 if !self.control_known && !witnesses.beats.both_silent() =>
             {
@@ -207,8 +207,8 @@ impl Standby {
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
-    /// When the first of the limits ends with which [`Standby::judge`] may find that the master has
-    /// failed, if nothing is heard of it until then. Later than `now`.
+    /// Returns the end, after `now`, of the first limit at which [`Standby::judge`] may find that the
+    /// master has failed, if nothing is heard of it until then.
     pub(crate) fn next_limit(
         &self,
         config: &Config,
@@ -224,7 +224,8 @@ impl Standby {
             .unwrap_or(Instant::NEVER)
     }
 
-    /// For long enough, neither the other system nor the vehicle has reported that a system drives.
+    /// Whether, for long enough, neither the other system nor the vehicle has reported that a system
+    /// drives.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
         let listened = now.since(self.last_control) > config.witness_limit();
@@ -251,7 +252,7 @@ impl Standby {
             GateVerdict::Uncontrolled => config.witness_limit(),
             _ => config.mute_limit(),
         };
-        let nobody_drives = match verdict {
+        let no_system_drives = match verdict {
             // After an outage of the whole bus the master needs a control period to be heard.
             GateVerdict::Uncontrolled => {
                 witnesses.can.alive_for(now) > config.control_period + config.poll_interval
@@ -267,6 +268,6 @@ impl Standby {
             }
             GateVerdict::Unheard | GateVerdict::Obeys(_) => false,
         };
-        age > limit && nobody_drives
+        age > limit && no_system_drives
     }
 }

@@ -88,7 +88,7 @@ impl Starting {
             let lead = now.since(heard_at) >= self.lead_after(config);
             return lead.then_some(Evidence::HandshakeDone);
         }
-        self.is_over(config, now).then_some(Evidence::NobodyThere)
+        self.is_over(config, now).then_some(Evidence::NoAnswer)
     }
 
     /// Whether the other system is known to run, after the heartbeats of this poll.

@@ -23,7 +23,7 @@ pub(crate) enum Effect {
     /// The other system no longer counts as failed.
     MarkPeerRecovered,
     /// Reports that the heartbeat lines are cut.
-    TellLinesSplit,
+    ReportLinesSplit,
 }
 
 const NOTHING: Rule = Rule {
@@ -66,14 +66,14 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
         (P::Starting, E::SyncHeard) => both(Effect::FollowStart, P::Standby),
         (P::Starting, E::PeerRuns) => enter(P::Standby),
         (P::Starting, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
-        (P::Starting, E::NobodyThere) => enter(P::DegradedMaster),
+        (P::Starting, E::NoAnswer) => enter(P::DegradedMaster),
 
         (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute | E::MasterResigns) => {
             enter(P::DegradedMaster)
         }
         (P::Standby, E::SyncStray) => enter(P::Starting),
         (P::Standby, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
-        (P::Standby, E::BeatsSilent) => only(Effect::TellLinesSplit),
+        (P::Standby, E::BeatsSilent) => only(Effect::ReportLinesSplit),
 
         (P::Master, E::PeerOff | E::BeatsSilent | E::StandbyMute | E::FaultStop) => {
             enter(P::DegradedMaster)

@@ -222,7 +222,7 @@ fn power_loss_with_sectors_of_real_size() {
     assert_eq!(erases, 1);
 }
 
-/// T-RED-1: without a single valid record the loss is told, and the next write is durable all the
+/// T-RED-1: without a single valid record the loss is reported, and the next write is durable all the
 /// same.
 #[test]
 fn a_flash_full_of_garbage_is_lost_and_written_anew() {

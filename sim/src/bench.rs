@@ -1,6 +1,6 @@
 //! Both systems and a vehicle in virtual time, and faults that they suffer.
 
-use crate::outside::{POISON, Vehicle, another_command};
+use crate::outside::{OutsideVehicle, POISON, another_command};
 use crate::timing::Time;
 use crate::{drive, timed};
 use std::cell::RefCell;
@@ -126,7 +126,7 @@ const HEALED: Duration = Duration::from_ms(300);
 
 /// The state of a system that a fault hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum SequenceState {
     /// Without power.
     Off,
     /// The supply holds it in reset.
@@ -135,7 +135,7 @@ pub enum State {
     Shows(RoleLamp),
 }
 
-impl State {
+impl SequenceState {
     /// All. A supply that holds its system for good counts as [`RoleLamp::Suspended`].
     pub const ALL: [Self; 7] = [
         Self::Off,
@@ -162,13 +162,13 @@ pub struct Bench {
     /// The machine.
     pub pair: SimPair,
     /// The vehicle's log until now.
-    pub vehicle: Rc<RefCell<Vehicle>>,
+    pub vehicle: Rc<RefCell<OutsideVehicle>>,
     /// The limits of both systems.
     pub config: Config,
     /// What they are made of.
     pub profile: Profile,
     /// What its faults hit: a kind, by its label, and the state of the system.
-    pub(crate) covered: Vec<(Kind, State)>,
+    pub(crate) covered: Vec<(Kind, SequenceState)>,
     /// The trace records that were read.
     traced: Vec<Traced>,
     bus: BusFaults,
@@ -199,7 +199,7 @@ impl Bench {
             poller(board, config, time, around)
         });
         let born = pair.now();
-        let vehicle = Vehicle::new(around == Around::ClosedLoop, keeps_events);
+        let vehicle = OutsideVehicle::new(around == Around::ClosedLoop, keeps_events);
         let vehicle = Rc::new(RefCell::new(vehicle));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
@@ -252,7 +252,10 @@ impl Bench {
         for (at, change) in effects(faults, span, SystemId::A) {
             self.pair.run_until(begin + at.min(span));
             while let Some(fault) = hits.next_if(|fault| fault.at <= at) {
-                let states = fault.way.systems().map(|of| State::of(&self.pair, of));
+                let states = fault
+                    .way
+                    .systems()
+                    .map(|of| SequenceState::of(&self.pair, of));
                 self.covered.extend(states.map(|state| (fault.kind, state)));
             }
             let applied = self.apply(change);
@@ -412,7 +415,7 @@ impl Suffer for Bench {
         }
         match kind {
             Kind::Cut { wire } if on => pair.cut(wire, of),
-            Kind::Cut { wire } => pair.mend(wire, of),
+            Kind::Cut { wire } => pair.restore(wire, of),
             Kind::LevelLow => pair.hold_level_low(of, on),
             Kind::PowerLoss if on => pair.power_off(of),
             Kind::PowerLoss => pair.power_on(of),
@@ -461,7 +464,9 @@ impl Suffer for Bench {
         self.vehicle.borrow_mut().silent = false;
         let pair = &mut self.pair;
         for of in SystemId::ALL {
-            Wire::ALL.into_iter().for_each(|wire| pair.mend(wire, of));
+            Wire::ALL
+                .into_iter()
+                .for_each(|wire| pair.restore(wire, of));
             pair.hold_level_low(of, false);
             pair.disturb_bus(of, BusFault::default());
             pair.rest_core(of, CoreId::CONTROL, Duration::ZERO);

@@ -19,7 +19,7 @@ use tandem_redundancy::{Geometry, Loaded, StateStore, SystemState};
 use tandem_vehicle::{Scenario, World};
 
 /// The vehicle's log of a drive.
-pub struct Seen {
+pub struct Observation {
     /// The vehicle, its traffic and its gate for control frames.
     pub world: World,
     /// The recording until now.
@@ -33,7 +33,7 @@ pub struct Drive {
     /// The machine.
     pub pair: SimPair,
     /// The vehicle's log until now.
-    pub seen: Rc<RefCell<Seen>>,
+    pub seen: Rc<RefCell<Observation>>,
     /// The trace events of the cores until now, in order.
     pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
@@ -73,8 +73,8 @@ pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
     }
 }
 
-fn tick(seen: &mut Seen, tick: &mut WorldTick) {
-    let Seen { world, log, forged } = seen;
+fn tick(seen: &mut Observation, tick: &mut WorldTick) {
+    let Observation { world, log, forged } = seen;
     world.run_period(tick.at, tick, &mut |frame| log.push(Entry::Frame(frame)));
     for frame in forged.drain(..) {
         let at = tick.broadcast(&frame);
@@ -105,7 +105,7 @@ impl Drive {
     ) -> Self {
         let scenario = Scenario::load(scenario).expect("an embedded scenario");
         let world = World::new(&scenario, tandem_vehicle::WorldConfig { seed });
-        let seen = Rc::new(RefCell::new(Seen {
+        let seen = Rc::new(RefCell::new(Observation {
             world,
             log: RunLog::default(),
             forged: vec![],

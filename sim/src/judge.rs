@@ -1,7 +1,7 @@
 //! The judge of a simulated sequence: the rules of every campaign, and those for which only the
 //! simulator has evidence.
 
-use crate::bench::{Bench, State};
+use crate::bench::{Bench, SequenceState};
 use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
 use std::fmt;
 use tandem_board::{Duration, Instant, RoleLamp, SystemId};
@@ -26,7 +26,7 @@ pub struct Tried {
     /// Every frame on the bus and every event of a system, as one number.
     pub digest: u64,
     /// The states that the faults hit.
-    pub covered: Vec<(Kind, State)>,
+    pub covered: Vec<(Kind, SequenceState)>,
     /// The rules that were broken.
     pub violations: Vec<Rule>,
 }

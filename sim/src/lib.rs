@@ -17,6 +17,6 @@ pub mod timed;
 pub mod timing;
 mod trial;
 
-pub use bench::{Around, Bench, Profile, State};
-pub use outside::Vehicle;
+pub use bench::{Around, Bench, Profile, SequenceState};
+pub use outside::OutsideVehicle;
 pub use trial::Tried;

@@ -15,7 +15,7 @@ pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
 const SCENARIO: &str = "stop-and-go";
 
 /// The world outside the systems, and what it received from them.
-pub struct Vehicle {
+pub struct OutsideVehicle {
     outside: Outside,
     /// Control frames that acted.
     pub accepted: Vec<Acceptance>,
@@ -48,7 +48,7 @@ struct Alone {
     echoed: Option<u64>,
 }
 
-impl Vehicle {
+impl OutsideVehicle {
     /// In a lane of the embedded scenario if `moves`, else a gate alone. `keeps_frames`:
     /// whether each frame is kept.
     pub(crate) fn new(moves: bool, keeps_frames: bool) -> Self {

@@ -1,8 +1,8 @@
-//! What fails in the hardware of a system: the vocabulary that each board can produce.
+//! The hardware faults that each board can produce.
 
 use crate::{Board, SystemId};
 
-/// A fault of a system's hardware. It lasts until it is mended, over resets and loss of power.
+/// A fault of a system's hardware. It lasts until it is repaired, also over resets and power loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum HardwareFault {
     /// The load of a switch of the output driver, or its wire, is gone.
@@ -51,7 +51,7 @@ impl HardwareFaults {
         self.0 & Self::bit(fault) != 0
     }
 
-    /// Makes a fault or mends it.
+    /// Makes a fault or repairs it.
     pub const fn set(&mut self, fault: HardwareFault, present: bool) {
         if present {
             self.0 |= Self::bit(fault);
@@ -87,7 +87,7 @@ pub enum OutputDiagnosis {
 
 /// A board whose hardware can be made to fail, for tests. Product code has no use for it.
 pub trait FaultSource: Board {
-    /// Makes a fault of a system's hardware, or mends it. Any context; also from the other system.
+    /// Makes a fault of a system's hardware, or repairs it. Any context; also from the other system.
     /// The effect may be a few milliseconds late.
     fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool);
 }

@@ -125,8 +125,8 @@ pub trait Board {
     /// The supply of this system. Any context.
     fn supply(&self) -> &Self::Supply;
 
-    /// What the driver of this system's outputs finds. Any context. A fault stays until it is
-    /// mended. A board without a driver that tells has none.
+    /// The diagnosis of this system's output driver. Any context. A fault stays until it is
+    /// repaired. A board whose driver has no diagnosis reports no fault.
     fn output_diagnosis(&self) -> OutputDiagnosis {
         OutputDiagnosis::Good
     }

@@ -1,9 +1,31 @@
 //! The supply of a system: a TLF35584 with its watchdogs, reset generator and reset cause. T-CHIP-6
 
+/// Numbers the variants of an enum, in the order of their declaration.
+macro_rules! coded {
+    ($name:ident: $($variant:ident),+) => {
+        impl $name {
+            /// All of them, in the order of their codes.
+            pub const ALL: [Self; [$(Self::$variant),+].len()] = [$(Self::$variant),+];
+
+            /// The number that encodes the value.
+            #[must_use]
+            pub const fn code(self) -> u32 {
+                self as u32
+            }
+
+            /// The inverse of `code`.
+            #[must_use]
+            pub fn from_code(code: u32) -> Option<Self> {
+                Self::ALL.get(code as usize).copied()
+            }
+        }
+    };
+}
+
 /// Why the system (or this core) started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
-    /// Power came on.
+    /// Power was switched on.
     PowerOn,
     /// The software requested it.
     Software,
@@ -30,30 +52,7 @@ impl ResetCause {
     }
 }
 
-impl ResetCause {
-    /// All causes, in the order of their codes.
-    pub const ALL: [Self; 7] = [
-        Self::PowerOn,
-        Self::Software,
-        Self::Watchdog,
-        Self::Trap,
-        Self::Download,
-        Self::ErrorPin,
-        Self::Undervoltage,
-    ];
-
-    /// The number that encodes the cause.
-    #[must_use]
-    pub const fn code(self) -> u32 {
-        self as u32
-    }
-
-    /// The inverse of [`ResetCause::code`].
-    #[must_use]
-    pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.get(code as usize).copied()
-    }
-}
+coded!(ResetCause: PowerOn, Software, Watchdog, Trap, Download, ErrorPin, Undervoltage);
 
 /// A request of a core to the reset generator. A request resets the whole system: all three cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,27 +68,7 @@ pub enum ResetRequest {
     Download,
 }
 
-impl ResetRequest {
-    /// All requests, in the order of their codes.
-    pub const ALL: [Self; 4] = [
-        Self::Software,
-        Self::CoreDead,
-        Self::Suspend,
-        Self::Download,
-    ];
-
-    /// The number that encodes the request.
-    #[must_use]
-    pub const fn code(self) -> u32 {
-        self as u32
-    }
-
-    /// The inverse of [`ResetRequest::code`].
-    #[must_use]
-    pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.get(code as usize).copied()
-    }
-}
+coded!(ResetRequest: Software, CoreDead, Suspend, Download);
 
 /// The system's role, shown on its digital outputs for a person or an oscilloscope.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,28 +85,7 @@ pub enum RoleLamp {
     Suspended,
 }
 
-impl RoleLamp {
-    /// All roles, in the order of their codes.
-    pub const ALL: [Self; 5] = [
-        Self::Starting,
-        Self::Master,
-        Self::DegradedMaster,
-        Self::Standby,
-        Self::Suspended,
-    ];
-
-    /// The number that encodes the role.
-    #[must_use]
-    pub const fn code(self) -> u32 {
-        self as u32
-    }
-
-    /// The inverse of [`RoleLamp::code`].
-    #[must_use]
-    pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.get(code as usize).copied()
-    }
-}
+coded!(RoleLamp: Starting, Master, DegradedMaster, Standby, Suspended);
 
 /// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte
 /// permutation.

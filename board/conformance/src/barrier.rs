@@ -1,6 +1,6 @@
 //! Barriers: how the roles of a case wait for each other.
 
-use crate::case::{Failure, check};
+use crate::case::{CaseFailure, check};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 
@@ -28,7 +28,7 @@ pub(crate) fn sleep_until<B: Board>(
     board: &B,
     what: &'static str,
     mut holds: impl FnMut() -> bool,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let begin = board.now();
     while !holds() {
         let now = board.now();
@@ -46,7 +46,7 @@ pub(crate) fn spin_until<B: Board>(
     board: &B,
     what: &'static str,
     mut holds: impl FnMut() -> bool,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let limit = board.now() + PATIENCE;
     while !holds() {
         check(board.now() < limit, what)?;
@@ -61,7 +61,7 @@ pub(crate) fn woken_until<B: Board>(
     board: &B,
     what: &'static str,
     mut holds: impl FnMut() -> bool,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let limit = board.now() + PATIENCE;
     while !holds() {
         let interrupted = board.wait(limit) == Wake::Interrupt;
@@ -72,7 +72,7 @@ pub(crate) fn woken_until<B: Board>(
 
 /// Sleeps for the whole span, whatever interrupts arrive.
 #[track_caller]
-pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), Failure> {
+pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), CaseFailure> {
     let end = board.now() + span;
     let mut spurious = 0;
     while board.wait(end) == Wake::Interrupt {
@@ -91,7 +91,7 @@ pub(crate) fn wait_for_cores<B: Board>(
     board: &B,
     cores: &[CoreId],
     step: u32,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let at = |core: CoreId| &board.lmu()[core.index()];
     // Release pairs with Acquire below: what a core did before a meeting is visible after it.
     at(board.identity().core).store(step, Ordering::Release);
@@ -114,7 +114,7 @@ pub(crate) const fn alternating(number: u32) -> Edge {
 /// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line,
 /// rising and falling in turn. Steps count from 1.
 #[track_caller]
-pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
+pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), CaseFailure> {
     const LINE: Line = Line::Heartbeat2;
     let lines = board.lines();
     lines.send(LINE, alternating(step - 1));
@@ -131,7 +131,7 @@ pub(crate) fn wait_for_all<B: Board>(
     board: &B,
     cores: &[CoreId],
     step: u32,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     wait_for_cores(board, cores, 2 * step - 1)?;
     if board.identity().core == CoreId::CONTROL {
         wait_for_peer(board, step)?;

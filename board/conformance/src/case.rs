@@ -5,15 +5,15 @@ use core::panic::Location;
 use tandem_board::CoreAddress;
 
 /// The function of one core in a case. Its argument says which core it is meant to be.
-pub type Role<B> = fn(&B, CoreAddress) -> Result<(), Failure>;
+pub type CaseRole<B> = fn(&B, CoreAddress) -> Result<(), CaseFailure>;
 
 /// A role and the core that runs it.
 #[derive(Clone, Copy, Debug)]
-pub struct Part<B: 'static> {
+pub struct CasePart<B: 'static> {
     /// The core.
     pub place: CoreAddress,
     /// Its function.
-    pub role: Role<B>,
+    pub role: CaseRole<B>,
 }
 
 /// What a case needs in addition to two systems with power.
@@ -58,12 +58,12 @@ pub struct Case<B: 'static> {
     /// What the case needs.
     pub setting: Setting,
     /// The cores that take part, with their roles.
-    pub parts: &'static [Part<B>],
+    pub parts: &'static [CasePart<B>],
 }
 
 /// A broken contract, as one role saw it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Failure {
+pub struct CaseFailure {
     /// The contract.
     pub what: &'static str,
     /// The observed and the expected value, if it is a number.
@@ -72,7 +72,7 @@ pub struct Failure {
     pub at: &'static Location<'static>,
 }
 
-impl fmt::Display for Failure {
+impl fmt::Display for CaseFailure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.what)?;
         if let Some((seen, expected)) = self.numbers {
@@ -85,12 +85,12 @@ impl fmt::Display for Failure {
     }
 }
 
-impl core::error::Error for Failure {}
+impl core::error::Error for CaseFailure {}
 
 /// Fails with `what`.
 #[track_caller]
-pub(crate) fn fail<T>(what: &'static str) -> Result<T, Failure> {
-    Err(Failure {
+pub(crate) fn fail<T>(what: &'static str) -> Result<T, CaseFailure> {
+    Err(CaseFailure {
         what,
         numbers: None,
         at: Location::caller(),
@@ -99,7 +99,7 @@ pub(crate) fn fail<T>(what: &'static str) -> Result<T, Failure> {
 
 /// Fails with `what` unless `holds`.
 #[track_caller]
-pub(crate) fn check(holds: bool, what: &'static str) -> Result<(), Failure> {
+pub(crate) fn check(holds: bool, what: &'static str) -> Result<(), CaseFailure> {
     if holds { Ok(()) } else { fail(what) }
 }
 
@@ -109,11 +109,11 @@ pub(crate) fn equal(
     seen: impl Into<u64>,
     expected: impl Into<u64>,
     what: &'static str,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let (seen, expected) = (seen.into(), expected.into());
     match seen == expected {
         true => Ok(()),
-        false => Err(Failure {
+        false => Err(CaseFailure {
             what,
             numbers: Some((seen, expected)),
             at: Location::caller(),

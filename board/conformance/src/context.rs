@@ -6,7 +6,7 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, DataFlash, Edge, Line, Lines, Link, RoleLamp, Supply,
 };
 
-use crate::case::{Failure, check};
+use crate::case::{CaseFailure, check};
 
 /// First word of the trace records of a handler; the second word counts them from 0.
 const FROM_HANDLER: u32 = 0xC0_0001;
@@ -65,8 +65,8 @@ impl Handler {
 /// would reset the system or wear out its flash. `round` counts from 0.
 ///
 /// # Errors
-/// [`Failure`] if a call of the handler has disturbed one of the task.
-pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), Failure> {
+/// [`CaseFailure`] if a call of the handler has disturbed one of the task.
+pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     board.trace([FROM_TASK, round, 0, 0]);
     let before = board.now();
     board.ring(board.identity().core);

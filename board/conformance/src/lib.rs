@@ -27,7 +27,7 @@ mod cases;
 mod context;
 mod rig;
 
-pub use case::{Case, Failure, Part, Role, Setting};
+pub use case::{Case, CaseFailure, CasePart, CaseRole, Setting};
 pub use cases::{case_of, cases};
 pub use context::{Handler, in_task};
-pub use rig::{Outcome, Rig, Summary, run_all, run_role};
+pub use rig::{CaseOutcome, Rig, Summary, run_all, run_role};

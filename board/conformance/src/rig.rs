@@ -1,6 +1,6 @@
 //! How a rig runs the suite on a board.
 
-use crate::case::{Case, Failure, Part, Setting, fail};
+use crate::case::{Case, CaseFailure, CasePart, Setting, fail};
 use crate::cases::cases;
 use core::fmt::Display;
 use tandem_board::{CoreId, FaultSource};
@@ -25,7 +25,7 @@ pub trait Rig {
 
 /// How a case ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome<F> {
+pub enum CaseOutcome<F> {
     /// Every role returned `Ok`.
     Passed,
     /// The rig does not support the case's setting.
@@ -48,21 +48,21 @@ pub struct Summary {
 /// Runs all cases in order and calls `report` for each.
 pub fn run_all<R: Rig>(
     rig: &mut R,
-    mut report: impl FnMut(&Case<R::Board>, &Outcome<R::Fault>),
+    mut report: impl FnMut(&Case<R::Board>, &CaseOutcome<R::Fault>),
 ) -> Summary {
     let mut summary = Summary::default();
     for (index, case) in cases::<R::Board>().iter().enumerate() {
         let outcome = match rig.takes(case) {
-            false => Outcome::Skipped,
+            false => CaseOutcome::Skipped,
             true => match rig.play(index, case) {
-                Ok(()) => Outcome::Passed,
-                Err(fault) => Outcome::Failed(fault),
+                Ok(()) => CaseOutcome::Passed,
+                Err(fault) => CaseOutcome::Failed(fault),
             },
         };
         match outcome {
-            Outcome::Passed => summary.passed += 1,
-            Outcome::Skipped => summary.skipped += 1,
-            Outcome::Failed(_) => summary.failed += 1,
+            CaseOutcome::Passed => summary.passed += 1,
+            CaseOutcome::Skipped => summary.skipped += 1,
+            CaseOutcome::Failed(_) => summary.failed += 1,
         }
         report(case, &outcome);
     }
@@ -73,16 +73,16 @@ pub fn run_all<R: Rig>(
 /// role. On core 0 it releases the other cores first, unless the case tests the release.
 ///
 /// # Errors
-/// The [`Failure`] that the role saw, also if there is no such case or part.
+/// The [`CaseFailure`] that the role saw, also if there is no such case or part.
 pub fn run_role<B: FaultSource + 'static>(
     case: usize,
     part: usize,
     board: &B,
-) -> Result<(), Failure> {
+) -> Result<(), CaseFailure> {
     let cases = cases::<B>();
     let case = cases.get(case);
     let found = case.and_then(|case| Some((case.setting, case.parts.get(part)?)));
-    let Some((setting, Part { place, role })) = found else {
+    let Some((setting, CasePart { place, role })) = found else {
         return fail("there is a case and a part with these numbers");
     };
     if place.core == CoreId::CONTROL && setting != Setting::Releases {

@@ -80,7 +80,7 @@ pub enum Item {
         of: SystemId,
         /// What fails.
         fault: HardwareFault,
-        /// Made; otherwise mended.
+        /// Made; otherwise repaired.
         present: bool,
     },
     /// The run is over: the machine ends.
@@ -106,7 +106,7 @@ pub enum Item {
     CutLevel {
         /// The system.
         of: SystemId,
-        /// Cut; otherwise mended.
+        /// Cut; otherwise restored.
         cut: bool,
     },
     /// The next item is carried out this much later.

@@ -13,8 +13,8 @@ use tandem_board::{Duration, Instant};
 
 use crate::clock::{self, timespec};
 
-/// The kernel forgets when a timer was due, unless it has a period: then the next expiry tells. No
-/// run is as long as this one.
+/// A period longer than any run. The kernel forgets when a timer without a period was due; with one,
+/// the time of the next expiry gives it.
 const AGAIN: Duration = Duration::from_ms(1_000_000_000);
 
 /// A timer of CLOCK_MONOTONIC that processes share by inheriting its descriptor.
@@ -64,7 +64,7 @@ impl Alarm {
         Ok(Self(timer))
     }
 
-    /// Sets it to this time from now, wherever it stood. The kernel reads the clock, so a caller
+    /// Sets it to this time from now, whatever its state. The kernel reads the clock, so a caller
     /// that is held up cannot set it to a time that has passed.
     pub fn postpone(&self, by: Duration) {
         let setting = Itimerspec {
@@ -113,7 +113,7 @@ mod tests {
 
     const SPAN: Duration = Duration::from_ms(5);
 
-    /// A wait ends when the timer is due, and says when that was, however late it looks.
+    /// A wait ends when the timer is due, and returns that time even if it returns late.
     #[test]
     fn a_wait_knows_when_it_was_due() {
         let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
@@ -130,7 +130,7 @@ mod tests {
         for _ in 0..3 {
             due_and_woken(Duration::ZERO);
         }
-        // Unless the machine stands still in each of them.
+        // Fails only if the machine stands still in each attempt.
         assert!((0..10).any(|_| {
             let (due, woken) = due_and_woken(late);
             due + SPAN < woken
@@ -153,7 +153,7 @@ mod tests {
         assert!(expired.due >= begin + SPAN.times(6));
     }
 
-    /// A timer that was set again as its expiry was read would tell of a stall since the epoch.
+    /// A timer that was set again while its expiry was read would report a stall since the epoch.
     #[test]
     fn a_timer_that_was_set_again_was_due_at_no_known_time() {
         let now = Instant::from_ns(50_000_000_000);

@@ -40,8 +40,8 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// What the kernel would grant to a core of a run with this schedule, tried on a separate
-    /// thread. For the line that a start prints.
+    /// Returns what the kernel would grant to a core of a run with this schedule, tried on a
+    /// separate thread. The start prints it.
     ///
     /// Starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
     #[must_use]
@@ -56,8 +56,8 @@ impl Schedule {
     }
 }
 
-/// Priorities under SCHED_FIFO. The supply has the highest: it must always run. The vehicle comes
-/// next: physics does not wait. Then core 0, which controls, then the cores that compute.
+/// Priorities under SCHED_FIFO. The supply has the highest: it must always run. The vehicle is
+/// next: physics does not wait. Core 0, which controls, is above the cores that compute.
 const SUPPLY_PRIORITY: u8 = 80;
 const VEHICLE_PRIORITY: u8 = 70;
 const CONTROL_PRIORITY: u8 = 60;
@@ -405,7 +405,7 @@ mod tests {
 
     /// T-BOOT-7: as the kernel starts the script of a slot.
     #[test]
-    fn an_application_is_told_its_name_and_the_arguments_of_its_core() {
+    fn an_application_gets_its_name_and_the_arguments_of_its_core() {
         let args = CoreArgs {
             common: common(Pinning::Off),
             identity: Identity {

@@ -15,7 +15,7 @@ use crate::backplane::{Backplane, BackplaneError};
 use crate::can::HostCan;
 use crate::clock;
 use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
-use crate::flash::{FlashFileError, HostFlash};
+use crate::flash_file::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
 use crate::memory::{self, MemoryError};
 use crate::segment::SegmentError;

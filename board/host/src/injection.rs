@@ -137,7 +137,7 @@ impl Injection {
         poke(self.backplane, system);
     }
 
-    /// Cuts or mends the connections of these systems over this wire.
+    /// Cuts or restores the connections of these systems over this wire.
     pub fn set_cut(&self, wire: Wire, from: &[SystemId], is_cut: bool) {
         for system in from {
             self.backplane.set_cut(wire, *system, is_cut);
@@ -181,7 +181,7 @@ impl Injection {
     /// The process of a system's supply, if it lives.
     fn supply(&self, system: SystemId) -> Option<Pid> {
         let is_supply = |process: &Process| {
-            process.system == Some(system) && process.kind == processes::Kind::Supply
+            process.system == Some(system) && process.kind == processes::ProcessKind::Supply
         };
         let pid = processes::of_run(&self.run)
             .into_iter()
@@ -200,7 +200,7 @@ impl Injection {
         Ok(())
     }
 
-    /// Makes a fault of a system's hardware, or mends it.
+    /// Makes a fault of a system's hardware, or repairs it.
     pub fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
         self.backplane.set_fault(of, fault, present);
         poke(self.backplane, of);

@@ -19,7 +19,7 @@ use tandem_board::SystemId;
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
 use crate::clock;
-use crate::flash::{Claimed, FlashFileError, HostFlash};
+use crate::flash_file::{Claimed, FlashFileError, HostFlash};
 use crate::injection::Injection;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
@@ -67,7 +67,7 @@ pub enum LaunchError {
 
 /// The configuration of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct LaunchPlan {
     /// How the processes are scheduled.
     pub schedule: Schedule,
     /// The files that are the data flashes of A and B; created if missing.
@@ -79,7 +79,7 @@ pub struct Plan {
 /// How the vehicle ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// Its exit status; `None` if it could not be learned.
+    /// Its exit status; `None` if it is not known.
     pub vehicle: Option<ExitStatus>,
     /// Whether a person ended the run early (Ctrl-C, SIGTERM, a closed terminal).
     pub interrupted: bool,
@@ -156,7 +156,7 @@ impl Launcher {
         })
     }
 
-    /// The place of the run's files; its display is the line that tells what was granted.
+    /// The place of the run's files; its display is the line that says what was granted.
     #[must_use]
     pub const fn isolation(&self) -> &Isolation {
         &self.isolation
@@ -187,7 +187,7 @@ impl Launcher {
     /// what was started is killed when the launcher is dropped.
     pub fn start(
         &mut self,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Result<(), LaunchError> {
         for path in &plan.flash {
@@ -236,7 +236,7 @@ impl Launcher {
     /// `command` as for [`Launcher::start`]. A supply that does not start is one without power.
     pub fn wait_and_switch(
         &mut self,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Ended {
         self.wait_with(&mut |launcher| {
@@ -251,7 +251,7 @@ impl Launcher {
     fn switch_on(
         &mut self,
         system: SystemId,
-        plan: &Plan,
+        plan: &LaunchPlan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) {
         let Some(supply) = self.children.get_mut(system.index()) else {
@@ -374,7 +374,7 @@ impl Launcher {
     }
 }
 
-fn common(run: &RunName, plan: &Plan) -> Common {
+fn common(run: &RunName, plan: &LaunchPlan) -> Common {
     Common {
         run: run.clone(),
         schedule: plan.schedule.clone(),
@@ -382,7 +382,7 @@ fn common(run: &RunName, plan: &Plan) -> Common {
     }
 }
 
-fn supply_args(run: &RunName, plan: &Plan, system: SystemId) -> SupplyArgs {
+fn supply_args(run: &RunName, plan: &LaunchPlan, system: SystemId) -> SupplyArgs {
     SupplyArgs {
         common: common(run, plan),
         system,

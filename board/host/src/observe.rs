@@ -1,4 +1,4 @@
-//! A look at the bus that no process of the run notices.
+//! Reads the bus without an effect on any process of the run.
 
 use tandem_board::Received;
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};

@@ -12,7 +12,7 @@ use crate::name::RunName;
 
 /// Kind of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ProcessKind {
     /// The supply of a system.
     Supply,
     /// A core, in one of its incarnations.
@@ -21,7 +21,7 @@ pub enum Kind {
     Vehicle,
 }
 
-impl fmt::Display for Kind {
+impl fmt::Display for ProcessKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Supply => "supply",
@@ -39,7 +39,7 @@ pub struct Process {
     /// Its run.
     pub run: RunName,
     /// Its kind.
-    pub kind: Kind,
+    pub kind: ProcessKind,
     /// Its system; `None` for the vehicle.
     pub system: Option<SystemId>,
     /// The role that its system shows (`master`, `degraded`, `standby`, `suspended`, `starting`);
@@ -65,8 +65,8 @@ pub fn list() -> Vec<Process> {
     }
     found.sort_by_key(|process| {
         let core = match process.kind {
-            Kind::Core(core, _) => 1 + core.index(),
-            Kind::Supply | Kind::Vehicle => 0,
+            ProcessKind::Core(core, _) => 1 + core.index(),
+            ProcessKind::Supply | ProcessKind::Vehicle => 0,
         };
         (
             process.run.clone(),
@@ -138,12 +138,12 @@ fn look_at(pid: u32) -> Option<Process> {
         return None;
     }
     let (kind, system) = match &args {
-        ProcessArgs::Supply(args) => (Kind::Supply, Some(args.system)),
+        ProcessArgs::Supply(args) => (ProcessKind::Supply, Some(args.system)),
         ProcessArgs::Core(args) => {
             let of = args.identity;
-            (Kind::Core(of.core, of.generation), Some(of.system))
+            (ProcessKind::Core(of.core, of.generation), Some(of.system))
         }
-        ProcessArgs::Vehicle(_) => (Kind::Vehicle, None),
+        ProcessArgs::Vehicle(_) => (ProcessKind::Vehicle, None),
     };
     Some(Process {
         pid,
@@ -167,7 +167,7 @@ fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
 /// Core 0 shows its system's role in its name, as in `A0 master`.
 fn role(processes: &[Process], run: &RunName, system: SystemId) -> Option<String> {
     let control = processes.iter().find(|process| {
-        let is_control = matches!(process.kind, Kind::Core(CoreId::CONTROL, _));
+        let is_control = matches!(process.kind, ProcessKind::Core(CoreId::CONTROL, _));
         is_control && process.run == *run && process.system == Some(system)
     })?;
     let name = fs::read_to_string(format!("/proc/{}/comm", control.pid)).ok()?;

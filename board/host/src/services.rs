@@ -104,8 +104,8 @@ pub struct Frame {
     pub data: [u8; DATA_BYTES],
 }
 
-/// Something that a core or a supply told; service `tandem/RUN/trace`. What the schedulers write is
-/// only in the recording.
+/// A trace record of a core or a supply; service `tandem/RUN/trace`. The recording alone has the
+/// records of the schedulers.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[type_name("TandemEvent")]
 #[repr(C)]
@@ -206,30 +206,50 @@ const KEPT_VEHICLE: usize = 64;
 const KEPT_CAN: usize = 1_024;
 const KEPT_TRACE: usize = 512;
 
-type Service<T> =
-    iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, T, ()>;
+/// A value that a service carries.
+trait Sample: ZeroCopySend + Debug + Copy + 'static {}
 
-fn service<T: ZeroCopySend + Debug + Copy + 'static>(
+impl<T: ZeroCopySend + Debug + Copy + 'static> Sample for T {}
+
+fn name_of(run: &RunName, name: &str) -> Result<ServiceName, ServiceError> {
+    let text = format!("tandem/{run}/{name}");
+    ServiceName::new(&text).map_err(refused(&text))
+}
+
+/// Creates a service and its publisher.
+fn publisher<T: Sample>(
     node: &Node<ipc::Service>,
     run: &RunName,
     name: &str,
     kept: usize,
-    create: bool,
-) -> Result<Service<T>, ServiceError> {
-    let text = format!("tandem/{run}/{name}");
-    let name = ServiceName::new(&text).map_err(refused(&text))?;
-    let builder = node.service_builder(&name).publish_subscribe::<T>();
-    if !create {
-        return builder.open().map_err(refused(&text));
-    }
-    builder
+) -> Result<Sending<ipc::Service, T, ()>, ServiceError> {
+    let builder = node.service_builder(&name_of(run, name)?);
+    let service = builder
+        .publish_subscribe::<T>()
         .max_publishers(1)
         .max_subscribers(OBSERVERS)
         .max_nodes(2 * OBSERVERS)
         .subscriber_max_buffer_size(kept)
         .enable_safe_overflow(true)
         .create()
-        .map_err(refused(&text))
+        .map_err(refused(name))?;
+    let publisher = service.publisher_builder().create();
+    publisher.map_err(refused(name))
+}
+
+/// Opens a service and subscribes to it.
+fn subscriber<T: Sample>(
+    node: &Node<ipc::Service>,
+    run: &RunName,
+    name: &str,
+) -> Result<Receiving<ipc::Service, T, ()>, ServiceError> {
+    let builder = node.service_builder(&name_of(run, name)?);
+    let service = builder.publish_subscribe::<T>().open();
+    let subscriber = service
+        .map_err(refused(name))?
+        .subscriber_builder()
+        .create();
+    subscriber.map_err(refused(name))
 }
 
 /// The services of a run, on the side that publishes.
@@ -248,31 +268,18 @@ impl Publisher {
     /// If iceoryx2 refuses.
     pub fn create(run: &RunName) -> Result<Self, ServiceError> {
         let node = node()?;
-        let port = refused::<iceoryx2::port::publisher::PublisherCreateError>;
         Ok(Self {
-            roles: service(&node, run, "roles", KEPT_ROLES, true)?
-                .publisher_builder()
-                .create()
-                .map_err(port("roles"))?,
-            vehicle: service(&node, run, "vehicle", KEPT_VEHICLE, true)?
-                .publisher_builder()
-                .create()
-                .map_err(port("vehicle"))?,
-            can: service(&node, run, "can", KEPT_CAN, true)?
-                .publisher_builder()
-                .create()
-                .map_err(port("can"))?,
-            trace: service(&node, run, "trace", KEPT_TRACE, true)?
-                .publisher_builder()
-                .create()
-                .map_err(port("trace"))?,
+            roles: publisher(&node, run, "roles", KEPT_ROLES)?,
+            vehicle: publisher(&node, run, "vehicle", KEPT_VEHICLE)?,
+            can: publisher(&node, run, "can", KEPT_CAN)?,
+            trace: publisher(&node, run, "trace", KEPT_TRACE)?,
             _node: node,
         })
     }
 
     /// Publishes how the run stands. Never blocks; an observer that is behind loses the oldest.
     pub fn roles(&self, roles: Roles) {
-        // What cannot be published is lost to observers alone.
+        // If the sample cannot be published, only observers lose it.
         let _ = self.roles.send_copy(roles);
     }
 
@@ -301,7 +308,7 @@ pub enum News {
     Vehicle(Vehicle),
     /// A frame on the bus.
     Frame(Frame),
-    /// Something that a core or a supply told.
+    /// A trace record of a core or a supply.
     Event(Event),
 }
 
@@ -324,24 +331,11 @@ impl Observer {
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
         let run = processes::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
         let node = node()?;
-        let port = refused::<iceoryx2::port::subscriber::SubscriberCreateError>;
         Ok(Self {
-            roles: service(&node, &run, "roles", KEPT_ROLES, false)?
-                .subscriber_builder()
-                .create()
-                .map_err(port("roles"))?,
-            vehicle: service(&node, &run, "vehicle", KEPT_VEHICLE, false)?
-                .subscriber_builder()
-                .create()
-                .map_err(port("vehicle"))?,
-            can: service(&node, &run, "can", KEPT_CAN, false)?
-                .subscriber_builder()
-                .create()
-                .map_err(port("can"))?,
-            trace: service(&node, &run, "trace", KEPT_TRACE, false)?
-                .subscriber_builder()
-                .create()
-                .map_err(port("trace"))?,
+            roles: subscriber(&node, &run, "roles")?,
+            vehicle: subscriber(&node, &run, "vehicle")?,
+            can: subscriber(&node, &run, "can")?,
+            trace: subscriber(&node, &run, "trace")?,
             run,
             _node: node,
         })
@@ -353,20 +347,17 @@ impl Observer {
         &self.run
     }
 
-    /// Hands over what came since the last call. Never blocks.
+    /// Passes on every sample since the last call. Never blocks.
     pub fn poll(&self, into: &mut dyn FnMut(News)) {
         drain(&self.vehicle, &mut |vehicle| into(News::Vehicle(vehicle)));
         drain(&self.can, &mut |frame| into(News::Frame(frame)));
         drain(&self.trace, &mut |event| into(News::Event(event)));
-        // Last: it sums up what came before it.
+        // Last: it summarises the samples before it.
         drain(&self.roles, &mut |roles| into(News::Roles(roles)));
     }
 }
 
-fn drain<T: ZeroCopySend + Debug + Copy + 'static>(
-    from: &Receiving<ipc::Service, T, ()>,
-    into: &mut dyn FnMut(T),
-) {
+fn drain<T: Sample>(from: &Receiving<ipc::Service, T, ()>, into: &mut dyn FnMut(T)) {
     while let Ok(Some(sample)) = from.receive() {
         into(*sample);
     }

@@ -21,7 +21,7 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
         if getppid() == Some(parent) {
             Ok(())
         } else {
-            // The parent died between the fork and here: no signal will come.
+            // The parent died between the fork and this line, so the kernel sends no signal.
             // An error number: a text would be allocated.
             Err(Errno::SRCH.into())
         }

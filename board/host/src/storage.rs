@@ -111,7 +111,7 @@ pub struct Configuration<T, const LASTING: bool = false> {
     _value: PhantomData<fn() -> T>,
 }
 
-// Derived, it would demand that `T` is `Clone`.
+// A derived implementation would require that `T` is `Clone`.
 impl<T, const LASTING: bool> Clone for Configuration<T, LASTING> {
     fn clone(&self) -> Self {
         Self {
@@ -193,7 +193,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         self.config.path_for(&self.name).file_name()
     }
 
-    /// As [`DynamicStorageBuilder::create`], but the error tells whether there was no room.
+    /// As [`DynamicStorageBuilder::create`], but the error says whether there was no room.
     ///
     /// # Errors
     /// [`CreateError`]

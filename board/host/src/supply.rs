@@ -2,7 +2,7 @@
 //!
 //! One process for each system. It powers its three cores, which die with it. It monitors core 0
 //! and resets the system when core 0 dies, misses the watchdog, or requests a reset. It also
-//! monitors the other supply, and tells its own system at once when that one loses power. It
+//! monitors the other supply, and notifies its own system at once when that one loses power. It
 //! depends on the vehicle (which is the battery: without it there is no power), not on the
 //! launcher.
 //!
@@ -33,7 +33,7 @@ use crate::args::{CoreArgs, SupplyArgs};
 use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
 use crate::clock;
 use crate::doorbell::Ringers;
-use crate::flash::{FlashFileError, HostFlash};
+use crate::flash_file::{FlashFileError, HostFlash};
 use crate::memory;
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
@@ -43,11 +43,11 @@ const PERIOD: Duration = Duration::from_ms(1);
 /// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
 /// [`POKE`] wake it at once. Not longer: only a supply that is late knows that it was [`HELD_UP`].
 const CALM_PERIOD: Duration = Duration::from_ms(20);
-/// Tells a supply or the launcher to read its registers. Without a handler, as at its start, it has
+/// Makes a supply or the launcher read its registers. Without a handler, as at its start, it has
 /// no effect.
 const POKE: Signal = Signal::URG;
 
-/// Has the supply of a system read its registers now. No effect if it has none.
+/// Makes the supply of a system read its registers now. No effect if it has none.
 pub(crate) fn poke(backplane: Backplane, system: SystemId) {
     poke_process(backplane.supply_pid(system));
 }

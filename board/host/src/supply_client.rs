@@ -22,7 +22,7 @@ pub struct HostSupply {
     services: Mutex<fifo::Producer<'static, [u32; SERVICE_WORDS]>>,
     /// Number of services in this incarnation.
     count: AtomicU32,
-    /// The name of this process in `ps`, if Linux shows it as a file.
+    /// The file that holds the name of this process in `ps`, if Linux has one.
     comm: Option<File>,
 }
 
@@ -55,7 +55,7 @@ impl Supply for HostSupply {
     fn service_watchdog(&self, answer: u8) {
         let service = encode_service(clock::now(), answer);
         let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
-        // Full: the supply is behind, and the next service will be enough.
+        // Full: the supply is behind. The next service will do.
         if services.send(&service).is_ok() {
             self.count.fetch_add(1, Relaxed);
         }
@@ -68,7 +68,7 @@ impl Supply for HostSupply {
 
     fn show_role(&self, lamp: RoleLamp) {
         self.backplane.show_role(self.of.system, lamp);
-        // One system call and no allocation. For a person who reads `ps`: a failure does not
+        // One system call and no allocation. The name is for readers of `ps`: a failure does not
         // matter.
         if let Some(mut comm) = self.comm.as_ref() {
             let (name, length) = process_name(self.of, lamp);

@@ -6,7 +6,7 @@ use tandem_board::{CoreId, Generation, Identity, SystemId};
 
 use crate::args::{Common, CoreArgs, Schedule};
 use crate::board::{AttachError, HostBoard};
-use crate::flash::HostFlash;
+use crate::flash_file::HostFlash;
 use crate::isolation::Isolation;
 use crate::memory;
 use crate::name::RunName;

@@ -6,7 +6,7 @@ use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use tandem_board::{
     CanFrame, Carried, CoreAddress, CoreId, Duration, Instant, Pass, Received, RoleLamp,
-    SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
+    SupplyEvent, SystemId, TraceRecord, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_peripherals::network::{self, Network, Wire};
@@ -105,6 +105,20 @@ impl Node {
         }
         is_powered
     }
+
+    /// The next record of the core's trace, as `read` reads it.
+    fn traced(
+        &mut self,
+        read: impl FnOnce(&mut Reader) -> Option<(Instant, TraceRecord)>,
+    ) -> Option<Traced> {
+        let CoreAddress { system, core } = self.of;
+        read(&mut self.trace).map(|(at, record)| Traced {
+            at,
+            system,
+            core,
+            record,
+        })
+    }
 }
 
 impl HostVehiclePort {
@@ -153,7 +167,7 @@ impl HostVehiclePort {
         self.network.is_disturbed() || self.from_cores.iter().any(|node| node.waits)
     }
 
-    /// Cuts or mends a connection.
+    /// Cuts or restores a connection.
     pub fn set_cut(&self, wire: Wire, from: SystemId, is_cut: bool) {
         self.backplane.set_cut(wire, from, is_cut);
     }
@@ -316,13 +330,8 @@ impl VehiclePort for HostVehiclePort {
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         let mut lost = 0;
         for node in &mut self.from_cores {
-            while let Some((at, record)) = node.trace.next() {
-                into(Traced {
-                    at,
-                    system: node.of.system,
-                    core: node.of.core,
-                    record,
-                });
+            while let Some(traced) = node.traced(Reader::next) {
+                into(traced);
             }
             let total = self.backplane.lost_trace(node.of.system, node.of.core);
             lost += total.wrapping_sub(core::mem::replace(&mut node.lost, total));
@@ -332,13 +341,8 @@ impl VehiclePort for HostVehiclePort {
 
     fn salvage_trace(&mut self, into: &mut dyn FnMut(Traced)) {
         for node in &mut self.from_cores {
-            while let Some((at, record)) = node.trace.salvage() {
-                into(Traced {
-                    at,
-                    system: node.of.system,
-                    core: node.of.core,
-                    record,
-                });
+            while let Some(traced) = node.traced(Reader::salvage) {
+                into(traced);
             }
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! | state | level line | leaves it when |
 //! |---|---|---|
-//! | off | low | power comes → on |
+//! | off | low | power on → on |
 //! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
 //! | reset | low | the hold is over, all cores stand still, rails and error pin are good → on |
 //! | suspended | low | never by itself |

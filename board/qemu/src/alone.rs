@@ -1,4 +1,4 @@
-//! Runs an image to its end, without a world around its machine.
+//! Runs an image to its end, in a machine without a vehicle.
 
 use std::fs::File;
 use std::path::Path;

@@ -13,5 +13,5 @@ mod machine;
 mod world;
 
 pub use alone::run_to_end;
-pub use machine::{BootFrom, Machine, MachineError, Options, PROGRAM_FLASH_AT};
-pub use world::{EmulatedWorld, Layout};
+pub use machine::{BootFrom, Machine, MachineError, MachineOptions, PROGRAM_FLASH_AT};
+pub use world::{EmulatedWorld, WorldLayout};

@@ -20,7 +20,7 @@ const STRAPS_AT: u32 = 0x8090_0000;
 const KEY_AT: u32 = STRAPS_AT + 64;
 /// Start of the system's program flash.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
-/// A machine that reports nothing in this time hangs. One step takes far less than a second.
+/// A machine that sends no report in this time hangs. One step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a silent machine is checked.
 const LOOK_MS: i64 = 50;
@@ -53,7 +53,7 @@ pub enum MachineError {
     Malformed,
 }
 
-/// What the image `bootloader` starts from: one system in its own machine.
+/// The flash and key with which the image `bootloader` starts one system in its own machine.
 #[derive(Clone, Debug)]
 pub struct BootFrom {
     /// The content of the program flash, 2 MiB. The machine works on a copy.
@@ -62,12 +62,12 @@ pub struct BootFrom {
     pub public: [u8; 32],
 }
 
-/// What the controller's image is started with: its straps.
+/// The straps of the controller's image.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Options {
+pub struct MachineOptions {
     /// A system that returns becomes the standby of the running one.
     pub reintegrate: bool,
-    /// The timing profile is `chip`, else `rt`. For [`Layout::One`](crate::Layout::One): from one
+    /// The timing profile is `chip`, else `rt`. For [`WorldLayout::One`](crate::Layout::One): from one
     /// machine to another, edges and datagrams take up to 2 ms.
     pub chip: bool,
     /// An overload of core 0's tasks: strap `Third`, explained in the image's main. 0: none.
@@ -82,7 +82,7 @@ pub struct Machine {
     to: PipeWriter,
     /// Errors of the emulator, and the firmware's log.
     logs: [File; 2],
-    /// Kept until the emulator has opened all files in it, so that none is left behind in any case.
+    /// Kept until the emulator has opened all files in it. Its end removes them.
     folder: Option<TempDir>,
     systems: Vec<SystemId>,
 }
@@ -96,7 +96,7 @@ impl Machine {
     pub fn start(
         image: &Path,
         systems: &[SystemId],
-        options: Options,
+        options: MachineOptions,
         boot: Option<&BootFrom>,
     ) -> Result<Self, MachineError> {
         let folder = tempfile::Builder::new()
@@ -150,7 +150,7 @@ impl Machine {
         let logs = [log("errors")?, log("log")?];
         let errors = logs[0].try_clone().map_err(MachineError::Pipes)?;
         let child = command
-            // The run itself handles Ctrl-C at a terminal.
+            // The run handles Ctrl-C at a terminal.
             .process_group(0)
             .stdin(from_world)
             .stdout(to_world)

@@ -14,11 +14,11 @@ use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Reach, Sender, decode_trace};
 use tandem_peripherals::network::{self, BusFault, Network, Wire};
 
-use crate::machine::{BootFrom, Machine, MachineError, Options};
+use crate::machine::{BootFrom, Machine, MachineError, MachineOptions};
 
 /// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
+pub enum WorldLayout {
     /// Both in one emulator.
     One,
     /// One emulator each: either can be killed.
@@ -65,10 +65,14 @@ impl EmulatedWorld {
     ///
     /// # Errors
     /// [`MachineError`]
-    pub fn start(image: &Path, layout: Layout, options: Options) -> Result<Self, MachineError> {
+    pub fn start(
+        image: &Path,
+        layout: WorldLayout,
+        options: MachineOptions,
+    ) -> Result<Self, MachineError> {
         let groups: &[&[SystemId]] = match layout {
-            Layout::One => &[&SystemId::ALL],
-            Layout::Two => &[&[SystemId::A], &[SystemId::B]],
+            WorldLayout::One => &[&SystemId::ALL],
+            WorldLayout::Two => &[&[SystemId::A], &[SystemId::B]],
         };
         let machines = groups.iter().map(|systems| {
             let machine = Machine::start(image, systems, options, None)?;
@@ -88,9 +92,9 @@ impl EmulatedWorld {
         reintegrate: bool,
         from: &[(SystemId, BootFrom)],
     ) -> Result<Self, MachineError> {
-        let options = Options {
+        let options = MachineOptions {
             reintegrate,
-            ..Options::default()
+            ..MachineOptions::default()
         };
         let machines = from.iter().map(|(system, from)| {
             let machine = Machine::start(bootloader, &[*system], options, Some(from))?;
@@ -164,8 +168,7 @@ impl EmulatedWorld {
         Ok(logs?.join("\n"))
     }
 
-    /// Lets all machines run to the next step, with everything that was broadcast and switched
-    /// since the last one. If a machine was killed, its systems end and their level falls.
+    /// Runs all machines to the next step, with all frames and commands since the last one. If a machine was killed, its systems end and their level falls.
     ///
     /// # Errors
     /// [`MachineError`] if a machine hangs, or has ended by itself.
@@ -190,7 +193,7 @@ impl EmulatedWorld {
             if let Some(machine) = &mut node.machine {
                 let left_out = machine.answer(&items);
                 match left_out {
-                    // A machine that was just killed is noticed when it does not report.
+                    // The next report of a machine that was just killed fails, and ends its systems.
                     Ok(_) | Err(MachineError::Ended { .. }) => {}
                     Err(error) => return Err(error),
                 }
@@ -244,11 +247,11 @@ impl EmulatedWorld {
         self.show_level(of);
     }
 
-    /// Tells the other system of the level line, if it has changed there.
+    /// Sends the level line to the other system if it has changed there.
     fn show_level(&mut self, of: SystemId) {
         let high = self.network.conditions.level(of, self.powered[of.index()]);
         if std::mem::replace(&mut self.shown[of.index()], high) != high {
-            self.tell(of.peer(), of, Item::Level { of, high });
+            self.forward(of.peer(), of, Item::Level { of, high });
         }
     }
 
@@ -284,7 +287,7 @@ impl EmulatedWorld {
     }
 
     /// Sends the item to the machine of `to`, unless that is also the machine of `from`.
-    fn tell(&mut self, to: SystemId, from: SystemId, item: Item) {
+    fn forward(&mut self, to: SystemId, from: SystemId, item: Item) {
         let elsewhere =
             |node: &&mut Node| node.systems.contains(&to) && !node.systems.contains(&from);
         for node in self.machines.iter_mut().filter(elsewhere) {
@@ -323,12 +326,12 @@ impl EmulatedWorld {
                         .is_cut(Wire::Line(line), to.peer())
                 };
                 if !Line::ALL.get(line).is_some_and(|line| is_cut(*line)) {
-                    self.tell(to, to.peer(), item);
+                    self.forward(to, to.peer(), item);
                 }
             }
             Item::Datagram { to, .. } => {
                 if !self.network.conditions.cuts.is_cut(Wire::Link, to.peer()) {
-                    self.tell(to, to.peer(), item);
+                    self.forward(to, to.peer(), item);
                 }
             }
             Item::Level { .. }
@@ -345,30 +348,30 @@ impl EmulatedWorld {
 
     /// Connects the battery of a system, or disconnects it, at the next step.
     pub fn set_feed(&mut self, of: SystemId, on: bool) {
-        self.tell_machine_of(of, Item::Feed { of, on });
+        self.command(of, Item::Feed { of, on });
     }
 
-    /// Makes a fault of a system's hardware, or mends it, at the next step.
+    /// Makes a fault of a system's hardware, or repairs it, at the next step.
     pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
-        self.tell_machine_of(of, Item::Fault { of, fault, present });
+        self.command(of, Item::Fault { of, fault, present });
     }
 
     /// Core 0 of a system ends with an exception at the next step: its supply resets the system.
     pub fn crash(&mut self, of: SystemId) {
-        self.tell_machine_of(of, Item::Crash { of });
+        self.command(of, Item::Crash { of });
     }
 
     /// Core 0 of a system stands still from the next step on, until its watchdog resets the system.
     pub fn hang(&mut self, of: SystemId) {
-        self.tell_machine_of(of, Item::Hang { of });
+        self.command(of, Item::Hang { of });
     }
 
     /// Cuts the level line from a system, at the next step.
     pub fn cut_level(&mut self, of: SystemId) {
-        self.tell_machine_of(of, Item::CutLevel { of, cut: true });
+        self.command(of, Item::CutLevel { of, cut: true });
     }
 
-    /// Cuts a wire that begins at a system, or mends it. Only of what lies between two machines.
+    /// Cuts a wire that begins at a system, or restores it. Only wires between two machines.
     pub fn set_cut(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
         self.network.conditions.cuts.set(wire, from, is_cut);
         self.show_level(from);
@@ -385,7 +388,7 @@ impl EmulatedWorld {
         self.network.conditions.bus[of.index()] = fault;
     }
 
-    /// A system hears an edge that no system has sent.
+    /// A system receives an edge that no system has sent.
     pub fn stray_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         let edges = Item::Edges {
             to,
@@ -393,20 +396,20 @@ impl EmulatedWorld {
             edge: usize::from(edge == Edge::Falling),
             count: 1,
         };
-        self.tell_machine_of(to, edges);
+        self.command(to, edges);
     }
 
-    /// What is done to a system next happens this much after the next step. `us`: less than 1,000.
+    /// Delays the next command to a system by this time after the next step. `us`: less than 1,000.
     pub fn later(&mut self, of: SystemId, us: u32) {
-        self.tell_machine_of(of, Item::Later { us });
+        self.command(of, Item::Later { us });
     }
 
     /// A core of a system overwrites the whole LMU at the next step. `seed` selects the words.
     pub fn scribble(&mut self, of: SystemId, seed: u32) {
-        self.tell_machine_of(of, Item::Scribble { of, seed });
+        self.command(of, Item::Scribble { of, seed });
     }
 
-    fn tell_machine_of(&mut self, system: SystemId, item: Item) {
+    fn command(&mut self, system: SystemId, item: Item) {
         for node in &mut self.machines {
             if node.systems.contains(&system) {
                 node.outgoing.push(item);
@@ -414,8 +417,8 @@ impl EmulatedWorld {
         }
     }
 
-    /// The clock of the machines at their last report. They wait there for the next step, and what
-    /// they are told happens then.
+    /// The clock of the machines at their last report. They wait there for the next step, which
+    /// carries out all commands.
     #[must_use]
     pub const fn reported(&self) -> Instant {
         self.reported

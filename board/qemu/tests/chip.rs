@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board::{Duration, HardwareFault, Instant, RoleLamp, SystemId, VehiclePort as _};
-use tandem_board_qemu::{EmulatedWorld, Layout, Options};
+use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
 use tandem_bus::Message;
 use tandem_cores::trace::Event;
 use tandem_vehicle::{Scenario, World, WorldConfig};
@@ -35,12 +35,12 @@ impl Pair {
     fn dual() -> Self {
         let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
         let image = PathBuf::from(images).join("controller");
-        let options = Options {
+        let options = MachineOptions {
             chip: true,
-            ..Options::default()
+            ..MachineOptions::default()
         };
         let mut pair = Self {
-            systems: EmulatedWorld::start(&image, Layout::One, options).unwrap(),
+            systems: EmulatedWorld::start(&image, WorldLayout::One, options).unwrap(),
             vehicle: World::new(
                 &Scenario::load("free-lane").unwrap(),
                 WorldConfig { seed: 1 },

@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board::{HardwareFault, RoleLamp, SystemId, VehiclePort};
-use tandem_board_qemu::{EmulatedWorld, Layout, Options};
+use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
 
 /// Virtual time limit of these tests, ms. Without sensors a system waits for two seconds before it
 /// begins.
@@ -29,11 +29,11 @@ fn until(world: &mut EmulatedWorld, what: &str, holds: impl Fn(&EmulatedWorld) -
     );
 }
 
-fn power_loss_and_return(layout: Layout) {
+fn power_loss_and_return(layout: WorldLayout) {
     use RoleLamp::{DegradedMaster, Master, Standby, Starting};
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
-    let mut world = EmulatedWorld::start(&image, layout, Options::default()).unwrap();
+    let mut world = EmulatedWorld::start(&image, layout, MachineOptions::default()).unwrap();
     world.step().unwrap();
     world.set_ignition(true);
     let [a, b] = SystemId::ALL;
@@ -41,7 +41,7 @@ fn power_loss_and_return(layout: Layout) {
         world.role(a) == Master && world.role(b) == Standby
     });
     let under_rtos = world.log().matches("runs its tasks under FreeRTOS").count();
-    assert_eq!(under_rtos, if layout == Layout::Two { 2 } else { 0 });
+    assert_eq!(under_rtos, if layout == WorldLayout::Two { 2 } else { 0 });
     world.set_feed(a, false);
     let took = until(&mut world, "B drives alone", |world| {
         !world.is_powered(a) && world.role(b) == DegradedMaster
@@ -62,7 +62,8 @@ fn power_loss_and_return(layout: Layout) {
 fn dual() -> EmulatedWorld {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
-    let mut world = EmulatedWorld::start(&image, Layout::One, Options::default()).unwrap();
+    let mut world =
+        EmulatedWorld::start(&image, WorldLayout::One, MachineOptions::default()).unwrap();
     let [a, b] = SystemId::ALL;
     world.step().unwrap();
     world.set_ignition(true);
@@ -119,12 +120,12 @@ fn a_master_whose_memory_is_overwritten_is_replaced() {
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_that_loses_its_battery_is_replaced_in_one_machine() {
-    power_loss_and_return(Layout::One);
+    power_loss_and_return(WorldLayout::One);
 }
 
 /// Here core 0 runs its tasks under FreeRTOS.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_that_loses_its_battery_is_replaced_in_two_machines() {
-    power_loss_and_return(Layout::Two);
+    power_loss_and_return(WorldLayout::Two);
 }

@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board::{CoreId, Instant, RoleLamp, SystemId, VehiclePort};
-use tandem_board_qemu::{EmulatedWorld, Layout, Options};
+use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
 use tandem_cores::core0::Core0Task;
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
@@ -27,11 +27,11 @@ fn overload(task: Core0Task, ms: u8, every: u16) -> u32 {
 fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
-    let layout = Layout::Two;
-    let options = Options {
+    let layout = WorldLayout::Two;
+    let options = MachineOptions {
         reintegrate: true,
         overload,
-        ..Options::default()
+        ..MachineOptions::default()
     };
     let mut world = EmulatedWorld::start(&image, layout, options).unwrap();
     world.step().unwrap();

@@ -2,7 +2,7 @@
 
 use crate::baton::Baton;
 use crate::event::SystemEventKind;
-use crate::flash::Flash;
+use crate::flash_medium::Flash;
 use crate::machine::{Attention, Shared};
 use crate::outbox::Output;
 use std::sync::Arc;
@@ -157,16 +157,16 @@ impl SimBoard {
     }
 }
 
-/// For an executor that gives jobs a time.
+/// For an executor that models the run time of jobs.
 impl SimBoard {
-    /// What this core sends from now on belongs to this job, and leaves with
-    /// [`SimBoard::let_go`]; `None`: it leaves at once.
+    /// Assigns later outputs of this core to this job: they leave with [`SimBoard::let_go`].
+    /// `None`: they leave at once.
     pub fn hold(&self, job: Option<u8>) {
         self.port
             .alive(|machine| machine.core(self.port.place).job = job);
     }
 
-    /// What belongs to this job leaves, in its order.
+    /// Sends the outputs of this job, in order.
     pub fn let_go(&self, job: u8) {
         let place = self.port.place;
         self.port.alive(|machine| {

@@ -18,7 +18,7 @@ impl Digest {
         self.0
     }
 
-    /// The finalizer of SplitMix64 over what was and the word (Steele, Lea, Flood 2014).
+    /// Mixes in a word by the finalizer of SplitMix64 (Steele, Lea, Flood 2014).
     const fn word(&mut self, word: u64) {
         let mut mixed = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15) ^ word;
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -143,9 +143,9 @@ impl Machine {
     }
 }
 
-/// What is on its way, and what a core sends while a job of it takes time.
+/// Arrivals, and outputs that wait for the end of a core's job.
 impl Machine {
-    /// Does what is due on the bus and the wires.
+    /// Carries out what is due on the bus and the wires.
     pub(crate) fn settle_network(&mut self) {
         let now = self.at();
         self.network.settle_bus(now, &mut self.noise);
@@ -154,7 +154,7 @@ impl Machine {
             match arrival {
                 Arrival::Edge(to, line, edge) => self.count_edge(to, line, edge),
                 Arrival::Datagram(to, words) if self.is_powered(to) => {
-                    // A receiver that does not fetch loses what arrives.
+                    // A full receiver loses the datagram.
                     let _full = self.put_in_inbox(to, words);
                 }
                 Arrival::Datagram(..) => {}
@@ -162,7 +162,8 @@ impl Machine {
         }
     }
 
-    /// Whether the output waits for the end of the core's job; if not, it is for the caller to do.
+    /// Keeps the output until the core's job ends. Returns `false` if no job runs: the caller then
+    /// performs the output.
     pub(crate) fn holds(&mut self, from: CoreAddress, output: impl FnOnce() -> Output) -> bool {
         let core = self.core(from);
         if let Some(job) = core.job {
@@ -171,7 +172,7 @@ impl Machine {
         core.job.is_some()
     }
 
-    /// A full receiver or buffer loses what arrives: its sender has gone on.
+    /// Performs an output. A full receiver or buffer loses it: the sender no longer waits.
     pub(crate) fn put_out(&mut self, from: CoreAddress, output: Output) {
         match output {
             Output::Edge(line, edge) => self.send_edge(from.system, line, edge),

@@ -37,7 +37,7 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// A core dies and stays dead; no other core is told.
+    /// A core dies and stays dead; no other core is notified.
     pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
         self.shared.lock().kill_core(CoreAddress { system, core });
         self.follow_incarnations();
@@ -65,17 +65,17 @@ impl SimPair {
             .for_each(|core| self.freeze_core(system, core, span));
     }
 
-    /// Cuts a connection that comes from this system.
+    /// Cuts a connection that starts at this system.
     pub fn cut(&mut self, wire: Wire, from: SystemId) {
         self.shared.lock().set_cut(wire, from, true);
     }
 
-    /// Mends a connection that was cut.
-    pub fn mend(&mut self, wire: Wire, from: SystemId) {
+    /// Restores a connection that was cut.
+    pub fn restore(&mut self, wire: Wire, from: SystemId) {
         self.shared.lock().set_cut(wire, from, false);
     }
 
-    /// Changes the content of a system's flash by hand, as a programming device would.
+    /// Changes the content of a system's flash, as a programming device would.
     pub fn edit_flash(&mut self, system: SystemId, edit: impl FnOnce(&mut [u8])) {
         edit(self.shared.lock().system(system).flash.bytes_mut());
     }
@@ -95,7 +95,7 @@ impl SimPair {
         self.shared.lock().conditions().bus[system.index()] = fault;
     }
 
-    /// Makes a fault of a system's hardware, or mends it.
+    /// Makes a fault of a system's hardware, or repairs it.
     pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
         self.shared.lock().set_fault(of, fault, present);
         self.follow_incarnations();
@@ -106,7 +106,7 @@ impl SimPair {
         self.shared.lock().core(CoreAddress { system, core }).rest = span;
     }
 
-    /// Changes each frame that a system sends; `None`: no longer.
+    /// Changes each frame that a system sends; `None` ends that.
     pub fn tamper(&mut self, system: SystemId, with: Option<Tamper>) {
         self.shared.lock().system(system).tamper = with;
     }
@@ -131,7 +131,7 @@ impl SimPair {
         let now_ns = machine.now_ns;
         machine.set_now(now_ns);
         for core in &mut machine.system(system).cores {
-            // Its timer compares with the clock: a poll finds out.
+            // Its timer compares with the clock: poll it, so that it sees the jump.
             core.deadline_ns = core.deadline_ns.min(now_ns);
         }
     }

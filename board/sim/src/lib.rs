@@ -18,7 +18,7 @@ mod digest;
 mod event;
 mod fabric;
 mod faults;
-mod flash;
+mod flash_medium;
 mod machine;
 mod outbox;
 mod pair;

@@ -3,7 +3,7 @@
 use crate::config::{Config, Tamper};
 use crate::digest::Digest;
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
-use crate::flash::Flash;
+use crate::flash_medium::Flash;
 use crate::outbox::Output;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
@@ -49,9 +49,9 @@ pub(crate) struct Core {
     pub(crate) overruns: u32,
     /// An interrupt has caused the present poll.
     pub(crate) interrupted: bool,
-    /// What the core sends belongs to this job.
+    /// Outputs of the core belong to this job.
     pub(crate) job: Option<u8>,
-    /// What leaves when its job ends.
+    /// Outputs that leave when their job ends.
     pub(crate) outbox: Vec<(u8, Output)>,
 }
 
@@ -125,8 +125,8 @@ impl System {
     }
 }
 
-/// What cores read often, without the lock. Relaxed: one thread runs at a time, and what hands over
-/// the right to run orders the rest.
+/// State that cores read often, without the lock. Relaxed: one thread runs at a time, and the
+/// transfer of the right to run orders the accesses.
 #[derive(Default)]
 pub(crate) struct Glance {
     /// Whether a frame may wait in the receiver of each core: false if certainly none does.

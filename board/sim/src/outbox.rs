@@ -1,8 +1,8 @@
-//! What a core sends while a job of it still takes time: it leaves when the job ends.
+//! The outputs of a core's job, which leave the core when the job ends.
 
 use tandem_board::{CanFrame, Edge, Line};
 
-/// What a core does to the outside.
+/// An output of a core.
 #[derive(Clone, Debug)]
 pub(crate) enum Output {
     Edge(Line, Edge),

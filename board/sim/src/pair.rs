@@ -97,7 +97,7 @@ impl SimPair {
         })
     }
 
-    /// Begins the random choices anew with this seed.
+    /// Restarts the random choices from this seed.
     pub fn reseed(&mut self, seed: u64) {
         self.order = ChaCha8Rng::seed_from_u64(seed ^ 0x5EED);
         self.shared.lock().noise = ChaCha8Rng::seed_from_u64(seed);

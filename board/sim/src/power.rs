@@ -1,7 +1,7 @@
 //! The supplies: power, resets, watchdogs, and the effect of a power loss on the flash.
 
 use crate::event::SystemEventKind;
-use crate::flash::Flash;
+use crate::flash_medium::Flash;
 use crate::machine::{Core, Machine};
 use std::sync::atomic::Ordering;
 use tandem_board::{
@@ -141,7 +141,7 @@ impl Machine {
         self.with_supply(system, |supply| supply.service(now, now, Some(answer)));
     }
 
-    /// Does everything that is due at this instant in the supplies and the flash.
+    /// Carries out everything that is due at this instant in network, supplies and flash.
     pub(crate) fn settle(&mut self) {
         let now = self.at();
         self.settle_network();

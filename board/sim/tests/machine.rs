@@ -319,7 +319,7 @@ fn the_dead_do_not_act() {
 }
 
 #[test]
-fn cut_wires_carry_nothing_and_mended_ones_do() {
+fn a_cut_wire_carries_nothing_until_it_is_restored() {
     let mut pair = SimPair::idle(relaxed());
     let (near, far) = (pair.board(A, CONTROL), pair.board(B, CONTROL));
     let send = |value| {
@@ -334,7 +334,7 @@ fn cut_wires_carry_nothing_and_mended_ones_do() {
     for line in Line::ALL {
         pair.cut(Wire::Line(line), A);
         send(1);
-        pair.mend(Wire::Line(line), A);
+        pair.restore(Wire::Line(line), A);
     }
     assert_eq!(edges(), [2, 2, 2], "each line was cut once");
     while far.link().try_receive(&mut [0]).is_some() {}
@@ -345,8 +345,8 @@ fn cut_wires_carry_nothing_and_mended_ones_do() {
     send(2);
     assert_eq!(far.link().try_receive(&mut [0]), None);
     assert!(near.can().try_receive().is_none() && far.can().try_receive().is_none());
-    pair.mend(Wire::Link, A);
-    pair.mend(Wire::Can, A);
+    pair.restore(Wire::Link, A);
+    pair.restore(Wire::Can, A);
     send(3);
     let mut word = [0];
     assert_eq!((far.link().try_receive(&mut word), word), (Some(1), [3]));
@@ -356,7 +356,7 @@ fn cut_wires_carry_nothing_and_mended_ones_do() {
     pair.cut(Wire::Level, A);
     pair.power_off(A);
     assert!(far.lines().peer_powered(), "a cut level line reads as high");
-    pair.mend(Wire::Level, A);
+    pair.restore(Wire::Level, A);
     assert!(!far.lines().peer_powered());
 }
 
@@ -481,7 +481,7 @@ fn a_panic_in_a_blocking_core_comes_out() {
 
 #[test]
 #[should_panic(expected = "wake each other for ever")]
-fn a_livelock_is_told_and_not_run() {
+fn a_livelock_panics() {
     let mut pair = pair_with(relaxed(), CONTROL, |_| Box::new(|board| board.now()));
     pair.run_for(ms(5));
 }

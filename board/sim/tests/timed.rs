@@ -105,7 +105,7 @@ fn a_frame_with_a_wrong_bit_is_sent_again() {
 }
 
 #[test]
-fn the_digest_tells_runs_apart_and_not_the_same_run() {
+fn different_runs_have_different_digests() {
     let run = |data: &[u8], at_us| {
         let mut pair = pair();
         pair.run_for(Duration::from_us(at_us));

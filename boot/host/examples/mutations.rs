@@ -1,5 +1,5 @@
-//! Changes good files in all ways that are cheap to think of, and counts what is accepted wrongly:
-//! `cargo xtask campaign mutations`.
+//! Mutates valid files in many ways, and counts those that are accepted wrongly: `cargo xtask campaign
+//! mutations`.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
@@ -37,10 +37,10 @@ struct Arguments {
     monitor: bool,
 }
 
-/// What became of the files.
+/// The results of the files.
 #[derive(Default)]
 struct Tally {
-    /// By refusal; "accepted" for those that held the signed image after all.
+    /// Number of files by refusal; "accepted" if the flash then holds a signed image.
     fates: BTreeMap<String, u64>,
     wrong: Vec<u64>,
 }
@@ -109,7 +109,7 @@ fn image(slot: Slot, version: u32) -> Image {
     )
 }
 
-/// A controller that drives with an image in slot A.
+/// Returns a controller that runs an image in slot A.
 fn controller() -> SimulatedFlash {
     let mut flash = SimulatedFlash::new();
     let driving = image(Slot::A, 3);
@@ -138,7 +138,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
     };
-    // Of these, 5 and 6 are good; 2 is an older version than the one that drives.
+    // Versions 5 and 6 are valid; 2 is older than the running version.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];
     let base = controller();
     let fresh = || -> Result<_> {
@@ -176,7 +176,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
     Ok(tally)
 }
 
-/// Sends every line once. The last answer, if the file was accepted to its end or refused.
+/// Sends every line once. Returns the last answer if the file was accepted to its end or refused.
 fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Answer> {
     let now = Instant::ORIGIN;
     let connect = HostRequest::Connect {
@@ -186,7 +186,7 @@ fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Ans
     loader.on_frame(now, &connect.frame()?);
     let mut last = None;
     for line in lines {
-        // A line whose end was changed has no answer.
+        // A line without its end gets no answer.
         last = None;
         for piece in line.as_bytes().chunks(8) {
             while let Ok(Next::Send(frame)) = loader.next(now) {
@@ -205,7 +205,7 @@ fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Ans
     last.filter(|last| ended && matches!(last, Answer::Accepted { .. }))
 }
 
-/// A good file with one to three changes.
+/// Returns a valid file with one to three changes.
 fn mutate(images: &[Image; 3], chance: &mut ChaCha8Rng) -> Vec<String> {
     let mut image = images[chance.random_range(0..3)].clone();
     if chance.random_ratio(1, 3) {
@@ -239,7 +239,7 @@ fn mutate(images: &[Image; 3], chance: &mut ChaCha8Rng) -> Vec<String> {
     lines
 }
 
-/// A record with other content and the right checksum.
+/// Returns a record with changed content and the right checksum.
 fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
     let Ok(record) = tandem_boot::SRecord::parse(text.trim_end().as_bytes()) else {
         return text.to_owned();
@@ -257,7 +257,7 @@ fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
     line(3, &address.to_be_bytes(), &data)
 }
 
-/// Changes that keep every checksum right, so that only digests and signature are left.
+/// Changes an image but keeps every checksum right: only digests and signature can detect it.
 fn change_image(image: &mut Image, images: &[Image; 3], chance: &mut ChaCha8Rng) {
     let other = &images[chance.random_range(0..3)];
     match chance.random_range(0..4) {

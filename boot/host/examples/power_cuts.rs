@@ -1,7 +1,7 @@
 //! Sweeps all points at which power can be lost: `cargo xtask campaign power-cuts`.
 //!
-//! Each life between two losses of power is a process of its own: nothing but the flash outlasts
-//! it. The flash comes to the process on its standard input and goes back on its standard output.
+//! Each life between two losses of power is a separate process, so only the flash survives it. The
+//! process receives the flash on standard input and returns it on standard output.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
@@ -22,7 +22,7 @@ use tandem_boot_host::cuts::{
 };
 use tandem_boot_host::life::{End, LifeOutcome};
 
-/// Into how many parts the ticks of a scenario are split.
+/// Number of parts into which the ticks of a scenario are split.
 const PARTS: u64 = 8;
 
 #[derive(Parser)]
@@ -53,7 +53,7 @@ fn main() -> Result<ExitCode> {
         live_one(life, defect)?;
         return Ok(ExitCode::SUCCESS);
     }
-    // The parts of a scenario are as long as those of another: the processors stay busy.
+    // Split all scenarios into parts of similar length, to keep the processors busy.
     let parts = |scenario| (0..PARTS).map(move |part| (scenario, part));
     let jobs = Mutex::new(
         CutScenario::VARIANTS
@@ -152,7 +152,7 @@ fn sweep_scenario(
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()?;
-        // The life reads all of the flash before it writes.
+        // The process reads its whole input before it writes.
         let mut stdin = child.stdin.take().context("no standard input")?;
         let lines = stage.lines().concat();
         stdin.write_all(&(lines.len() as u32).to_le_bytes())?;
@@ -162,7 +162,7 @@ fn sweep_scenario(
         if !output.status.success() {
             bail!("a life ended with {}", output.status);
         }
-        decode(&output.stdout).context("a life said nothing that can be read")
+        decode(&output.stdout).context("the output of a life cannot be decoded")
     })
 }
 
@@ -190,7 +190,7 @@ fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
     Ok(())
 }
 
-/// What the sweep needs of a life: how it ended, its ticks, its flash.
+/// Encodes what the sweep needs of a life: its end, its ticks, its flash.
 fn encode(outcome: &LifeOutcome, ticks: u64, flash: &SimulatedFlash) -> Vec<u8> {
     let head = match outcome.end {
         End::PowerLost => [0, 0, 0],

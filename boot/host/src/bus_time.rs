@@ -1,17 +1,17 @@
-//! How long a classic CAN frame occupies the bus, to the bit.
+//! The exact time for which a classic CAN frame occupies the bus.
 
 use tandem_board::{CanFrame, CanId};
 
 /// Bits between two frames.
 const INTERFRAME: u32 = 3;
-/// CRC delimiter, acknowledge slot and delimiter, end of frame: not stuffed.
+/// CRC delimiter, acknowledge slot and delimiter, end of frame: without stuff bits.
 const TRAILER: u32 = 1 + 2 + 7;
 
-/// Bit times from the start of a classic data frame to the earliest start of the next: with the
-/// stuff bits that its content needs, and the space between frames (ISO 11898-1).
+/// Returns the bit times from the start of a classic data frame to the earliest start of the next,
+/// including the stuff bits of its content and the space between frames (ISO 11898-1).
 ///
 /// # Panics
-/// If it is a CAN FD frame.
+/// If the frame is a CAN FD frame.
 #[must_use]
 pub fn bits(frame: &CanFrame) -> u32 {
     assert!(!frame.is_fd(), "classic frames only");
@@ -48,7 +48,7 @@ pub fn bits(frame: &CanFrame) -> u32 {
         run = if last == Some(*bit) { run + 1 } else { 1 };
         last = Some(*bit);
         if run == 5 {
-            // The stuff bit is the opposite, and begins a run of its own.
+            // The stuff bit has the opposite value and begins a new run.
             (stuffed, run, last) = (stuffed + 1, 1, Some(!*bit));
         }
     }

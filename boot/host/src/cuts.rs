@@ -1,52 +1,52 @@
-//! Losses of power at every point of an update: which there are, and what must be true afterwards.
+//! Losses of power at every point of an update, and the checks afterwards.
 //!
-//! A *point* is a moment of an erase or program operation in some life, with one way in which the
-//! bits on their way are left. Each life is lived by what the caller gives: in a fresh process, or
-//! in a fresh [`Life`] of this one. U-5
+//! A *point* is a moment of an erase or program operation in a life, with one state in which it leaves
+//! the changing bits. The caller supplies a function that runs a life: in a new process, or as a
+//! [`Life`] in this one. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
 use strum::{FromRepr, VariantArray};
 use tandem_boot::{Bank, FlashRegion, ImageTarget, Slot, rom_choice};
 
-/// What happens while power is lost.
+/// The update during which power is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 pub enum CutScenario {
     /// A download to the free slot, trial, approval.
     Application,
     /// Application and configuration in one file.
     Both,
-    /// A trial that was not approved is rolled back.
+    /// The rollback of a trial that was not approved.
     Rollback,
     /// A new bootloader is downloaded, installed, tried, approved and sealed.
     Bootloader,
-    /// The same, but the new one crashes.
+    /// The same with a new bootloader that crashes.
     CrashingBootloader,
-    /// The primary bank is damaged and is restored.
+    /// The repair of a damaged primary bank.
     DamagedBootloader,
-    /// Both copies of the environment are lost.
+    /// The recovery after both copies of the environment were lost.
     LostEnvironment,
-    /// A file that is refused at its end.
+    /// The download of a file that is refused at its end.
     RefusedFile,
 }
 
-/// A defect for which the sweep must find bricks.
+/// A defect of the wiring. The sweep must find bricks with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WiringDefect {
-    /// Both slots of the application are one: the download overwrites what boots.
+    /// Both slots of the application are the same memory: a download overwrites the active image.
     OneSlot,
-    /// Both banks of the bootloader are one: it overwrites its backup.
+    /// Both banks of the bootloader are the same memory: an update overwrites the backup.
     OneBank,
 }
 
-/// One life: what is done in it, and when power is lost.
+/// The plan of one life: its actions, and the loss of power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LifePlan {
-    /// The scenario's act; else a plain start.
+    /// Whether the host sends the scenario's file; otherwise a plain start.
     pub acts: bool,
-    /// Which way noise falls.
+    /// Seed of the noise in weak bits.
     pub seed: u64,
-    /// Ticks until power is lost, and how.
+    /// Ticks until power is lost, and the state of the changing bits.
     pub cut: Option<(u64, Tear)>,
 }
 
@@ -76,10 +76,10 @@ fn sign(target: ImageTarget, version: u32, len: u32) -> Image {
 }
 
 impl Stage {
-    /// Sets a scenario up: a controller that left the factory and was started once.
+    /// Sets up a scenario with a controller that left the factory and was started once.
     ///
     /// # Panics
-    /// If the controller does not even boot without a loss of power.
+    /// If the controller does not boot even without a loss of power.
     #[must_use]
     pub fn new(scenario: CutScenario, defect: Option<WiringDefect>) -> Self {
         let applications = [(Slot::A, 1), (Slot::B, 2)];
@@ -151,13 +151,13 @@ impl Stage {
         }
     }
 
-    /// The flash before the first life.
+    /// Returns the flash before the first life.
     #[must_use]
     pub fn start(&self) -> &[u8] {
         &self.start
     }
 
-    /// The file that a host sends, if one does.
+    /// Returns the file that the host sends; empty if there is no host.
     #[must_use]
     pub fn lines(&self) -> &[String] {
         match self.scenario {
@@ -166,14 +166,14 @@ impl Stage {
         }
     }
 
-    /// One life in this process: see [`live`].
+    /// Runs one life in this process: see [`live`].
     #[must_use]
     pub fn live(&self, flash: &[u8], step: LifePlan) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
         live((self.scenario, self.defect), self.lines(), flash, step)
     }
 
-    /// What is wrong with a controller that has just lived without a loss of power; `None` if it
-    /// runs an old or a new image, whole and with no weak bit, under a whole bootloader.
+    /// Describes what is wrong with a controller after a life without a loss of power. Returns `None`
+    /// if it runs an old or a new image that is intact and has no weak bit, under an intact bootloader.
     #[must_use]
     pub fn brick(&self, outcome: &LifeOutcome, flash: &mut SimulatedFlash) -> Option<String> {
         let End::Running(launch) = outcome.end else {
@@ -212,8 +212,8 @@ impl Stage {
     }
 }
 
-/// One life. Returns what it showed, its ticks, and the flash after it; `None` if `flash` is no
-/// flash.
+/// Runs one life. Returns its outcome, its ticks, and the flash afterwards; `None` if `flash` does not
+/// decode.
 #[must_use]
 pub fn live(
     (scenario, defect): (CutScenario, Option<WiringDefect>),
@@ -245,31 +245,31 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X}")).collect()
 }
 
-/// What a sweep found.
+/// The result of a sweep.
 #[derive(Clone, Debug, Default)]
 pub struct Swept {
-    /// Points at which power was lost.
+    /// Number of points at which power was lost.
     pub points: u64,
-    /// Of them with a second loss while the controller recovered from the first.
+    /// Number of points with a second loss during the recovery from the first.
     pub double: u64,
-    /// Points after which the controller did not boot an old or a new image, whole.
+    /// Descriptions of the points after which the controller booted no intact image.
     pub bricks: Vec<String>,
 }
 
-/// Which ticks of the first life to sweep: every `every`-th from `from` on.
+/// The ticks of the first life to sweep: every `every`-th from `from` on.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRange {
-    /// The first.
+    /// The first tick.
     pub from: u64,
-    /// 1 for all of them.
+    /// The step; 1 for all ticks.
     pub every: u64,
 }
 
-/// Sweeps a scenario: power is lost at a tick, and once more while the controller recovers from
-/// that. `live` lives one life and says what [`Stage::live`] says.
+/// Sweeps a scenario: power is lost at a tick, and again during the recovery. `live` runs one life, as
+/// [`Stage::live`] does.
 ///
 /// # Errors
-/// What `live` fails with.
+/// Those of `live`.
 pub fn sweep<E>(
     stage: &Stage,
     which: TickRange,
@@ -279,7 +279,7 @@ pub fn sweep<E>(
     let step = |acts, seed, cut| LifePlan { acts, seed, cut };
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     for tick in (which.from..ticks).step_by(which.every as usize) {
-        // 33 moments an operation, five ways of being torn: each meets each, at any step.
+        // An operation has 33 moments, and there are five tears: the formula combines all of them.
         let tear = Tear::VARIANTS[(tick * 7 / 3 % 5) as usize];
         let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
         let torn = torn.save();
@@ -293,7 +293,7 @@ pub fn sweep<E>(
         if recovery == 0 {
             continue;
         }
-        // Another start of the same torn flash, cut too: weak bits may fall otherwise.
+        // Start the same torn flash again and cut that start too: weak bits may read differently.
         let (second_tick, second) = (
             tick * 101 % recovery,
             Tear::VARIANTS[(tick / 5 % 5) as usize],

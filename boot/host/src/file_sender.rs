@@ -1,25 +1,24 @@
-//! The host's end of a download: connects, sends, repeats. Sans-IO. T-BOOT-3
+//! The host's end of a download, sans-IO: connects, sends, repeats. T-BOOT-3
 
 use tandem_board::{CanFrame, Duration, Instant, SystemId};
 use tandem_boot::{Answer, HostRequest, Refusal};
 
 /// Time between two connect requests.
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
-/// Silence after which a record is sent again: longer than the loader erases the largest sector.
+/// Silence after which a record is repeated: longer than the erase of the largest sector.
 pub const ANSWER_WITHIN: Duration = Duration::from_ms(3_000);
-/// How often in a row the same thing is sent before the host gives up. The loader gives up before
-/// and says why.
+/// Attempts in a row after which the host gives up. The loader gives up earlier and sends the reason.
 const MAX_ATTEMPTS: u32 = 16;
 
-/// What the caller does next.
+/// The next action of the caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum ToDo {
-    /// Send this frame, then ask again.
+    /// Send this frame, then call again.
     Send(CanFrame),
     /// Wait for an answer until this moment.
     Wait(Instant),
-    /// The loader has the file and puts it on trial.
+    /// The loader has accepted the file and puts it on trial.
     Done,
     /// The loader refuses the file.
     Refused(Refusal),
@@ -30,7 +29,7 @@ pub enum ToDo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Connecting,
-    /// The window was offered.
+    /// The sender offers its window.
     Offering,
     Sending,
     Ended(ToDo),
@@ -41,21 +40,21 @@ enum State {
 pub struct FileSender {
     lines: Vec<String>,
     system: Option<SystemId>,
-    /// Continue what another sender began.
+    /// Whether to continue an interrupted transfer.
     resume: bool,
-    /// Wanted window; 0 for the protocol of the thesis.
+    /// The requested window; 0 for the protocol of the thesis.
     wanted: u8,
-    /// Granted window; 1 record without the extension.
+    /// The granted window; 1 record without the extension.
     window: u32,
     state: State,
-    /// Records that the loader has.
+    /// Number of records accepted by the loader.
     accepted: u32,
-    /// The record that is being sent, and how much of it has gone.
+    /// The record being sent, and its bytes already sent.
     record: u32,
     sent: usize,
-    /// Records that were ever sent whole.
+    /// The highest number of completely sent records.
     farthest: u32,
-    /// The frame that says where the records go on.
+    /// Whether to send a go-back frame next.
     go_back: bool,
     due: Instant,
     attempts: u32,
@@ -65,8 +64,8 @@ pub struct FileSender {
 }
 
 impl FileSender {
-    /// A sender of these records. `window` is the number of records that it would send ahead; 0
-    /// speaks the protocol of the thesis.
+    /// Creates a sender of these records. `window` is the number of records to send ahead; 0 means the
+    /// protocol of the thesis.
     #[must_use]
     pub fn new(lines: Vec<String>, system: Option<SystemId>, window: u8) -> Self {
         Self {
@@ -88,34 +87,34 @@ impl FileSender {
         }
     }
 
-    /// The same, but continues where a connection broke, if the loader still has its part.
-    /// Needs a window.
+    /// Makes the sender continue an interrupted transfer, if the loader still has its records. Needs a
+    /// window.
     #[must_use]
     pub fn resuming(mut self) -> Self {
         self.resume = self.wanted > 0;
         self
     }
 
-    /// Whether a loader answers. With a window, a sender whose loader falls silent connects again,
-    /// and continues where that stands: at the begin if it has lost power.
+    /// Whether a loader has answered. With a window, the sender reconnects when the loader falls
+    /// silent, and continues after the records that the loader has; it has none after a loss of power.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.state != State::Connecting
     }
 
-    /// Records that the loader has, and of how many.
+    /// Returns the number of accepted records, and of all records.
     #[must_use]
     pub fn progress(&self) -> (u32, u32) {
         (self.accepted, self.lines.len() as u32)
     }
 
-    /// Records that were asked for again.
+    /// Returns how often the loader requested a resend.
     #[must_use]
     pub const fn resends(&self) -> u64 {
         self.resends
     }
 
-    /// What to do now.
+    /// Returns the next action.
     pub fn next(&mut self, now: Instant) -> ToDo {
         if self.state == State::Sending && self.wanted > 0 && now >= self.due {
             self.connect_again(now);
@@ -144,12 +143,13 @@ impl FileSender {
         }
     }
 
-    /// The loader is silent: frames were lost, or it has lost power. It says what it still has.
+    /// Reconnects to a silent loader: frames were lost, or the loader lost power. Its answer says how
+    /// many records it has.
     fn connect_again(&mut self, now: Instant) {
         (self.state, self.resume, self.due) = (State::Connecting, true, now);
     }
 
-    /// Whether something may be sent once more.
+    /// Starts another attempt. Returns whether one is left.
     fn repeat(&mut self, now: Instant) -> bool {
         self.due = now + ANSWER_WITHIN;
         self.attempts += 1;
@@ -202,7 +202,7 @@ impl FileSender {
         let Some(answer) = Answer::decode(frame.data()) else {
             return;
         };
-        // A count beyond what was sent is not the loader's.
+        // Ignore a count beyond the sent records: it is not the loader's.
         if let Answer::Accepted { records: count } | Answer::Resend { record: count } = answer
             && count > self.farthest
         {
@@ -232,7 +232,7 @@ impl FileSender {
                 self.back_to(accepted);
             }
             (State::Sending, Answer::Accepted { records }) => {
-                // Without a window the count is 0: it is the record that was sent last.
+                // Without a window the count is 0: the answer is for the last sent record.
                 let accepted = if self.wanted > 0 {
                     records
                 } else {

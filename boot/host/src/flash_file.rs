@@ -1,4 +1,4 @@
-//! The program flash of one system as a file of 2 MiB: what the chip would hold, byte for byte.
+//! The program flash of one system as a file of 2 MiB, byte for byte as in the chip.
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -9,11 +9,11 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
 
-/// A flash file, durable after each operation.
+/// A flash file. Each operation is durable when it returns.
 #[derive(Debug)]
 pub struct FlashFile(File);
 
-/// The file cannot be read or written, or the range is not one of whole pages or sectors.
+/// The file cannot be read or written, or the range does not consist of whole pages or sectors.
 #[derive(Debug)]
 pub struct FlashFileFault;
 
@@ -24,10 +24,10 @@ impl NorFlashError for FlashFileFault {
 }
 
 impl FlashFile {
-    /// Opens a file, or makes an erased one.
+    /// Opens a file, or creates an erased one.
     ///
     /// # Errors
-    /// What the operating system says, or that the file is no flash.
+    /// An error of the operating system, or that the file has the wrong size.
     pub fn open(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         let file = options
@@ -46,10 +46,10 @@ impl FlashFile {
         Ok(Self(file))
     }
 
-    /// Writes bytes as a programming station does, before the flash is built in.
+    /// Writes bytes as a programming station does before assembly.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// An error of the operating system.
     pub fn load(&self, offset: u32, bytes: &[u8]) -> io::Result<()> {
         self.0.write_all_at(bytes, offset.into())
     }

@@ -1,8 +1,8 @@
 //! The host's side of a download, and a program flash that loses power.
 //!
-//! [`Image::sign`] and [`records`] make a signed file, and [`FileSender`] sends it. For tests and
-//! simulations, [`SimulatedFlash`] is the flash, [`life`](mod@life) a controller between two losses
-//! of power, and [`cuts`] the sweep of all points at which power can be lost.
+//! [`Image::sign`] and [`records`] create a signed file, and [`FileSender`] sends it. For tests and
+//! simulations there are [`SimulatedFlash`], the controller between two losses of power
+//! ([`life`](mod@life)), and the sweep of all points at which power can be lost ([`cuts`]).
 #![forbid(unsafe_code)]
 
 mod bus_time;

@@ -6,23 +6,23 @@ use tandem_boot::{
     Bank, FlashFault, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
 };
 
-/// A private key for tests: the public half of it is in no product.
+/// A private key for tests. Its public key is in no product.
 pub const TEST_KEY: SigningKey = SigningKey {
     number: 0,
     seed: *b"TEST KEY 0: never in a product!!",
 };
-/// Its public half (a test computes it), so that a life costs no scalar multiplication more.
+/// Its public key, as a constant: computing it in each life would take too long. A test checks it.
 pub const TEST_PUBLIC: [u8; 32] = [
     0xD1, 0xF9, 0x6F, 0x34, 0x86, 0x2F, 0xAD, 0xD7, 0x02, 0xF5, 0xE2, 0x4C, 0x53, 0x7D, 0xC5, 0x75,
     0x65, 0x94, 0x9D, 0x23, 0x24, 0xA5, 0xA0, 0xAC, 0xA3, 0xD5, 0x5E, 0xAB, 0xB1, 0xD2, 0xC5, 0x2A,
 ];
-/// The next one, for tests of key rotation.
+/// A second key, for tests of key rotation.
 pub const TEST_KEY_1: SigningKey = SigningKey {
     number: 1,
     seed: *b"TEST KEY 1: never in a product!!",
 };
 
-/// Resets within one life, after which a controller counts as lost: it resets for ever.
+/// After this many resets within one life a controller counts as resetting for ever.
 const MAX_RESETS: u32 = 12;
 
 /// How a life ended.
@@ -32,40 +32,40 @@ pub enum End {
     PowerLost,
     /// The application runs.
     Running(Launch),
-    /// Nothing can boot; the bootloader waits for a download.
+    /// Nothing can boot, so the bootloader waits for a download.
     Waiting,
-    /// The boot ROM finds no bootloader, or the bootloader resets for ever: a brick.
+    /// A brick: the boot ROM finds no bootloader, or the bootloader resets for ever.
     Brick,
 }
 
-/// What a controller goes through in one life.
+/// The circumstances of a controller in one life.
 #[derive(Clone, Debug, Default)]
 pub struct Life<'a> {
-    /// A host sends this file, with this window, when it can connect.
+    /// The file that a host sends, and its window.
     pub file: Option<(&'a [String], u8)>,
-    /// The application approves itself.
+    /// Whether the application approves itself.
     pub approves: bool,
-    /// A new bootloader that crashes as soon as it is started.
+    /// Whether a new bootloader crashes at its start.
     pub new_loader_crashes: bool,
-    /// Loaders accept unsigned images.
+    /// Whether loaders accept unsigned images.
     pub monitor: bool,
     /// Public keys of the loaders.
     pub keys: Vec<[u8; 32]>,
 }
 
-/// What a life showed.
+/// The outcome of a life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LifeOutcome {
     /// How it ended.
     pub end: End,
-    /// Why the host's file was refused.
+    /// Why the host's file was refused, if it was.
     pub refused: Option<Refusal>,
-    /// The file was accepted.
+    /// Whether the file was accepted.
     pub downloaded: bool,
 }
 
 impl<'a> Life<'a> {
-    /// A plain start: no host, the application approves itself.
+    /// A start without a host, in which the application approves itself.
     #[must_use]
     pub fn plain() -> Self {
         Self {
@@ -84,7 +84,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// Lives it. The flash has been powered on.
+    /// Runs the life. The flash must be powered on.
     pub fn live(&self, flash: &mut SimulatedFlash) -> LifeOutcome {
         let mut run = Run {
             now: Instant::ORIGIN,
@@ -116,7 +116,7 @@ impl<'a> Life<'a> {
                     run.outcome.end = End::Waiting;
                     break;
                 }
-                // A fault of the flash and an orderly reset: start again.
+                // After a fault of the flash or an orderly reset: start again.
                 _ => cause = ResetCause::Software,
             }
         }
@@ -145,13 +145,13 @@ impl Run {
     ) -> LifeOutcome {
         self.outcome.end = End::Running(launch);
         if life.approves {
-            // An application that cannot approve itself runs on; the next start rolls it back.
+            // An application that cannot approve itself continues; the next start rolls it back.
             let _ = approve(flash);
         }
         self.ended(flash)
     }
 
-    /// One start of a bootloader, up to what the board is to do.
+    /// Runs a bootloader from its start to the board's next action.
     fn loader(
         &mut self,
         life: &Life<'_>,

@@ -1,4 +1,4 @@
-//! Makes signed images of plain ones, and S-records of those.
+//! Creates signed images, and S-records of them.
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -13,7 +13,7 @@ pub const RECORD_DATA: usize = 16;
 /// A private key: its number in the bootloader's list, and its seed.
 #[derive(Clone, Copy)]
 pub struct SigningKey {
-    /// Which public key of the bootloader belongs to it.
+    /// The number of its public key in the bootloader.
     pub number: u8,
     /// The 32 bytes of RFC 8032.
     pub seed: [u8; 32],
@@ -27,7 +27,7 @@ impl SigningKey {
     }
 }
 
-/// Why a file cannot be made an image.
+/// Why a file cannot be converted to an image.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum PackageError {
     /// A line is not a record.
@@ -39,13 +39,13 @@ pub enum PackageError {
         why: tandem_boot::SRecordError,
     },
     /// The number in a count record is wrong.
-    #[error("line {line} counts {counted} data records, but {found} come before it")]
+    #[error("line {line} counts {counted} data records, but {found} precede it")]
     Count {
         /// From 1.
         line: usize,
-        /// What the record says.
+        /// The number in the record.
         counted: u32,
-        /// How many there are.
+        /// The number of data records.
         found: u32,
     },
     /// Two records give different data for an address.
@@ -54,15 +54,15 @@ pub enum PackageError {
         /// Where.
         address: u32,
     },
-    /// There are no data.
+    /// The file has no data.
     #[error("the file holds no data")]
     Empty,
-    /// It is no ELF file of a 32-bit little-endian machine.
-    #[error("no ELF file of a 32-bit little-endian machine")]
+    /// The file is not an ELF file of a 32-bit little-endian machine.
+    #[error("not an ELF file of a 32-bit little-endian machine")]
     Elf,
-    /// The data lie outside one place for images, or on its first 256 bytes.
+    /// The data do not fit into one place for images after its first 256 bytes.
     #[error(
-        "data at offset {offset:#08X}: an image lies in one slot, behind its first 256 bytes, \
+        "data at offset {offset:#08X}: an image must lie in one slot, after the first 256 bytes, \
          which are for the manifest"
     )]
     Place {
@@ -71,17 +71,17 @@ pub enum PackageError {
     },
 }
 
-/// What a file of S-records holds.
+/// The content of a file of S-records.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Content {
-    /// Runs of bytes at ascending addresses that do not touch.
+    /// Separate runs of bytes at ascending addresses.
     pub runs: Vec<(u32, Vec<u8>)>,
     /// The entry; 0 or `None` if the file has none.
     pub entry: Option<u32>,
 }
 
 impl Content {
-    /// Reads S-records, in any order.
+    /// Parses S-records in any order.
     ///
     /// # Errors
     /// [`PackageError`] names the line or the address.
@@ -135,34 +135,35 @@ impl Content {
     }
 }
 
-/// An image as it lies in its place, manifest first.
+/// An image as stored in its place, the manifest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
-    /// Where.
+    /// Its place.
     pub target: ImageTarget,
     /// Its manifest.
     pub manifest: Manifest,
-    /// All bytes from the start of the place on.
+    /// All bytes from the start of the place.
     pub bytes: Vec<u8>,
 }
 
-/// What is said about an image besides its bytes.
+/// The properties of an image besides its bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct ReleaseInfo {
-    /// Rises with every release.
+    /// Version, ascending with every release.
     pub version: u32,
     /// Entries of the cores, as offsets from the image's place; 0 for none.
     pub entries: [u32; 3],
-    /// Retire the keys below this one.
+    /// Keys below this are retired.
     pub lowest_key: u8,
 }
 
 impl Image {
-    /// Signs parts of an image: offsets from its place, and bytes. Gaps are filled with 0xFF.
+    /// Signs an image with these parts, given as offset from its place and bytes. Fills gaps with
+    /// 0xFF.
     ///
     /// # Panics
-    /// If there are no parts or more than three, or one begins before [`BODY_OFFSET`] or before
-    /// the end of the one before it.
+    /// If there are no parts or more than three, or a part begins before [`BODY_OFFSET`] or before the
+    /// end of the previous one.
     #[must_use]
     pub fn sign(
         target: ImageTarget,
@@ -209,8 +210,8 @@ impl Image {
         }
     }
 
-    /// Signs what a file holds. One part from the first to the last byte; its entry, if the file
-    /// has one, is core 0's.
+    /// Signs the content of a file as one part from the first to the last byte. The file's entry, if
+    /// it has one, is core 0's.
     ///
     /// # Errors
     /// [`PackageError`] if the data are not those of one image.
@@ -244,11 +245,11 @@ impl Image {
         ))
     }
 
-    /// Signs what an ELF file loads into a program flash that begins at address `flash`. All cores
-    /// begin at its entry.
+    /// Signs what an ELF file loads into a program flash at address `flash`. All cores begin at the
+    /// file's entry.
     ///
     /// # Errors
-    /// [`PackageError`] if it is no such file, or its data are not those of one image.
+    /// [`PackageError`] if it is not an ELF file, or its data are not those of one image.
     pub fn of_elf(
         elf: &[u8],
         flash: u32,
@@ -270,13 +271,13 @@ impl Image {
         Self::of(&content, release, key)
     }
 
-    /// Where it lies in the flash.
+    /// Returns its offset in the flash.
     #[must_use]
     pub fn place(&self) -> u32 {
         FlashRegion::Target(self.target).range().start
     }
 
-    /// The bytes that are sent: the manifest and the parts, without the gaps between them.
+    /// Returns the bytes to send: the manifest and the parts, without the gaps between them.
     fn runs(&self) -> impl Iterator<Item = (u32, &[u8])> {
         let manifest = (0, &self.bytes[..MANIFEST_BYTES]);
         let parts = self.manifest.parts().map(|part| {
@@ -287,10 +288,10 @@ impl Image {
     }
 }
 
-/// What a segment of an ELF file loads: its physical address, and its bytes.
+/// Physical address and bytes of an ELF file's loadable segment.
 type Segment<'e> = (u32, &'e [u8]);
 
-/// The entry of an ELF file, and its segments (TIS ELF 1.2, figures 1-3 and 2-1).
+/// Returns the entry of an ELF file and its loadable segments (TIS ELF 1.2, figures 1-3 and 2-1).
 fn loaded(elf: &[u8]) -> Option<(u32, Vec<Segment<'_>>)> {
     const LOAD: u32 = 1;
     let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
@@ -309,8 +310,8 @@ fn loaded(elf: &[u8]) -> Option<(u32, Vec<Segment<'_>>)> {
     is_elf.then_some((word(24)?, runs))
 }
 
-/// The lines of a file that downloads these images at once: a header, S3 records of
-/// [`RECORD_DATA`] bytes, a count, and an entry. Each line ends with CR LF.
+/// Returns the lines of a file with these images: a header, S3 records of [`RECORD_DATA`] bytes, a
+/// count, and an entry. Each line ends with CR LF.
 #[must_use]
 pub fn records(name: &str, images: &[&Image]) -> Vec<String> {
     let mut images: Vec<&&Image> = images.iter().collect();
@@ -333,7 +334,7 @@ pub fn records(name: &str, images: &[&Image]) -> Vec<String> {
     lines
 }
 
-/// One record with its line end.
+/// Returns one record with its line end.
 #[must_use]
 pub fn line(digit: u8, address: &[u8], data: &[u8]) -> String {
     let length = (address.len() + data.len() + 1) as u8;

@@ -1,7 +1,8 @@
-//! The program flash of a TC297 in memory, with losses of power that leave what real flash leaves.
+//! A model of the TC297's program flash in memory, in which a loss of power has the effects of real
+//! flash.
 //!
-//! A loss of power ends the program or erase operation that it hits part-way. Bits that were on
-//! their way are then *weak*: what they read as is not settled, until their sector is erased.
+//! A loss of power interrupts a program or erase operation. Bits that were changing are then *weak*:
+//! their value is undefined until their sector is erased.
 
 use chacha20::ChaCha8Rng;
 use embedded_storage::nor_flash::{
@@ -20,24 +21,24 @@ pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
 /// Moments in one erase operation: before it, and after each thirty-second of the sector.
 pub const ERASE_TICKS: u64 = 33;
 
-/// How the bits of an interrupted operation read afterwards.
+/// The state in which an interrupted operation leaves the changing bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Tear {
     /// They keep their old value: bytes change one after the other.
     Clean,
-    /// Noise, and from then on the same noise.
+    /// They take random values, which then stay.
     Noise,
-    /// Noise that differs with each read.
+    /// They read differently each time.
     Flicker,
-    /// Noise that differs from one life to the next.
+    /// They read differently in each life.
     PerLife,
-    /// In one life the whole sector reads as if the operation had ended, in another as if it had
-    /// not begun: the luck that misleads most.
+    /// In one life the whole sector reads as if the operation had finished, in another as if it had
+    /// not begun. This is the most misleading case.
     Mimic,
 }
 
-/// One page that is not erased. A weak bit is 1 in `weak`, and 0 in `bits`.
+/// A page that is not erased. A weak bit is 1 in `weak` and 0 in `bits`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cell {
     bits: Page,
@@ -45,12 +46,12 @@ struct Cell {
     tear: Tear,
 }
 
-/// Why the flash did not do what it was asked for.
+/// Why an operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelError {
-    /// Power is lost: nothing works until [`SimulatedFlash::power_on`].
+    /// Power is lost: every operation fails until [`SimulatedFlash::power_on`].
     PowerLost,
-    /// Not whole pages, not whole sectors, or outside.
+    /// The range is outside the flash, or does not consist of whole pages or sectors.
     Range,
 }
 
@@ -63,7 +64,7 @@ impl NorFlashError for ModelError {
     }
 }
 
-/// A generator whose copy draws the same numbers.
+/// A random generator whose clone produces the same numbers.
 #[derive(Debug)]
 struct Noise(ChaCha8Rng);
 
@@ -73,23 +74,23 @@ impl Clone for Noise {
     }
 }
 
-/// A program flash.
+/// A simulated program flash.
 #[derive(Clone, Debug)]
 pub struct SimulatedFlash {
     cells: BTreeMap<u32, Cell>,
     noise: Noise,
-    /// Which way weak bits fall in this life.
+    /// Decides the values of weak bits in this life.
     life: u64,
-    /// Ticks until power is lost, and how bits are left then.
+    /// Ticks until power is lost, and the state of the changing bits then.
     cut: Option<(u64, Tear)>,
     is_on: bool,
     /// Ticks of all operations so far.
     ticks: u64,
-    /// Pages that were programmed although they were not firmly erased.
+    /// Offsets of pages that were programmed although they were not firmly erased.
     overwrites: Vec<u32>,
     erased_bytes: u64,
     programmed_pages: u64,
-    /// A defect for tests that have to fail: this range is the one from there on.
+    /// A defect for tests that must fail: this range is the same memory as that from the offset on.
     alias: Option<(Range<u32>, u32)>,
 }
 
@@ -100,7 +101,7 @@ impl Default for SimulatedFlash {
 }
 
 impl SimulatedFlash {
-    /// Erased, on, and never cut.
+    /// Creates an erased flash with power on and no loss of power ahead.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -117,8 +118,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Wires the flash wrongly: `range` is the same memory as the one from `place` on. A bootloader
-    /// that believes it has two of something then has one.
+    /// Adds a wiring defect: `range` is the same memory as that from `place` on. Two slots or banks of
+    /// the bootloader then are one.
     #[must_use]
     pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
         self.alias = Some((range, place));
@@ -132,39 +133,39 @@ impl SimulatedFlash {
         }
     }
 
-    /// Begins the next life. Power is lost after `cut.0` ticks of it, if at all; `seed` decides
-    /// which way weak bits fall.
+    /// Begins the next life. Power is lost after `cut.0` ticks, if `cut` is given; `seed` decides the
+    /// values of weak bits.
     pub fn power_on(&mut self, seed: u64, cut: Option<(u64, Tear)>) {
         self.noise = Noise(ChaCha8Rng::seed_from_u64(seed));
         self.life = self.noise.0.next_u64();
         (self.cut, self.is_on, self.ticks) = (cut, true, 0);
     }
 
-    /// Whether power is there.
+    /// Whether power is on.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         self.is_on
     }
 
-    /// Ticks of all operations in this life: the points at which power can be lost.
+    /// Returns the ticks of all operations in this life: the points at which power can be lost.
     #[must_use]
     pub const fn ticks(&self) -> u64 {
         self.ticks
     }
 
-    /// Bytes erased and pages programmed since the flash was made.
+    /// Returns the number of bytes erased and of pages programmed since the flash was created.
     #[must_use]
     pub const fn work(&self) -> (u64, u64) {
         (self.erased_bytes, self.programmed_pages)
     }
 
-    /// Pages that were programmed although they were not firmly erased.
+    /// Returns the offsets of pages that were programmed although they were not firmly erased.
     #[must_use]
     pub fn overwrites(&self) -> &[u32] {
         &self.overwrites
     }
 
-    /// The bytes of a range if none of its bits is weak.
+    /// Returns the bytes of a range if none of its bits is weak.
     #[must_use]
     pub fn firm(&self, offset: u32, len: u32) -> Option<Vec<u8>> {
         let byte = |at: u32| {
@@ -177,7 +178,7 @@ impl SimulatedFlash {
         (offset..offset + len).map(byte).collect()
     }
 
-    /// Writes bytes as a programming station does, before the flash is built in.
+    /// Writes bytes as a programming station does before assembly.
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         for (byte, at) in bytes.iter().zip(offset..) {
             let erased = Cell {
@@ -190,7 +191,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// What this operation may do before power is lost; `None` for all of it.
+    /// Counts the ticks of an operation. If power is lost within it, returns the completed ticks and
+    /// the state of the changing bits; otherwise `None`.
     fn spend(&mut self, ticks: u64) -> Result<Option<(u64, Tear)>, ModelError> {
         if !self.is_on {
             return Err(ModelError::PowerLost);
@@ -222,7 +224,7 @@ impl SimulatedFlash {
         let mut cell = old;
         for (place, byte) in data.iter().enumerate() {
             let is_done = torn.is_none_or(|(ticks, _)| (place as u64) < ticks);
-            // Programming clears bits. Bits that stay 1 stay weak if they were.
+            // Programming clears bits. A weak bit that is programmed to 1 stays weak.
             if is_done {
                 cell.weak[place] &= byte;
                 cell.bits[place] &= byte;
@@ -235,7 +237,7 @@ impl SimulatedFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
-    /// Leaves bits of a byte on their way between 1 and 0.
+    /// Leaves bits of a byte in the interrupted state.
     fn leave(&mut self, cell: &mut Cell, place: usize, bits: u8, torn: Option<(u64, Tear)>) {
         let Some((_, tear)) = torn else { return };
         match tear {
@@ -277,7 +279,7 @@ impl SimulatedFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
-    /// Reads bytes of one page, from its byte `place` on.
+    /// Reads bytes of one page, beginning with its byte `place`.
     fn read_page(&mut self, index: u32, place: usize, into: &mut [u8]) {
         let Some(cell) = self.cells.get(&index) else {
             return into.fill(0xFF);
@@ -300,7 +302,7 @@ impl SimulatedFlash {
         }
     }
 
-    /// Everything that outlasts a loss of power, as bytes.
+    /// Encodes the state that survives a loss of power.
     #[must_use]
     pub fn save(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -313,7 +315,7 @@ impl SimulatedFlash {
         bytes
     }
 
-    /// The inverse of [`SimulatedFlash::save`]; `None` if the bytes are something else.
+    /// Decodes what [`SimulatedFlash::save`] returned; `None` for other bytes.
     #[must_use]
     pub fn restore(bytes: &[u8]) -> Option<Self> {
         let (records, rest) = bytes.as_chunks::<{ 4 + 2 * PAGE_BYTES + 1 }>();
@@ -333,7 +335,7 @@ impl SimulatedFlash {
     }
 }
 
-/// Bits that look like chance (the finalizer of SplitMix64).
+/// Returns pseudo-random bits (the finalizer of SplitMix64).
 const fn mix(value: u64) -> u64 {
     let value = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let value = (value ^ (value >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -410,7 +412,7 @@ mod tests {
         bytes
     }
 
-    /// T-BOOT-6: pages are programmed, sectors erased, and nothing else is possible.
+    /// T-BOOT-6: only whole pages are programmed, and only whole sectors erased.
     #[test]
     fn it_is_nor_flash_with_sectors_of_five_sizes() {
         let mut flash = SimulatedFlash::new();
@@ -426,7 +428,7 @@ mod tests {
         assert_eq!(read(&mut flash, 0x04_0000), [0xFF; 96]);
     }
 
-    /// U-5: power is lost at each byte, and what was before and after it is as it should be.
+    /// U-5: power is lost at each byte; the bytes before and after the page are unchanged.
     #[test]
     fn a_torn_page_is_torn_where_power_was_lost() {
         for &tear in Tear::VARIANTS {

@@ -10,13 +10,13 @@ use tandem_boot::{Loader, Next, Refusal};
 /// Why a file was not transferred.
 #[derive(Debug, thiserror::Error)]
 pub enum TransferError {
-    /// The wire fails.
+    /// The bus fails.
     #[error("the CAN bus over UDP fails: {0}; is there a route for multicast?")]
     Wire(#[from] io::Error),
     /// No loader answers.
     #[error("no bootloader answers within {0} s; reset the controller, or check the bus")]
     NoAnswer(u64),
-    /// The bootloader says no.
+    /// The bootloader refuses the file.
     #[error("the bootloader refuses the file: {0:?} (docs/boot.md, table of codes)")]
     Refused(Refusal),
     /// The flash fails.
@@ -29,15 +29,15 @@ fn since(start: Clock) -> Instant {
 }
 
 fn left(now: Instant, until: Instant) -> std::time::Duration {
-    // Never for ever: the caller looks at the clock now and then.
+    // Limit the wait, so that the caller reads the clock regularly.
     let left = until.since(now).as_ns().clamp(1_000, 100_000_000);
     std::time::Duration::from_nanos(left)
 }
 
-/// Sends a file. `progress` is told the records that the loader has, and of how many.
+/// Sends a file. Calls `progress` with the number of accepted records and of all records.
 ///
 /// # Errors
-/// [`TransferError`] says why the file is not on trial.
+/// [`TransferError`] if the file is not on trial at the end.
 pub fn send_file(
     wire: &UdpBus,
     mut host: FileSender,
@@ -79,10 +79,10 @@ pub fn send_file(
     }
 }
 
-/// Runs a bootloader until the board is to do something else than to wait or send.
+/// Runs a bootloader until its next action is neither to wait nor to send.
 ///
 /// # Errors
-/// [`TransferError`] if wire or flash fail.
+/// [`TransferError`] if bus or flash fail.
 pub fn serve<F: NorFlash>(
     wire: &UdpBus,
     start: Clock,

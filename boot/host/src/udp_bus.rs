@@ -1,5 +1,5 @@
-//! CAN over UDP multicast, as python-can's `udp_multicast` speaks it: one datagram a frame, one
-//! msgpack map a datagram.
+//! CAN over UDP multicast, compatible with python-can's `udp_multicast`: each frame is a datagram with
+//! one msgpack map.
 
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tandem_board::{CanFrame, CanId};
 
-/// The group that python-can uses unless told otherwise.
+/// The default group of python-can.
 pub const GROUP: Ipv4Addr = Ipv4Addr::new(239, 74, 163, 2);
 /// Its port.
 pub const PORT: u16 = 43113;
@@ -51,10 +51,10 @@ pub struct UdpBus {
 }
 
 impl UdpBus {
-    /// Joins a group. Other processes of this machine may join it too.
+    /// Joins a group, together with other processes of this machine.
     ///
     /// # Errors
-    /// What the operating system says: there is no route to the group, as a rule.
+    /// An error of the operating system, usually because there is no route to the group.
     pub fn join(group: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
         socket.set_reuse_address(true)?;
@@ -62,7 +62,7 @@ impl UdpBus {
         socket.bind(&group.into())?;
         let socket = UdpSocket::from(socket);
         socket.join_multicast_v4(group.ip(), &Ipv4Addr::UNSPECIFIED)?;
-        // Connected, so that it has an address by which this end knows its own frames.
+        // Connect the socket: its address then identifies this end's own frames.
         let sender = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         sender.connect(group)?;
         Ok(Self {
@@ -76,7 +76,7 @@ impl UdpBus {
     /// Sends a frame.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// An error of the operating system.
     pub fn send(&self, frame: &CanFrame) -> io::Result<()> {
         let (arbitration_id, is_extended_id) = match frame.id() {
             CanId::Standard(id) => (u32::from(id), false),
@@ -100,11 +100,11 @@ impl UdpBus {
         self.sender.send(&bytes).map(drop)
     }
 
-    /// The next data frame of another end, or `None` after this time. What is no such frame is
-    /// passed over.
+    /// Waits for the next data frame of another end; returns `None` after this time. Skips everything
+    /// else.
     ///
     /// # Errors
-    /// What the operating system says.
+    /// An error of the operating system.
     pub fn receive(&self, within: Duration) -> io::Result<Option<CanFrame>> {
         let end = std::time::Instant::now() + within;
         let mut bytes = [0; 2048];
@@ -127,7 +127,7 @@ impl UdpBus {
         }
     }
 
-    /// The group and its port.
+    /// Returns the group and its port.
     #[must_use]
     pub const fn group(&self) -> SocketAddrV4 {
         self.group

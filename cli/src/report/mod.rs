@@ -7,7 +7,7 @@ mod top_view;
 use maud::{Markup, html};
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
-use tandem_record::roles::State;
+use tandem_record::roles::RoleState;
 use tandem_record::verdict::Grade;
 use tandem_record::{RunLog, Takeover, description, takeovers};
 
@@ -120,7 +120,7 @@ fn card(title: &str, note: &str, chart: &Chart) -> Markup {
 }
 
 fn roles(log: &RunLog, takeovers: &[Takeover]) -> Markup {
-    let states = State::ALL.map(|state| (state.name(), sections::state_color(state)));
+    let states = RoleState::ALL.map(|state| (state.name(), sections::state_color(state)));
     let note = match takeovers.len() {
         0 => "What each system was, over scenario time in seconds.",
         _ => "What each system was, over scenario time in seconds. Red dashes mark takeovers.",

@@ -7,7 +7,7 @@ use tandem_board::SystemId;
 use tandem_page::chart::{self, Axis, Chart, Polygon, Series, Style, thin};
 use tandem_page::svg::Color;
 use tandem_record::log::Sample;
-use tandem_record::roles::{State, timeline};
+use tandem_record::roles::{RoleState, timeline};
 use tandem_record::{RunLog, Takeover, ms_between};
 
 /// More points than this in a line cannot be distinguished.
@@ -27,15 +27,15 @@ pub(super) const fn system_color(system: SystemId) -> Color {
 }
 
 /// The colour of a state.
-pub(super) const fn state_color(state: State) -> Option<Color> {
+pub(super) const fn state_color(state: RoleState) -> Option<Color> {
     match state {
-        State::Master => Some(Color::GOOD),
-        State::Degraded => Some(Color::WARN),
-        State::SafeStop => Some(Color::B),
-        State::Standby => Some(Color::CALM),
-        State::Starting => Some(Color::PALE),
-        State::Suspended => Some(Color::BAD),
-        State::Off => None,
+        RoleState::Master => Some(Color::GOOD),
+        RoleState::Degraded => Some(Color::WARN),
+        RoleState::SafeStop => Some(Color::B),
+        RoleState::Standby => Some(Color::CALM),
+        RoleState::Starting => Some(Color::PALE),
+        RoleState::Suspended => Some(Color::BAD),
+        RoleState::Off => None,
     }
 }
 

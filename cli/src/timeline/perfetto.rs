@@ -14,7 +14,7 @@ use super::schema::{
     STATE_CLEARED, ThreadDescriptor, TracePacket, TrackDescriptor, TrackEvent, event_type,
 };
 use super::{CoreLine, Step, Timeline, irq_name, task_name};
-use tandem_record::roles::State;
+use tandem_record::roles::RoleState;
 use tandem_record::{RunLog, description, takeovers};
 use tandem_vehicle::Ruling;
 
@@ -257,7 +257,7 @@ impl Trace {
             .map(|power| (power.at_ns, None));
         let roles = mine.filter_map(|event| match event.event {
             Event::Role { role, mode, .. } => {
-                let state = State::of_codes(role, mode)?;
+                let state = RoleState::of_codes(role, mode)?;
                 Some((event.at_ns, Some(state.name())))
             }
             Event::Started { .. } => Some((event.at_ns, None)),

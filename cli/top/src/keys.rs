@@ -6,7 +6,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::{CoreId, SystemId};
 use tandem_board_host::RunName;
-use tandem_board_host::processes::{self, Kind};
+use tandem_board_host::processes::{self, ProcessKind};
 
 /// The keys and their effect on the selected system.
 pub(super) const KEYS: &str =
@@ -104,8 +104,8 @@ impl Keys {
     fn signal(&mut self, system: SystemId, core: Option<CoreId>, signal: Signal) -> Option<Pid> {
         let is_it = |process: &processes::Process| {
             let of = match process.kind {
-                Kind::Core(of, _) => Some(of),
-                Kind::Supply | Kind::Vehicle => None,
+                ProcessKind::Core(of, _) => Some(of),
+                ProcessKind::Supply | ProcessKind::Vehicle => None,
             };
             process.system == Some(system) && of.is_some() && of == core
         };

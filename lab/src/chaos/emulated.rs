@@ -12,7 +12,7 @@ use tandem_board::{
     VehiclePort,
 };
 use tandem_board_host::{BusFault, Wire};
-use tandem_board_qemu::{EmulatedWorld, Layout, MachineError, Options};
+use tandem_board_qemu::{EmulatedWorld, MachineError, MachineOptions, WorldLayout};
 use tandem_bus::Control;
 use tandem_faults::{BusFaults, CannotSuffer, Effect, Kind, Sequence, Site, Suffer, effects};
 use tandem_vehicle::Scenario;
@@ -51,12 +51,12 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
     let args = arguments(numbers, &folder.path().join("report"), &board)?;
     let config = RunConfig::of(&args, LimitProfile::Rt);
     let files = RunFiles::within(folder.path());
-    let options = Options {
+    let options = MachineOptions {
         reintegrate: true,
-        ..Options::default()
+        ..MachineOptions::default()
     };
     let image = emulated::image("controller", None)?;
-    let world = EmulatedWorld::start(&image, Layout::Two, options)?;
+    let world = EmulatedWorld::start(&image, WorldLayout::Two, options)?;
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, world.stop_flag()).context("watching for Ctrl-C")?;
     }

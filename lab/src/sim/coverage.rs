@@ -6,25 +6,25 @@ use std::fmt::Write as _;
 use serde_json::{Value, json};
 use tandem_board::RoleLamp;
 use tandem_faults::Kind;
-use tandem_sim::State;
+use tandem_sim::SequenceState;
 
 use super::outcome::Outcome;
 
-const STATES: usize = State::ALL.len();
+const STATES: usize = SequenceState::ALL.len();
 
 /// How often, by the label of the fault and the state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Coverage(BTreeMap<String, [u64; STATES]>);
 
-const fn name(state: State) -> &'static str {
+const fn name(state: SequenceState) -> &'static str {
     match state {
-        State::Off => "off",
-        State::Reset => "in reset",
-        State::Shows(RoleLamp::Starting) => "starting",
-        State::Shows(RoleLamp::Master) => "master",
-        State::Shows(RoleLamp::DegradedMaster) => "degraded",
-        State::Shows(RoleLamp::Standby) => "standby",
-        State::Shows(RoleLamp::Suspended) => "suspended",
+        SequenceState::Off => "off",
+        SequenceState::Reset => "in reset",
+        SequenceState::Shows(RoleLamp::Starting) => "starting",
+        SequenceState::Shows(RoleLamp::Master) => "master",
+        SequenceState::Shows(RoleLamp::DegradedMaster) => "degraded",
+        SequenceState::Shows(RoleLamp::Standby) => "standby",
+        SequenceState::Shows(RoleLamp::Suspended) => "suspended",
     }
 }
 
@@ -62,7 +62,7 @@ impl Coverage {
     pub(super) fn text(&self, whole: bool) -> String {
         let mut text = String::new();
         if whole {
-            let heads: Vec<&str> = State::ALL.map(name).into();
+            let heads: Vec<&str> = SequenceState::ALL.map(name).into();
             let _ = writeln!(
                 text,
                 "| fault hits a system that is | {} |",
@@ -86,11 +86,11 @@ impl Coverage {
             match missing.len() {
                 0 => {}
                 count if count == labels.len() => {
-                    holes.push(format!("{}: all", name(State::ALL[state])));
+                    holes.push(format!("{}: all", name(SequenceState::ALL[state])));
                 }
                 _ => holes.push(format!(
                     "{}: {}",
-                    name(State::ALL[state]),
+                    name(SequenceState::ALL[state]),
                     missing.join(", ")
                 )),
             }

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use tandem_faults::Kind;
 use tandem_record::verdict::Rule;
-use tandem_sim::{State, Tried};
+use tandem_sim::{SequenceState, Tried};
 
 /// The outcome of one sequence.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,14 +19,14 @@ pub(super) struct Outcome {
     /// Every frame and event of the run, as one number.
     pub(super) digest: u64,
     pub(super) violations: Vec<Rule>,
-    /// What its faults hit: the label of the kind, and the place of the state in [`State::ALL`].
+    /// What its faults hit: the label of the kind, and the place of the state in [`SequenceState::ALL`].
     pub(super) covered: Vec<(String, usize)>,
 }
 
 impl Outcome {
     pub(super) fn new(number: u64, trial: Tried) -> Self {
-        let hit = |(kind, state): (Kind, State)| {
-            let state = State::ALL.iter().position(|it| *it == state)?;
+        let hit = |(kind, state): (Kind, SequenceState)| {
+            let state = SequenceState::ALL.iter().position(|it| *it == state)?;
             Some((kind.label(), state))
         };
         Self {

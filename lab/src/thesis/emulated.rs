@@ -2,7 +2,7 @@
 
 use anyhow::Context as _;
 use tandem_board::{RoleLamp, SystemId, VehiclePort as _};
-use tandem_board_qemu::{EmulatedWorld, Layout, Options};
+use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
 use tandem_record::{Entry, RunLog};
 use tandem_vehicle::{Scenario, World, WorldConfig};
 
@@ -96,10 +96,10 @@ impl Emulated {
 
 impl Emulated {
     /// Starts the systems one after the other, in this many machines. A then drives.
-    fn start(layout: Layout) -> anyhow::Result<Self> {
-        let options = Options {
+    fn start(layout: WorldLayout) -> anyhow::Result<Self> {
+        let options = MachineOptions {
             reintegrate: true,
-            ..Options::default()
+            ..MachineOptions::default()
         };
         let mut of = Self {
             systems: EmulatedWorld::start(&image("controller", None)?, layout, options)?,
@@ -125,13 +125,13 @@ impl Emulated {
 /// Records a start. Both systems run in one machine: between two machines an edge takes 1 to 2 ms,
 /// longer than the time to be measured.
 pub(super) fn start() -> anyhow::Result<RunLog> {
-    Emulated::start(Layout::One)?.end()
+    Emulated::start(WorldLayout::One)?.end()
 }
 
 /// Records two takeovers: core 0 of A raises an exception, so A is reset and returns as standby;
 /// then B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
-    let mut of = Emulated::start(Layout::Two)?;
+    let mut of = Emulated::start(WorldLayout::Two)?;
     let reset_ns = of.systems.reported().as_ns();
     of.systems.crash(SystemId::A);
     of.until([RoleLamp::Standby, RoleLamp::Master])?;

@@ -6,7 +6,7 @@ use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
 
 use crate::RunLog;
-use crate::roles::{State, timeline};
+use crate::roles::{RoleState, timeline};
 use crate::run_log::{ControlFrame, CoreEvent};
 
 /// A system without a status frame for longer than this does not stand by, ns: they arrive every
@@ -89,7 +89,7 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
 pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     log.accepted().next()?;
     let spans = SystemId::ALL.map(|system| timeline(log, system)).concat();
-    let stood_by = spans.iter().filter(|span| span.state == State::Standby);
+    let stood_by = spans.iter().filter(|span| span.state == RoleState::Standby);
     let last_s = stood_by.map(|span| span.to_s).fold(0.0, f64::max);
     (log.driven_s() - last_s > SIGN_S).then_some(last_s)
 }

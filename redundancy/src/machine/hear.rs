@@ -32,8 +32,8 @@ impl Redundancy {
         }
         if frame.term < self.state.term {
             // The vehicle refuses it, so it drives nothing.
-            if self.stale_told != frame.term {
-                self.stale_told = frame.term;
+            if self.stale_reported != frame.term {
+                self.stale_reported = frame.term;
                 actions.record(RedundancyEvent::StaleTerm(frame.term));
             }
             return;
@@ -75,8 +75,8 @@ impl Redundancy {
         self.judge_clocks(now, actions);
     }
 
-    /// Of three clocks, the one that differs from both others is wrong. A system whose own clock it
-    /// is leaves: each of its limits is wrong by as much.
+    /// Compares three clocks: the one that differs from both others is wrong. If that is this system's
+    /// own clock, the system leaves, because all its time limits are wrong too.
     fn judge_clocks(&mut self, now: Instant, actions: &mut Actions) {
         if let Some(clock) = self.witnesses.clocks.judge(now) {
             actions.record(RedundancyEvent::ClockWrong(clock));
@@ -86,9 +86,8 @@ impl Redundancy {
         }
     }
 
-    /// A report of the other about itself. `reaches_bus`: its frames as a master would reach the
-    /// vehicle. If this master closed its output for one that the vehicle cannot hear, the vehicle
-    /// would have no control.
+    /// Takes a report of the other system about itself. `reaches_bus`: the vehicle would receive its
+    /// control frames. A master must not close its output for a system that the vehicle cannot hear.
     fn report_of_peer(
         &mut self,
         now: Instant,
@@ -113,7 +112,7 @@ impl Redundancy {
         }
     }
 
-    /// The other drives in a higher term than this system.
+    /// The other system drives in a higher term.
     fn peer_drives(&mut self, now: Instant, actions: &mut Actions) {
         self.witnesses.on_drive(actions);
         self.apply(now, Evidence::HigherTerm, actions);
@@ -160,11 +159,11 @@ impl Redundancy {
             && term == thawed.driving.term()
             && thawed.is_kept(&self.config, age)
         {
-            let goes_on = match thawed.dual {
+            let resumes = match thawed.dual {
                 true => Evidence::PeerStable,
                 false => Evidence::ListenOver,
             };
-            self.apply(now, goes_on, actions);
+            self.apply(now, resumes, actions);
         } else if let PhaseState::Standby(standby) = &mut self.phase {
             if drives && term == self.state.term {
                 standby.on_echo(&self.config, now, age);

@@ -147,7 +147,7 @@ impl Cell {
                 Action::AlignControl => "align",
                 Action::Record(RedundancyEvent::PeerFailed(true)) => "set flag",
                 Action::Record(RedundancyEvent::PeerFailed(false)) => "clear flag",
-                Action::Record(RedundancyEvent::LinesSplit) => "tell",
+                Action::Record(RedundancyEvent::LinesSplit) => "report",
                 Action::Record(_) => continue,
                 Action::Persist(_) => "persist",
                 Action::Reset(_) => "reset",
@@ -244,7 +244,7 @@ fn only_the_absence_of_a_master_opens_an_output() {
             if cell.to.is_driving() && !from.is_driving() {
                 assert!(matches!(
                     (from, on),
-                    (P::Starting, E::HandshakeDone | E::NobodyThere)
+                    (P::Starting, E::HandshakeDone | E::NoAnswer)
                         | (
                             P::Standby,
                             E::HandshakeDone
@@ -296,7 +296,7 @@ fn faults_and_higher_terms_work_in_every_phase() {
     use Evidence as E;
     for (from, on, cells) in cells() {
         for cell in cells {
-            let told = cell.actions.events().any(|event| {
+            let reported = cell.actions.events().any(|event| {
                 event
                     == RedundancyEvent::Phase {
                         from,
@@ -304,7 +304,7 @@ fn faults_and_higher_terms_work_in_every_phase() {
                         on,
                     }
             });
-            assert_eq!(told, from != cell.to, "{from:?} {on:?}");
+            assert_eq!(reported, from != cell.to, "{from:?} {on:?}");
             let starts = from == Phase::Starting || (from, on) == (Phase::Standby, E::SyncStray);
             assert!(starts || cell.to != Phase::Starting, "{from:?} {on:?}");
             let expected = match (from, on) {
@@ -450,14 +450,14 @@ fn check_step(machine: &mut Redundancy, now: Instant, input: Input) {
     let (from, before) = (machine.phase(), *machine.state());
     let actions = machine.on(now, input);
     let to = machine.phase();
-    let mut told = from;
+    let mut phase = from;
     for event in actions.events() {
         if let RedundancyEvent::Phase { from, to, .. } = event {
-            assert_eq!(from, told, "{what}");
-            told = to;
+            assert_eq!(from, phase, "{what}");
+            phase = to;
         }
     }
-    assert_eq!(told, to, "{what}");
+    assert_eq!(phase, to, "{what}");
     assert!(actions.events().count() < Actions::EVENTS, "{what}");
     assert!(actions.iter().count() < Actions::CAPACITY, "{what}");
     if from.is_driving() && !to.is_driving() {

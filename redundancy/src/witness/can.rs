@@ -12,7 +12,7 @@ pub(crate) struct CanWatch {
     last: Instant,
     since: Option<Instant>,
     heard: bool,
-    told_silent: bool,
+    reported_silent: bool,
 }
 
 impl CanWatch {
@@ -21,7 +21,7 @@ impl CanWatch {
             last: now,
             since: None,
             heard: false,
-            told_silent: false,
+            reported_silent: false,
         }
     }
 
@@ -68,7 +68,7 @@ impl CanWatch {
 
     /// Whether `silent` differs from the last reported value, which it replaces.
     pub(crate) fn is_news(&mut self, silent: bool) -> bool {
-        core::mem::replace(&mut self.told_silent, silent) != silent
+        core::mem::replace(&mut self.reported_silent, silent) != silent
     }
 }
 

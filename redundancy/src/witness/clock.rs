@@ -1,10 +1,9 @@
 //! The witness of the clocks: how far this system's clock has drifted from the vehicle's and from
 //! the other system's. Of three clocks, the one that differs from two is wrong.
 //!
-//! What the others send tells when it was sent, on the sender's clock. The difference to the own
-//! clock is the two clocks' offset, less the time on the way. So a frame that is late only lowers
-//! the difference, and the largest one of some time is the offset. A stall of any of the three is
-//! no drift.
+//! Each frame carries the time of sending on the sender's clock. The difference to the own clock is the
+//! offset of the two clocks minus the transmission time. A late frame only lowers the difference, so
+//! the largest difference of a window is the offset, and a stall of any of the three is no drift.
 
 use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
@@ -12,26 +11,26 @@ use tandem_board::{Duration, Instant};
 /// A clock that has drifted by more than this beyond what is permitted is wrong, µs. Half of what
 /// the vehicle's gate tolerates: a system leaves before its frames look late.
 const WRONG_US: i32 = 20_000;
-/// The largest difference of this time is the offset. Ten control periods.
+/// The largest difference within this time is the offset. Ten control periods.
 const WINDOW: Duration = Duration::from_ms(100);
-/// Drift that is permitted for ever, µs in each window: 0.1 %. Ten times what a quartz has.
+/// Permitted drift, µs in each window: 0.1 %, ten times that of a quartz.
 const PERMITTED_US: i32 = 100;
 /// The first windows give the offset to begin with.
 const SETTLING_WINDOWS: u8 = 2;
-/// A step of the offset beyond this is a clock that was set or begins anew, µs.
+/// A larger step of the offset means that the clock was set or has restarted, µs.
 const SET_US: i32 = 1_000_000;
 
 /// The offset of one other clock.
 #[derive(Clone, Copy, Debug)]
 struct Offset {
-    /// Where it is taken to be, µs; wraps around. Follows the drift that is permitted.
+    /// The assumed offset, µs; wraps around. Follows the permitted drift.
     reference: u32,
     /// The largest difference of this window, beyond the reference, µs, and when the window began.
     largest: i32,
     began: Instant,
     heard: Instant,
     settled: u8,
-    /// How far the offset is from where it was, µs; above zero if the own clock falls behind.
+    /// Drift of the offset, µs; above zero if the own clock falls behind.
     drifted: i32,
 }
 
@@ -47,8 +46,8 @@ impl Offset {
         }
     }
 
-    /// The other clock showed something that is so much beyond the own one's `at`, µs. Returns for
-    /// how long that was on the way, beyond what is usual, µs.
+    /// Takes the difference between the other clock at sending and the own clock at `at`, µs. Returns
+    /// how much longer than usual the frame was on its way, µs.
     fn update(&mut self, at: Instant, difference: u32) -> i32 {
         let beyond = difference.wrapping_sub(self.reference) as i32;
         if at.since(self.heard) > WINDOW || !(-SET_US..SET_US).contains(&beyond) {
@@ -91,17 +90,17 @@ pub(crate) struct Clocks {
     /// The vehicle's clock, µs, and the last eight bits of its milliseconds.
     vehicle_us: u32,
     vehicle_ms: u8,
-    /// What the comparison says, and since when.
+    /// The result of the comparison, and since when it holds.
     found: Option<(ClockOwner, Instant)>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 const fn us(at: Instant) -> u32 {
     (at.as_ns() / 1_000) as u32
 }
 
-/// `other`: the offset of the third clock. Both begin anew together, so that both tell of the same
-/// time.
+/// Updates one offset. `other` is that of the third clock: both restart together, so that both cover
+/// the same time.
 fn update(
     offset: &mut Option<Offset>,
     other: &mut Option<Offset>,
@@ -138,7 +137,7 @@ impl Clocks {
         self.peer = None;
     }
 
-    /// Whose clock is wrong, once for each; nothing if there are not three clocks to compare.
+    /// Returns whose clock is wrong, once for each finding; `None` with fewer than three clocks.
     pub(crate) fn judge(&mut self, now: Instant) -> Option<ClockOwner> {
         let fresh = |offset: &Option<Offset>| {
             let heard = |it: &Offset| now.since(it.heard) <= WINDOW;
@@ -156,12 +155,12 @@ impl Clocks {
         };
         if self.found.map(|(before, _)| before) != clock {
             self.found = clock.map(|clock| (clock, now));
-            self.is_told = false;
+            self.is_reported = false;
         }
-        // The offsets are known one after the other.
+        // The two offsets become known at different times: wait for both.
         let (clock, since) = self.found?;
         let holds = clock == ClockOwner::Own || now.since(since) >= WINDOW.times(2);
-        (holds && !core::mem::replace(&mut self.is_told, true)).then_some(clock)
+        (holds && !core::mem::replace(&mut self.is_reported, true)).then_some(clock)
     }
 }
 
@@ -176,8 +175,8 @@ mod tests {
         Instant::from_ns(u64::from(ms) * 1_000_000)
     }
 
-    /// Of three clocks the one that differs from both others is wrong, and told once. A drift of
-    /// 0.05 % is permitted for ever.
+    /// Of three clocks the one that differs from both others is wrong, and reported once. A drift of
+    /// 0.05 % is permitted.
     #[test]
     fn the_clock_that_differs_from_both_others_is_wrong() {
         for (peer, vehicle, expected) in [
@@ -195,16 +194,16 @@ mod tests {
             let mut clocks = Clocks::default();
             // Hundredths of a percent.
             let us = |ms: u32, drift: i32| (ms * 1_000).wrapping_add_signed(ms as i32 * drift / 10);
-            let mut told = Vec::new();
+            let mut reported = Vec::new();
             for ms in (0..60_000).step_by(10) {
                 if expected.is_some() && ms > 5_000 {
                     break;
                 }
                 clocks.on_vehicle(at(ms), (us(ms, vehicle) / 1_000) as u8);
                 let _late = clocks.on_peer(at(ms), START_US + us(ms, peer));
-                told.extend(clocks.judge(at(ms)));
+                reported.extend(clocks.judge(at(ms)));
             }
-            assert_eq!(told, Vec::from_iter(expected), "{peer} {vehicle}");
+            assert_eq!(reported, Vec::from_iter(expected), "{peer} {vehicle}");
         }
     }
 

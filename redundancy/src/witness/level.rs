@@ -35,9 +35,8 @@ impl Level {
         }
     }
 
-    /// Takes the level at a poll. `beats`: heartbeats came since the last poll; `beats_alive`: not
-    /// both heartbeat lines are silent. Returns the new state of the line when it changes: broken
-    /// or not.
+    /// Takes the level at a poll. `beats`: heartbeats arrived since the last poll; `beats_alive`: not
+    /// both heartbeat lines are silent. Returns whether the line is broken, when that changes.
     pub(crate) fn update(
         &mut self,
         config: &Config,
@@ -140,13 +139,13 @@ mod tests {
         ] {
             let fell = Instant::from_ns(1_000_000);
             let mut level = Level::new(fell);
-            let told = level.update(&rt, fell, false, false, beats_before);
-            assert_eq!(told, None);
+            let reported = level.update(&rt, fell, false, false, beats_before);
+            assert_eq!(reported, None);
             if let Some(sign) = sign {
                 assert!(!level.on_life(&rt, fell + sign));
             }
-            let told = level.update(&rt, fell + ms, !is_low, false, false);
-            assert_eq!(told, None);
+            let reported = level.update(&rt, fell + ms, !is_low, false, false);
+            assert_eq!(reported, None);
             let case = (beats_before, is_low, sign, after);
             assert_eq!(level.is_off(&rt, fell + after), expected, "{case:?}");
         }

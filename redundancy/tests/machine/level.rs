@@ -5,7 +5,7 @@ use tandem_board::SystemId;
 use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
 /// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
-/// shows the other to live is broken: it is told once, and not believed until it was high for long
+/// shows the other to live is broken: it is reported once, and not believed until it was high for long
 /// enough. Each sign alone is enough.
 #[test]
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
@@ -20,7 +20,7 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
         }
         bench.snapshot.peer_powered = false;
         let mut events = Vec::new();
-        let told = |events: &mut Vec<RedundancyEvent>, actions: Actions| {
+        let reported = |events: &mut Vec<RedundancyEvent>, actions: Actions| {
             let broken = |it: &RedundancyEvent| matches!(it, RedundancyEvent::LevelBroken(_));
             events.extend(actions.events().filter(broken));
         };
@@ -31,19 +31,19 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
             let term = Term::from_bits(16);
             let report = sound(Role::Master, term);
             match sign {
-                1 => told(&mut events, bench.control(16)),
-                2 => told(&mut events, bench.linked(report)),
-                3 => told(&mut events, bench.obeyed(term, 0)),
+                1 => reported(&mut events, bench.control(16)),
+                2 => reported(&mut events, bench.linked(report)),
+                3 => reported(&mut events, bench.obeyed(term, 0)),
                 _ => {}
             }
-            told(&mut events, bench.poll());
+            reported(&mut events, bench.poll());
             assert_eq!(bench.machine.phase(), Phase::Standby, "sign {sign}");
         }
         bench.snapshot.peer_powered = true;
         let (mut back_after, recover_ms) = (None, CONFIG.recover_after.as_us() / 1_000);
         for ms in 0..=recover_ms {
             bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
-            told(&mut events, bench.poll());
+            reported(&mut events, bench.poll());
             back_after = back_after.or((events.len() == 2).then_some(ms));
         }
         let expected = [
@@ -62,14 +62,14 @@ fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
     for (polls, expected) in [(1, false), (2, true), (3, true)] {
         let mut bench = Bench::standby();
         bench.snapshot.peer_powered = false;
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for poll in 0..=polls {
             let beat = u32::from(poll == polls);
             bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(beat));
-            told.extend(bench.poll().events());
+            reported.extend(bench.poll().events());
         }
-        let is_told = told.contains(&RedundancyEvent::LevelBroken(true));
-        assert_eq!(is_told, expected, "after {polls} polls");
+        let is_reported = reported.contains(&RedundancyEvent::LevelBroken(true));
+        assert_eq!(is_reported, expected, "after {polls} polls");
     }
 }
 
@@ -82,9 +82,9 @@ fn a_takeover_contradicts_a_low_level_at_once() {
         bench.snapshot.peer_powered = powered;
         let _ = bench.poll();
         let term = bench.machine.term().above(1, SystemId::B).unwrap();
-        let told: Vec<RedundancyEvent> = bench.control(term.bits()).events().collect();
-        let broken = told.contains(&RedundancyEvent::LevelBroken(true));
-        assert_eq!(broken, !powered, "{told:?}");
+        let reported: Vec<RedundancyEvent> = bench.control(term.bits()).events().collect();
+        let broken = reported.contains(&RedundancyEvent::LevelBroken(true));
+        assert_eq!(broken, !powered, "{reported:?}");
     }
 }
 

@@ -174,14 +174,14 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
             },
         );
         let last_heard = bench.now;
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         let silent = |it: &RedundancyEvent| matches!(it, RedundancyEvent::CanSilent(_));
         while bench.machine.mode() != Mode::SafeStop {
             let _ = bench.linked(sound(Role::Standby, Term::NONE));
             bench.now += CONFIG.poll_interval;
             bench.snapshot.beats[0] += 1;
             let actions = bench.on(Input::Poll(bench.snapshot));
-            told.extend(actions.events().filter(silent));
+            reported.extend(actions.events().filter(silent));
         }
         let limit = CONFIG.can_open_limit.times(times);
         assert_eq!(
@@ -190,10 +190,10 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
             "{abn_in_a_row} resets"
         );
         bench.snapshot.beats[0] += 1;
-        told.extend(bench.poll().events().filter(silent));
+        reported.extend(bench.poll().events().filter(silent));
         assert_eq!(bench.machine.mode(), Mode::DegradedL2);
         assert_eq!(
-            told,
+            reported,
             [
                 RedundancyEvent::CanSilent(true),
                 RedundancyEvent::CanSilent(false)
@@ -327,11 +327,11 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
     let (mute, witness) = (CONFIG.mute_limit(), CONFIG.witness_limit());
     const NEVER: u64 = u64::MAX;
     let outage = Duration::from_ms(30);
-    let (told, listened) = (CONFIG.control_period + CONFIG.poll_interval, witness);
+    let (reported, listened) = (CONFIG.control_period + CONFIG.poll_interval, witness);
     let no_master = CONFIG.no_master_limit(SystemId::B);
     for (heard, echo, can_from_ms, report, limit) in [
         (true, true, 0, None, Some(witness)),
-        (true, true, 30, None, Some(outage + told)),
+        (true, true, 30, None, Some(outage + reported)),
         (true, false, 30, None, Some(outage + listened)),
         (true, false, 0, None, Some(mute)),
         (true, false, 0, Some(Role::Master), Some(mute)),
@@ -406,11 +406,11 @@ fn an_echo_replaces_a_control_frame_that_was_missed() {
     }
 }
 
-/// T-RED-3: two lines that fall silent beside a master that drives are cut: told once each time.
+/// T-RED-3: two lines that fall silent beside a master that drives are cut: reported once each time.
 #[test]
 fn cut_lines_are_told_once() {
     let mut bench = Bench::standby();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for cut in [false, true, false, true] {
         let mut times = 0;
         for _ in 0..30 {
@@ -419,9 +419,9 @@ fn cut_lines_are_told_once() {
             let split = |it: &RedundancyEvent| *it == RedundancyEvent::LinesSplit;
             times += bench.poll().events().filter(split).count();
         }
-        told.push(times);
+        reported.push(times);
     }
-    assert_eq!(told, [0, 1, 0, 1]);
+    assert_eq!(reported, [0, 1, 0, 1]);
 }
 
 /// T-RED-5: an incarnation counts its wrong command once, however often it finds it. A power cycle
@@ -448,7 +448,7 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
     assert_eq!(bench.machine.state().wrong_in_a_row, 0);
 }
 
-/// A clock that differs from both others by more than the limit is told once. A master whose own
+/// A clock that differs from both others by more than the limit is reported once. A master whose own
 /// clock it is stops the vehicle.
 #[test]
 fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
@@ -466,7 +466,7 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
         (0, 40, Some(ClockOwner::Vehicle)),
     ] {
         let mut bench = Bench::master();
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for period in 0..80 {
             bench.run_with_beats(10);
             let jumped = period >= 40;
@@ -483,13 +483,17 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
                 sent: Some(((vehicle.as_ns() / 1_000_000) as u8, Duration::ZERO)),
             };
             for input in [Input::LinkReport(report), Input::VehicleTerm(obeyed)] {
-                told.extend(bench.on(input).events().filter_map(|event| match event {
+                reported.extend(bench.on(input).events().filter_map(|event| match event {
                     RedundancyEvent::ClockWrong(clock) => Some(clock),
                     _ => None,
                 }));
             }
         }
-        assert_eq!(told, Vec::from_iter(expected), "{peer_ms} {vehicle_ms} ms");
+        assert_eq!(
+            reported,
+            Vec::from_iter(expected),
+            "{peer_ms} {vehicle_ms} ms"
+        );
         let stops = bench.machine.mode() == Mode::SafeStop;
         assert_eq!(stops, expected == Some(ClockOwner::Own), "{expected:?}");
     }

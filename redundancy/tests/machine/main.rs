@@ -189,7 +189,7 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     for mut bench in [Bench::master(), Bench::standby()] {
         bench.now += Duration::from_ms(15);
         let resumed = bench.now;
-        let told = loop {
+        let reported = loop {
             let actions = bench.poll();
             let silent = actions
                 .events()
@@ -198,10 +198,13 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
                 break bench.now.since(resumed);
             }
         };
-        assert!(told > CONFIG.silent_limit(), "told after {told:?}");
         assert!(
-            told <= CONFIG.detection_bound() + CONFIG.poll_interval,
-            "{told:?}"
+            reported > CONFIG.silent_limit(),
+            "reported after {reported:?}"
+        );
+        assert!(
+            reported <= CONFIG.detection_bound() + CONFIG.poll_interval,
+            "{reported:?}"
         );
     }
 }
@@ -218,7 +221,7 @@ fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     assert!(!asks(bench.on(fault)) && !asks(bench.poll()));
     assert_eq!(bench.machine.phase(), Phase::Standby);
     let _ = bench.control(16);
-    assert!(asks(bench.poll()), "the fault need not be told again");
+    assert!(asks(bench.poll()), "the fault need not be reported again");
 }
 
 /// T-RED-9: a stray handshake, and heartbeats that arrive, depose no master that the vehicle obeys,
@@ -337,8 +340,8 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     }
 }
 
-/// T-RED-2: a start line on which no edge ever came is told, once; a heartbeat line that is cut
-/// from the start is told as well.
+/// T-RED-2: a start line on which no edge ever came is reported, once; a heartbeat line that is cut
+/// from the start is reported as well.
 #[test]
 fn lines_that_are_cut_from_the_start_are_told() {
     for (handshakes, syncs) in [(0, 0), (1, 0), (0, 1)] {
@@ -346,7 +349,7 @@ fn lines_that_are_cut_from_the_start_are_told() {
         let _ = bench.poll();
         bench.snapshot.handshakes += handshakes;
         bench.snapshot.syncs += syncs;
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for _ in 0..3_000 {
             bench.snapshot.beats[1] += 1;
             let lines = |it: &RedundancyEvent| {
@@ -355,14 +358,14 @@ fn lines_that_are_cut_from_the_start_are_told() {
                     RedundancyEvent::StartLineSilent | RedundancyEvent::LineSilent(_)
                 )
             };
-            told.extend(bench.poll().events().filter(lines));
+            reported.extend(bench.poll().events().filter(lines));
         }
         let start_line = (handshakes + syncs == 0).then_some(RedundancyEvent::StartLineSilent);
         let expected: Vec<_> = [RedundancyEvent::LineSilent(1)]
             .into_iter()
             .chain(start_line)
             .collect();
-        assert_eq!(told, expected);
+        assert_eq!(reported, expected);
     }
 }
 
@@ -481,13 +484,13 @@ fn implausible_frames_are_ignored() {
     assert!(persisted(&actions).is_some_and(|state| !state.is_master && state.term == term));
 }
 
-/// T-RED-9: a lower term is fenced off by the vehicle, so nobody is driven by it: it is told once,
+/// T-RED-9: a lower term is fenced off by the vehicle, so it has no effect: it is reported once,
 /// and does not keep a standby from taking over.
 #[test]
 fn frames_of_a_lower_term_do_not_count() {
     let mut bench = Bench::standby();
     let _ = bench.control(100);
-    let told = (0..4).map(|_| {
+    let reported = (0..4).map(|_| {
         bench.run_with_beats(10);
         let stale = RedundancyEvent::StaleTerm(Term::from_bits(16));
         bench
@@ -496,7 +499,7 @@ fn frames_of_a_lower_term_do_not_count() {
             .filter(|&event| event == stale)
             .count()
     });
-    assert_eq!(told.sum::<usize>(), 1);
+    assert_eq!(reported.sum::<usize>(), 1);
     assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
     assert!(bench.machine.term() > Term::from_bits(100));
 }
@@ -559,12 +562,12 @@ fn the_vehicle_is_a_witness_for_the_master() {
     assert!(bench.now.since(accepted) <= bound, "{:?}", bench.now);
 }
 
-/// A system A at its start, with this record; what it is told before it drives.
-fn first_term(cause: ResetCause, loaded: Loaded, told: &[Input]) -> Term {
+/// A system A at its start, with this record; what it is reported before it drives.
+fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
     let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
     bench.machine = Redundancy::new(CONFIG, SystemId::A, cause, loaded, bench.now);
     let _ = bench.poll();
-    for input in told {
+    for input in reported {
         let _ = bench.on(*input);
     }
     while !bench.machine.phase().is_driving() {
@@ -575,7 +578,7 @@ fn first_term(cause: ResetCause, loaded: Loaded, told: &[Input]) -> Term {
 }
 
 /// T-RED-9: the first term lies 8 above the known one (a term is `count << 1 | system`), and far
-/// above it unless the vehicle or a system that ran has told the newest since the start. A system
+/// above it unless the vehicle or a system that ran has reported the newest since the start. A system
 /// that has just started itself may have forgotten it as well, and so has one whose flash is lost,
 /// also after a reset.
 #[test]
@@ -601,7 +604,7 @@ fn the_first_term_is_far_above_what_may_be_old() {
     };
     let (term, age, sent) = (Term::from_bits(5_001), Duration::from_ms(900), None);
     let vehicle = Input::VehicleTerm(ObeyedTerm { term, age, sent });
-    let power_on = |told: &[Input]| first_term(ResetCause::PowerOn, record, told).bits();
+    let power_on = |reported: &[Input]| first_term(ResetCause::PowerOn, record, reported).bits();
     assert!(power_on(&[]) >= FAR);
     assert!(power_on(&[report(Role::Starting)]) >= FAR);
     assert_eq!(power_on(&[report(Role::Standby)]), 2 * (33 / 2 + 8));

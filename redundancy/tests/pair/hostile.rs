@@ -247,7 +247,7 @@ fn flapping(config: Config, of: &[SystemId], period_us: u64, seconds: u64) -> Pa
 }
 
 /// T-RED-9: level lines that flap overrule neither heartbeats nor control frames, cost no flash,
-/// and are told.
+/// and are reported.
 #[test]
 fn a_level_line_that_flaps_is_broken_and_nothing_else() {
     for config in PROFILES {
@@ -264,12 +264,15 @@ fn a_level_line_that_flaps_is_broken_and_nothing_else() {
                 let programs: u32 = pair.systems.iter().map(|system| system.programs).sum();
                 assert!(programs <= 10, "{what}: {programs}");
                 for id in of {
-                    let told = |&&(_, at, event): &&(u64, SystemId, RedundancyEvent)| {
+                    let reported = |&&(_, at, event): &&(u64, SystemId, RedundancyEvent)| {
                         at == id.peer() && event == RedundancyEvent::LevelBroken(true)
                     };
-                    let told = pair.events.iter().filter(told).count();
+                    let reported = pair.events.iter().filter(reported).count();
                     let lasts = period_us / 2 > us(config.level_limit()) + 1_000;
-                    assert!(told <= 1 && (told == 1 || !lasts), "{what}: {told}");
+                    assert!(
+                        reported <= 1 && (reported == 1 || !lasts),
+                        "{what}: {reported}"
+                    );
                 }
             }
         }

@@ -149,11 +149,11 @@ fn contradicting_records_lead_to_one_master() {
                         assert_eq!(pair.phase(driver.peer()), Some(Phase::Standby), "{what}");
                         assert_eq!(pair.changes_of_driver(), 0, "{what}");
                         assert!(pair.fenced.is_empty(), "{what}");
-                        let told = pair
+                        let reported = pair
                             .events
                             .iter()
                             .any(|(.., event)| *event == RedundancyEvent::StateLost);
-                        assert_eq!(told, lost != [false; 2]);
+                        assert_eq!(reported, lost != [false; 2]);
                         if claims == [true, true] || lost != [false; 2] {
                             continue;
                         }
@@ -234,7 +234,7 @@ fn both_take_the_other_for_failed() {
 /// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which ran
 /// on, refuses. The other knows the higher term and says so.
 #[test]
-fn a_master_with_a_forgotten_term_is_told() {
+fn a_master_with_a_forgotten_term_is_reported() {
     let mut pair = Pair::dual(Config::rt(), 3);
     // In each start A drives before it hears the vehicle.
     pair.vehicle_pauses = true;

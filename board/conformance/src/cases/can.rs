@@ -3,7 +3,7 @@
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, wait_for_all, wait_for_cores, woken_until, word,
 };
-use crate::case::{Failure, check, equal, fail};
+use crate::case::{CaseFailure, check, equal, fail};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, Received, Wake};
 
@@ -12,7 +12,7 @@ const PAUSE: Duration = Duration::from_ms(1);
 
 /// A frame that carries a number; its id, kind and length vary with it.
 #[track_caller]
-fn numbered(sender: u8, number: u32) -> Result<CanFrame, Failure> {
+fn numbered(sender: u8, number: u32) -> Result<CanFrame, CaseFailure> {
     let id = match number % 3 {
         0 => CanId::Standard(0x100 + (number % 0x400) as u16),
         _ => CanId::Extended(0x1800_0000 + number % 0x10_0000),
@@ -32,7 +32,7 @@ fn number_of(frame: &CanFrame) -> Option<(u8, u32)> {
 
 /// Sends as soon as the transmit buffer has room.
 #[track_caller]
-fn send<B: Board>(board: &B, frame: &CanFrame) -> Result<(), Failure> {
+fn send<B: Board>(board: &B, frame: &CanFrame) -> Result<(), CaseFailure> {
     sleep_until(board, "the transmit buffer empties", || {
         board.can().try_send(frame).is_ok()
     })
@@ -40,7 +40,7 @@ fn send<B: Board>(board: &B, frame: &CanFrame) -> Result<(), Failure> {
 
 /// Waits for the next frame.
 #[track_caller]
-fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
+fn receive<B: Board>(board: &B) -> Result<Received, CaseFailure> {
     let mut received = None;
     sleep_until(board, "a frame that was sent comes", || {
         received = board.can().try_receive();
@@ -51,7 +51,7 @@ fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
 
 const ORDERED: u32 = 200;
 
-pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_all(board, HERE, 1)?;
     for number in 0..ORDERED {
         send(board, &numbered(0xA0, number)?)?;
@@ -63,7 +63,7 @@ pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 }
 
 /// Every other core, in both systems, receives the frames in order, each with its time.
-pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let begin = board.now();
     wait_for_all(board, HERE, 1)?;
     let mut last_at = begin;
@@ -91,7 +91,7 @@ pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
 const CHATTER: u32 = 60;
 
 /// Core 0 of both systems sends at the same time.
-pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_all(board, HERE, 1)?;
     for number in 0..CHATTER {
         send(board, &numbered(place.system.index() as u8, number)?)?;
@@ -103,7 +103,7 @@ pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
 }
 
 /// Core 1 of both systems receives both senders' frames in the same order: they compare the orders.
-pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];
     let mut heard = 0x811C_9DC5_u32;
@@ -129,7 +129,7 @@ pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fa
     wait_for_all(board, HERE, 3)
 }
 
-pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for number in 0..5 {
         send(board, &numbered(0xA0, number)?)?;
@@ -143,7 +143,7 @@ pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 }
 
 /// Proves to the sender that its frames have been on the bus.
-pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for _ in 0..5 {
         receive(board)?;
@@ -174,7 +174,7 @@ fn payloads() -> impl Iterator<Item = CanFrame> {
         })
 }
 
-pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for frame in payloads() {
         send(board, &frame)?;
@@ -183,7 +183,7 @@ pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     Ok(())
 }
 
-pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for expected in payloads() {
         let Received { frame, .. } = receive(board)?;
@@ -208,7 +208,7 @@ const BURST: u32 = 12;
 
 /// Fills the transmit buffer, discards its content, and sends one frame with the number of frames
 /// before it.
-pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
         let mut sent = 0;
@@ -225,7 +225,7 @@ pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(
 
 /// Receives the first frames of each burst (their number is not determined), then the frame sent
 /// after the discard.
-pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
         let mut heard = 0;
@@ -250,7 +250,7 @@ pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(),
 const WAKES: u32 = 10;
 
 /// Sends when the receiver sleeps.
-pub(super) fn paced_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn paced_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for number in 1..=WAKES {
         let ready = || word(board, 0).load(Ordering::Acquire) >= number;
         sleep_until(board, "the receiver goes to sleep", ready)?;
@@ -262,7 +262,7 @@ pub(super) fn paced_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     Ok(())
 }
 
-pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     board.can().wake_on_receive(true);
     for number in 1..=WAKES {
         word(board, 0).store(number, Ordering::Release);
@@ -277,8 +277,8 @@ pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     Ok(())
 }
 
-/// Sends until the other core has seen enough.
-pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+/// Sends until the other core ends the case.
+pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     let mut number = 0;
     let limit = board.now() + PATIENCE;
@@ -291,8 +291,8 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// Interrupts may be spurious, but not in all of many waits.
-pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+/// Interrupts may be spurious, but not in every one of these waits.
+pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     let mut quiet = 0_u32;
     for _ in 0..20 {
@@ -311,7 +311,7 @@ const QUIET: Duration = Duration::from_ms(1_000);
 /// More than any receive FIFO holds.
 const FLOOD: u32 = 6_000;
 
-pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for number in 0..FLOOD {
         send(board, &numbered(0xA0, number)?)?;
@@ -321,8 +321,8 @@ pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     wait_for_cores(board, HERE, 2)
 }
 
-/// Receives nothing until all has been sent; received and lost frames must then add up to all.
-pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+/// Waits until all frames have been sent; received and lost frames must then add up to all.
+pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let before = board.can().overruns();
     wait_for_cores(board, HERE, 1)?;
     sleep_until(board, "the flood ends", || {

@@ -1,11 +1,11 @@
-//! The clock, and `wait` in so far as it concerns time.
+//! The clock, and the deadline of `wait`.
 
 use crate::barrier::{SETTLE, spin_until, wait_for_cores, word};
-use crate::case::{Failure, check};
+use crate::case::{CaseFailure, check};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, Wake};
 
-pub(super) fn monotonic<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn monotonic<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let mut last = board.now();
     let first = last;
     for _ in 0..500 {
@@ -17,7 +17,7 @@ pub(super) fn monotonic<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failu
     check(board.now() > first, "the clock advances")
 }
 
-pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for span_us in [0, 1, 100, 1_000, 5_000, 20_000] {
         for _ in 0..3 {
             let end = board.now() + Duration::from_us(span_us);
@@ -32,7 +32,7 @@ pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
     Ok(())
 }
 
-pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for end in [Instant::ORIGIN, board.now()] {
         let mut interrupts = 0;
         while board.wait(end) == Wake::Interrupt {
@@ -47,7 +47,7 @@ pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 }
 
 /// Two cores pass a time back and forth; each sees it in the past.
-pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let own_turn = place.core.index() as u32;
     for turn in 0..20 {

@@ -3,14 +3,14 @@
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, spin_until, wait_for_cores, woken_until, word,
 };
-use crate::case::{Failure, check, equal};
+use crate::case::{CaseFailure, check, equal};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Wake};
 
 const ROUNDS: u32 = 10;
 
 /// Rings while the other core is awake.
-pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core gets ready for a ring", ready)?;
@@ -23,7 +23,7 @@ pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 }
 
 /// Waits only after the ring.
-pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
         // Consumes all pending interrupts, so that the next interrupt can only be the ring.
         sleep(board, Duration::from_ms(2))?;
@@ -37,7 +37,7 @@ pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
 }
 
 /// Writes, then rings a sleeping core.
-pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core goes to sleep", ready)?;
@@ -49,7 +49,7 @@ pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure>
     Ok(())
 }
 
-pub(super) fn sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
         word(board, 0).store(round, Ordering::Release);
         woken_until(
@@ -64,7 +64,7 @@ pub(super) fn sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
 const HASTY_ROUNDS: u32 = 1_000;
 
 /// Writes and rings without a pause.
-pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     for value in 1..=HASTY_ROUNDS {
         word(board, 0).store(value, Ordering::Relaxed);
@@ -76,7 +76,7 @@ pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     Ok(())
 }
 
-pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let mut wakes = 0_u32;
     woken_until(board, "the last of many rings is not lost", || {
@@ -90,8 +90,8 @@ pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fail
     sleep(board, SETTLE)
 }
 
-/// T-SYNC-1: a token goes round, forwards and backwards: every core rings every other one.
-pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+/// T-SYNC-1: a token circulates in both directions: every core rings every other one.
+pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const LAPS: u32 = 4;
     let token = word(board, 0);
     let cores = CoreId::COUNT as u32;
@@ -110,7 +110,7 @@ pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
     Ok(())
 }
 
-pub(super) fn own<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn own<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     for _ in 0..ROUNDS {
         sleep(board, Duration::from_ms(1))?;
         board.ring(place.core);
@@ -121,7 +121,7 @@ pub(super) fn own<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure
 }
 
 /// The other cores of this system have never started.
-pub(super) fn absent<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn absent<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for _ in 0..100 {
         board.ring(CoreId::PERCEPTION);
         board.ring(CoreId::PLANNING);

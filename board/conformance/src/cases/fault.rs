@@ -1,10 +1,10 @@
-//! Faults of the hardware: each has an effect that portable code sees, and ends when it is mended.
+//! Faults of the hardware: each has an effect that portable code sees, until it is repaired.
 
 use super::supply::{is_first_incarnation, middle, reset_for, serve};
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, wait_for_cores, wait_for_peer, woken_until,
 };
-use crate::case::{Failure, check, equal, fail};
+use crate::case::{CaseFailure, check, equal, fail};
 use tandem_board::{
     Can, CanErrors, CanFrame, CanId, CanState, CoreAddress, CoreId, Duration, FaultSource,
     HardwareFault, Lines, OutputDiagnosis, ResetCause, SystemId,
@@ -25,8 +25,8 @@ pub const fn case_of(fault: HardwareFault) -> &'static str {
     }
 }
 
-/// T-CHIP-6: the diagnosis register tells what the output driver finds.
-pub(super) fn outputs<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+/// T-CHIP-6: the diagnosis register shows the fault of the output driver.
+pub(super) fn outputs<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     let finds = |expected, what| sleep_until(board, what, || board.output_diagnosis() == expected);
     for (fault, found) in [
         (HardwareFault::OpenLoad, OutputDiagnosis::OpenLoad),
@@ -37,16 +37,16 @@ pub(super) fn outputs<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(
         finds(found, "the output driver finds the fault")?;
         board.set_fault(place.system, fault, false);
     }
-    finds(OutputDiagnosis::Good, "a fault that is mended is gone")
+    finds(OutputDiagnosis::Good, "a repaired fault has no effect")
 }
 
-fn frame(number: u8) -> Result<CanFrame, Failure> {
+fn frame(number: u8) -> Result<CanFrame, CaseFailure> {
     let frame = CanFrame::new(CanId::Standard(0x123), true, &[number]);
     frame.map_or_else(|_| fail("this is a frame"), Ok)
 }
 
 #[track_caller]
-fn send<B: FaultSource>(board: &B, number: u8) -> Result<(), Failure> {
+fn send<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     let frame = frame(number)?;
     sleep_until(board, "the transmit buffer empties", || {
         board.can().try_send(&frame).is_ok()
@@ -54,7 +54,7 @@ fn send<B: FaultSource>(board: &B, number: u8) -> Result<(), Failure> {
 }
 
 #[track_caller]
-fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), Failure> {
+fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     let mut received = None;
     sleep_until(board, "a frame comes", || {
         received = board.can().try_receive();
@@ -67,8 +67,11 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), Failure> {
     )
 }
 
-/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault mended.
-pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault repaired.
+pub(super) fn cannot_send<B: FaultSource>(
+    board: &B,
+    place: CoreAddress,
+) -> Result<(), CaseFailure> {
     let errors = || board.can().errors();
     wait_for_cores(board, HERE, 1)?;
     send(board, 0)?;
@@ -84,7 +87,7 @@ pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Resu
     })?;
     check(errors().bus_offs > 0, "a bus-off is counted")?;
     wait_for_cores(board, HERE, 3)?;
-    // The other core looks.
+    // The other core checks its receiver.
     wait_for_cores(board, HERE, 4)?;
     board.set_fault(place.system, HardwareFault::CanTransmit, false);
     send(board, 2)?;
@@ -95,7 +98,10 @@ pub(super) fn cannot_send<B: FaultSource>(board: &B, place: CoreAddress) -> Resu
 }
 
 /// Receives what the other core sends, and nothing while that is destroyed.
-pub(super) fn hears_when_mended<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn hears_after_repair<B: FaultSource>(
+    board: &B,
+    _: CoreAddress,
+) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     receive(board, 0)?;
     wait_for_cores(board, HERE, 2)?;
@@ -113,7 +119,7 @@ pub(super) fn hears_when_mended<B: FaultSource>(board: &B, _: CoreAddress) -> Re
 /// More than make a receiver error-passive.
 const UNHEARD: u8 = 200;
 
-pub(super) fn sends_on<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn sends_on<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     board.set_fault(place.system, HardwareFault::CanReceive, true);
     sleep(board, SETTLE)?;
@@ -128,7 +134,7 @@ pub(super) fn sends_on<B: FaultSource>(board: &B, place: CoreAddress) -> Result<
     wait_for_cores(board, HERE, 3)
 }
 
-pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let state = || board.can().errors().state();
     wait_for_cores(board, HERE, 1)?;
     sleep_until(board, "each frame with an error counts", || {
@@ -144,8 +150,8 @@ pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Resul
     wait_for_cores(board, HERE, 3)
 }
 
-/// First incarnation: runs well until its supply resets it. Second incarnation: reads `cause`.
-fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), Failure> {
+/// First incarnation: runs without a fault until its supply resets it. Second incarnation: reads `cause`.
+fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         return reset_for(board, cause);
     }
@@ -158,8 +164,8 @@ fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), Failure>
     fail("the supply resets the system")
 }
 
-/// Makes the fault in system A, and mends it when that is in reset.
-fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), Failure> {
+/// Makes the fault in system A, and repairs it while A is in reset.
+fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         // After this role has ended, no role services this system's watchdog.
         return Ok(());
@@ -182,11 +188,11 @@ fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), Failure>
     until("time passes", &|| board.now() >= over)?;
     check(!powered(), "the fault holds the system in reset")?;
     board.set_fault(SystemId::A, fault, false);
-    until("the system starts when the fault is mended", &powered)
+    until("the system starts when the fault is repaired", &powered)
 }
 
 /// T-CHIP-6
-pub(super) fn error_pin<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn error_pin<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     match place.system {
         SystemId::A => is_reset(board, ResetCause::ErrorPin),
         SystemId::B => makes(board, HardwareFault::ErrorPin),
@@ -194,7 +200,10 @@ pub(super) fn error_pin<B: FaultSource>(board: &B, place: CoreAddress) -> Result
 }
 
 /// T-CHIP-6
-pub(super) fn undervoltage<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn undervoltage<B: FaultSource>(
+    board: &B,
+    place: CoreAddress,
+) -> Result<(), CaseFailure> {
     match place.system {
         SystemId::A => is_reset(board, ResetCause::Undervoltage),
         SystemId::B => makes(board, HardwareFault::Undervoltage),
@@ -202,7 +211,10 @@ pub(super) fn undervoltage<B: FaultSource>(board: &B, place: CoreAddress) -> Res
 }
 
 /// T-CHIP-6: too much voltage switches a system off until the next power-on.
-pub(super) fn overvoltage<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn overvoltage<B: FaultSource>(
+    board: &B,
+    place: CoreAddress,
+) -> Result<(), CaseFailure> {
     equal(board.identity().generation.0, 1_u32, "nothing starts again")?;
     wait_for_peer(board, 1)?;
     if place.system == SystemId::A {

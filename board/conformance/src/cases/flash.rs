@@ -1,7 +1,7 @@
 //! The data flash.
 
 use crate::barrier::{PATIENCE, sleep, sleep_until};
-use crate::case::{Failure, check, equal, fail};
+use crate::case::{CaseFailure, check, equal, fail};
 use tandem_board::{Board, CoreAddress, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
 
 /// Room for the largest page that the suite programs.
@@ -12,7 +12,7 @@ fn page<F: DataFlash>() -> usize {
 }
 
 #[track_caller]
-fn idle<B: Board>(board: &B) -> Result<(), Failure> {
+fn idle<B: Board>(board: &B) -> Result<(), CaseFailure> {
     let mut failed = false;
     sleep_until(board, "a flash operation ends", || {
         failed = board.flash().status() == FlashStatus::Failed;
@@ -22,7 +22,7 @@ fn idle<B: Board>(board: &B) -> Result<(), Failure> {
 }
 
 #[track_caller]
-fn erase<B: Board>(board: &B, sector: u32) -> Result<(), Failure> {
+fn erase<B: Board>(board: &B, sector: u32) -> Result<(), CaseFailure> {
     check(
         board.flash().start_erase(sector).is_ok(),
         "an idle flash takes an erase",
@@ -32,7 +32,7 @@ fn erase<B: Board>(board: &B, sector: u32) -> Result<(), Failure> {
 
 /// Every byte of `sector` except those of `pages` is 0xFF.
 #[track_caller]
-fn erased_but<B: Board>(board: &B, sector: u32, pages: &[u32]) -> Result<(), Failure> {
+fn erased_but<B: Board>(board: &B, sector: u32, pages: &[u32]) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     for number in (0..B::Flash::SECTOR_BYTES / page_bytes).filter(|n| !pages.contains(n)) {
         let mut bytes = [0; PAGE];
@@ -63,7 +63,7 @@ fn data(number: u32) -> [u8; PAGE] {
 }
 
 #[track_caller]
-fn holds<B: Board>(board: &B, offset: u32, expected: &[u8]) -> Result<(), Failure> {
+fn holds<B: Board>(board: &B, offset: u32, expected: &[u8]) -> Result<(), CaseFailure> {
     let mut bytes = [0; PAGE];
     let bytes = &mut bytes[..expected.len()];
     check(
@@ -76,7 +76,7 @@ fn holds<B: Board>(board: &B, offset: u32, expected: &[u8]) -> Result<(), Failur
     Ok(())
 }
 
-pub(super) fn erase_program<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn erase_program<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
     let last = sector_bytes / page_bytes - 1;
     check(B::Flash::SECTORS >= 2, "the flash has two sectors at least")?;
@@ -105,7 +105,7 @@ pub(super) fn erase_program<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 }
 
 /// An operation that does not cover whole pages inside the flash is refused, and changes nothing.
-pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
     let size = sector_bytes * B::Flash::SECTORS;
     erase(board, 0)?;
@@ -153,7 +153,7 @@ pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure>
 }
 
 /// Starts a page while the one before may still be under way: in the end both are programmed.
-pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     erase(board, 0)?;
     for number in 0..16 {
@@ -181,7 +181,7 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 }
 
 /// A page that is programmed twice without an erase holds the bits that were set both times.
-pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES as usize;
     erase(board, 0)?;
     for number in [3, 4] {
@@ -199,7 +199,7 @@ pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 
 /// First incarnation: is reset while a page is programmed. Second: the adjacent pages are whole,
 /// and the sector can be used again.
-pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     let page = |number| (number * page_bytes, data(number));
     let start = |number| {
@@ -231,7 +231,7 @@ pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
 }
 
 /// First incarnation: programs a page and asks for a reset. Second incarnation: reads it.
-pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page = &data(7)[..B::Flash::PAGE_BYTES as usize];
     let offset = B::Flash::SECTOR_BYTES;
     if board.identity().generation.0 == 1 {

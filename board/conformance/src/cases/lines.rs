@@ -1,7 +1,7 @@
 //! The lines between the systems.
 
 use crate::barrier::{SETTLE, alternating, sleep, sleep_until, wait_for_peer, woken_until};
-use crate::case::{Failure, equal};
+use crate::case::{CaseFailure, equal};
 use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
 /// How many rising edges a system sends on a line.
@@ -15,7 +15,7 @@ fn falling(system: SystemId, line: Line) -> u32 {
 }
 
 /// Both systems send different numbers of edges on each line; each counts all edges of the other.
-pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     let lines = board.lines();
     for line in Line::ALL {
         for edge in 0..rising(place.system, line) + falling(place.system, line) {
@@ -49,7 +49,7 @@ pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
 const STARTS: u32 = 6;
 
 /// Sends an edge on the start line whenever the other system reports that it sleeps.
-pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 0..STARTS {
         wait_for_peer(board, round + 1)?;
         sleep(board, Duration::from_ms(5))?;
@@ -58,7 +58,7 @@ pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
     Ok(())
 }
 
-pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let lines = board.lines();
     for round in 0..STARTS {
         wait_for_peer(board, round + 1)?;
@@ -79,7 +79,7 @@ pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
     )
 }
 
-pub(super) fn level<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn level<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     for _ in 0..10 {
         let high = board.lines().peer_powered();

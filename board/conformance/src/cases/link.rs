@@ -1,7 +1,7 @@
 //! The data link between the systems.
 
 use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer};
-use crate::case::{Failure, check, equal};
+use crate::case::{CaseFailure, check, equal};
 use tandem_board::{Board, CoreAddress, Link};
 
 /// More words than any board's link carries at once; enough for all cases.
@@ -31,7 +31,7 @@ fn send<B: Board>(board: &B, from: usize, number: u32) -> bool {
 
 /// Receives datagram `number` if it has arrived; returns whether it has.
 #[track_caller]
-fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, Failure> {
+fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, CaseFailure> {
     let mut words = [0; WORDS];
     let Some(len) = board.link().try_receive(&mut words) else {
         return Ok(false);
@@ -57,7 +57,7 @@ fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, Failure>
 }
 
 /// T-CHIP-5: both systems send and receive at the same time.
-pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const DATAGRAMS: u32 = 300;
     let own = place.system.index();
     let peer = place.system.peer().index();
@@ -86,7 +86,7 @@ pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
 }
 
 /// Sends until there is no room, while the other system receives nothing.
-pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const MANY: u32 = 100_000;
     wait_for_peer(board, 1)?;
     let mut sent = 0;
@@ -96,13 +96,13 @@ pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
     }
     check(sent > 0, "an empty link has room")?;
     wait_for_peer(board, 2)?;
-    // The next datagram tells the number of datagrams before it.
+    // The next datagram contains the number of datagrams before it.
     sleep_until(board, "a link that is emptied has room", || {
         board.link().try_send(&[u32::MAX, sent]).is_ok()
     })
 }
 
-pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     let peer = place.system.peer().index();
     wait_for_peer(board, 1)?;
     wait_for_peer(board, 2)?;
@@ -134,7 +134,7 @@ pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
     )
 }
 
-pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     for base in [10, 20] {
         let words: [u32; 8] = core::array::from_fn(|index| base + index as u32);
@@ -146,7 +146,7 @@ pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
 }
 
 /// Receives the first datagram into a buffer that is too short.
-pub(super) fn short_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn short_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let mut short = [0; 3];
     sleep_until(board, "a datagram comes", || {

@@ -1,13 +1,13 @@
 //! Identity, and the memory that the cores of a system share.
 
 use crate::barrier::{FREE_WORDS, wait_for_cores, wait_for_peer, word};
-use crate::case::{Failure, check, equal};
+use crate::case::{CaseFailure, check, equal};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId};
 
 const ALL: &[CoreId] = &CoreId::ALL;
 
-pub(super) fn identity<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn identity<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     for _ in 0..2 {
         let identity = board.identity();
         check(identity.system == place.system, "a core knows its system")?;
@@ -21,7 +21,7 @@ pub(super) fn identity<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fa
     Ok(())
 }
 
-pub(super) fn zero<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn zero<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     check(board.lmu().len() >= 1024, "the LMU has 4 KiB at least")?;
     let aligned = board.lmu().as_ptr().align_offset(64) == 0;
     check(aligned, "the LMU begins at a boundary of 64 bytes")?;
@@ -37,7 +37,7 @@ fn pattern(index: usize, writer: usize) -> u32 {
 }
 
 /// T-CHIP-1: each core in turn writes every word; the other two read it.
-pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     let words = &board.lmu()[FREE_WORDS..];
     for writer in CoreId::ALL {
         let step = 2 * writer.index() as u32 + 1;
@@ -64,7 +64,7 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
 }
 
 /// The other system does the same at the same time.
-pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let untouched = board
         .lmu()
@@ -73,7 +73,7 @@ pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     check(untouched, "the systems share no memory")
 }
 
-pub(super) fn atomic<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn atomic<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const ROUNDS: u32 = 20_000;
     wait_for_cores(board, ALL, 1)?;
     for round in 0..ROUNDS {

@@ -11,7 +11,7 @@ mod lmu;
 mod release;
 mod supply;
 
-use crate::case::{Case, Part, Setting};
+use crate::case::{Case, CasePart, Setting};
 pub use fault::case_of;
 use tandem_board::{CoreAddress, FaultSource};
 
@@ -26,7 +26,7 @@ macro_rules! case {
         Case {
             name: $name,
             setting: $setting,
-            parts: const { &[$(Part { place: CoreAddress::$place, role: $role }),+] },
+            parts: const { &[$(CasePart { place: CoreAddress::$place, role: $role }),+] },
         }
     };
 }
@@ -105,7 +105,7 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
         case!("supply-suspend", Suspends, A0: supply::suspends::<B>, B0: supply::sees_low::<B>),
         case!("fault-outputs", Plain, A0: fault::outputs::<B>),
         case!("fault-can-transmit", Plain,
-            A0: fault::cannot_send::<B>, A1: fault::hears_when_mended::<B>),
+            A0: fault::cannot_send::<B>, A1: fault::hears_after_repair::<B>),
         case!("fault-can-receive", Plain,
             A0: fault::sends_on::<B>, A1: fault::cannot_receive::<B>),
         case!("fault-error-pin", Restarts, A0: fault::error_pin::<B>, B0: fault::error_pin::<B>),

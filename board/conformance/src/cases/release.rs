@@ -1,7 +1,7 @@
 //! Core 0 starts alone and releases the others. T-BOOT-2
 
 use crate::barrier::{PATIENCE, SETTLE, word};
-use crate::case::{Failure, check, equal};
+use crate::case::{CaseFailure, check, equal};
 use crate::cases::supply::{expect_reset, is_first_incarnation, middle, serve};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, ResetRequest, Supply};
@@ -16,7 +16,7 @@ fn begins<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, CoreId::COUNT + core.index())
 }
 
-/// A core 0 that services the watchdog while it waits.
+/// Core 0 that services the watchdog while it waits.
 struct Servant<'b, B> {
     board: &'b B,
     next_service: Instant,
@@ -43,12 +43,12 @@ impl<B: Board> Servant<'_, B> {
 }
 
 /// Core 0 of a case about another core: that core is already released.
-pub(super) fn nothing_more<B: Board>(_: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn nothing_more<B: Board>(_: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     Ok(())
 }
 
 /// T-CHIP-2: in each of two incarnations: core 0 alone, then with core 2, then with core 1.
-pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const OTHERS: [CoreId; 2] = [CoreId::PLANNING, CoreId::PERCEPTION];
     let ran = |core: CoreId| steps(board, core).load(Ordering::Acquire) != 0;
     let next_service = board.now();
@@ -92,7 +92,7 @@ pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 }
 
 /// Counts its start, and steps until a reset; in the second incarnation only a few.
-pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     equal(
         board.identity().generation.0,
         steps(board, CoreId::CONTROL).load(Ordering::Relaxed),

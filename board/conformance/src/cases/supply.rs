@@ -1,7 +1,7 @@
 //! The supply with its watchdogs and reset causes, the trace and the lamp.
 
 use crate::barrier::{PATIENCE, sleep, wait_for_peer, woken_until};
-use crate::case::{Failure, check, equal, fail};
+use crate::case::{CaseFailure, check, equal, fail};
 use tandem_board::{
     Board, CoreAddress, Duration, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
     watchdog_answer,
@@ -18,8 +18,8 @@ pub(super) fn serve<B: Board>(board: &B) {
         .service_watchdog(watchdog_answer(board.supply().watchdog_question()));
 }
 
-/// Every service comes in the middle of the window with the right answer: no reset.
-pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+/// Every service is in the middle of the window and has the right answer: no reset.
+pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const ROUNDS: u32 = 20;
     let cause = board.supply().reset_cause();
     check(
@@ -45,8 +45,8 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     )
 }
 
-/// Every service comes just after the window opens: no reset.
-pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+/// Every service is just after the window opens: no reset.
+pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const ROUNDS: u32 = 10;
     // Half a millisecond for differences between the clocks.
     let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 500);
@@ -66,7 +66,7 @@ pub(super) fn is_first_incarnation<B: Board>(board: &B) -> bool {
 }
 
 /// Services the watchdog correctly, so that a reset can only have an earlier cause.
-fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
+fn serve_on<B: Board>(board: &B) -> Result<(), CaseFailure> {
     for _ in 0..5 {
         sleep(board, middle::<B::Supply>())?;
         serve(board);
@@ -76,14 +76,14 @@ fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
 
 /// The first incarnation ends here, by the expected reset.
 #[track_caller]
-pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
+pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), CaseFailure> {
     sleep(board, PATIENCE)?;
     fail(what)
 }
 
 /// This is the second incarnation; `cause` was its reset cause.
 #[track_caller]
-pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
+pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), CaseFailure> {
     equal(
         board.identity().generation.0,
         2_u32,
@@ -98,7 +98,7 @@ pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Fa
 }
 
 /// T-CHIP-6: first incarnation: a wrong answer. Second incarnation: reads that as the cause.
-pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         serve(board);
         sleep(board, middle::<B::Supply>())?;
@@ -111,7 +111,7 @@ pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 }
 
 /// First incarnation: a right answer before the window opens.
-pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         check(
             B::Supply::WINDOW_OPENS_US > 0,
@@ -126,7 +126,7 @@ pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
 }
 
 /// T-CHIP-6: first incarnation: one service, and no second.
-pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         serve(board);
         return expect_reset(board, "no service in the window resets the system");
@@ -135,7 +135,7 @@ pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
 }
 
 /// T-CHIP-6: first incarnation: no service at all.
-pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "no first service resets the system");
     }
@@ -143,7 +143,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
 }
 
 /// First incarnation: makes a request. Second incarnation: reads that as the cause.
-fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), Failure> {
+fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         board.supply().request_reset(request);
         return expect_reset(board, "a reset that was asked for comes");
@@ -151,21 +151,21 @@ fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result
     reset_for(board, cause)
 }
 
-pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     asks(board, ResetRequest::Software, ResetCause::Software)
 }
 
-pub(super) fn download_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn download_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     asks(board, ResetRequest::Download, ResetCause::Download)
 }
 
 /// The request reports a dead core of its system.
-pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     asks(board, ResetRequest::CoreDead, ResetCause::Trap)
 }
 
 /// A core whose system is reset by another core.
-pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
     }
@@ -177,7 +177,7 @@ pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failu
 }
 
 /// Requests to be held in reset, while the other system watches.
-pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     sleep(board, Duration::from_ms(5))?;
     board.supply().request_reset(ResetRequest::Suspend);
@@ -185,7 +185,7 @@ pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 }
 
 /// Is woken by the level line of the other system.
-pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let lines = board.lines();
     woken_until(board, "a fall of the level line interrupts core 0", || {
@@ -199,7 +199,7 @@ pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 }
 
 /// First incarnation: requests a reset while the other system watches.
-pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         wait_for_peer(board, 1)?;
         sleep(board, Duration::from_ms(5))?;
@@ -208,7 +208,7 @@ pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<
 }
 
 /// The other system is reset: its level line falls, and rises when its next incarnation begins.
-pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         // After this role has ended, no role services this system's watchdog.
         return Ok(());
@@ -231,7 +231,7 @@ pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fail
 }
 
 /// More records than a trace may hold, and every lamp: no call blocks.
-pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for number in 0..100_000 {
         board.trace([number, 0, 0, u32::MAX]);
     }

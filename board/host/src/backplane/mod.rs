@@ -208,7 +208,7 @@ impl Backplane {
         self.run(Run::Stop).get() != 0
     }
 
-    /// Cuts or mends a connection that comes from this system, with immediate effect.
+    /// Cuts or restores a connection that starts at this system, with immediate effect.
     pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
         self.run(Run::Cuts)
             .change_bits(Cuts::bit(wire, from), is_cut);
@@ -303,7 +303,7 @@ impl Backplane {
         self.system(system, System::LevelLow).get() == 0
     }
 
-    /// Makes a fault of a system's hardware, or mends it.
+    /// Makes a fault of a system's hardware, or repairs it.
     pub fn set_fault(self, of: SystemId, fault: HardwareFault, present: bool) {
         self.system(of, System::Faults)
             .change_bits(HardwareFaults::bit(fault), present);

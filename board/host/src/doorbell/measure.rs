@@ -200,7 +200,7 @@ fn measure<E: Sendable>(what: &str) {
 
 #[test]
 #[ignore = "a measurement"]
-fn bells_beside_the_triggers_of_iceoryx2() {
+fn doorbells_beside_the_triggers_of_iceoryx2() {
     println!("clock_nanosleep, the floor");
     print_lateness(|span| {
         let span = tandem_board::Duration::from_ns(span.as_nanos() as u64);

@@ -181,7 +181,7 @@ impl Ringers {
         Self::wake(self.cores[CoreAddress::new(system, core).index()].as_ref());
     }
 
-    /// Tells the bus that a frame waits. Has no effect without a vehicle. Never waits.
+    /// Rings the bus: a frame waits. Has no effect without a vehicle. Never waits.
     pub(crate) fn ring_bus(&self) {
         Self::wake(self.bus.as_ref());
     }

@@ -21,7 +21,7 @@ use rustix::thread::{
     set_keep_capabilities, set_no_new_privs, set_thread_gid, set_thread_groups, set_thread_uid,
 };
 use tandem_board::{CoreId, Generation, SystemId};
-use tandem_board_host::processes::{self, Kind};
+use tandem_board_host::processes::{self, ProcessKind};
 
 use crate::fixture::{self, Case, GRANTED, Script, live, signal};
 use crate::launcher;
@@ -266,7 +266,7 @@ fn full() -> Outcome {
         let filled = fill(Path::new("/dev/shm/others"));
         let supplies = || -> Vec<u32> {
             let all = processes::of_run(&started.run).into_iter();
-            all.filter(|process| process.kind == Kind::Supply)
+            all.filter(|process| process.kind == ProcessKind::Supply)
                 .map(|process| process.pid)
                 .collect()
         };
@@ -275,7 +275,7 @@ fn full() -> Outcome {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;
         let incarnation = |number| {
-            let control = Kind::Core(CoreId::CONTROL, Generation(number));
+            let control = ProcessKind::Core(CoreId::CONTROL, Generation(number));
             processes::of_run(&started.run)
                 .into_iter()
                 .find(|process| process.kind == control && process.system == Some(SystemId::A))
@@ -428,7 +428,7 @@ fn file_capability() -> Outcome {
     };
     let supply = of_a()
         .into_iter()
-        .find(|process| process.kind == Kind::Supply);
+        .find(|process| process.kind == ProcessKind::Supply);
     signal(supply.ok_or("no supply")?.pid, Signal::KILL);
     let dark = until("all of system A is dead", || {
         of_a().is_empty().then_some(())

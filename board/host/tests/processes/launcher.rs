@@ -8,7 +8,7 @@ use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use tandem_board_host::{LaunchError, Launcher, Plan, ProcessArgs, Schedule, isolation};
+use tandem_board_host::{LaunchError, LaunchPlan, Launcher, ProcessArgs, Schedule, isolation};
 
 /// First argument of this program as a launcher; then the case, the folder, the place.
 pub(crate) const LAUNCH: &str = "launch";
@@ -80,7 +80,7 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
             return ExitCode::from(REFUSED);
         }
     };
-    let plan = Plan {
+    let plan = LaunchPlan {
         schedule: Schedule {
             realtime: name.to_str().is_some_and(claims_realtime),
             ..Schedule::default()

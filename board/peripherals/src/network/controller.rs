@@ -93,9 +93,9 @@ impl Confinement {
         self.due
     }
 
-    /// The controller has a frame to send at `now`, which the bus destroys if `fails`. Whether the
-    /// frame is on the bus. If not, it stays the next one, and is tried again at
-    /// [`Confinement::due`]. A late call makes up for the tries in between.
+    /// Tries to send a frame at `now`; the bus destroys it if `fails`. Returns whether the frame is
+    /// on the bus. If not, the controller tries it again at [`Confinement::due`]. A late call
+    /// counts all tries since then.
     pub fn sends(&mut self, now: Instant, fails: bool) -> bool {
         if now.since(self.due) > HELD_UP {
             self.due = now;

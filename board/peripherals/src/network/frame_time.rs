@@ -139,7 +139,7 @@ const fn length_code(length: usize) -> u32 {
 struct Stuffing {
     bits: u32,
     last: u32,
-    /// How many equal bits in a row are the last ones; 0 behind a stuff bit that was just added.
+    /// Length of the last run of equal bits; 0 behind a stuff bit that was just added.
     run: u32,
     /// A stuff bit begins the present run.
     stuffed: bool,
@@ -184,8 +184,7 @@ mod tests {
         CanFrame::new(id, fd, data).unwrap()
     }
 
-    /// Another way to the same count: the frame as a text of bits, in which a stuff bit replaces
-    /// nothing and is looked for by text.
+    /// An independent count: the frame as a text of bits, with stuff bits found by text search.
     fn oracle(frame: &CanFrame) -> Bits {
         let mut plain = String::from("0");
         match frame.id() {
@@ -265,7 +264,7 @@ mod tests {
             extended: bool,
             id: u32,
             length in 0_usize..16,
-            // Bytes with long runs are the rule, not the exception.
+            // Most of these bytes have long runs of equal bits.
             bytes in prop::collection::vec(prop_oneof![Just(0), Just(0xFF), any::<u8>()], 64),
         ) {
             let id = if extended {

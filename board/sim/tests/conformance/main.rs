@@ -9,7 +9,8 @@ use std::fmt;
 use std::sync::{Arc, Mutex};
 use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
-    Case, Failure, Outcome, Part, Rig, Setting, Summary, case_of, cases, run_all, run_role,
+    Case, CaseFailure, CaseOutcome, CasePart, Rig, Setting, Summary, case_of, cases, run_all,
+    run_role,
 };
 use tandem_board_sim::{Config, Order, SimPair, SystemEventKind, blocking};
 
@@ -26,7 +27,7 @@ struct SimRig<'a> {
 /// Why a role did not pass.
 #[derive(Debug, PartialEq)]
 enum Fault {
-    Failed(CoreAddress, Failure),
+    Failed(CoreAddress, CaseFailure),
     Hung,
     Reset(SystemId),
 }
@@ -41,9 +42,9 @@ impl fmt::Display for Fault {
     }
 }
 
-type Results = Arc<Mutex<Vec<Option<Result<(), Failure>>>>>;
+type Results = Arc<Mutex<Vec<Option<Result<(), CaseFailure>>>>>;
 
-fn part_of(identity: Identity, parts: &[Part<Bent>]) -> Option<usize> {
+fn part_of(identity: Identity, parts: &[CasePart<Bent>]) -> Option<usize> {
     parts
         .iter()
         .position(|part| part.place == identity.address())
@@ -93,7 +94,7 @@ impl Rig for SimRig<'_> {
         let hung = pair.run_while(Instant::ORIGIN + HANGS_AFTER, |pair| {
             let results = results.lock().unwrap();
             let failed = results.iter().any(|result| matches!(result, Some(Err(_))));
-            let awaited = |(part, result): (&Part<Bent>, &Option<_>)| {
+            let awaited = |(part, result): (&CasePart<Bent>, &Option<_>)| {
                 result.is_none() && !(suspends && part.place.system == SystemId::A)
             };
             !failed && reset(pair).is_none() && parts.iter().zip(results.iter()).any(awaited)
@@ -138,7 +139,7 @@ fn run_some(
         takes,
     };
     let summary = run_all(&mut rig, |case, outcome| {
-        if let Outcome::Failed(fault) = outcome {
+        if let CaseOutcome::Failed(fault) = outcome {
             failed.push(format!("{}: {fault}", case.name));
         }
     });

@@ -9,7 +9,7 @@
 use core::fmt;
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, SystemId};
-use tandem_board_conformance::{Case, Outcome, Rig, Setting, run_all, run_role};
+use tandem_board_conformance::{Case, CaseOutcome, Rig, Setting, run_all, run_role};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
 use tandem_board_riscv32_virt::{entry, exit, hart, log};
@@ -139,9 +139,9 @@ fn play_all(peripherals: &mut Peripherals) -> ! {
     let summary = run_all(
         &mut VirtRig { peripherals },
         |case, outcome| match outcome {
-            Outcome::Passed => log!("ok      {}", case.name),
-            Outcome::Skipped => log!("skipped {}", case.name),
-            Outcome::Failed(fault) => log!("FAILED  {}: {fault}", case.name),
+            CaseOutcome::Passed => log!("ok      {}", case.name),
+            CaseOutcome::Skipped => log!("skipped {}", case.name),
+            CaseOutcome::Failed(fault) => log!("FAILED  {}: {fault}", case.name),
         },
     );
     log!(
