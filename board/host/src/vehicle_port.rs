@@ -64,7 +64,7 @@ pub struct HostVehiclePort {
     /// Decides which frames a disturbed connection loses.
     noise: ChaCha8Rng,
     /// Empty between calls; kept to avoid allocation.
-    carried: Vec<network::Carried>,
+    carried: Vec<network::Delivery>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
     /// Frames were put on the bus, and some cores are not yet notified.
@@ -210,7 +210,7 @@ impl HostVehiclePort {
     }
 
     /// The cores hear a frame that the network has carried.
-    fn publish(&mut self, carried: &network::Carried, at: Instant) {
+    fn publish(&mut self, carried: &network::Delivery, at: Instant) {
         let frame = BusFrame {
             received: Received {
                 frame: carried.frame,

@@ -33,7 +33,7 @@ pub struct EmulatedWorld {
     /// The number of the last step.
     step: u64,
     /// Frames of cores that were on the bus since the last step.
-    sent: Vec<network::Carried>,
+    sent: Vec<network::Delivery>,
     /// Connects the machines.
     network: Network,
     /// Decides which frames a disturbed connection loses: the same in each run.
@@ -259,7 +259,7 @@ impl EmulatedWorld {
     /// frame to all of its cores: it receives what core 0 of one of its systems receives.
     fn carry(&mut self) {
         while let Some(carried) = self.network.carried() {
-            let network::Carried {
+            let network::Delivery {
                 sender,
                 frame,
                 at,

@@ -5,7 +5,7 @@ use crate::machine::Machine;
 use crate::outbox::Output;
 use std::sync::atomic::Ordering;
 use tandem_board::{CanFrame, CoreAddress, Edge, Line, LinkFull, Received, SystemId, TransmitFull};
-use tandem_peripherals::network::{Arrival, Carried, Wire};
+use tandem_peripherals::network::{Arrival, Delivery, Wire};
 use tandem_peripherals::supply::Power;
 
 impl Machine {
@@ -96,7 +96,7 @@ impl Machine {
     /// Every core that a frame on the bus reaches receives it.
     fn receive_carried(&mut self) {
         while let Some(carried) = self.network.carried() {
-            let Carried {
+            let Delivery {
                 at, sender, frame, ..
             } = carried;
             let on_bus = OnBus { at, sender, frame };

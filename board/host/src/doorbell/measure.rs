@@ -1,7 +1,7 @@
 //! How fast each trigger wakes a sleeper: those of iceoryx2 and this one. Measurements, run by
 //! hand:
 //!
-//! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 doorbell`
+//! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 bell`
 
 use core::sync::atomic::AtomicU64;
 use core::sync::atomic::Ordering::SeqCst;

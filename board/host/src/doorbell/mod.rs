@@ -289,8 +289,8 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// A peer can write any value to any byte of the doorbell's memory. This harms neither ringer nor
-    /// sleeper, and the doorbell of the next incarnation works.
+    /// A peer can write any value to any byte of the doorbell's memory. This harms neither ringer
+    /// nor sleeper, and the doorbell of the next incarnation works.
     #[test]
     fn a_scribbled_doorbell_harms_no_ringer() {
         let doorbells = Doorbells::install();

@@ -11,4 +11,4 @@ mod model;
 
 pub use conditions::{BusFault, Conditions, Cuts, LINK_DATAGRAMS, Wire};
 #[cfg(feature = "network")]
-pub use model::{Arrival, Carried, Network, WireTimes};
+pub use model::{Arrival, Delivery, Network, WireTimes};

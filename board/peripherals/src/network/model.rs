@@ -45,7 +45,7 @@ pub enum Arrival {
 
 /// A frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Carried {
+pub struct Delivery {
     /// Its sender.
     pub sender: Sender,
     /// The frame.
@@ -105,7 +105,7 @@ pub struct Network {
     /// The bus is idle from this time on.
     free: Instant,
     /// Frames that were on the bus and have not been fetched.
-    carried: VecDeque<Carried>,
+    carried: VecDeque<Delivery>,
     /// Edges and datagrams under way, by the time of arrival and in order.
     under_way: BTreeMap<(Instant, u64), Arrival>,
     sent_count: u64,
@@ -273,7 +273,7 @@ impl Network {
                 reach.add(place);
             }
         }
-        self.carried.push_back(Carried {
+        self.carried.push_back(Delivery {
             sender,
             frame,
             sent,
@@ -283,7 +283,7 @@ impl Network {
     }
 
     /// The next frame that was on the bus.
-    pub fn carried(&mut self) -> Option<Carried> {
+    pub fn carried(&mut self) -> Option<Delivery> {
         self.carried.pop_front()
     }
 

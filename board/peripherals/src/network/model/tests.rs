@@ -1,3 +1,5 @@
+//! The stages of the network, one by one.
+
 use super::*;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
@@ -30,14 +32,14 @@ impl Bench {
     }
 
     /// The frame is handed over at this time; returns what the bus has carried since.
-    fn exchange(&mut self, from: CoreAddress, at_ms: u64) -> vec::Vec<Carried> {
+    fn exchange(&mut self, from: CoreAddress, at_ms: u64) -> vec::Vec<Delivery> {
         let Self { network, noise } = self;
         let at = ms(at_ms);
         network.send_frame(from, &frame(1), at, at, noise).unwrap();
         self.settle(at_ms)
     }
 
-    fn settle(&mut self, at_ms: u64) -> vec::Vec<Carried> {
+    fn settle(&mut self, at_ms: u64) -> vec::Vec<Delivery> {
         self.network.settle_bus(ms(at_ms), &mut self.noise);
         core::iter::from_fn(|| self.network.carried()).collect()
     }
@@ -111,8 +113,8 @@ fn the_slower_connection_does_not_hold_up_the_faster_one() {
     assert_eq!(senders(&mut bench, 9), [Sender::Core(A)]);
 }
 
-/// What a controller cannot send waits in it, until it is discarded, the core dies, or the bus takes
-/// it.
+/// A frame that the bus destroys waits in its controller, until the core discards it or dies, or
+/// the bus takes it.
 #[test]
 fn a_frame_that_the_bus_destroys_waits_in_its_controller() {
     let broken = HardwareFaults(HardwareFaults::bit(HardwareFault::CanTransmit));
