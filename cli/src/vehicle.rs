@@ -341,7 +341,8 @@ where
         self.port.set_ignition(false);
         self.drain_traces();
         if ended == DriveEnd::Stopped {
-            // The drive ends here, not at its last regular sample: one frame that was obeyed is a drive.
+            // The drive ends here, not at its last regular sample: one frame that was obeyed is a
+            // drive.
             self.note_start(at_ns);
             if self.running {
                 let last = self.state(at_ns, self.world.snapshot());

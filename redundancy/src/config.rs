@@ -39,8 +39,8 @@ pub struct Config {
     pub handshake_period: Duration,
     /// How long a system waits at power-on for the other's handshake.
     pub start_limit: Duration,
-    /// How much longer B waits than A wherever both might act at the same time. Long enough for B to
-    /// hear A.
+    /// How much longer B waits than A wherever both might act at the same time. Long enough for B
+    /// to hear A.
     pub stagger: Duration,
     /// How much longer B waits before its sync edge, so that A's comes first if both claim to be
     /// master.

@@ -59,8 +59,8 @@ pub struct ObeyedTerm {
     pub term: Term,
     /// Time since then.
     pub age: Duration,
-    /// The last eight bits of the time of sending, ms on the vehicle's clock, and the time from then to
-    /// this call; `None` if unknown.
+    /// The last eight bits of the time of sending, ms on the vehicle's clock, and the time from
+    /// then to this call; `None` if unknown.
     pub sent: Option<(u8, Duration)>,
 }
 

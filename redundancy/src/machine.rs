@@ -441,8 +441,8 @@ impl Redundancy {
         self.obey_fault(now, actions);
     }
 
-    /// Reacts to a fault of this system. The system leaves only when the other drives; until then it
-    /// stops the vehicle, or stays ready to do so.
+    /// Reacts to a fault of this system. The system leaves only when the other drives; until then
+    /// it stops the vehicle, or stays ready to do so.
     fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
         let Some(fault) = self.fault else {
             return;
@@ -459,8 +459,8 @@ impl Redundancy {
             PhaseState::Master(_) => Evidence::FaultStop,
             PhaseState::Starting(_) if !stays => leave,
             PhaseState::Standby(standby) if standby.master_drives(config, now, witnesses) => {
-                // Both systems have a permanent fault: the other one stops the vehicle, and this one
-                // is its backup.
+                // Both systems have a permanent fault: the other one stops the vehicle, and this
+                // one is its backup.
                 if stays && witnesses.reports.resigns(now, config.report_limit) {
                     return;
                 }

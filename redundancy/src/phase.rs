@@ -43,8 +43,8 @@ pub enum Phase {
     Master = 2,
     /// Drives alone. Output open, heartbeats.
     DegradedMaster = 3,
-    /// Was master, was held up longer than its lease, and listens to find out whether the other drives.
-    /// Output closed, no heartbeats.
+    /// Was master, was held up longer than its lease, and listens to find out whether the other
+    /// drives. Output closed, no heartbeats.
     Thawed = 4,
     /// Has requested a reset that may cure it. Output closed, no heartbeats.
     Resetting = 5,

@@ -207,8 +207,8 @@ impl Standby {
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
-    /// Returns the end, after `now`, of the first limit at which [`Standby::judge`] may find that the
-    /// master has failed, if nothing is heard of it until then.
+    /// Returns the end, after `now`, of the first limit at which [`Standby::judge`] may find that
+    /// the master has failed, if nothing is heard of it until then.
     pub(crate) fn next_limit(
         &self,
         config: &Config,
@@ -224,8 +224,8 @@ impl Standby {
             .unwrap_or(Instant::NEVER)
     }
 
-    /// Whether, for long enough, neither the other system nor the vehicle has reported that a system
-    /// drives.
+    /// Whether, for long enough, neither the other system nor the vehicle has reported that a
+    /// system drives.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
         let listened = now.since(self.last_control) > config.witness_limit();

@@ -222,8 +222,8 @@ fn power_loss_with_sectors_of_real_size() {
     assert_eq!(erases, 1);
 }
 
-/// T-RED-1: without a single valid record the loss is reported, and the next write is durable all the
-/// same.
+/// T-RED-1: without a single valid record the loss is reported, and the next write is durable all
+/// the same.
 #[test]
 fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     let mut flash = Flash::new(128);

@@ -87,7 +87,7 @@ pub enum OutputDiagnosis {
 
 /// A board whose hardware can be made to fail, for tests. Product code has no use for it.
 pub trait FaultSource: Board {
-    /// Makes a fault of a system's hardware, or repairs it. Any context; also from the other system.
-    /// The effect may be a few milliseconds late.
+    /// Makes a fault of a system's hardware, or repairs it. Any context; also from the other
+    /// system. The effect may be a few milliseconds late.
     fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool);
 }

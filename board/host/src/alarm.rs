@@ -13,8 +13,8 @@ use tandem_board::{Duration, Instant};
 
 use crate::clock::{self, timespec};
 
-/// A period longer than any run. The kernel forgets when a timer without a period was due; with one,
-/// the time of the next expiry gives it.
+/// A period longer than any run. The kernel forgets when a timer without a period was due; with
+/// one, the time of the next expiry gives it.
 const AGAIN: Duration = Duration::from_ms(1_000_000_000);
 
 /// A timer of CLOCK_MONOTONIC that processes share by inheriting its descriptor.

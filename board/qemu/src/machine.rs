@@ -67,8 +67,8 @@ pub struct BootFrom {
 pub struct MachineOptions {
     /// A system that returns becomes the standby of the running one.
     pub reintegrate: bool,
-    /// The timing profile is `chip`, else `rt`. For [`WorldLayout::One`](crate::Layout::One): from one
-    /// machine to another, edges and datagrams take up to 2 ms.
+    /// The timing profile is `chip`, else `rt`. For [`WorldLayout::One`](crate::Layout::One): from
+    /// one machine to another, edges and datagrams take up to 2 ms.
     pub chip: bool,
     /// An overload of core 0's tasks: strap `Third`, explained in the image's main. 0: none.
     pub overload: u32,

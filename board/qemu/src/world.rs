@@ -168,7 +168,8 @@ impl EmulatedWorld {
         Ok(logs?.join("\n"))
     }
 
-    /// Runs all machines to the next step, with all frames and commands since the last one. If a machine was killed, its systems end and their level falls.
+    /// Runs all machines to the next step, with all frames and commands since the last one. If a
+    /// machine was killed, its systems end and their level falls.
     ///
     /// # Errors
     /// [`MachineError`] if a machine hangs, or has ended by itself.
@@ -193,7 +194,8 @@ impl EmulatedWorld {
             if let Some(machine) = &mut node.machine {
                 let left_out = machine.answer(&items);
                 match left_out {
-                    // The next report of a machine that was just killed fails, and ends its systems.
+                    // The next report of a machine that was just killed fails, and ends its
+                    // systems.
                     Ok(_) | Err(MachineError::Ended { .. }) => {}
                     Err(error) => return Err(error),
                 }

@@ -1,5 +1,5 @@
-//! Mutates valid files in many ways, and counts those that are accepted wrongly: `cargo xtask campaign
-//! mutations`.
+//! Mutates valid files in many ways, and counts those that are accepted wrongly: `cargo xtask
+//! campaign mutations`.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 

@@ -1,8 +1,8 @@
 //! Losses of power at every point of an update, and the checks afterwards.
 //!
-//! A *point* is a moment of an erase or program operation in a life, with one state in which it leaves
-//! the changing bits. The caller supplies a function that runs a life: in a new process, or as a
-//! [`Life`] in this one. U-5
+//! A *point* is a moment of an erase or program operation in a life, with one state in which it
+//! leaves the changing bits. The caller supplies a function that runs a life: in a new process, or
+//! as a [`Life`] in this one. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
@@ -172,8 +172,9 @@ impl Stage {
         live((self.scenario, self.defect), self.lines(), flash, step)
     }
 
-    /// Describes what is wrong with a controller after a life without a loss of power. Returns `None`
-    /// if it runs an old or a new image that is intact and has no weak bit, under an intact bootloader.
+    /// Describes what is wrong with a controller after a life without a loss of power. Returns
+    /// `None` if it runs an old or a new image that is intact and has no weak bit, under an intact
+    /// bootloader.
     #[must_use]
     pub fn brick(&self, outcome: &LifeOutcome, flash: &mut SimulatedFlash) -> Option<String> {
         let End::Running(launch) = outcome.end else {
@@ -212,8 +213,8 @@ impl Stage {
     }
 }
 
-/// Runs one life. Returns its outcome, its ticks, and the flash afterwards; `None` if `flash` does not
-/// decode.
+/// Runs one life. Returns its outcome, its ticks, and the flash afterwards; `None` if `flash` does
+/// not decode.
 #[must_use]
 pub fn live(
     (scenario, defect): (CutScenario, Option<WiringDefect>),
@@ -265,8 +266,8 @@ pub struct TickRange {
     pub every: u64,
 }
 
-/// Sweeps a scenario: power is lost at a tick, and again during the recovery. `live` runs one life, as
-/// [`Stage::live`] does.
+/// Sweeps a scenario: power is lost at a tick, and again during the recovery. `live` runs one life,
+/// as [`Stage::live`] does.
 ///
 /// # Errors
 /// Those of `live`.

@@ -7,7 +7,8 @@ use tandem_boot::{Answer, HostRequest, Refusal};
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
 /// Silence after which a record is repeated: longer than the erase of the largest sector.
 pub const ANSWER_WITHIN: Duration = Duration::from_ms(3_000);
-/// Attempts in a row after which the host gives up. The loader gives up earlier and sends the reason.
+/// Attempts in a row after which the host gives up. The loader gives up earlier and sends the
+/// reason.
 const MAX_ATTEMPTS: u32 = 16;
 
 /// The next action of the caller.
@@ -64,8 +65,8 @@ pub struct FileSender {
 }
 
 impl FileSender {
-    /// Creates a sender of these records. `window` is the number of records to send ahead; 0 means the
-    /// protocol of the thesis.
+    /// Creates a sender of these records. `window` is the number of records to send ahead; 0 means
+    /// the protocol of the thesis.
     #[must_use]
     pub fn new(lines: Vec<String>, system: Option<SystemId>, window: u8) -> Self {
         Self {
@@ -87,8 +88,8 @@ impl FileSender {
         }
     }
 
-    /// Makes the sender continue an interrupted transfer, if the loader still has its records. Needs a
-    /// window.
+    /// Makes the sender continue an interrupted transfer, if the loader still has its records.
+    /// Needs a window.
     #[must_use]
     pub fn resuming(mut self) -> Self {
         self.resume = self.wanted > 0;
@@ -96,7 +97,8 @@ impl FileSender {
     }
 
     /// Whether a loader has answered. With a window, the sender reconnects when the loader falls
-    /// silent, and continues after the records that the loader has; it has none after a loss of power.
+    /// silent, and continues after the records that the loader has; it has none after a loss of
+    /// power.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.state != State::Connecting
@@ -143,8 +145,8 @@ impl FileSender {
         }
     }
 
-    /// Reconnects to a silent loader: frames were lost, or the loader lost power. Its answer says how
-    /// many records it has.
+    /// Reconnects to a silent loader: frames were lost, or the loader lost power. Its answer says
+    /// how many records it has.
     fn connect_again(&mut self, now: Instant) {
         (self.state, self.resume, self.due) = (State::Connecting, true, now);
     }

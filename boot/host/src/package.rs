@@ -162,8 +162,8 @@ impl Image {
     /// 0xFF.
     ///
     /// # Panics
-    /// If there are no parts or more than three, or a part begins before [`BODY_OFFSET`] or before the
-    /// end of the previous one.
+    /// If there are no parts or more than three, or a part begins before [`BODY_OFFSET`] or before
+    /// the end of the previous one.
     #[must_use]
     pub fn sign(
         target: ImageTarget,
@@ -210,8 +210,8 @@ impl Image {
         }
     }
 
-    /// Signs the content of a file as one part from the first to the last byte. The file's entry, if
-    /// it has one, is core 0's.
+    /// Signs the content of a file as one part from the first to the last byte. The file's entry,
+    /// if it has one, is core 0's.
     ///
     /// # Errors
     /// [`PackageError`] if the data are not those of one image.

@@ -1,8 +1,8 @@
 //! A model of the TC297's program flash in memory, in which a loss of power has the effects of real
 //! flash.
 //!
-//! A loss of power interrupts a program or erase operation. Bits that were changing are then *weak*:
-//! their value is undefined until their sector is erased.
+//! A loss of power interrupts a program or erase operation. Bits that were changing are then
+//! *weak*: their value is undefined until their sector is erased.
 
 use chacha20::ChaCha8Rng;
 use embedded_storage::nor_flash::{
@@ -118,8 +118,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Adds a wiring defect: `range` is the same memory as that from `place` on. Two slots or banks of
-    /// the bootloader then are one.
+    /// Adds a wiring defect: `range` is the same memory as that from `place` on. Two slots or banks
+    /// of the bootloader then are one.
     #[must_use]
     pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
         self.alias = Some((range, place));
@@ -133,8 +133,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Begins the next life. Power is lost after `cut.0` ticks, if `cut` is given; `seed` decides the
-    /// values of weak bits.
+    /// Begins the next life. Power is lost after `cut.0` ticks, if `cut` is given; `seed` decides
+    /// the values of weak bits.
     pub fn power_on(&mut self, seed: u64, cut: Option<(u64, Tear)>) {
         self.noise = Noise(ChaCha8Rng::seed_from_u64(seed));
         self.life = self.noise.0.next_u64();
@@ -191,8 +191,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Counts the ticks of an operation. If power is lost within it, returns the completed ticks and
-    /// the state of the changing bits; otherwise `None`.
+    /// Counts the ticks of an operation. If power is lost within it, returns the completed ticks
+    /// and the state of the changing bits; otherwise `None`.
     fn spend(&mut self, ticks: u64) -> Result<Option<(u64, Tear)>, ModelError> {
         if !self.is_on {
             return Err(ModelError::PowerLost);

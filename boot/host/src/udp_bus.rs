@@ -1,5 +1,5 @@
-//! CAN over UDP multicast, compatible with python-can's `udp_multicast`: each frame is a datagram with
-//! one msgpack map.
+//! CAN over UDP multicast, compatible with python-can's `udp_multicast`: each frame is a datagram
+//! with one msgpack map.
 
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
@@ -100,8 +100,8 @@ impl UdpBus {
         self.sender.send(&bytes).map(drop)
     }
 
-    /// Waits for the next data frame of another end; returns `None` after this time. Skips everything
-    /// else.
+    /// Waits for the next data frame of another end; returns `None` after this time. Skips
+    /// everything else.
     ///
     /// # Errors
     /// An error of the operating system.

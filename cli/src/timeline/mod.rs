@@ -65,8 +65,8 @@ pub(crate) struct Slice {
     pub(crate) end_ns: u64,
     /// Number of enclosing slices.
     pub(crate) depth: usize,
-    /// Number of the job that the slice belongs to; `None` for a handler. A job has one slice for each
-    /// time that its task had the CPU.
+    /// Number of the job that the slice belongs to; `None` for a handler. A job has one slice for
+    /// each time that its task had the CPU.
     pub(crate) job: Option<u64>,
     /// Delay after the release, ns, if the slice began a job with a known release.
     pub(crate) late_ns: Option<u32>,

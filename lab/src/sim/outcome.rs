@@ -19,7 +19,8 @@ pub(super) struct Outcome {
     /// Every frame and event of the run, as one number.
     pub(super) digest: u64,
     pub(super) violations: Vec<Rule>,
-    /// What its faults hit: the label of the kind, and the place of the state in [`SequenceState::ALL`].
+    /// What its faults hit: the label of the kind, and the place of the state in
+    /// [`SequenceState::ALL`].
     pub(super) covered: Vec<(String, usize)>,
 }
 

@@ -75,8 +75,8 @@ impl Redundancy {
         self.judge_clocks(now, actions);
     }
 
-    /// Compares three clocks: the one that differs from both others is wrong. If that is this system's
-    /// own clock, the system leaves, because all its time limits are wrong too.
+    /// Compares three clocks: the one that differs from both others is wrong. If that is this
+    /// system's own clock, the system leaves, because all its time limits are wrong too.
     fn judge_clocks(&mut self, now: Instant, actions: &mut Actions) {
         if let Some(clock) = self.witnesses.clocks.judge(now) {
             actions.record(RedundancyEvent::ClockWrong(clock));
@@ -86,8 +86,9 @@ impl Redundancy {
         }
     }
 
-    /// Takes a report of the other system about itself. `reaches_bus`: the vehicle would receive its
-    /// control frames. A master must not close its output for a system that the vehicle cannot hear.
+    /// Takes a report of the other system about itself. `reaches_bus`: the vehicle would receive
+    /// its control frames. A master must not close its output for a system that the vehicle cannot
+    /// hear.
     fn report_of_peer(
         &mut self,
         now: Instant,

@@ -1,9 +1,10 @@
 //! The witness of the clocks: how far this system's clock has drifted from the vehicle's and from
 //! the other system's. Of three clocks, the one that differs from two is wrong.
 //!
-//! Each frame carries the time of sending on the sender's clock. The difference to the own clock is the
-//! offset of the two clocks minus the transmission time. A late frame only lowers the difference, so
-//! the largest difference of a window is the offset, and a stall of any of the three is no drift.
+//! Each frame carries the time of sending on the sender's clock. The difference to the own clock is
+//! the offset of the two clocks minus the transmission time. A late frame only lowers the
+//! difference, so the largest difference of a window is the offset, and a stall of any of the three
+//! is no drift.
 
 use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
@@ -46,8 +47,8 @@ impl Offset {
         }
     }
 
-    /// Takes the difference between the other clock at sending and the own clock at `at`, µs. Returns
-    /// how much longer than usual the frame was on its way, µs.
+    /// Takes the difference between the other clock at sending and the own clock at `at`, µs.
+    /// Returns how much longer than usual the frame was on its way, µs.
     fn update(&mut self, at: Instant, difference: u32) -> i32 {
         let beyond = difference.wrapping_sub(self.reference) as i32;
         if at.since(self.heard) > WINDOW || !(-SET_US..SET_US).contains(&beyond) {
@@ -99,8 +100,8 @@ const fn us(at: Instant) -> u32 {
     (at.as_ns() / 1_000) as u32
 }
 
-/// Updates one offset. `other` is that of the third clock: both restart together, so that both cover
-/// the same time.
+/// Updates one offset. `other` is that of the third clock: both restart together, so that both
+/// cover the same time.
 fn update(
     offset: &mut Option<Offset>,
     other: &mut Option<Offset>,
@@ -175,7 +176,8 @@ mod tests {
         Instant::from_ns(u64::from(ms) * 1_000_000)
     }
 
-    /// Of three clocks the one that differs from both others is wrong, and reported once. A drift of
+    /// Of three clocks the one that differs from both others is wrong, and reported once. A drift
+    /// of
     /// 0.05 % is permitted.
     #[test]
     fn the_clock_that_differs_from_both_others_is_wrong() {

@@ -47,7 +47,8 @@ mod tests {
     use super::*;
     use tandem_board::Duration;
 
-    /// An echo is valid up to its limit, and so is the frame that it reports; not a nanosecond longer.
+    /// An echo is valid up to its limit, and so is the frame that it reports; not a nanosecond
+    /// longer.
     #[test]
     fn an_echo_counts_up_to_its_limit() {
         use GateVerdict::{Obeys, Uncontrolled, Unheard, Unknown};

@@ -35,8 +35,8 @@ impl Level {
         }
     }
 
-    /// Takes the level at a poll. `beats`: heartbeats arrived since the last poll; `beats_alive`: not
-    /// both heartbeat lines are silent. Returns whether the line is broken, when that changes.
+    /// Takes the level at a poll. `beats`: heartbeats arrived since the last poll; `beats_alive`:
+    /// not both heartbeat lines are silent. Returns whether the line is broken, when that changes.
     pub(crate) fn update(
         &mut self,
         config: &Config,

@@ -90,8 +90,8 @@ impl Witnesses {
         }
     }
 
-    /// Whether a report over the link is new: neither repeated nor too long on its way. If all reports
-    /// are late for a second, their delay counts as the usual one.
+    /// Whether a report over the link is new: neither repeated nor too long on its way. If all
+    /// reports are late for a second, their delay counts as the usual one.
     pub(crate) fn is_new(&mut self, config: &Config, now: Instant, link: &LinkReport) -> bool {
         let clocks = &mut self.clocks;
         match self.reports.is_next(link) {
@@ -142,9 +142,9 @@ impl Witnesses {
             && now.since(last_control) + limit >= lines
     }
 
-    /// Returns when heartbeats, link and power level will count as silent or off, judging by what was
-    /// last seen of them. In the past if they already do; [`Instant::NEVER`] for a witness that has
-    /// seen nothing.
+    /// Returns when heartbeats, link and power level will count as silent or off, judging by what
+    /// was last seen of them. In the past if they already do; [`Instant::NEVER`] for a witness that
+    /// has seen nothing.
     pub(crate) fn limits(&self, config: &Config) -> [Instant; 3] {
         let link = self.reports.heard_at();
         [

@@ -5,8 +5,8 @@ use tandem_board::SystemId;
 use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
 /// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
-/// shows the other to live is broken: it is reported once, and not believed until it was high for long
-/// enough. Each sign alone is enough.
+/// shows the other to live is broken: it is reported once, and not believed until it was high for
+/// long enough. Each sign alone is enough.
 #[test]
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
     for sign in 0..4 {

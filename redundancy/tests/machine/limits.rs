@@ -406,7 +406,8 @@ fn an_echo_replaces_a_control_frame_that_was_missed() {
     }
 }
 
-/// T-RED-3: two lines that fall silent beside a master that drives are cut: reported once each time.
+/// T-RED-3: two lines that fall silent beside a master that drives are cut: reported once each
+/// time.
 #[test]
 fn cut_lines_are_told_once() {
     let mut bench = Bench::standby();
@@ -448,8 +449,8 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
     assert_eq!(bench.machine.state().wrong_in_a_row, 0);
 }
 
-/// A clock that differs from both others by more than the limit is reported once. A master whose own
-/// clock it is stops the vehicle.
+/// A clock that differs from both others by more than the limit is reported once. A master whose
+/// own clock it is stops the vehicle.
 #[test]
 fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
     for (peer_ms, vehicle_ms, expected) in [

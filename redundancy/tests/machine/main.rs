@@ -578,9 +578,9 @@ fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
 }
 
 /// T-RED-9: the first term lies 8 above the known one (a term is `count << 1 | system`), and far
-/// above it unless the vehicle or a system that ran has reported the newest since the start. A system
-/// that has just started itself may have forgotten it as well, and so has one whose flash is lost,
-/// also after a reset.
+/// above it unless the vehicle or a system that ran has reported the newest since the start. A
+/// system that has just started itself may have forgotten it as well, and so has one whose flash is
+/// lost, also after a reset.
 #[test]
 fn the_first_term_is_far_above_what_may_be_old() {
     const FAR: u32 = 2 * 1024;

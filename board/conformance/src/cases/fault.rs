@@ -67,7 +67,8 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     )
 }
 
-/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault repaired.
+/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault
+/// repaired.
 pub(super) fn cannot_send<B: FaultSource>(
     board: &B,
     place: CoreAddress,
@@ -150,7 +151,8 @@ pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Resul
     wait_for_cores(board, HERE, 3)
 }
 
-/// First incarnation: runs without a fault until its supply resets it. Second incarnation: reads `cause`.
+/// First incarnation: runs without a fault until its supply resets it. Second incarnation: reads
+/// `cause`.
 fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         return reset_for(board, cause);
