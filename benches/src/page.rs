@@ -292,5 +292,4 @@ fn facts<'a>(title: &str, facts: impl Iterator<Item = (&'a str, String)>) -> Mar
 }
 
 #[cfg(test)]
-#[path = "page_tests.rs"]
 mod tests;

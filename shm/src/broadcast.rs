@@ -174,8 +174,8 @@ impl<'a, T> Incoming<'_, 'a, T> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::fault::{freeze_at, kill_at, zeroed};

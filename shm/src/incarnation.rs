@@ -237,8 +237,8 @@ impl<'a> Attached<'a> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::fault::zeroed;

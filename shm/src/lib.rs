@@ -106,6 +106,7 @@ pub mod pool;
 pub mod region;
 mod ring;
 #[cfg(all(test, not(loom), not(miri)))]
+#[path = "tests/schedules.rs"]
 mod schedules;
 mod shape;
 pub mod sync;

@@ -488,8 +488,8 @@ impl<C> TaskTable<C> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::fault::{freeze_at, kill_at, zeroed};

@@ -176,8 +176,8 @@ impl<'a> Map<'a> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::fault::{kill_at, zeroed};

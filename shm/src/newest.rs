@@ -200,8 +200,8 @@ impl<'a> View<'a> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::LINE_WORDS;

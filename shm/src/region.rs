@@ -377,8 +377,8 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
     }
 }
 
-#[cfg(test)]
 #[cfg(not(loom))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::fault::zeroed;

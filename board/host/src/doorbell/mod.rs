@@ -9,6 +9,7 @@
 
 mod bits;
 #[cfg(test)]
+#[path = "tests/measure.rs"]
 mod measure;
 mod trigger;
 
