@@ -56,7 +56,7 @@ fn a_campaign_that_cannot_be() {
         (&["chaos", "--json", "no/such/c.json"], "no/such"),
         (
             &["sim", "--faults", "supply.toml"],
-            "only processes suffer it",
+            "the simulator cannot suffer it",
         ),
     ] {
         refuses(&fixture, args, &[word]);

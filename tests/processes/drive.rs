@@ -18,7 +18,8 @@ fn a_short_drive_ends_with_a_report() {
     assert_eq!(metrics["complete"], true);
     let at_least = |name: &str, least: f64| metrics[name].as_f64().unwrap() >= least;
     assert!(at_least("control_frames", 1.0), "{metrics:#}");
-    assert!(at_least("duration_s", 2.0), "{metrics:#}");
+    // From the first obeyed frame to the last sample, one in 20 ms.
+    assert!(at_least("duration_s", 1.9), "{metrics:#}");
 
     // Core 0 runs on the kernel, whose tick and tasks tell of themselves.
     let of_core_0 = |list: &str, key: &str, name: &str| -> Value {

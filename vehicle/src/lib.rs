@@ -2,10 +2,10 @@
 //!
 //! ```
 //! use tandem_board::Instant;
-//! use tandem_vehicle::{Config, LocalBus, Scenario, World};
+//! use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig};
 //!
 //! let scenario = Scenario::load("cut-in")?;
-//! let mut world = World::new(&scenario, Config { seed: 1 });
+//! let mut world = World::new(&scenario, WorldConfig { seed: 1 });
 //! let mut bus = LocalBus::new(Instant::ORIGIN);
 //! for ms in 0..1_000 {
 //!     bus.now = Instant::from_ns(ms * 1_000_000);
