@@ -136,6 +136,8 @@ pub struct RoadMap {
     pub warnings: Vec<String>,
 }
 
+type Result<T> = core::result::Result<T, ScenarioError>;
+
 /// Size of an obstacle and the place of its centre in the obstacle's own frame.
 struct Shape {
     length: f64,
@@ -147,7 +149,7 @@ struct Shape {
 ///
 /// # Errors
 /// Names the file, the line, the element, and what to do.
-pub fn parse(text: &str, file: &str) -> Result<RoadMap, ScenarioError> {
+pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
     let refused = |line, problem: String| ScenarioError::Xml {
         file: file.to_owned(),
         line,
@@ -212,7 +214,7 @@ struct Reader<'a, 'input> {
 type Element<'a, 'input> = Node<'a, 'input>;
 
 impl<'a, 'input> Reader<'a, 'input> {
-    fn map(&self) -> Result<RoadMap, ScenarioError> {
+    fn map(&self) -> Result<RoadMap> {
         let root = self.document.root_element();
         if root.tag_name().name() != "commonRoad" {
             return Err(self.error(
@@ -313,7 +315,7 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     /// # Errors
     /// `node` has more than `most` children of this name.
-    fn at_most(&self, node: Element<'_, '_>, name: &str, most: usize) -> Result<(), ScenarioError> {
+    fn at_most(&self, node: Element<'_, '_>, name: &str, most: usize) -> Result<()> {
         if elements(node, name).count() > most {
             let problem = format!("has more than {most} <{name}>");
             return Err(self.error(node, &problem, "give the part of the map that is driven"));
@@ -322,10 +324,10 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Ids and values (m/s) of the speed limit signs: version 2020a keeps them apart from lanelets.
-    fn speed_signs(&self, root: Element<'_, '_>) -> Result<HashMap<i64, f64>, ScenarioError> {
+    fn speed_signs(&self, root: Element<'_, '_>) -> Result<HashMap<i64, f64>> {
         let mut limits = HashMap::new();
         for sign in elements(root, "trafficSign") {
-            let id = self.id(sign)?;
+            let id = self.id(sign, "id")?;
             for element in elements(sign, "trafficSignElement") {
                 let kind = self.text(self.child(element, "trafficSignID")?);
                 // Maximum speed in Germany and the fictitious Zamunda, and in the USA.
@@ -343,11 +345,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         &self,
         node: Element<'_, '_>,
         limits: &HashMap<i64, f64>,
-    ) -> Result<Option<Lanelet>, ScenarioError> {
-        let bound = |name| -> Result<Option<Vec<Vec2>>, ScenarioError> {
+    ) -> Result<Option<Lanelet>> {
+        let bound = |name| -> Result<Option<Vec<Vec2>>> {
             let bound = self.child(node, name)?;
-            let points = elements(bound, "point").map(|p| self.point(p));
-            let mut points = points.collect::<Result<Vec<_>, _>>()?;
+            let mut points = self.points(bound)?;
             if points.len() < 2 {
                 return Err(self.error(bound, "has fewer than two points", "give the whole bound"));
             }
@@ -364,26 +365,22 @@ impl<'a, 'input> Reader<'a, 'input> {
         for name in ["predecessor", "successor"] {
             self.at_most(node, name, BRANCHES_MAX)?;
         }
-        let references = |name| -> Result<Vec<i64>, ScenarioError> {
+        let reference = |node| self.id(node, "ref");
+        let references = |name| {
             elements(node, name)
-                .map(|n| self.parsed_id(n, self.attribute(n, "ref")?))
-                .collect()
+                .map(reference)
+                .collect::<Result<Vec<_>>>()
         };
-        let neighbour = |name| -> Result<Option<i64>, ScenarioError> {
-            let mut same =
-                elements(node, name).filter(|n| n.attribute("drivingDir") == Some("same"));
-            same.next()
-                .map(|n| self.parsed_id(n, self.attribute(n, "ref")?))
-                .transpose()
+        let neighbour = |name| {
+            let is_same = |n: &Element<'_, '_>| n.attribute("drivingDir") == Some("same");
+            let same = elements(node, name).find(is_same);
+            same.map(reference).transpose()
         };
         let signs = references("trafficSignRef")?;
         let signed = signs.iter().find_map(|id| limits.get(id).copied());
-        let own = elements(node, "speedLimit")
-            .next()
-            .map(|n| self.number(n))
-            .transpose()?;
+        let own = optional(node, "speedLimit", |n| self.number(n))?;
         Ok(Some(Lanelet {
-            id: self.id(node)?,
+            id: self.id(node, "id")?,
             left,
             right,
             predecessors: references("predecessor")?,
@@ -394,12 +391,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         }))
     }
 
-    fn obstacle(
-        &self,
-        node: Element<'_, '_>,
-        is_static: bool,
-        step_s: f64,
-    ) -> Result<Obstacle, ScenarioError> {
+    fn obstacle(&self, node: Element<'_, '_>, is_static: bool, step_s: f64) -> Result<Obstacle> {
         let shape = self.shape(self.child(node, "shape")?)?;
         let mut states = vec![self.state(self.child(node, "initialState")?, step_s, Some(0.0))?];
         if let Some(trajectory) = elements(node, "trajectory").next() {
@@ -441,7 +433,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         let (length, width) = (shape.length, shape.width);
         Ok(Obstacle {
-            id: self.id(node)?,
+            id: self.id(node, "id")?,
             class,
             is_static,
             length,
@@ -451,37 +443,16 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// The box around all shapes, in the obstacle's frame.
-    fn shape(&self, node: Element<'_, '_>) -> Result<Shape, ScenarioError> {
+    fn shape(&self, node: Element<'_, '_>) -> Result<Shape> {
         let mut corners = Vec::new();
         for shape in node.children().filter(Node::is_element) {
-            let centre = elements(shape, "center")
-                .next()
-                .map(|n| self.point(n))
-                .transpose()?;
-            let centre = centre.unwrap_or_default();
-            let mut add_box = |length: f64, width: f64, yaw: f64| {
-                let along = Vec2::from_angle(yaw) * (length / 2.0);
-                let across = Vec2::from_angle(yaw).left() * (width / 2.0);
-                corners.extend([along + across, along - across].map(|v| centre + v));
-                corners.extend([along + across, along - across].map(|v| centre - v));
-            };
             match shape.tag_name().name() {
-                "rectangle" => add_box(
-                    self.extent(shape, "length")?,
-                    self.extent(shape, "width")?,
-                    elements(shape, "orientation")
-                        .next()
-                        .map_or(Ok(0.0), |n| self.number(n))?,
-                ),
+                "rectangle" => corners.extend(self.rectangle(shape)?),
                 "circle" => {
                     let diameter = 2.0 * self.extent(shape, "radius")?;
-                    add_box(diameter, diameter, 0.0);
+                    corners.extend(corners_of(self.centre(shape)?, 0.0, diameter, diameter));
                 }
-                "polygon" => {
-                    for point in elements(shape, "point") {
-                        corners.push(self.point(point)?);
-                    }
-                }
+                "polygon" => corners.extend(self.points(shape)?),
                 name => {
                     let problem = format!("holds the unknown shape <{name}>");
                     return Err(self.error(node, &problem, "use rectangle, circle or polygon"));
@@ -500,7 +471,23 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    fn extent(&self, shape: Element<'_, '_>, name: &str) -> Result<f64, ScenarioError> {
+    /// The corners of a `<rectangle>`, around it.
+    fn rectangle(&self, node: Element<'_, '_>) -> Result<[Vec2; 4]> {
+        let yaw = optional(node, "orientation", |n| self.number(n))?.unwrap_or_default();
+        let (length, width) = (self.extent(node, "length")?, self.extent(node, "width")?);
+        Ok(corners_of(self.centre(node)?, yaw, length, width))
+    }
+
+    /// The centre of a `<rectangle>` or `<circle>`: the origin, where none is given.
+    fn centre(&self, node: Element<'_, '_>) -> Result<Vec2> {
+        Ok(optional(node, "center", |n| self.point(n))?.unwrap_or_default())
+    }
+
+    fn points(&self, node: Element<'_, '_>) -> Result<Vec<Vec2>> {
+        elements(node, "point").map(|n| self.point(n)).collect()
+    }
+
+    fn extent(&self, shape: Element<'_, '_>, name: &str) -> Result<f64> {
         let node = self.child(shape, name)?;
         let extent = self.number(node)?;
         if extent <= 0.0 {
@@ -515,15 +502,12 @@ impl<'a, 'input> Reader<'a, 'input> {
         node: Element<'_, '_>,
         step_s: f64,
         default_yaw: Option<f64>,
-    ) -> Result<TimedState, ScenarioError> {
+    ) -> Result<TimedState> {
         let yaw = match (elements(node, "orientation").next(), default_yaw) {
             (None, Some(yaw)) => yaw,
             _ => wrap_angle(self.value(self.child(node, "orientation")?)?),
         };
-        let time = elements(node, "time")
-            .next()
-            .map_or(Ok(0.0), |n| self.value(n))?
-            * step_s;
+        let time = optional(node, "time", |n| self.value(n))?.unwrap_or_default() * step_s;
         if time.abs() > TIME_MAX {
             return Err(self.error(node, "is more than a day away", "give time steps"));
         }
@@ -531,10 +515,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             t: time,
             position: self.place(self.child(node, "position")?)?,
             yaw,
-            speed: elements(node, "velocity")
-                .next()
-                .map(|n| self.speed(n))
-                .transpose()?,
+            speed: optional(node, "velocity", |n| self.speed(n))?,
         })
     }
 
@@ -546,13 +527,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         start: f64,
         lanelets: &[Lanelet],
     ) -> Vec<Goal> {
-        let goal = |node| -> Result<Goal, ScenarioError> {
-            let range = |name| -> Result<Option<(f64, f64)>, ScenarioError> {
-                elements(node, name)
-                    .next()
-                    .map(|n| self.range(n))
-                    .transpose()
-            };
+        let goal = |node| -> Result<Goal> {
+            let range = |name| optional(node, name, |n| self.range(n));
             let (mut areas, mut places) = (Vec::new(), Vec::new());
             if let Some(position) = elements(node, "position").next() {
                 for element in position.children().filter(Node::is_element) {
@@ -592,15 +568,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         &self,
         node: Element<'_, '_>,
         lanelets: &[Lanelet],
-    ) -> Result<Option<(Area, Vec<Vec2>)>, ScenarioError> {
-        let centre = || {
-            elements(node, "center")
-                .next()
-                .map_or(Ok(Vec2::default()), |n| self.point(n))
-        };
+    ) -> Result<Option<(Area, Vec<Vec2>)>> {
         let area = match node.tag_name().name() {
             "lanelet" | "laneletref" | "laneletRef" => {
-                let id = self.parsed_id(node, self.attribute(node, "ref")?)?;
+                let id = self.id(node, "ref")?;
                 let lanelet = lanelets.iter().find(|lanelet| lanelet.id == id);
                 return Ok(lanelet.map(|lanelet| {
                     let back = lanelet.right.iter().rev();
@@ -614,28 +585,11 @@ impl<'a, 'input> Reader<'a, 'input> {
                 }));
             }
             "circle" => Area::Circle {
-                centre: centre()?,
+                centre: self.centre(node)?,
                 radius: self.extent(node, "radius")?,
             },
-            "rectangle" => {
-                let yaw = elements(node, "orientation")
-                    .next()
-                    .map_or(Ok(0.0), |n| self.number(n))?;
-                let along = Vec2::from_angle(yaw) * (self.extent(node, "length")? / 2.0);
-                let across = Vec2::from_angle(yaw).left() * (self.extent(node, "width")? / 2.0);
-                let corners = [
-                    along + across,
-                    along - across,
-                    -along - across,
-                    across - along,
-                ];
-                let centre = centre()?;
-                Area::Polygon(corners.map(|corner| centre + corner).into())
-            }
-            "polygon" => {
-                let points = elements(node, "point").map(|n| self.point(n));
-                Area::Polygon(points.collect::<Result<_, _>>()?)
-            }
+            "rectangle" => Area::Polygon(self.rectangle(node)?.into()),
+            "polygon" => Area::Polygon(self.points(node)?),
             name => {
                 let problem = format!("is the unknown area <{name}>");
                 return Err(self.error(node, &problem, "use a lanelet, rectangle or circle"));
@@ -646,18 +600,15 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// A point, or the centre of an area.
-    fn place(&self, node: Element<'_, '_>) -> Result<Vec2, ScenarioError> {
+    fn place(&self, node: Element<'_, '_>) -> Result<Vec2> {
         let Some(place) = node.children().find(Node::is_element) else {
             return Err(self.error(node, "is empty", "give a <point>, <rectangle> or <circle>"));
         };
         match place.tag_name().name() {
             "point" => self.point(place),
-            "rectangle" | "circle" => elements(place, "center")
-                .next()
-                .map_or(Ok(Vec2::default()), |n| self.point(n)),
+            "rectangle" | "circle" => self.centre(place),
             "polygon" => {
-                let points = elements(place, "point").map(|n| self.point(n));
-                let (low, high) = bounds(&points.collect::<Result<Vec<_>, _>>()?);
+                let (low, high) = bounds(&self.points(place)?);
                 Ok(low.lerp(high, 0.5))
             }
             name => {
@@ -667,20 +618,20 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
     }
 
-    fn point(&self, node: Element<'_, '_>) -> Result<Vec2, ScenarioError> {
+    fn point(&self, node: Element<'_, '_>) -> Result<Vec2> {
         let x = self.number(self.child(node, "x")?)?;
         let y = self.number(self.child(node, "y")?)?;
         Ok(Vec2::new(x, y))
     }
 
     /// `<exact>`, or the middle of `<intervalStart>` and `<intervalEnd>`.
-    fn value(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+    fn value(&self, node: Element<'_, '_>) -> Result<f64> {
         let (start, end) = self.range(node)?;
         Ok((start + end) / 2.0)
     }
 
     /// `<intervalStart>` and `<intervalEnd>`, or twice `<exact>`.
-    fn range(&self, node: Element<'_, '_>) -> Result<(f64, f64), ScenarioError> {
+    fn range(&self, node: Element<'_, '_>) -> Result<(f64, f64)> {
         if let Some(exact) = elements(node, "exact").next() {
             let exact = self.number(exact)?;
             return Ok((exact, exact));
@@ -690,40 +641,31 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok((start, end))
     }
 
-    fn child<'n, 'i>(
-        &self,
-        node: Element<'n, 'i>,
-        name: &str,
-    ) -> Result<Element<'n, 'i>, ScenarioError> {
+    fn child<'n, 'i>(&self, node: Element<'n, 'i>, name: &str) -> Result<Element<'n, 'i>> {
         elements(node, name).next().ok_or_else(|| {
             let advice = format!("add <{name}> to it");
             self.error(node, &format!("lacks <{name}>"), &advice)
         })
     }
 
-    fn attribute<'n>(&self, node: Element<'n, '_>, name: &str) -> Result<&'n str, ScenarioError> {
+    fn attribute<'n>(&self, node: Element<'n, '_>, name: &str) -> Result<&'n str> {
         node.attribute(name).ok_or_else(|| {
             let advice = format!("add {name}=\"…\" to it");
             self.error(node, &format!("lacks the attribute {name:?}"), &advice)
         })
     }
 
-    fn id(&self, node: Element<'_, '_>) -> Result<i64, ScenarioError> {
-        self.parsed_id(node, self.attribute(node, "id")?)
-    }
-
-    fn parsed_id(&self, node: Element<'_, '_>, text: &str) -> Result<i64, ScenarioError> {
-        text.trim().parse().map_err(|_| {
-            self.error(
-                node,
-                &format!("refers to {text:?}"),
-                "give a whole number as id",
-            )
-        })
+    fn id(&self, node: Element<'_, '_>, attribute: &str) -> Result<i64> {
+        let text = self.attribute(node, attribute)?;
+        let problem = |_| {
+            let problem = format!("refers to {text:?}");
+            self.error(node, &problem, "give a whole number as id")
+        };
+        text.trim().parse().map_err(problem)
     }
 
     /// A speed that a road vehicle can have.
-    fn speed(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+    fn speed(&self, node: Element<'_, '_>) -> Result<f64> {
         let speed = self.value(node)?;
         if speed.abs() > SPEED_MAX {
             let problem = format!("is faster than {SPEED_MAX} m/s");
@@ -732,11 +674,11 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(speed)
     }
 
-    fn number(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+    fn number(&self, node: Element<'_, '_>) -> Result<f64> {
         self.parsed(node, self.text(node))
     }
 
-    fn parsed(&self, node: Element<'_, '_>, text: &str) -> Result<f64, ScenarioError> {
+    fn parsed(&self, node: Element<'_, '_>, text: &str) -> Result<f64> {
         match text.trim().parse::<f64>() {
             Ok(number) if number.abs() <= NUMBER_MAX => Ok(number),
             _ => Err(self.error(
@@ -771,6 +713,28 @@ fn elements<'a, 'i: 'a>(
 ) -> impl Iterator<Item = Element<'a, 'i>> {
     node.children()
         .filter(move |child| child.has_tag_name(name))
+}
+
+/// What `read` makes of the first child of this name; `None` without one.
+fn optional<'a, 'i: 'a, T>(
+    node: Element<'a, 'i>,
+    name: &str,
+    read: impl FnOnce(Element<'a, 'i>) -> Result<T>,
+) -> Result<Option<T>> {
+    elements(node, name).next().map(read).transpose()
+}
+
+/// The corners of a rectangle, around it.
+fn corners_of(centre: Vec2, yaw: f64, length: f64, width: f64) -> [Vec2; 4] {
+    let along = Vec2::from_angle(yaw) * (length / 2.0);
+    let across = Vec2::from_angle(yaw).left() * (width / 2.0);
+    [
+        along + across,
+        along - across,
+        -along - across,
+        across - along,
+    ]
+    .map(|corner| centre + corner)
 }
 
 /// The corners of the box around the points; an empty box for none.
