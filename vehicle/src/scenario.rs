@@ -228,12 +228,6 @@ impl Scenario {
     pub fn set_speed(&self) -> f64 {
         self.set_speed
     }
-
-    /// How many other vehicles and things there are.
-    #[must_use]
-    pub fn obstacle_count(&self) -> usize {
-        self.obstacles.len()
-    }
 }
 
 /// The text of a regular file, of which no more is read than the parser takes.
