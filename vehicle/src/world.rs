@@ -87,7 +87,7 @@ impl VehicleSnapshot {
 }
 
 /// The world at one moment.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct WorldSnapshot {
     /// Scenario time, s: 0 until the first control frame is accepted.
     pub time_s: f64,
@@ -190,7 +190,7 @@ impl World {
         );
         let mut world = Self {
             meter: Meter::new(traffic.vehicles().len(), Arc::clone(&scenario.goals)),
-            snapshot: empty_snapshot(&ego),
+            snapshot: WorldSnapshot::default(),
             sensors: Sensors::new(config.seed),
             sensor_faults: Faults::default(),
             gate: Gate::new(),
@@ -639,28 +639,4 @@ fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
         }
     }
     nearest
-}
-
-fn empty_snapshot(ego: &EgoTruth) -> WorldSnapshot {
-    WorldSnapshot {
-        time_s: 0.0,
-        running: false,
-        pose: ego.pose,
-        speed: ego.speed,
-        yaw_rate: 0.0,
-        acceleration: 0.0,
-        lateral_acceleration: 0.0,
-        steering_angle: 0.0,
-        request: Request::default(),
-        fallback: false,
-        lane: ego.lane,
-        station: ego.place.s,
-        lateral_offset: ego.place.d,
-        gap: f64::INFINITY,
-        leader_speed: 0.0,
-        ttc: f64::INFINITY,
-        collides: false,
-        accepted: None,
-        vehicles: Vec::new(),
-    }
 }
