@@ -77,9 +77,10 @@ pub struct RoadLane {
     pub end: Option<f64>,
     /// Every [`STEP`] metres; beyond them it continues straight.
     sections: Vec<Section>,
-    line: Line,
+    /// The centre line.
+    pub(crate) line: Line,
     /// The largest width, m.
-    width_max: f64,
+    pub(crate) width_max: f64,
     /// Where the operational design domain ends on it, by arc length.
     exits: Vec<(f64, Exit)>,
 }
@@ -114,20 +115,10 @@ impl RoadLane {
         (&self.sections[index], &self.sections[next], t, beyond)
     }
 
-    /// Point and direction of the centre line at `s`, as [`RoadLane::at`] has them.
-    pub(crate) fn line_at(&self, s: f64) -> Point {
-        self.line.at(s)
-    }
-
     /// The width at `s`, as [`RoadLane::at`] has it, m.
     pub(crate) fn width_at(&self, s: f64) -> f64 {
         let (a, b, t, _) = self.around(s);
         width(a, b, t)
-    }
-
-    /// The largest width, m.
-    pub(crate) const fn width_max(&self) -> f64 {
-        self.width_max
     }
 
     /// The curvature at `s`, as [`RoadLane::at`] has it, 1/m.
@@ -156,7 +147,8 @@ impl RoadLane {
     /// should be within some ten metres on curved roads.
     #[must_use]
     pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
-        self.foot_near(point, near).place
+        let sample = self.line.sample_near(point, self.line.sample_at(near));
+        self.line.foot(point, sample).place
     }
 
     /// The foot of the perpendicular from `point`, searched over the whole lane.
@@ -166,32 +158,7 @@ impl RoadLane {
     }
 
     fn foot_of(&self, point: Vec2) -> Foot {
-        self.foot(point, self.line.sample(point))
-    }
-
-    /// As [`RoadLane::project_near`].
-    pub(crate) fn foot_near(&self, point: Vec2, near: f64) -> Foot {
-        self.foot(point, self.sample_near(point, self.sample_at(near)))
-    }
-
-    /// The sample from which [`RoadLane::project_near`] walks.
-    pub(crate) fn sample_at(&self, near: f64) -> usize {
-        self.line.sample_at(near)
-    }
-
-    /// The sample to which it walks from there. All samples on the way lead to the same.
-    pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
-        self.line.sample_near(point, start)
-    }
-
-    /// The foot of the perpendicular from `point`, found from this sample.
-    pub(crate) fn foot(&self, point: Vec2, sample: usize) -> Foot {
-        self.line.foot(point, sample)
-    }
-
-    /// Bounds of [`RoadLane::foot`].
-    pub(crate) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
-        self.line.rough(point, sample)
+        self.line.foot(point, self.line.sample(point))
     }
 
     /// The point with these coordinates.

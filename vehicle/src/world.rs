@@ -436,7 +436,7 @@ impl World {
             (ego.lane, ego.place) = self.road.locate(pose.position, pose.yaw);
         }
         let lane = self.road.lane(ego.lane);
-        let heading = lane.line_at(ego.place.s).heading;
+        let heading = lane.line.at(ego.place.s).heading;
         let along = wrap_angle(heading - pose.yaw).abs() < ALONG;
         let is_own = along && lane.exists_at(ego.place.s);
         self.lane_width = if is_own {
@@ -624,7 +624,7 @@ fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
         let near = ego.place.s + apart.x;
         let side = (footprint.width + BMW_320I.width) / 2.0;
         if let Some(Rough { d, by, .. }) = traffic.rough(index, ego.lane, near)
-            && d.abs() - by > lane.width_max() / 2.0
+            && d.abs() - by > lane.width_max / 2.0
             && (d - ego.place.d).abs() - by > side
         {
             continue;

@@ -85,7 +85,7 @@ struct Bounds {
 
 /// The centre line of a lane; beyond its samples it continues straight.
 #[derive(Clone, Debug)]
-pub(super) struct Line {
+pub(crate) struct Line {
     samples: Vec<Sample>,
     /// Around all samples, and around each piece with the first sample of the next.
     whole: Bounds,
@@ -214,7 +214,7 @@ impl Line {
     }
 
     /// The line at arc length `s`.
-    pub(super) fn at(&self, s: f64) -> Point {
+    pub(crate) fn at(&self, s: f64) -> Point {
         let (index, t, beyond) = self.around(s);
         let from = &self.samples[index];
         let heading = from.heading + from.turn * t;
@@ -231,7 +231,7 @@ impl Line {
     }
 
     /// The sample that is nearest to arc length `s`.
-    pub(super) fn sample_at(&self, s: f64) -> usize {
+    pub(crate) fn sample_at(&self, s: f64) -> usize {
         let place = (s / STEP).clamp(0.0, f64::from(self.last() as u32));
         let before = place as i32;
         // As `round` does, which is a call on many machines.
@@ -240,7 +240,7 @@ impl Line {
 
     /// The sample from which a walk from sample `start` gets no nearer to `point`. All samples on
     /// the way lead to the same.
-    pub(super) fn sample_near(&self, point: Vec2, start: usize) -> usize {
+    pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
         let distance = |index: usize| distance_squared(point, self.samples[index].centre);
         let (mut index, mut least) = (start, distance(start));
         let mut walk = |next: fn(usize) -> usize, end: usize| {
@@ -288,7 +288,7 @@ impl Line {
     }
 
     /// The foot of the perpendicular from `point`, by Newton steps from this sample.
-    pub(super) fn foot(&self, point: Vec2, sample: usize) -> Foot {
+    pub(crate) fn foot(&self, point: Vec2, sample: usize) -> Foot {
         let mut s = sample as f64 * STEP;
         let (mut at, mut along) = if sample < self.last() {
             let Sample {
@@ -324,7 +324,7 @@ impl Line {
     ///
     /// A Newton step maps `s` to g(s) = s + along(s) · (point - at(s)). If the slope of g is below
     /// a half within twice the first step, then no step leaves that range (Banach).
-    pub(super) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
+    pub(crate) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
         let Sample {
             centre,
             along,

@@ -247,7 +247,7 @@ impl Detector {
             if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }
-            let corners = footprint.corners_along(vehicle.frame().forward());
+            let corners = footprint.corners_along(vehicle.frame.forward());
             let corners = corners.map(|corner| frame.to_local(corner));
             let near = corners.map(|corner| corner.dot(corner));
             let in_view = self.in_view.iter().any(|(range, slope)| {
@@ -345,7 +345,7 @@ impl Detector {
         let direction = angle + self.noise.normal(accuracy.angle);
         let position = mount.to_world(Vec2::from_angle(direction) * measured);
 
-        let over_ground = vehicle.frame().forward() * vehicle.participant.speed;
+        let over_ground = vehicle.frame.forward() * vehicle.participant.speed;
         let relative = ego.pose.unrotate(over_ground - ego.velocity());
         let sight = Vec2::from_angle(angle + mount.yaw);
         let velocity = relative

@@ -91,7 +91,7 @@ pub struct RoadUser {
     /// Its place in that lane.
     pub place: Frenet,
     /// Its pose as a frame.
-    frame: LocalFrame,
+    pub(crate) frame: LocalFrame,
     /// Change of `place.d`, m/s.
     lateral_speed: f64,
     /// The offset from the lane's centre that the driver goes to, m.
@@ -106,11 +106,6 @@ impl RoadUser {
     #[must_use]
     pub fn is_present(&self) -> bool {
         self.mode != Movement::Absent
-    }
-
-    /// Its pose as a frame.
-    pub(crate) const fn frame(&self) -> &LocalFrame {
-        &self.frame
     }
 
     fn set_pose(&mut self, pose: Pose) {
@@ -281,7 +276,7 @@ impl Traffic {
         }
     }
 
-    /// [`RoadLane::foot_near`](crate::road::Lane::foot_near) of the place of a vehicle.
+    /// [`RoadLane::project_near`](crate::road::RoadLane::project_near) of the place of a vehicle.
     pub(crate) fn foot(&mut self, index: usize, lane: LaneId, near: f64) -> Foot {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].foot(&self.road, lane, pose.position, near)
@@ -412,7 +407,7 @@ impl Traffic {
             vehicle.participant.speed,
         );
         let lane = self.road.lane(vehicle.lane);
-        let heading = lane.line_at(vehicle.place.s).heading;
+        let heading = lane.line.at(vehicle.place.s).heading;
         vehicle.lateral_speed = speed * wrap_angle(yaw - heading).sin();
         vehicle.mode = Movement::Driving;
         let gap = (leader.gap - vehicle.driver.standstill_gap) / speed.max(1.0);
@@ -598,7 +593,7 @@ fn drive(vehicle: &mut RoadUser, road: &Road, dt: f64) {
         .sqrt();
     vehicle.place.s += along * dt / (1.0 - curvature * vehicle.place.d).max(0.5);
     vehicle.place.d += vehicle.lateral_speed * dt;
-    let line = lane.line_at(vehicle.place.s);
+    let line = lane.line.at(vehicle.place.s);
     let yaw = line.heading + vehicle.lateral_speed.atan2(along);
     let before = vehicle.participant.footprint.pose.yaw;
     // No vehicle turns on the spot: curvature is limited, and so is the yaw rate.

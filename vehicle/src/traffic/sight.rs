@@ -39,7 +39,7 @@ struct View {
 impl View {
     fn foot(&mut self, road: &Road, position: Vec2) -> &Foot {
         let (lane, sample) = (road.lane(self.lane), self.sample);
-        { &mut self.foot }.get_or_insert_with(|| lane.foot(position, sample))
+        { &mut self.foot }.get_or_insert_with(|| lane.line.foot(position, sample))
     }
 }
 
@@ -64,9 +64,9 @@ impl Views {
         self.next = 0;
     }
 
-    /// The place in a lane of the vehicle that is at `position`: [`RoadLane::foot_near`].
+    /// The place in a lane of the vehicle that is at `position`: [`RoadLane::project_near`].
     ///
-    /// [`RoadLane::foot_near`]: crate::road::Lane::foot_near
+    /// [`RoadLane::project_near`]: crate::road::RoadLane::project_near
     pub(super) fn foot(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> Foot {
         *self.find(road, id, position, near).foot(road, position)
     }
@@ -102,7 +102,7 @@ impl Views {
 
     #[inline]
     fn find(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> &mut View {
-        let start = road.lane(id).sample_at(near);
+        let start = road.lane(id).line.sample_at(near);
         let leads = |view: &View| view.lane == id && view.from.0 <= start && start <= view.from.1;
         match self.known.iter().position(leads) {
             Some(known) => &mut self.known[known],
@@ -113,7 +113,7 @@ impl Views {
     #[inline(never)]
     fn find_from(&mut self, road: &Road, id: LaneId, position: Vec2, start: usize) -> &mut View {
         let lane = road.lane(id);
-        let sample = lane.sample_near(position, start);
+        let sample = lane.line.sample_near(position, start);
         let is_it = |view: &View| view.lane == id && view.sample == sample;
         if let Some(known) = self.known.iter().position(is_it) {
             let known = &mut self.known[known];
@@ -124,7 +124,7 @@ impl Views {
             lane: id,
             sample,
             from: (sample.min(start), sample.max(start)),
-            rough: lane.rough(position, sample),
+            rough: lane.line.rough(position, sample),
             foot: None,
             speeds: None,
         };
