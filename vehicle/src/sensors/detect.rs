@@ -46,31 +46,15 @@ struct Model {
 const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
+const fn lobe(range: f64, degrees: f64) -> Lobe {
+    let half_angle = degrees * DEGREE;
+    Lobe { range, half_angle }
+}
+
 /// Long range radar: a narrow far lobe and a wide near one.
-const FRONT_RADAR: &[Lobe] = &[
-    Lobe {
-        range: 250.0,
-        half_angle: 9.0 * DEGREE,
-    },
-    Lobe {
-        range: 80.0,
-        half_angle: 45.0 * DEGREE,
-    },
-];
-const CORNER_RADAR: &[Lobe] = &[Lobe {
-    range: 90.0,
-    half_angle: 75.0 * DEGREE,
-}];
-const CAMERA: &[Lobe] = &[
-    Lobe {
-        range: 120.0,
-        half_angle: 26.0 * DEGREE,
-    },
-    Lobe {
-        range: 60.0,
-        half_angle: 50.0 * DEGREE,
-    },
-];
+const FRONT_RADAR: &[Lobe] = &[lobe(250.0, 9.0), lobe(80.0, 45.0)];
+const CORNER_RADAR: &[Lobe] = &[lobe(90.0, 75.0)];
+const CAMERA: &[Lobe] = &[lobe(120.0, 26.0), lobe(60.0, 50.0)];
 
 const FRONT_RADAR_ACCURACY: Accuracy = Accuracy {
     range: 0.15,
@@ -99,38 +83,27 @@ const CAMERA_ACCURACY: Accuracy = Accuracy {
 };
 
 fn model(sensor: SensorId) -> Model {
-    let corner = |x: f64, y: f64, degrees: f64| Model {
+    let (lobes, accuracy) = match sensor {
+        SensorId::RadarFront => (FRONT_RADAR, FRONT_RADAR_ACCURACY),
+        SensorId::CameraFront => (CAMERA, CAMERA_ACCURACY),
+        _ => (CORNER_RADAR, CORNER_RADAR_ACCURACY),
+    };
+    let (x, y, degrees) = match sensor {
+        SensorId::RadarFront => (2.2, 0.0, 0.0),
+        SensorId::RadarFrontLeft => (2.0, 0.7, 45.0),
+        SensorId::RadarFrontRight => (2.0, -0.7, -45.0),
+        SensorId::RadarRearLeft => (-2.0, 0.7, 135.0),
+        SensorId::RadarRearRight => (-2.0, -0.7, -135.0),
+        SensorId::CameraFront => (0.6, 0.0, 0.0),
+    };
+    Model {
         mount: Pose {
             position: Vec2::new(x, y),
             yaw: degrees * DEGREE,
         },
-        lobes: CORNER_RADAR,
-        accuracy: CORNER_RADAR_ACCURACY,
-        classifies: false,
-    };
-    match sensor {
-        SensorId::RadarFront => Model {
-            mount: Pose {
-                position: Vec2::new(2.2, 0.0),
-                yaw: 0.0,
-            },
-            lobes: FRONT_RADAR,
-            accuracy: FRONT_RADAR_ACCURACY,
-            classifies: false,
-        },
-        SensorId::RadarFrontLeft => corner(2.0, 0.7, 45.0),
-        SensorId::RadarFrontRight => corner(2.0, -0.7, -45.0),
-        SensorId::RadarRearLeft => corner(-2.0, 0.7, 135.0),
-        SensorId::RadarRearRight => corner(-2.0, -0.7, -135.0),
-        SensorId::CameraFront => Model {
-            mount: Pose {
-                position: Vec2::new(0.6, 0.0),
-                yaw: 0.0,
-            },
-            lobes: CAMERA,
-            accuracy: CAMERA_ACCURACY,
-            classifies: true,
-        },
+        lobes,
+        accuracy,
+        classifies: sensor == SensorId::CameraFront,
     }
 }
 
