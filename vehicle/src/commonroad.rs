@@ -19,6 +19,8 @@ use crate::geometry::{Vec2, wrap_angle};
 mod goal;
 
 pub use goal::{Area, Goal, Nearest};
+/// Kind of an obstacle.
+pub use tandem_bus::ClassCode as Class;
 
 /// A larger file is refused, bytes: the largest published scenarios have 10 MB.
 pub const FILE_MAX: usize = 32 << 20;
@@ -68,23 +70,6 @@ pub struct Lanelet {
     pub right_neighbour: Option<i64>,
     /// m/s
     pub speed_limit: Option<f64>,
-}
-
-/// Kind of an obstacle; the numbers are those of the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Class {
-    /// Any other.
-    Unknown = 0,
-    /// Passenger car.
-    Car = 1,
-    /// Truck or bus.
-    Truck = 2,
-    /// Motorcycle or bicycle.
-    Motorcycle = 3,
-    /// Person on foot.
-    Pedestrian = 4,
-    /// Something that never moves.
-    Static = 5,
 }
 
 /// A place at one time.

@@ -2,7 +2,7 @@
 
 use tandem_bus::{SensorId, SensorObject};
 
-use super::{EgoTruth, Noise, bus_class};
+use super::{EgoTruth, Noise};
 use crate::geometry::{Pose, Vec2, wrap_angle};
 use crate::traffic::RoadUser;
 
@@ -328,7 +328,7 @@ impl Detector {
         let (cos, sin) = (sight.x.abs(), sight.y.abs());
         let across = accuracy.angle * distance;
         let class = if *classifies {
-            bus_class(vehicle.class)
+            vehicle.class
         } else {
             Default::default()
         };

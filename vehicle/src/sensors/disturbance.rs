@@ -44,33 +44,29 @@ impl FromStr for SensorFault {
     type Err = NoSensorFault;
 
     fn from_str(text: &str) -> Result<Self, NoSensorFault> {
-        let mut parts = text.split(':');
-        let (Some(name), Some(kind), Some(span), None) =
-            (parts.next(), parts.next(), parts.next(), parts.next())
-        else {
-            return Err(NoSensorFault);
-        };
-        let mut known = SensorId::ALL.into_iter();
-        let sensor = known.find(|sensor| name_of(*sensor) == name);
-        let late = match kind {
-            "lost" => false,
-            "late" => true,
-            _ => return Err(NoSensorFault),
-        };
-        let (from, to) = span.split_once('-').ok_or(NoSensorFault)?;
-        let seconds = |text: &str| text.trim_end_matches('s').parse::<f64>();
-        let (Ok(from), Ok(to)) = (seconds(from), seconds(to)) else {
-            return Err(NoSensorFault);
-        };
-        if !((0.0..to).contains(&from) && to.is_finite()) {
-            return Err(NoSensorFault);
-        }
-        Ok(Self {
-            sensor: sensor.ok_or(NoSensorFault)?,
-            late,
-            span_s: (from, to),
-        })
+        parsed(text).ok_or(NoSensorFault)
     }
+}
+
+fn parsed(text: &str) -> Option<SensorFault> {
+    let (name, rest) = text.split_once(':')?;
+    let (kind, span) = rest.split_once(':')?;
+    let (from, to) = span.split_once('-')?;
+    let seconds = |text: &str| text.trim_end_matches('s').parse::<f64>().ok();
+    let (from, to) = (seconds(from)?, seconds(to)?);
+    let late = match kind {
+        "lost" => false,
+        "late" => true,
+        _ => return None,
+    };
+    let mut known = SensorId::ALL.into_iter();
+    let sensor = known.find(|sensor| name_of(*sensor) == name)?;
+    let is_span = (0.0..to).contains(&from) && to.is_finite();
+    is_span.then_some(SensorFault {
+        sensor,
+        late,
+        span_s: (from, to),
+    })
 }
 
 /// Between the sensors and the bus: what fails, and the messages that are held back.

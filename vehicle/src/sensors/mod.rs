@@ -13,7 +13,6 @@ use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use tandem_bus::{CameraLanes, EgoMotion, SensorId, SensorObject};
 
-use crate::commonroad::Class;
 use crate::geometry::{Pose, Vec2};
 use crate::road::{Frenet, LaneId, Road};
 use crate::traffic::RoadUser;
@@ -125,17 +124,5 @@ impl Sensors {
             world_running,
             ..self.chassis.measure(ego)
         }
-    }
-}
-
-/// The bus's name for a class.
-fn bus_class(class: Class) -> tandem_bus::ClassCode {
-    match class {
-        Class::Unknown => tandem_bus::ClassCode::Unknown,
-        Class::Car => tandem_bus::ClassCode::Car,
-        Class::Truck => tandem_bus::ClassCode::Truck,
-        Class::Motorcycle => tandem_bus::ClassCode::Motorcycle,
-        Class::Pedestrian => tandem_bus::ClassCode::Pedestrian,
-        Class::Static => tandem_bus::ClassCode::Static,
     }
 }
