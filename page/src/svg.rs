@@ -125,12 +125,7 @@ impl Svg {
 
     /// A line through these points, with a tooltip.
     pub fn polyline(&mut self, points: impl Iterator<Item = Place>, stroke: Stroke, title: &str) {
-        let mut path = String::new();
-        for (i, (x, y)) in points.enumerate() {
-            let command = if i == 0 { 'M' } else { 'L' };
-            let _ = write!(path, "{command}{x:.1} {y:.1}");
-        }
-        let attributes = stroke.attributes();
+        let (path, attributes) = (path(points), stroke.attributes());
         self.add(format_args!(
             r#"<path d="{path}" stroke-linejoin="round" {attributes}>{}</path>"#,
             titled(title)
@@ -151,12 +146,7 @@ impl Svg {
 
     /// A filled shape with these corners.
     pub fn shape(&mut self, corners: impl Iterator<Item = Place>, fill: Color) {
-        let mut path = String::new();
-        for (i, (x, y)) in corners.enumerate() {
-            let command = if i == 0 { 'M' } else { 'L' };
-            let _ = write!(path, "{command}{x:.1} {y:.1}");
-        }
-        let fill = fill.css();
+        let (path, fill) = (path(corners), fill.css());
         self.add(format_args!(r#"<path d="{path}Z" style="fill:{fill}"/>"#));
     }
 
@@ -213,6 +203,15 @@ impl Svg {
     }
 }
 
+/// The commands of a path through these points.
+fn path(points: impl Iterator<Item = Place>) -> String {
+    let commands = std::iter::once('M').chain(std::iter::repeat('L'));
+    let steps = commands.zip(points);
+    steps
+        .map(|(command, (x, y))| format!("{command}{x:.1} {y:.1}"))
+        .collect()
+}
+
 fn titled(title: &str) -> String {
     match title {
         "" => String::new(),
@@ -221,17 +220,7 @@ fn titled(title: &str) -> String {
 }
 
 fn escaped(text: &str) -> String {
-    let mut escaped = String::new();
-    for character in text.chars() {
-        match character {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            other => escaped.push(other),
-        }
-    }
-    escaped
+    maud::Render::render(text).into_string()
 }
 
 #[cfg(test)]
