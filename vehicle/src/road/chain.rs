@@ -76,24 +76,18 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
         .rev()
         .map(|(index, lanelet)| (lanelet.id, index))
         .collect();
-    let index_of = |id: i64| places.get(&id).copied();
     // A successor that begins elsewhere is ignored: the road would cross a gap.
     let joined =
         |from: usize, to: usize| (pieces[to].first() - pieces[from].last()).norm() < JOINT_MAX;
-    let successors: Vec<Vec<usize>> = (0..lanelets.len())
-        .map(|from| {
-            let known = lanelets[from].successors.iter().copied();
-            let known = known.filter_map(index_of);
-            known.filter(|to| joined(from, *to)).collect()
-        })
-        .collect();
-    let predecessors: Vec<Vec<usize>> = (0..lanelets.len())
-        .map(|to| {
-            let known = lanelets[to].predecessors.iter().copied();
-            let known = known.filter_map(index_of);
-            known.filter(|from| joined(*from, to)).collect()
-        })
-        .collect();
+    let those = |ids: &[i64], is_joined: &dyn Fn(usize) -> bool| -> Vec<usize> {
+        let known = ids.iter().filter_map(|id| places.get(id).copied());
+        known.filter(|index| is_joined(*index)).collect()
+    };
+    let all = lanelets.iter().enumerate();
+    let after = |(from, it): (_, &Lanelet)| those(&it.successors, &|to| joined(from, to));
+    let before = |(to, it): (_, &Lanelet)| those(&it.predecessors, &|from| joined(from, to));
+    let successors: Vec<Vec<usize>> = all.clone().map(after).collect();
+    let predecessors: Vec<Vec<usize>> = all.map(before).collect();
     let is_dead_end =
         |index: usize| successors[index].is_empty() && pieces[index].length < DEAD_END;
     let next: Vec<Option<usize>> = (0..lanelets.len())
@@ -106,19 +100,19 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
     let has_neighbour_that = |index: usize, test: &dyn Fn(usize) -> bool| {
         neighbours(lanelets, &places, index).into_iter().any(test)
     };
-    let mut seen = vec![false; lanelets.len()];
-    let mut in_chain = vec![usize::MAX; lanelets.len()];
+    // The last chain that each lanelet is in.
+    let mut in_chain = vec![None; lanelets.len()];
     let mut length = 0.0;
-    let mut follow = |start: usize, number: usize, seen: &mut [bool]| -> Result<Chain, f64> {
+    let mut follow = |start: usize, number: usize, in_chain: &mut [Option<usize>]| {
         let mut chain = vec![start];
         let mut last = start;
-        (seen[start], in_chain[start]) = (true, number);
+        in_chain[start] = Some(number);
         length += 2.0 * RUN_OUT + pieces[start].length;
         while let Some(successor) = next[last] {
-            if in_chain[successor] == number {
+            if in_chain[successor] == Some(number) {
                 break;
             }
-            (seen[successor], in_chain[successor]) = (true, number);
+            in_chain[successor] = Some(number);
             length += pieces[successor].length;
             chain.push(successor);
             last = successor;
@@ -141,13 +135,11 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
     for successor in next.iter().flatten() {
         is_continued[*successor] = true;
     }
-    for start in (0..lanelets.len()).filter(|index| !is_continued[*index]) {
-        chains.push(follow(start, chains.len(), &mut seen)?);
-    }
-    // What is left are rings: they begin anywhere.
-    for start in 0..lanelets.len() {
-        if !seen[start] {
-            chains.push(follow(start, chains.len(), &mut seen)?);
+    let begins = (0..lanelets.len()).filter(|index| !is_continued[*index]);
+    // What is left then are rings: they begin anywhere.
+    for start in begins.chain(0..lanelets.len()) {
+        if in_chain[start].is_none() {
+            chains.push(follow(start, chains.len(), &mut in_chain)?);
         }
     }
     Ok(chains)
