@@ -59,46 +59,22 @@ pub(crate) fn run(root: &Path) -> Result<()> {
 /// Whether the allowed licences satisfy this SPDX expression. AND binds closer than OR, which old
 /// manifests write as a slash.
 fn permits(expression: &str, allowed: &[&str]) -> bool {
-    let spaced = expression
-        .replace('/', " OR ")
-        .replace('(', " ( ")
-        .replace(')', " ) ");
+    let spaced = expression.replace('/', " OR ").replace(')', " ) ");
     let words: Vec<&str> = spaced.split_whitespace().collect();
-    let (is_permitted, rest) = either(&words, allowed);
-    is_permitted && rest.is_empty()
-}
-
-fn either<'w>(words: &'w [&'w str], allowed: &[&str]) -> (bool, &'w [&'w str]) {
-    let (mut is_permitted, mut rest) = both(words, allowed);
-    while let ["OR", after @ ..] = rest {
-        let (next, after) = both(after, allowed);
-        (is_permitted, rest) = (is_permitted || next, after);
-    }
-    (is_permitted, rest)
-}
-
-fn both<'w>(words: &'w [&'w str], allowed: &[&str]) -> (bool, &'w [&'w str]) {
-    let (mut is_permitted, mut rest) = one(words, allowed);
-    while let ["AND", after @ ..] = rest {
-        let (next, after) = one(after, allowed);
-        (is_permitted, rest) = (is_permitted && next, after);
-    }
-    (is_permitted, rest)
-}
-
-fn one<'w>(words: &'w [&'w str], allowed: &[&str]) -> (bool, &'w [&'w str]) {
-    match words {
-        ["(", within @ ..] => match either(within, allowed) {
-            (is_permitted, [")", rest @ ..]) => (is_permitted, rest),
-            (_, rest) => (false, rest),
-        },
-        [name, "WITH", exception, rest @ ..] => (
-            allowed.contains(&&*format!("{name} WITH {exception}")),
-            rest,
-        ),
-        [name, rest @ ..] => (allowed.contains(name), rest),
-        [] => (false, &[]),
-    }
+    let text = words.join(" ");
+    let Some((before, rest)) = text.rsplit_once('(') else {
+        let mut choices = text.split(" OR ");
+        return choices.any(|all| all.split(" AND ").all(|one| allowed.contains(&one)));
+    };
+    let Some((within, after)) = rest.split_once(')') else {
+        return false;
+    };
+    // The innermost brackets stand for a licence that is allowed, or for none.
+    let known = allowed.first().filter(|_| permits(within.trim(), allowed));
+    permits(
+        &format!("{before} {} {after}", known.unwrap_or(&"none")),
+        allowed,
+    )
 }
 
 #[cfg(test)]
