@@ -512,7 +512,7 @@ fn test(root: &Path) -> Result<()> {
         println!("cargo-nextest is not installed; cargo test runs the same tests");
         &[&["test", "--workspace", "--no-fail-fast"]]
     };
-    let mut counts = Counts::default();
+    let (mut passed, mut failed) = (0, BTreeSet::new());
     let mut has_failed = false;
     for arguments in commands {
         let mut command = cargo(root, arguments);
@@ -524,11 +524,16 @@ fn test(root: &Path) -> Result<()> {
             .spawn()?;
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let read = std::thread::spawn(move || echo(stderr, &mut std::io::stderr()));
-        counts.add(&echo(stdout, &mut std::io::stdout()));
-        counts.add(&read.join().unwrap_or_default());
+        let results = echo(stdout, &mut std::io::stdout());
+        for (name, has_passed) in results.into_iter().chain(read.join().unwrap_or_default()) {
+            if has_passed {
+                passed += 1;
+            } else {
+                failed.insert(name);
+            }
+        }
         has_failed |= !child.wait()?.success();
     }
-    let Counts { passed, failed } = counts;
     println!("\n{passed} tests passed, {} failed", failed.len());
     for name in &failed {
         println!("FAILED: {name}");
@@ -538,57 +543,36 @@ fn test(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Hands the lines on as they arrive, and returns those with results.
-fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<String> {
+/// Hands the lines on as they arrive, and returns the names of tests, each with whether it passed.
+fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
     let mut results = Vec::new();
-    for line in from
+    let pipe = from
         .into_iter()
-        .flat_map(|pipe| BufReader::new(pipe).split(b'\n'))
-    {
-        let Ok(line) = line else { break };
+        .flat_map(|pipe| BufReader::new(pipe).split(b'\n'));
+    for line in pipe.map_while(Result::ok) {
         let _ = to.write_all(&[&line[..], b"\n"].concat());
-        let line = String::from_utf8_lossy(&line);
-        // A failed test's own output has such lines too, indented.
-        if line.starts_with("test ") {
-            results.push(line.trim().to_owned());
-        }
-        let status = line.trim_start().split(' ').next().unwrap_or_default();
-        let is_status = ["PASS", "LEAK", "FAIL", "LEAK-FAIL", "TIMEOUT"].contains(&status);
-        if is_status || status.starts_with("SIG") {
-            results.push(line.trim().to_owned());
-        }
+        results.extend(result_in(&String::from_utf8_lossy(&line)));
     }
     results
 }
 
-/// What the runners said.
-#[derive(Default)]
-struct Counts {
-    passed: u32,
-    /// Names of tests, each once.
-    failed: BTreeSet<String>,
-}
-
-impl Counts {
-    fn add(&mut self, results: &[String]) {
-        for line in results {
-            let of_cargo = line
-                .strip_prefix("test ")
-                .and_then(|it| it.rsplit_once(" ... "));
-            match of_cargo {
-                Some((_, "ok")) => self.passed += 1,
-                Some((name, "FAILED")) => _ = self.failed.insert(name.to_owned()),
-                Some(_) => {}
-                None if line.starts_with("PASS") || line.starts_with("LEAK ") => self.passed += 1,
-                None if line.starts_with("test ") => {}
-                // "FAIL [  1.0s] (1/2) package::file name", and once more at the end.
-                None => {
-                    let name = line.rsplit(") ").next().unwrap_or(line);
-                    self.failed.insert(name.to_owned());
-                }
-            }
-        }
+/// The result in a line of a runner.
+fn result_in(line: &str) -> Option<(String, bool)> {
+    // A failed test's own output has such lines too, indented.
+    if let Some(test) = line.strip_prefix("test ") {
+        let (name, result) = test.trim_end().rsplit_once(" ... ")?;
+        return ["ok", "FAILED"]
+            .contains(&result)
+            .then(|| (name.to_owned(), result == "ok"));
     }
+    // "FAIL [  1.0s] (1/2) package::file name", and once more at the end.
+    let line = line.trim();
+    let status = line.split(' ').next()?;
+    let has_passed = ["PASS", "LEAK"].contains(&status);
+    let has_failed = ["FAIL", "LEAK-FAIL", "TIMEOUT"].contains(&status);
+    let name = line.rsplit(") ").next()?;
+    let is_result = has_passed || has_failed || status.starts_with("SIG");
+    is_result.then(|| (name.to_owned(), has_passed))
 }
 
 fn bare_metal(root: &Path) -> Result<()> {
