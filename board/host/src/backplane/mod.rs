@@ -29,6 +29,9 @@ pub(crate) use layout::{
 /// "TDM" and the version of the layout, so that processes of two builds refuse each other.
 const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
+/// The longest delay of a disturbed connection, as of `Kind::Late` in a file of faults. A wild word in the shared
+/// memory must not hold frames back for longer: they would pile up in the vehicle's process.
+const LATE_MOST: Duration = Duration::from_ms(1_000);
 
 /// The processes of a run have different builds of this program.
 #[derive(Debug, thiserror::Error)]
@@ -249,7 +252,7 @@ impl Backplane {
         BusFault {
             lost_out: of(System::LostOut) as u16,
             lost_in: of(System::LostIn) as u16,
-            late: Duration::from_ms(of(System::LateMs).into()),
+            late: Duration::from_ms(of(System::LateMs).into()).min(LATE_MOST),
         }
     }
 
@@ -498,5 +501,23 @@ impl Drop for ScratchRun {
     fn drop(&mut self) {
         Backplane::remove(&self.0);
         doorbell::remove(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_delay_of_the_bus_is_at_most_that_of_a_fault() {
+        let (_run, backplane) = ScratchRun::create();
+        let late_ms = |ms| {
+            backplane.system(SystemId::A, System::LateMs).set(ms);
+            backplane.bus_fault(SystemId::A).late.as_us() / 1_000
+        };
+        let most = 1_000;
+        for ms in [0, 1, most, most + 1, u32::MAX] {
+            assert_eq!(late_ms(ms), u64::from(ms.min(most)));
+        }
     }
 }
