@@ -243,9 +243,10 @@ impl VehicleBus for HostVehiclePort {
         all.extend(core::iter::from_fn(|| self.network.carried()));
         // Stable: the frames of one core stay in their order even at equal times.
         all.sort_by_key(|carried| carried.sent);
-        // The bus carries them now: the start of this call may be earlier than a sender's time.
-        let at = clock::now();
         for carried in all.drain(..) {
+            // The bus carries this frame now: the start of this call may be earlier than its
+            // sender's time, and this process may have been held up since the frame before.
+            let at = clock::now();
             if let Sender::Core(CoreAddress { system, core }) = carried.sender {
                 let (frame, sent) = (carried.frame, carried.sent);
                 seen(system, core, Carried { frame, sent, at });
@@ -253,6 +254,7 @@ impl VehicleBus for HostVehiclePort {
             self.publish(&carried, at);
         }
         self.carried = all;
+        let at = clock::now();
         for of in CoreAddress::ALL {
             let errors = self.network.errors(of, at);
             self.backplane.set_can_errors(of.system, of.core, errors);
@@ -482,6 +484,25 @@ mod tests {
         assert_eq!(stamped.len(), 60);
         assert_eq!(heard, stamped);
         assert!(stamped.is_sorted_by_key(|(_, at)| *at));
+    }
+
+    #[test]
+    fn a_frame_after_a_hold_up_carries_the_time_after_it() {
+        let (run, mut port) = port();
+        let can = attached(&run, &port, SystemId::A, CoreId::CONTROL);
+        for id in 1..3 {
+            let frame = CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
+            can.try_send(&frame).unwrap();
+        }
+        let held_up = Duration::from_ms(5);
+        let mut stamps = vec![];
+        port.transmitted(&mut |_, _, carried| {
+            stamps.push(carried.at);
+            clock::sleep_until(clock::now() + held_up);
+        });
+        assert_eq!(stamps.len(), 2);
+        assert!(stamps[0] + held_up <= stamps[1], "{stamps:?}");
+        Backplane::remove(&run);
     }
 
     /// A disturbed connection loses, holds back, or does not receive; the other system's is sound.
