@@ -23,7 +23,7 @@ use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::{Config, Core};
 use tandem_rtos::Kernel;
-use tandem_runtime::{RuntimeOptions, Overload};
+use tandem_runtime::{Overload, RuntimeOptions};
 
 /// Value of strap `First`.
 const BOTH_SYSTEMS: u32 = 3;
