@@ -29,8 +29,9 @@ pub(crate) use layout::{
 /// "TDM" and the version of the layout, so that processes of two builds refuse each other.
 const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
-/// The longest delay of a disturbed connection, as of `Kind::Late` in a file of faults. A wild word in the shared
-/// memory must not hold frames back for longer: they would pile up in the vehicle's process.
+/// The longest delay of a disturbed connection, as of `Kind::Late` in a file of faults. A wild word
+/// in the shared memory must not hold frames back for longer: they would pile up in the vehicle's
+/// process.
 const LATE_MOST: Duration = Duration::from_ms(1_000);
 
 /// The processes of a run have different builds of this program.
