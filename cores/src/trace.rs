@@ -332,189 +332,136 @@ impl Event {
                 | Self::Held { .. }
         )
     }
+}
 
-    /// The event as four words: kind and up to three small fields in the first, then three numbers.
-    #[must_use]
-    pub const fn encode(self) -> TraceRecord {
-        const fn head(kind: u8, a: u8, b: u8, c: u8) -> u32 {
-            u32::from_le_bytes([kind, a, b, c])
-        }
-        match self {
-            Self::Started { generation, cause } => [head(1, cause, 0, 0), generation, 0, 0],
-            Self::Role { role, mode, term } => [head(2, role, mode, 0), term, 0, 0],
-            Self::Phase { from, to, on } => [head(3, from as u8, to as u8, on as u8), 0, 0, 0],
-            Self::TookOver {
-                cause,
-                since_heartbeat_us,
-                since_control_us,
-                term,
-            } => [
-                head(4, cause as u8, 0, 0),
-                since_heartbeat_us,
-                since_control_us,
-                term,
-            ],
-            Self::PeerFailed(failed) => [head(5, failed as u8, 0, 0), 0, 0, 0],
-            Self::Line { line, silent } => [head(6, line, silent as u8, 0), 0, 0, 0],
-            Self::LinesSplit => [head(7, 0, 0, 0), 0, 0, 0],
-            Self::CanSilent(silent) => [head(8, silent as u8, 0, 0), 0, 0, 0],
-            Self::Ignored { term } => [head(9, 0, 0, 0), term, 0, 0],
-            Self::TermRaised { term } => [head(10, 0, 0, 0), term, 0, 0],
-            Self::StateLost => [head(11, 0, 0, 0), 0, 0, 0],
-            Self::ControlCycle {
-                lateness_ns,
-                execution_ns,
-                transmitted,
-            } => [
-                head(12, transmitted as u8, 0, 0),
-                lateness_ns,
-                execution_ns,
-                0,
-            ],
-            Self::Chain { latency_ns, cycle } => [head(13, 0, 0, 0), latency_ns, cycle, 0],
-            Self::CoreSilent { core } => [head(14, core, 0, 0), 0, 0, 0],
-            Self::DeadlineMiss { task, missed } => [head(15, task.0, 0, 0), missed, 0, 0],
-            Self::FramesLost { count } => [head(33, 0, 0, 0), count, 0, 0],
-            Self::Sensors { missing } => [head(35, missing, 0, 0), 0, 0, 0],
-            Self::CanErrors { errors } => [head(34, 0, 0, 0), errors.to_word(), 0, 0],
-            Self::Refused { id } => [head(16, 0, 0, 0), id, 0, 0],
-            Self::TaskIn { task, begin } => match begin {
-                Begin::Goes => [head(17, task.0, 0, 0), 0, 0, 0],
-                Begin::Released { late_ns, missed } => [head(17, task.0, 1, 0), late_ns, missed, 0],
-            },
-            Self::TaskOut { task, leaves } => [head(18, task.0, leaves as u8, 0), 0, 0, 0],
-            Self::Ready { task } => [head(19, task.0, 0, 0), 0, 0, 0],
-            Self::IrqIn { irq } => [head(20, irq.0, 0, 0), 0, 0, 0],
-            Self::IrqOut { irq } => [head(21, irq.0, 0, 0), 0, 0, 0],
-            Self::Interrupted { irq } => [head(22, irq.0, 0, 0), 0, 0, 0],
-            Self::Wake { core, task, flow } => {
-                [head(23, core.index() as u8, task.0, 0), flow, 0, 0]
+/// What a record carries: three small fields, and three numbers.
+#[derive(Clone, Copy, Default)]
+struct Fields {
+    a: u8,
+    b: u8,
+    c: u8,
+    x: u32,
+    y: u32,
+    z: u32,
+}
+
+/// A field of an event in a record.
+trait Field<R>: Sized {
+    fn put(self) -> R;
+    fn take(raw: R) -> Option<Self>;
+}
+
+macro_rules! fields {
+    ($($type:ty as $raw:ty: $put:expr, $take:expr;)+) => {$(
+        impl Field<$raw> for $type {
+            fn put(self) -> $raw {
+                $put(self)
             }
-            Self::Woken { core, flow } => [head(24, core.index() as u8, 0, 0), flow, 0, 0],
-            Self::Stack { task, free_bytes } => [head(25, task.0, 0, 0), free_bytes, 0, 0],
-            Self::Held { task, longest_ns } => [head(27, task.0, 0, 0), longest_ns, 0, 0],
-            Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
-            Self::Agreement { stage, percent } => [head(29, stage, percent, 0), 0, 0, 0],
-            Self::OutputFault { found } => [head(32, found, 0, 0), 0, 0, 0],
-            Self::WrongCommand { witness } => [head(30, witness, 0, 0), 0, 0, 0],
-            Self::ClockWrong { of } => [head(31, of, 0, 0), 0, 0, 0],
-            Self::Flood {
-                source,
-                times,
-                beyond,
-            } => [head(28, source as u8, 0, 0), times, beyond, 0],
+            fn take(raw: $raw) -> Option<Self> {
+                $take(raw)
+            }
         }
-    }
+    )+};
+}
 
-    /// The event in a record; `None` if the record has another kind.
-    #[must_use]
-    pub fn decode([first, x, y, z]: TraceRecord) -> Option<Self> {
-        let [kind, a, b, c] = first.to_le_bytes();
-        Some(match kind {
-            1 => Self::Started {
-                generation: x,
-                cause: a,
-            },
-            2 => Self::Role {
-                role: a,
-                mode: b,
-                term: x,
-            },
-            3 => Self::Phase {
-                from: Phase::from_repr(a)?,
-                to: Phase::from_repr(b)?,
-                on: Evidence::from_repr(c)?,
-            },
-            4 => Self::TookOver {
-                cause: Evidence::from_repr(a)?,
-                since_heartbeat_us: x,
-                since_control_us: y,
-                term: z,
-            },
-            5 => Self::PeerFailed(a != 0),
-            6 => Self::Line {
-                line: a,
-                silent: b != 0,
-            },
-            7 => Self::LinesSplit,
-            8 => Self::CanSilent(a != 0),
-            9 => Self::Ignored { term: x },
-            10 => Self::TermRaised { term: x },
-            11 => Self::StateLost,
-            12 => Self::ControlCycle {
-                lateness_ns: x,
-                execution_ns: y,
-                transmitted: a != 0,
-            },
-            13 => Self::Chain {
-                latency_ns: x,
-                cycle: y,
-            },
-            14 => Self::CoreSilent { core: a },
-            15 => Self::DeadlineMiss {
-                task: TaskCode(a),
-                missed: x,
-            },
-            33 => Self::FramesLost { count: x },
-            35 => Self::Sensors { missing: a },
-            34 => Self::CanErrors {
-                errors: CanErrors::from_word(x),
-            },
-            16 => Self::Refused { id: x },
-            17 => Self::TaskIn {
-                task: TaskCode(a),
-                begin: match b {
-                    0 => Begin::Goes,
-                    1 => Begin::Released {
-                        late_ns: x,
-                        missed: y,
+fields! {
+    u8 as u8: u8::from, Some;
+    bool as u8: u8::from, |code| Some(code != 0);
+    TaskCode as u8: |task: Self| task.0, |code| Some(Self(code));
+    IrqCode as u8: |irq: Self| irq.0, |code| Some(Self(code));
+    CoreId as u8: |core: Self| core.index() as u8, Self::new;
+    Phase as u8: |phase| phase as u8, Self::from_repr;
+    Evidence as u8: |on| on as u8, Self::from_repr;
+    Leaves as u8: |leaves| leaves as u8, Self::from_repr;
+    FloodSource as u8: |source| source as u8, Self::from_repr;
+    u32 as u32: u32::from, Some;
+    CanErrors as u32: Self::to_word, |word| Some(Self::from_word(word));
+}
+
+/// The codec of the events: the number of each event, the place of each of its fields, and the
+/// values to which its field `a` is limited.
+macro_rules! codec {
+    ($($kind:literal $event:ident {$($field:tt: $place:ident),*} $($least:literal ..= $most:literal)?;)+) => {
+        impl Event {
+            /// The event as four words: kind and up to three small fields in the first, then three
+            /// numbers.
+            #[must_use]
+            pub fn encode(self) -> TraceRecord {
+                let none = Fields::default();
+                let (kind, fields) = match self {
+                    $(Self::$event { $($field: $place),* } => {
+                        ($kind, Fields { $($place: $place.put(),)* ..none })
+                    })+
+                    Self::TaskIn { task, begin: Begin::Goes } => (17, Fields { a: task.0, ..none }),
+                    Self::TaskIn { task, begin: Begin::Released { late_ns, missed } } => {
+                        (17, Fields { a: task.0, b: 1, x: late_ns, y: missed, ..none })
+                    }
+                };
+                let Fields { a, b, c, x, y, z } = fields;
+                [u32::from_le_bytes([kind, a, b, c]), x, y, z]
+            }
+
+            /// The event in a record; `None` if the record has another kind.
+            #[must_use]
+            pub fn decode([first, x, y, z]: TraceRecord) -> Option<Self> {
+                let [kind, a, b, c] = first.to_le_bytes();
+                let fields = Fields { a, b, c, x, y, z };
+                Some(match (kind, a) {
+                    $(($kind, codec!(@limits $($least $most)?)) => Self::$event {
+                        $($field: Field::take(fields.$place)?),*
+                    },)+
+                    (17, _) => Self::TaskIn {
+                        task: TaskCode(a),
+                        begin: match b {
+                            0 => Begin::Goes,
+                            1 => Begin::Released { late_ns: x, missed: y },
+                            _ => return None,
+                        },
                     },
                     _ => return None,
-                },
-            },
-            18 => Self::TaskOut {
-                task: TaskCode(a),
-                leaves: Leaves::from_repr(b)?,
-            },
-            19 => Self::Ready { task: TaskCode(a) },
-            20 => Self::IrqIn { irq: IrqCode(a) },
-            21 => Self::IrqOut { irq: IrqCode(a) },
-            22 => Self::Interrupted { irq: IrqCode(a) },
-            23 => Self::Wake {
-                core: CoreId::new(a)?,
-                task: TaskCode(b),
-                flow: x,
-            },
-            24 => Self::Woken {
-                core: CoreId::new(a)?,
-                flow: x,
-            },
-            25 => Self::Stack {
-                task: TaskCode(a),
-                free_bytes: x,
-            },
-            27 => Self::Held {
-                task: TaskCode(a),
-                longest_ns: x,
-            },
-            26 => Self::Ring {
-                core: CoreId::new(a)?,
-            },
-            29 if a <= 2 => Self::Agreement {
-                stage: a,
-                percent: b,
-            },
-            32 if matches!(a, 1 | 2) => Self::OutputFault { found: a },
-            30 if a <= 1 => Self::WrongCommand { witness: a },
-            31 if a <= 2 => Self::ClockWrong { of: a },
-            28 => Self::Flood {
-                source: FloodSource::from_repr(a)?,
-                times: x,
-                beyond: y,
-            },
-            _ => return None,
-        })
-    }
+                })
+            }
+        }
+    };
+    (@limits) => { _ };
+    (@limits $least:literal $most:literal) => { $least..=$most };
+}
+
+codec! {
+    1 Started { generation: x, cause: a };
+    2 Role { role: a, mode: b, term: x };
+    3 Phase { from: a, to: b, on: c };
+    4 TookOver { cause: a, since_heartbeat_us: x, since_control_us: y, term: z };
+    5 PeerFailed { 0: a };
+    6 Line { line: a, silent: b };
+    7 LinesSplit {};
+    8 CanSilent { 0: a };
+    9 Ignored { term: x };
+    10 TermRaised { term: x };
+    11 StateLost {};
+    12 ControlCycle { lateness_ns: x, execution_ns: y, transmitted: a };
+    13 Chain { latency_ns: x, cycle: y };
+    14 CoreSilent { core: a };
+    15 DeadlineMiss { task: a, missed: x };
+    16 Refused { id: x };
+    18 TaskOut { task: a, leaves: b };
+    19 Ready { task: a };
+    20 IrqIn { irq: a };
+    21 IrqOut { irq: a };
+    22 Interrupted { irq: a };
+    23 Wake { core: a, task: b, flow: x };
+    24 Woken { core: a, flow: x };
+    25 Stack { task: a, free_bytes: x };
+    26 Ring { core: a };
+    27 Held { task: a, longest_ns: x };
+    28 Flood { source: a, times: x, beyond: y };
+    29 Agreement { stage: a, percent: b } 0..=2;
+    30 WrongCommand { witness: a } 0..=1;
+    31 ClockWrong { of: a } 0..=2;
+    32 OutputFault { found: a } 1..=2;
+    33 FramesLost { count: x };
+    34 CanErrors { errors: x };
+    35 Sensors { missing: a };
 }
 
 #[cfg(test)]
