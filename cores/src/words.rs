@@ -16,132 +16,162 @@ pub use tandem_shm::{Corrupt, Payload};
 /// that no product of three overflows.
 const LIMIT: f32 = 1e6;
 
-fn put_f32s(put: &mut impl FnMut(u32), values: &[f32]) {
-    for value in values {
-        put(value.to_bits());
-    }
-}
-
-fn finite(take: &mut impl FnMut() -> u32) -> Result<f32, Corrupt> {
-    let value = f32::from_bits(take());
-    if value.abs() <= LIMIT {
-        Ok(value)
-    } else {
-        Err(Corrupt)
-    }
+/// A part of a payload: the words that stand for a value of this type.
+trait Part<V = Self> {
+    const WORDS: usize;
+    fn put(value: &V, put: &mut impl FnMut(u32));
+    fn take(take: &mut impl FnMut() -> u32) -> Result<V, Corrupt>;
 }
 
 /// A distance or speed that may be infinite ("none in sight").
-fn unbounded(take: &mut impl FnMut() -> u32) -> Result<f32, Corrupt> {
-    let value = f32::from_bits(take());
-    if value == f32::INFINITY || value.abs() <= LIMIT {
-        Ok(value)
-    } else {
-        Err(Corrupt)
+struct Unbounded;
+
+/// Parts of one word.
+macro_rules! words {
+    ($($part:ty as $value:ty: $put:expr, $take:expr;)+) => {$(
+        impl Part<$value> for $part {
+            const WORDS: usize = 1;
+            #[inline]
+            fn put(value: &$value, put: &mut impl FnMut(u32)) {
+                put($put(*value));
+            }
+            #[inline]
+            fn take(take: &mut impl FnMut() -> u32) -> Result<$value, Corrupt> {
+                $take(take()).ok_or(Corrupt)
+            }
+        }
+    )+};
+}
+
+words! {
+    u32 as u32: u32::from, Some;
+    bool as bool: u32::from, |word| (word <= 1).then_some(word == 1);
+    Memory as Memory: Memory::bits, Memory::from_bits;
+    f32 as f32: f32::to_bits, |word| Some(f32::from_bits(word)).filter(|it| it.abs() <= LIMIT);
+    Unbounded as f32: f32::to_bits, |word| {
+        Some(f32::from_bits(word)).filter(|it| *it == f32::INFINITY || it.abs() <= LIMIT)
+    };
+}
+
+impl Part for Instant {
+    const WORDS: usize = 2;
+
+    fn put(at: &Self, put: &mut impl FnMut(u32)) {
+        at.to_words().into_iter().for_each(put);
+    }
+
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let low = take();
+        Ok(Self::from_words([low, take()]))
     }
 }
 
-fn flag(take: &mut impl FnMut() -> u32) -> Result<bool, Corrupt> {
-    match take() {
-        0 => Ok(false),
-        1 => Ok(true),
-        _ => Err(Corrupt),
+/// Whether there is a value, and its words; they are 0 without one.
+impl<T: Part> Part for Option<T> {
+    const WORDS: usize = 1 + T::WORDS;
+
+    fn put(value: &Self, put: &mut impl FnMut(u32)) {
+        put(u32::from(value.is_some()));
+        match value {
+            Some(value) => T::put(value, put),
+            None => (0..T::WORDS).for_each(|_| put(0)),
+        }
+    }
+
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let some = bool::take(take)?;
+        let value = T::take(take)?;
+        Ok(some.then_some(value))
     }
 }
 
-fn put_option(put: &mut impl FnMut(u32), value: Option<f32>) {
-    put(u32::from(value.is_some()));
-    put(value.unwrap_or(0.0).to_bits());
-}
+impl<T: Part + Copy + Default, const N: usize> Part for [T; N] {
+    const WORDS: usize = N * T::WORDS;
 
-fn option(take: &mut impl FnMut() -> u32) -> Result<Option<f32>, Corrupt> {
-    let some = flag(take)?;
-    let value = finite(take)?;
-    Ok(some.then_some(value))
-}
-
-fn put_instant(put: &mut impl FnMut(u32), at: Instant) {
-    at.to_words().into_iter().for_each(put);
-}
-
-fn instant(take: &mut impl FnMut() -> u32) -> Instant {
-    let low = take();
-    Instant::from_words([low, take()])
-}
-
-impl Payload for Ego {
-    const WORDS: usize = 5;
-
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        let Self {
-            speed,
-            yaw_rate,
-            acceleration,
-            steering_angle,
-            slip_angle,
-        } = *self;
-        put_f32s(
-            put,
-            &[speed, yaw_rate, acceleration, steering_angle, slip_angle],
-        );
+    fn put(values: &Self, put: &mut impl FnMut(u32)) {
+        values.iter().for_each(|value| T::put(value, put));
     }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        Ok(Self {
-            speed: finite(take)?,
-            yaw_rate: finite(take)?,
-            acceleration: finite(take)?,
-            steering_angle: finite(take)?,
-            slip_angle: finite(take)?,
-        })
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let mut values = [T::default(); N];
+        for value in &mut values {
+            *value = T::take(take)?;
+        }
+        Ok(values)
     }
 }
 
-impl Payload for Lanes {
-    const WORDS: usize = 15;
+/// How many values there are, and their words; the rest is 0.
+impl<T: Part, const N: usize> Part for Vec<T, N> {
+    const WORDS: usize = 1 + N * T::WORDS;
 
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put_f32s(put, &self.c);
-        put_f32s(put, &[self.view_range, self.width]);
-        put_option(put, self.left);
-        put_option(put, self.right);
-        put_f32s(
-            put,
-            &[
-                self.own_end,
-                self.left_end,
-                self.right_end,
-                self.speed_limit,
-            ],
-        );
-        put(u32::from(self.ends_domain));
+    fn put(values: &Self, put: &mut impl FnMut(u32)) {
+        put(values.len() as u32);
+        values.iter().for_each(|value| T::put(value, put));
+        (values.len() * T::WORDS..N * T::WORDS).for_each(|_| put(0));
     }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        Ok(Self {
-            c: [finite(take)?, finite(take)?, finite(take)?, finite(take)?],
-            view_range: finite(take)?,
-            width: finite(take)?,
-            left: option(take)?,
-            right: option(take)?,
-            own_end: unbounded(take)?,
-            left_end: unbounded(take)?,
-            right_end: unbounded(take)?,
-            speed_limit: unbounded(take)?,
-            ends_domain: flag(take)?,
-        })
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let count = take() as usize;
+        if count > N {
+            return Err(Corrupt);
+        }
+        (0..count).map(|_| T::take(take)).collect()
     }
 }
 
-impl Payload for Object {
+/// The words of structs, field by field in this order. A value that fails the check after `if` is
+/// refused.
+macro_rules! structs {
+    ($($name:ident { $($field:tt: $part:ty),+ } $(if $check:ident)?;)+) => {$(
+        impl Part for $name {
+            const WORDS: usize = 0 $(+ <$part as Part<_>>::WORDS)+;
+
+            fn put(value: &Self, put: &mut impl FnMut(u32)) {
+                $(<$part as Part<_>>::put(&value.$field, put);)+
+            }
+
+            fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+                let value = Self { $($field: <$part as Part<_>>::take(take)?),+ };
+                $(if !value.$check() {
+                    return Err(Corrupt);
+                })?
+                Ok(value)
+            }
+        }
+    )+};
+}
+
+structs! {
+    Ego { speed: f32, yaw_rate: f32, acceleration: f32, steering_angle: f32, slip_angle: f32 };
+    Lanes {
+        c: [f32; 4], view_range: f32, width: f32, left: Option<f32>, right: Option<f32>,
+        own_end: Unbounded, left_end: Unbounded, right_end: Unbounded, speed_limit: Unbounded,
+        ends_domain: bool
+    };
+    TrajectoryPoint { x: f32, y: f32, heading: f32, curvature: f32, speed: f32, acceleration: f32 };
+    Command { steering_angle: f32, acceleration: f32 };
+    ControlStep {
+        cycle: u32, age_s: f32, pose: [f32; 3], ego: Ego, last: Command, command: Command
+    };
+    KnownLine { c: [f32; 4], view_range: f32 };
+    KnownPlan { memory: Memory, points: [TrajectoryPoint; PLAN_POINTS] };
+    KnownObject { 0: [u32; 4] };
+    Knowledge {
+        at: Instant, ego: Ego, line: Option<KnownLine>, plan: Option<KnownPlan>,
+        objects: Vec<KnownObject, MAX_OBJECTS>
+    } if is_plausible;
+}
+
+impl Part for Object {
     const WORDS: usize = 10;
 
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put(self.id);
-        put(self.class as u32
-            | (self.lane as u8 as u32) << 8
-            | u32::from(self.cuts_in) << 16
-            | u32::from(self.approaching) << 24);
+    fn put(object: &Self, put: &mut impl FnMut(u32)) {
+        put(object.id);
+        put(object.class as u32
+            | (object.lane as u8 as u32) << 8
+            | u32::from(object.cuts_in) << 16
+            | u32::from(object.approaching) << 24);
         let Self {
             x,
             y,
@@ -152,81 +182,65 @@ impl Payload for Object {
             length,
             width,
             ..
-        } = *self;
-        put_f32s(put, &[x, y, vx, vy, ax, length, width, ay]);
+        } = *object;
+        <[f32; 8]>::put(&[x, y, vx, vy, ax, length, width, ay], put);
     }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let id = take();
-        let tags = take();
-        let class = *ClassCode::ALL.get((tags & 0xFF) as usize).ok_or(Corrupt)?;
-        let cuts_in = match tags >> 16 & 0xFF {
-            0 => false,
-            1 => true,
-            _ => return Err(Corrupt),
-        };
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let (id, tags) = (take(), take());
+        let [class, lane, cuts_in, approaching] = tags.to_le_bytes();
+        let class = *ClassCode::ALL.get(usize::from(class)).ok_or(Corrupt)?;
+        let cuts_in = bool::take(&mut || cuts_in.into())?;
+        let [x, y, vx, vy, ax, length, width, ay] = <[f32; 8]>::take(take)?;
         Ok(Self {
             id,
             class,
-            x: finite(take)?,
-            y: finite(take)?,
-            vx: finite(take)?,
-            vy: finite(take)?,
-            ax: finite(take)?,
-            length: finite(take)?,
-            width: finite(take)?,
-            lane: (tags >> 8) as u8 as i8,
+            x,
+            y,
+            vx,
+            vy,
+            ax,
+            ay,
+            length,
+            width,
+            lane: lane as i8,
             cuts_in,
-            approaching: (tags >> 24) as u8,
-            ay: finite(take)?,
+            approaching,
         })
     }
 }
 
-impl Payload for Scene {
+impl Part for Scene {
     const WORDS: usize =
-        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 2 + 1 + MAX_OBJECTS * Object::WORDS;
+        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 2 + <Vec<Object, MAX_OBJECTS>>::WORDS;
 
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put_instant(put, self.at);
-        put_instant(put, self.measured);
-        put(self.cycle);
-        self.ego.store(put);
-        put(u32::from(self.lanes.is_some()) | u32::from(self.missing) << 8);
-        match &self.lanes {
-            Some(lanes) => lanes.store(put),
+    fn put(scene: &Self, put: &mut impl FnMut(u32)) {
+        [scene.at, scene.measured]
+            .iter()
+            .for_each(|at| Instant::put(at, put));
+        put(scene.cycle);
+        Ego::put(&scene.ego, put);
+        put(u32::from(scene.lanes.is_some()) | u32::from(scene.missing) << 8);
+        match &scene.lanes {
+            Some(lanes) => Lanes::put(lanes, put),
             None => (0..Lanes::WORDS).for_each(|_| put(0)),
         }
-        put_option(put, self.set_speed);
-        put(self.route as u32 | u32::from(self.near_gap) << 8);
-        put(self.lane_offset.to_bits());
-        put(self.objects.len() as u32);
-        self.objects.iter().for_each(|object| object.store(put));
-        (self.objects.len() * Object::WORDS..MAX_OBJECTS * Object::WORDS).for_each(|_| put(0));
+        Option::put(&scene.set_speed, put);
+        put(scene.route as u32 | u32::from(scene.near_gap) << 8);
+        put(scene.lane_offset.to_bits());
+        Vec::put(&scene.objects, put);
     }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let (at, measured) = (instant(take), instant(take));
-        let cycle = take();
-        let ego = Ego::load(take)?;
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let (at, measured, cycle) = (Instant::take(take)?, Instant::take(take)?, take());
+        let ego = Ego::take(take)?;
         let seen_and_missing = take();
-        let seen = flag(&mut || seen_and_missing & 0xFF)?;
+        let seen = bool::take(&mut || seen_and_missing & 0xFF)?;
         let missing = u8::try_from(seen_and_missing >> 8).map_err(|_| Corrupt)?;
-        let lanes = Lanes::load(take)?;
-        let set_speed = option(take)?;
+        let lanes = Lanes::take(take)?;
+        let set_speed = <Option<f32> as Part>::take(take)?;
         let route_and_gap = take();
-        let route = route_and_gap & 0xFF;
-        let route = *RouteCode::ALL.get(route as usize).ok_or(Corrupt)?;
-        let near_gap = flag(&mut || route_and_gap >> 8)?;
-        let lane_offset = f32::from_bits(take());
-        let count = take() as usize;
-        if count > MAX_OBJECTS {
-            return Err(Corrupt);
-        }
-        let mut objects = Vec::new();
-        for _ in 0..count {
-            objects.push(Object::load(take)?).map_err(|_| Corrupt)?;
-        }
+        let route = (route_and_gap & 0xFF) as usize;
         Ok(Self {
             at,
             measured,
@@ -235,165 +249,63 @@ impl Payload for Scene {
             ego,
             lanes: seen.then_some(lanes),
             set_speed,
-            route,
-            near_gap,
-            lane_offset,
-            objects,
+            route: *RouteCode::ALL.get(route).ok_or(Corrupt)?,
+            near_gap: bool::take(&mut || route_and_gap >> 8)?,
+            lane_offset: f32::from_bits(take()),
+            objects: Vec::take(take)?,
         })
     }
 }
 
-impl Payload for TrajectoryPoint {
-    const WORDS: usize = 6;
-
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        let Self {
-            x,
-            y,
-            heading,
-            curvature,
-            speed,
-            acceleration,
-        } = *self;
-        put_f32s(put, &[x, y, heading, curvature, speed, acceleration]);
-    }
-
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        Ok(Self {
-            x: finite(take)?,
-            y: finite(take)?,
-            heading: finite(take)?,
-            curvature: finite(take)?,
-            speed: finite(take)?,
-            acceleration: finite(take)?,
-        })
-    }
-}
-
-impl Payload for Trajectory {
+impl Part for Trajectory {
     const WORDS: usize = 2 + 2 + 1 + 1 + TRAJECTORY_SAMPLES * TrajectoryPoint::WORDS;
 
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put_instant(put, self.at);
-        put_instant(put, self.measured);
-        put(self.cycle);
-        put(self.maneuver as u32 | self.memory.bits() << 2);
-        self.points.iter().for_each(|point| point.store(put));
+    fn put(trajectory: &Self, put: &mut impl FnMut(u32)) {
+        [trajectory.at, trajectory.measured]
+            .iter()
+            .for_each(|at| Instant::put(at, put));
+        put(trajectory.cycle);
+        put(trajectory.maneuver as u32 | trajectory.memory.bits() << 2);
+        <[_; TRAJECTORY_SAMPLES]>::put(&trajectory.points, put);
     }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let (at, measured) = (instant(take), instant(take));
-        let cycle = take();
+    fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let (at, measured, cycle) = (Instant::take(take)?, Instant::take(take)?, take());
         let decided = take();
-        let maneuver = match decided & 3 {
-            0 => Maneuver::Follow,
-            1 => Maneuver::ChangeLeft,
-            2 => Maneuver::ChangeRight,
-            _ => Maneuver::Brake,
-        };
-        let mut points = [TrajectoryPoint::default(); TRAJECTORY_SAMPLES];
-        for point in &mut points {
-            *point = TrajectoryPoint::load(take)?;
-        }
         Ok(Self {
             at,
             measured,
             cycle,
-            maneuver,
+            maneuver: match decided & 3 {
+                0 => Maneuver::Follow,
+                1 => Maneuver::ChangeLeft,
+                2 => Maneuver::ChangeRight,
+                _ => Maneuver::Brake,
+            },
             memory: Memory::from_bits(decided >> 2).ok_or(Corrupt)?,
-            points,
+            points: <[_; TRAJECTORY_SAMPLES]>::take(take)?,
         })
     }
 }
 
-impl Payload for Knowledge {
-    const WORDS: usize = 2
-        + Ego::WORDS
-        + 6
-        + 2
-        + PLAN_POINTS * TrajectoryPoint::WORDS
-        + 1
-        + MAX_OBJECTS * KnownObject::WORDS;
+/// What crosses the LMU by itself.
+macro_rules! payloads {
+    ($($name:ident)+) => {$(
+        impl Payload for $name {
+            const WORDS: usize = <Self as Part>::WORDS;
 
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put_instant(put, self.at);
-        self.ego.store(put);
-        put(u32::from(self.line.is_some()));
-        let line = self.line.as_ref();
-        put_f32s(put, &line.map_or([0.0; 4], |line| line.c));
-        put_f32s(put, &[line.map_or(0.0, |line| line.view_range)]);
-        put(u32::from(self.plan.is_some()));
-        let plan = self.plan.as_ref();
-        put(plan.map_or(0, |plan| plan.memory.bits()));
-        let points = plan.map_or([TrajectoryPoint::default(); PLAN_POINTS], |it| it.points);
-        points.iter().for_each(|point| point.store(put));
-        put(self.objects.len() as u32);
-        let words = self.objects.iter().flat_map(|object| object.0);
-        words.for_each(&mut *put);
-        let missing = MAX_OBJECTS - self.objects.len();
-        (0..missing * KnownObject::WORDS).for_each(|_| put(0));
-    }
+            fn store(&self, put: &mut impl FnMut(u32)) {
+                <Self as Part>::put(self, put);
+            }
 
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let at = instant(take);
-        let ego = Ego::load(take)?;
-        let is_seen = flag(take)?;
-        let line = KnownLine {
-            c: [finite(take)?, finite(take)?, finite(take)?, finite(take)?],
-            view_range: finite(take)?,
-        };
-        let is_planned = flag(take)?;
-        let memory = Memory::from_bits(take()).ok_or(Corrupt)?;
-        let mut points = [TrajectoryPoint::default(); PLAN_POINTS];
-        for point in &mut points {
-            *point = TrajectoryPoint::load(take)?;
+            fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+                <Self as Part>::take(take)
+            }
         }
-        let count = take() as usize;
-        if count > MAX_OBJECTS {
-            return Err(Corrupt);
-        }
-        let object = |_| KnownObject([take(), take(), take(), take()]);
-        let knowledge = Self {
-            at,
-            ego,
-            line: is_seen.then_some(line),
-            plan: is_planned.then_some(KnownPlan { memory, points }),
-            objects: (0..count).map(object).collect(),
-        };
-        knowledge.is_plausible().then_some(knowledge).ok_or(Corrupt)
-    }
+    )+};
 }
 
-impl Payload for ControlStep {
-    const WORDS: usize = 1 + 1 + 3 + Ego::WORDS + 2 + 2;
-
-    fn store(&self, put: &mut impl FnMut(u32)) {
-        put(self.cycle);
-        put_f32s(put, &[self.age_s]);
-        put_f32s(put, &self.pose);
-        self.ego.store(put);
-        for command in [self.last, self.command] {
-            put_f32s(put, &[command.steering_angle, command.acceleration]);
-        }
-    }
-
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let command = |take: &mut _| {
-            Ok(Command {
-                steering_angle: finite(take)?,
-                acceleration: finite(take)?,
-            })
-        };
-        Ok(Self {
-            cycle: take(),
-            age_s: finite(take)?,
-            pose: [finite(take)?, finite(take)?, finite(take)?],
-            ego: Ego::load(take)?,
-            last: command(take)?,
-            command: command(take)?,
-        })
-    }
-}
+payloads! { Scene Trajectory Knowledge ControlStep }
 
 #[cfg(test)]
 mod tests {
