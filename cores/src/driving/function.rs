@@ -8,6 +8,7 @@
 //! Automated driving that lost something ends within [`END_LIMIT`]: with the driver, or at
 //! standstill.
 
+use strum::VariantArray;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
@@ -61,7 +62,7 @@ pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
 }
 
 /// State of the driving function.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, VariantArray)]
 #[repr(u8)]
 pub enum FunctionState {
     /// What it needs is not known: no lanes, no motion of the chassis.
@@ -80,16 +81,6 @@ pub enum FunctionState {
 }
 
 impl FunctionState {
-    /// All, in the order of their codes.
-    pub const ALL: [Self; 6] = [
-        Self::Off,
-        Self::Ready,
-        Self::Active,
-        Self::Degraded,
-        Self::TakeoverRequest,
-        Self::MinimalRisk,
-    ];
-
     /// Whether the function drives, and not the driver.
     #[must_use]
     pub const fn is_driving(self) -> bool {
@@ -118,8 +109,8 @@ impl FunctionState {
     }
 }
 
-/// The causes of a change of state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The causes of a change of state, in the order of their columns in [`NEXT`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 #[repr(u8)]
 pub enum Signal {
     /// The inputs are missing for longer than [`BLIND_LIMIT`].
@@ -142,25 +133,10 @@ pub enum Signal {
     Expired = 8,
 }
 
-impl Signal {
-    /// All, in the order of their columns in [`NEXT`].
-    pub const ALL: [Self; 9] = [
-        Self::Blind,
-        Self::Sees,
-        Self::Override,
-        Self::Engage,
-        Self::Fault,
-        Self::Alone,
-        Self::Leaves,
-        Self::Whole,
-        Self::Expired,
-    ];
-}
-
 /// The next state: a row for each state, a column for each signal.
 ///
 /// The driver can always take over. A minimal-risk stop is completed: only the driver ends it.
-pub const NEXT: [[FunctionState; Signal::ALL.len()]; FunctionState::ALL.len()] = {
+pub const NEXT: [[FunctionState; Signal::VARIANTS.len()]; FunctionState::VARIANTS.len()] = {
     use FunctionState::{
         Active as Act, Degraded as Deg, MinimalRisk as Mrm, Off, Ready as Rdy,
         TakeoverRequest as Req,
@@ -310,12 +286,12 @@ mod tests {
             FunctionState::TakeoverRequest => "takeover request",
             FunctionState::MinimalRisk => "minimal-risk stop",
         };
-        for state in FunctionState::ALL {
+        for &state in FunctionState::VARIANTS {
             let row = docs
                 .lines()
                 .find(|line| line.starts_with(&format!("| **{}** |", name(state))));
             let cells: Vec<_> = row.expect("a row").split('|').map(str::trim).collect();
-            for signal in Signal::ALL {
+            for &signal in Signal::VARIANTS {
                 let next = NEXT[state as usize][signal as usize];
                 let shown = if next == state { "·" } else { name(next) };
                 assert_eq!(cells[2 + signal as usize], shown, "{state:?} {signal:?}");
@@ -326,11 +302,11 @@ mod tests {
     /// Properties that hold in each cell, whatever the table says.
     #[test]
     fn the_driver_always_gets_the_vehicle_and_a_stop_is_completed() {
-        for state in FunctionState::ALL {
+        for &state in FunctionState::VARIANTS {
             let next = |signal: Signal| NEXT[state as usize][signal as usize];
             assert!(!next(Signal::Override).is_driving(), "{state:?}");
             // Only the driver makes the function drive.
-            for signal in Signal::ALL {
+            for &signal in Signal::VARIANTS {
                 let begins = !state.is_driving() && next(signal).is_driving();
                 assert!(!begins || signal == Signal::Engage, "{state:?} {signal:?}");
                 // While it drives, only the driver makes it stop driving.
@@ -340,15 +316,13 @@ mod tests {
                 assert!(!aborts || signal == Signal::Override, "{signal:?}");
             }
         }
-        assert_eq!(
-            FunctionState::ALL.map(|state| state as u8),
-            [0, 1, 2, 3, 4, 5]
-        );
+        let codes = FunctionState::VARIANTS.iter().map(|state| *state as u8);
+        assert!(codes.eq(0..6));
     }
 
     #[test]
     fn no_state_drives_by_more_than_is_permitted() {
-        for (state, permitted) in FunctionState::ALL.into_iter().flat_map(|state| {
+        for (state, permitted) in FunctionState::VARIANTS.iter().flat_map(|&state| {
             (0..)
                 .map_while(Mode::from_repr)
                 .map(move |mode| (state, mode))
