@@ -137,7 +137,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 store,
                 keep: Selection::default(),
             },
-            session: Session::new(),
+            session: Session::default(),
             entry: entry(&setup, now),
             answer: None,
             verdict: None,
@@ -188,7 +188,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 } else {
                     self.boot()?
                 };
-                (self.verdict, self.session) = (verdict, Session::new());
+                (self.verdict, self.session) = (verdict, Session::default());
                 self.entry = Entry::Always;
                 self.next(now)
             }

@@ -19,9 +19,10 @@ pub const MAX_WINDOW: u8 = 16;
 const MAX_ATTEMPTS: u8 = 8;
 
 /// The state of a connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
     /// No host is connected.
+    #[default]
     Closed,
     Open,
     /// The file has ended and is on trial.
@@ -30,7 +31,7 @@ enum State {
 }
 
 /// The connection and the records received over it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Session {
     state: State,
     assembler: Assembler,
@@ -50,21 +51,6 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    pub(crate) fn new() -> Self {
-        Self {
-            state: State::Closed,
-            assembler: Assembler::default(),
-            download: Download::default(),
-            window: 0,
-            accepted: 0,
-            unanswered: 0,
-            waits_for_go_back: false,
-            attempts: 0,
-            last: None,
-            heard: Instant::ORIGIN,
-        }
-    }
-
     pub(crate) const fn is_finished(&self) -> bool {
         matches!(self.state, State::Finished)
     }
@@ -90,7 +76,7 @@ impl Session {
 
     pub(crate) fn connect(&mut self, now: Instant, resume: bool) -> Answer {
         if !(resume && self.is_open()) {
-            *self = Self::new();
+            *self = Self::default();
         }
         (self.state, self.heard) = (State::Open, now);
         // The host repeats the record that it was sending when the connection broke.
