@@ -180,33 +180,26 @@ impl Stage {
         let End::Running(launch) = outcome.end else {
             return Some(format!("{:?}", outcome.end));
         };
-        let holds = |place: u32, images: &[Image; 2]| {
+        let holds = |flash: &SimulatedFlash, place: u32, images: &[Image; 2]| {
             let firm = |image: &Image| flash.firm(place, image.bytes.len() as u32);
             images
                 .iter()
                 .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
         };
         let place = |target| FlashRegion::Target(target).range().start;
-        if !holds(
-            place(ImageTarget::Application(launch.application)),
-            &self.applications,
-        ) {
+        let application = place(ImageTarget::Application(launch.application));
+        if !holds(flash, application, &self.applications) {
             return Some(format!("runs a damaged image: {launch:?}"));
         }
         let configuration = launch.configuration.map(ImageTarget::Configuration);
-        if !configuration.is_some_and(|target| holds(place(target), &self.configurations)) {
+        if !configuration.is_some_and(|target| holds(flash, place(target), &self.configurations)) {
             return Some(format!("has lost its configuration: {launch:?}"));
         }
         let Some(bank) = rom_choice(flash) else {
             return Some("no bootloader".into());
         };
-        let holds = |place: u32| {
-            let firm = |image: &Image| flash.firm(place, image.bytes.len() as u32);
-            let all = self.bootloaders.iter();
-            all.clone()
-                .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
-        };
-        if !holds(FlashRegion::Bank(bank).range().start) {
+        let running = FlashRegion::Bank(bank).range().start;
+        if !holds(flash, running, &self.bootloaders) {
             return Some(format!("runs a damaged bootloader from {bank:?}"));
         }
         None

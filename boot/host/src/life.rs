@@ -97,20 +97,16 @@ impl<'a> Life<'a> {
         let mut cause = ResetCause::PowerOn;
         for _ in 0..MAX_RESETS {
             let Some(bank) = rom_choice(flash) else { break };
-            match run.loader(self, flash, bank, cause) {
-                _ if !flash.is_on() => break,
-                Ok(Next::StartPrimary) if self.new_loader_crashes => cause = ResetCause::Watchdog,
-                Ok(Next::StartPrimary) => {
-                    match run.loader(self, flash, Bank::Primary, cause) {
-                        Ok(Next::Jump(launch)) => return run.application(self, flash, launch),
-                        Ok(Next::Wait(_)) => run.outcome.end = End::Waiting,
-                        _ => {}
-                    }
-                    if run.outcome.end == End::Waiting {
-                        break;
-                    }
-                    cause = ResetCause::Software;
+            let mut next = run.loader(self, flash, bank, cause);
+            if flash.is_on() && next == Ok(Next::StartPrimary) {
+                if self.new_loader_crashes {
+                    cause = ResetCause::Watchdog;
+                    continue;
                 }
+                next = run.loader(self, flash, Bank::Primary, cause);
+            }
+            match next {
+                _ if !flash.is_on() => break,
                 Ok(Next::Jump(launch)) => return run.application(self, flash, launch),
                 Ok(Next::Wait(_)) => {
                     run.outcome.end = End::Waiting;

@@ -46,6 +46,14 @@ struct Cell {
     tear: Tear,
 }
 
+impl Cell {
+    const ERASED: Self = Self {
+        bits: [0xFF; PAGE_BYTES],
+        weak: [0; PAGE_BYTES],
+        tear: Tear::Clean,
+    };
+}
+
 /// Why an operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelError {
@@ -181,12 +189,8 @@ impl SimulatedFlash {
     /// Writes bytes as a programming station does before assembly.
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         for (byte, at) in bytes.iter().zip(offset..) {
-            let erased = Cell {
-                bits: [0xFF; PAGE_BYTES],
-                weak: [0; PAGE_BYTES],
-                tear: Tear::Clean,
-            };
-            let cell = self.cells.entry(at / PAGE_BYTES as u32).or_insert(erased);
+            let cell = self.cells.entry(at / PAGE_BYTES as u32);
+            let cell = cell.or_insert(Cell::ERASED);
             cell.bits[at as usize % PAGE_BYTES] = *byte;
         }
     }
@@ -212,13 +216,8 @@ impl SimulatedFlash {
     fn program_page(&mut self, index: u32, data: &Page) -> Result<(), ModelError> {
         let torn = self.spend(PROGRAM_TICKS)?;
         self.programmed_pages += 1;
-        let erased = Cell {
-            bits: [0xFF; PAGE_BYTES],
-            weak: [0; PAGE_BYTES],
-            tear: Tear::Clean,
-        };
-        let old = self.cells.get(&index).copied().unwrap_or(erased);
-        if old != erased {
+        let old = self.cells.get(&index).copied().unwrap_or(Cell::ERASED);
+        if old != Cell::ERASED {
             self.overwrites.push(index * PAGE_BYTES as u32);
         }
         let mut cell = old;
@@ -254,15 +253,9 @@ impl SimulatedFlash {
     fn erase_sector(&mut self, range: Range<u32>) -> Result<(), ModelError> {
         let torn = self.spend(ERASE_TICKS)?;
         self.erased_bytes += u64::from(range.end - range.start);
-        let (from, to) = (
-            range.start / PAGE_BYTES as u32,
-            range.end / PAGE_BYTES as u32,
-        );
-        let pages: Vec<u32> = self
-            .cells
-            .range(from..to)
-            .map(|(index, _)| *index)
-            .collect();
+        let [from, to] = [range.start, range.end].map(|at| at / PAGE_BYTES as u32);
+        let pages = self.cells.range(from..to);
+        let pages: Vec<u32> = pages.map(|(index, _)| *index).collect();
         for index in pages {
             let done =
                 torn.is_none_or(|(ticks, _)| self.noise.0.random_range(0..ERASE_TICKS - 1) < ticks);
