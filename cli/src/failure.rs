@@ -19,7 +19,19 @@ pub enum Failure {
     CutShort,
 }
 
+/// An error without another word is one of the run.
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Run(error.into())
+    }
+}
+
 impl Failure {
+    /// An error before anything was started.
+    pub fn usage(error: impl Into<anyhow::Error>) -> Self {
+        Self::Usage(error.into())
+    }
+
     /// Prints on stderr what was wrong.
     pub fn say(&self) {
         match self {

@@ -49,7 +49,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
             become_program(Program::Lab, words)
         }
         Command::BootDemo(_) => {
-            let shown = boot_demo::on_host().map_err(Failure::Run)?;
+            let shown = boot_demo::on_host()?;
             print(&shown.to_string()).map_err(Failure::Run)
         }
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
@@ -60,7 +60,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Power(args) => injection::power(&args).map_err(Failure::Run),
         Command::Fault(args) => injection::fault(&args).map_err(Failure::Run),
         Command::Dflash(args) => {
-            let shown = dflash::run(&args).map_err(Failure::Run)?;
+            let shown = dflash::run(&args)?;
             print(&shown).map_err(Failure::Run)
         }
     }

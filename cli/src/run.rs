@@ -44,7 +44,7 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
     let publishing = Publishing::prepare();
-    let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
+    let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
     let longest = (args.timing == Timing::Auto)
         .then(|| stall_watch::longest(&checked.places, profile == LimitProfile::Rt, MEASURED_FOR));
@@ -56,7 +56,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         eprintln!("{granted}\n{}", limits(&config.budget(), longest));
     }
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, config).map_err(Failure::Run)?;
+    let config = with_flash(args, &files, config)?;
     let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
         cpus: checked.cores(),
@@ -65,7 +65,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
-    let ended = ended.map_err(Failure::Run)?;
+    let ended = ended?;
     let because = || match ended.vehicle {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
@@ -136,9 +136,7 @@ pub fn run_elsewhere(
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
     let config = RunConfig::of(args, LimitProfile::Rt);
-    let folder = tempfile::tempdir()
-        .context("a folder for the run's logs")
-        .map_err(Failure::Run)?;
+    let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
     let (summary, ended) = drive(&config, &files)?;
     print_updates(args, &files);
@@ -239,10 +237,8 @@ fn conclude(
     if interrupted && !collected.as_ref().is_ok_and(driven) {
         return Err(Failure::Interrupted);
     }
-    let metrics = collected
-        .and_then(|c| c.write(&checked.out, around))
-        .map_err(Failure::Run)?;
-    print_summary(args, &checked.out, &metrics).map_err(Failure::Run)?;
+    let metrics = collected.and_then(|c| c.write(&checked.out, around))?;
+    print_summary(args, &checked.out, &metrics)?;
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }

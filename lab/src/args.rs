@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::Serialize;
 use tandem::args::{BootDemoArgs, RunArgs};
 use tandem::board_kind::DemoBoard;
 
@@ -63,7 +64,8 @@ pub(crate) struct ThesisArgs {
 }
 
 /// Values of `--board` of `tandem thesis`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum ThesisBoard {
     /// Processes of this machine, in real time
     Host,
@@ -71,17 +73,6 @@ pub(crate) enum ThesisBoard {
     Sim,
     /// Firmware in emulated RISC-V machines, one for each system: an instruction takes 1 ns
     Qemu,
-}
-
-impl ThesisBoard {
-    /// Its name on the command line.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Host => "host",
-            Self::Sim => "sim",
-            Self::Qemu => "qemu",
-        }
-    }
 }
 
 /// Arguments of `tandem judge`.

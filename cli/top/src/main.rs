@@ -59,10 +59,8 @@ fn run(choice: &RunChoice) -> Result<(), Failure> {
         return Err(Failure::Usage(anyhow!(reason)));
     }
     let observer = Observer::on(choice.name.as_deref());
-    let observer = observer.map_err(|error| Failure::Usage(error.into()))?;
-    let mut terminal = ratatui::try_init()
-        .context("the terminal")
-        .map_err(Failure::Run)?;
+    let observer = observer.map_err(Failure::usage)?;
+    let mut terminal = ratatui::try_init().context("the terminal")?;
     let shown = show(&observer, &mut terminal);
     ratatui::restore();
     shown.map_err(Failure::Run)

@@ -89,10 +89,9 @@ pub(super) fn run(files: &[PathBuf], place: Option<OutputFile>) -> Result<(), Fa
     for group in groups.values() {
         covered.add(&Coverage::of_json(&group["covered"]).unwrap_or_default());
     }
-    print(&format!("{}{totals}\n", covered.text(false))).map_err(Failure::Run)?;
+    print(&format!("{}{totals}\n", covered.text(false)))?;
     if let Some(place) = place {
-        let written = place.write(&format!("{:#}\n", totals.json(groups, &ranges)));
-        written.map_err(|error| Failure::Run(error.into()))?;
+        place.write(&format!("{:#}\n", totals.json(groups, &ranges)))?;
     }
     match totals.violations {
         0 => Ok(()),

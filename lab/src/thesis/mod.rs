@@ -99,7 +99,7 @@ struct Shown {
 
 #[derive(Serialize)]
 struct Json<'a> {
-    board: &'a str,
+    board: ThesisBoard,
     results: &'a [Row],
 }
 
@@ -114,28 +114,23 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
         ("--json", args.json.as_deref()),
     ];
     let places = OutputFile::check_all(places);
-    let [svg_to, json_to] = places.map_err(|error| Failure::Usage(error.into()))?;
-    let shown = experiments(args).map_err(Failure::Run)?;
-    let write = |place: OutputFile, text: &str| {
-        place
-            .write(text)
-            .map_err(|error| Failure::Run(error.into()))
-    };
+    let [svg_to, json_to] = places.map_err(Failure::usage)?;
+    let shown = experiments(args)?;
     let mut text = shown.text;
     text += &table(&shown.rows);
     if let (Some(svg), Some(place), Some(path)) = (&shown.svg, svg_to, &args.svg) {
-        write(place, svg)?;
+        place.write(svg)?;
         let _ = writeln!(text, "\npicture of the outputs: {}", path.display());
     }
     if let Some(place) = json_to {
         let json = Json {
-            board: args.board.name(),
+            board: args.board,
             results: &shown.rows,
         };
-        let json = serde_json::to_string_pretty(&json).map_err(|e| Failure::Run(e.into()))?;
-        write(place, &(json + "\n"))?;
+        let json = serde_json::to_string_pretty(&json)?;
+        place.write(&(json + "\n"))?;
     }
-    tandem::print(&text).map_err(Failure::Run)?;
+    tandem::print(&text)?;
     let beyond = shown.rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| format!("{} is {:.3} {}", row.name, row.here, row.unit))
