@@ -15,6 +15,7 @@ mod rtos_demo;
 mod sim;
 mod square_waves;
 mod thesis;
+mod work;
 
 use std::process::ExitCode;
 
@@ -41,12 +42,12 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::run(&args),
         Command::Thesis(args) => thesis::run(&args),
         Command::RtosDemo(args) => {
-            let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
+            let shown = rtos_demo::run(&args)?;
             print(&shown).map_err(Failure::Run)
         }
         Command::BootDemo(args) => {
             let shown = boot_demo::experiment(args.board, args.images.as_deref());
-            let shown = shown.map_err(Failure::Run)?;
+            let shown = shown?;
             print(&shown.to_string()).map_err(Failure::Run)
         }
     }

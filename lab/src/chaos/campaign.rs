@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context as _, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_page::output::OutputFile;
@@ -17,6 +16,7 @@ use super::pipe::Line;
 use super::report::Found;
 use super::{Source, report};
 use crate::chaos_args::ChaosArgs;
+use crate::work;
 use tandem::failure::Failure;
 use tandem::print;
 
@@ -28,20 +28,18 @@ const FAULTS_OF_A_RUN: usize = 100;
 /// # Errors
 /// [`Failure`] with the exit status that the command documents.
 pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
-    let [place] = OutputFile::check_all([("--json", args.json.as_deref())])
-        .map_err(|error| Failure::Usage(error.into()))?;
+    let [place] =
+        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
-            .context("listening to signals")
-            .map_err(Failure::Run)?;
+            .context("listening to signals")?;
     }
-    let found = inject(source, numbers, args, &interrupted).map_err(Failure::Run)?;
-    print(&report::text(source, &found)).map_err(Failure::Run)?;
+    let found = inject(source, numbers, args, &interrupted)?;
+    print(&report::text(source, &found))?;
     if let Some(place) = place {
         let figures = report::json(source, &found);
-        let written = place.write(&format!("{figures:#}\n"));
-        written.map_err(|error| Failure::Run(error.into()))?;
+        place.write(&format!("{figures:#}\n"))?;
     }
     let violated = report::violated(&found);
     if violated > 0 {
@@ -63,10 +61,8 @@ fn inject(
     args: &ChaosArgs,
     interrupted: &AtomicBool,
 ) -> anyhow::Result<Found> {
-    let bar = ProgressBar::new(numbers.len() as u64);
     let style = "{bar:24.cyan/dim} {pos} of {len} faults, {per_sec}, {eta} left {msg}";
-    bar.set_style(ProgressStyle::with_template(style)?);
-    bar.enable_steady_tick(Duration::from_millis(200));
+    let bar = work::bar(numbers.len() as u64, style)?;
     let mut found = Found::default();
     let mut left = numbers;
     while let Some(first) = left.first()

@@ -4,18 +4,15 @@ mod drive;
 mod page;
 
 use std::fmt::Write as _;
-use std::num::NonZero;
 use std::path::Path;
-use std::sync::Mutex;
-use std::time::Duration;
 
-use anyhow::{Context as _, anyhow, bail};
+use anyhow::{Context as _, bail};
 use drive::{Judgement, Verdict};
-use indicatif::{ProgressBar, ProgressStyle};
 use tandem_page::output::OutputFile;
 use tandem_record::verdict::Rule;
 
 use crate::args::JudgeArgs;
+use crate::work;
 use tandem::failure::Failure;
 
 /// Judges all scenarios of the folder.
@@ -30,20 +27,14 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         ("--html", args.html.as_deref()),
     ];
     let places = OutputFile::check_all(places);
-    let [json_to, html_to] = places.map_err(|error| Failure::Usage(error.into()))?;
-    let judged = all(args, &files).map_err(Failure::Run)?;
-    tandem::print(&table(&judged)).map_err(Failure::Run)?;
-    let write = |place: OutputFile, text: String| {
-        place
-            .write(&text)
-            .map_err(|error| Failure::Run(error.into()))
-    };
+    let [json_to, html_to] = places.map_err(Failure::usage)?;
+    let judged = all(args, &files)?;
+    tandem::print(&table(&judged))?;
     if let Some(place) = json_to {
-        let json = serde_json::to_string_pretty(&judged).map_err(|e| Failure::Run(e.into()))?;
-        write(place, json + "\n")?;
+        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
     }
     if let Some(place) = html_to {
-        write(place, page::page(&args.folder, &judged))?;
+        place.write(&page::page(&args.folder, &judged))?;
     }
     let caused: Vec<String> = judged
         .iter()
@@ -75,39 +66,15 @@ fn scenarios(folder: &Path) -> anyhow::Result<Vec<String>> {
 
 /// Judges on several threads; the order of the result is that of `files`.
 fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
-    let jobs = args
-        .jobs
-        .or_else(|| std::thread::available_parallelism().ok());
-    let jobs = jobs.map_or(1, NonZero::get).min(files.len());
-    let bar = ProgressBar::new(files.len() as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(200));
-    let next = Mutex::new(files.iter().enumerate());
-    let done = Mutex::new(Vec::new());
-    let work = || {
-        loop {
-            let taken = next.lock().ok().and_then(|mut next| next.next());
-            let Some((index, file)) = taken else { return };
-            bar.set_message(file.clone());
-            let judgement = drive::judge(&args.folder, file, args.duration, args.seed);
-            bar.inc(1);
-            if let Ok(mut done) = done.lock() {
-                done.push((index, judgement));
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        workers
-            .into_iter()
-            .try_for_each(|worker| worker.join().map_err(|_| anyhow!("a drive panicked")))
-    })?;
+    let bar = work::bar(files.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
+    let judged = work::on_threads(args.jobs, files.iter(), |file| {
+        bar.set_message(file.clone());
+        let judgement = drive::judge(&args.folder, file, args.duration, args.seed);
+        bar.inc(1);
+        Ok(judgement)
+    });
     bar.finish_and_clear();
-    let mut done = done.into_inner().unwrap_or_default();
-    done.sort_by_key(|(index, _)| *index);
-    Ok(done.into_iter().map(|(_, judgement)| judgement).collect())
+    judged
 }
 
 /// One line for each file, and sums.

@@ -9,14 +9,11 @@ mod report;
 use std::num::NonZero;
 use std::path::PathBuf;
 use std::process::Command;
-use std::sync::Mutex;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
 use tandem_faults::{Group, Sequence, Site, known};
 use tandem_page::output::OutputFile;
@@ -25,6 +22,7 @@ use tandem_sim::timing::Time;
 use tandem_sim::{Around, Profile};
 
 use crate::fault_file::FaultFile;
+use crate::work;
 use outcome::Outcome;
 use report::Summary;
 use tandem::failure::Failure;
@@ -243,8 +241,8 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     if let (Some(chunk), [source]) = (&arguments.chunk, &sources[..]) {
         return run_chunk(source, chunk, arguments).map_err(Failure::Run);
     }
-    let [place] = OutputFile::check_all([("--json", arguments.json.as_deref())])
-        .map_err(|error| Failure::Usage(error.into()))?;
+    let [place] =
+        OutputFile::check_all([("--json", arguments.json.as_deref())]).map_err(Failure::usage)?;
     if !arguments.merge.is_empty() {
         return merge::run(&arguments.merge, place);
     }
@@ -253,10 +251,10 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     let mut all = Summary::default();
     let mut groups = serde_json::Map::new();
     for source in &sources {
-        let (outcomes, cpu) = campaign(source, arguments).map_err(Failure::Run)?;
+        let (outcomes, cpu) = campaign(source, arguments)?;
         cpu_s += cpu.as_secs_f64();
-        let (text, summary) = report::of(source, &outcomes, arguments).map_err(Failure::Run)?;
-        print(&text).map_err(Failure::Run)?;
+        let (text, summary) = report::of(source, &outcomes, arguments)?;
+        print(&text)?;
         groups.insert(source.name(), summary.json());
         all.add(&summary);
     }
@@ -275,12 +273,10 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     print(&format!(
         "{}{totals}\n",
         all.covered.text(arguments.coverage)
-    ))
-    .map_err(Failure::Run)?;
+    ))?;
     if let Some(place) = place {
-        let figures = totals.json(groups, &ranges(&sources, arguments).map_err(Failure::Run)?);
-        let written = place.write(&format!("{figures:#}\n"));
-        written.map_err(|error| Failure::Run(error.into()))?;
+        let figures = totals.json(groups, &ranges(&sources, arguments)?);
+        place.write(&format!("{figures:#}\n"))?;
     }
     if all.violated > 0 {
         let objection = format!("{} sequences violate what must be so", all.violated);
@@ -334,13 +330,8 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
     };
     let sequence = find().map_err(Failure::Usage)?;
     if let Some(path) = &arguments.save {
-        let place = OutputFile::check("--save", path);
-        let place = place.map_err(|error| Failure::Usage(error.into()))?;
-        let text = sequence.to_toml();
-        let text = text.map_err(|error| Failure::Run(error.into()))?;
-        place
-            .write(&text)
-            .map_err(|error| Failure::Run(error.into()))?;
+        let place = OutputFile::check("--save", path).map_err(Failure::usage)?;
+        place.write(&sequence.to_toml()?)?;
     }
     let out = arguments
         .out
@@ -352,8 +343,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
     let (trial, mut bench) = profile.run(&sequence, true);
     let mut text = format!("{sequence}\n");
     if let Some(out) = &out {
-        let written = recording::write(&mut bench, out, profile);
-        written.map_err(Failure::Run)?;
+        recording::write(&mut bench, out, profile)?;
     }
     for line in bench.story() {
         text.push_str(&line);
@@ -364,7 +354,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
         text.push_str(&format!("bound {:.1} ms ({loss:?})\n", bound.as_ms_f64()));
     }
     text.push_str(&format!("{trial}, digest {:016x}\n", trial.digest));
-    print(&text).map_err(Failure::Run)?;
+    print(&text)?;
     let new = trial.violations.iter();
     let new = new.filter(|rule| known(&sequence, **rule).is_none());
     let new: Vec<String> = new.map(|rule| format!("{rule:?}")).collect();
@@ -389,52 +379,19 @@ fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> 
 /// Runs the sequences in several processes at a time. Also returns the processor time.
 fn campaign(source: &Source, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
     let (from, to, step) = source.numbers(arguments)?;
-    let chunk = CHUNK * step;
-    let cpus = thread::available_parallelism();
-    let chunks = usize::try_from((to - from).div_ceil(chunk)).unwrap_or(usize::MAX);
-    let jobs = arguments
-        .jobs
-        .or(cpus.ok())
-        .map_or(1, NonZero::get)
-        .min(chunks);
-    let bar = ProgressBar::new((to - from).div_ceil(step));
     let style = "{bar:24.cyan/dim} {pos} of {len} sequences, {per_sec}, {eta} left {msg}";
-    bar.set_style(ProgressStyle::with_template(style)?);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    let (next, done) = (Mutex::new(from), Mutex::new(Vec::new()));
-    let spent = Mutex::new(Duration::ZERO);
-    let work = || -> Result<()> {
-        loop {
-            let first = {
-                let mut next = lock(&next);
-                let first = *next;
-                *next = first.saturating_add(chunk).min(to);
-                first
-            };
-            if first >= to {
-                return Ok(());
-            }
-            let until = first.saturating_add(chunk).min(to);
-            let (outcomes, cpu) = run_in_process(source, [first, until], arguments)?;
-            bar.inc(outcomes.len() as u64);
-            lock(&done).extend(outcomes);
-            *lock(&spent) += cpu;
-        }
-    };
-    thread::scope(|scope| {
-        let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        workers
-            .into_iter()
-            .try_for_each(|worker| match worker.join() {
-                Ok(result) => result,
-                Err(_) => bail!("a worker panicked"),
-            })
+    let bar = work::bar((to - from).div_ceil(step), style)?;
+    let chunk = CHUNK * step;
+    let firsts = (from..to).step_by(usize::try_from(chunk)?);
+    let done = work::on_threads(arguments.jobs, firsts, |first| {
+        let until = first.saturating_add(chunk).min(to);
+        let (outcomes, cpu) = run_in_process(source, [first, until], arguments)?;
+        bar.inc(outcomes.len() as u64);
+        Ok((outcomes, cpu))
     })?;
     bar.finish_and_clear();
-    let mut outcomes = core::mem::take(&mut *lock(&done));
-    outcomes.sort_by_key(|outcome| outcome.number);
-    let spent = *lock(&spent);
-    Ok((outcomes, spent))
+    let (outcomes, spent): (Vec<_>, Vec<Duration>) = done.into_iter().unzip();
+    Ok((outcomes.concat(), spent.iter().sum()))
 }
 
 fn run_in_process(
@@ -472,10 +429,4 @@ fn run_in_process(
 fn cpu_of(line: &str) -> Option<Duration> {
     let (s, ns) = line.strip_prefix("cpu ")?.split_once(' ')?;
     Some(Duration::new(s.parse().ok()?, ns.parse().ok()?))
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
