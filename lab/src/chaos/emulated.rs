@@ -222,14 +222,7 @@ impl Disturbed {
             }
         }
         let changes = effects(&sequence.faults, sequence.span, driver);
-        self.injected = Some(Injected {
-            number: *number,
-            driver,
-            at_ns: begin.as_ns(),
-            healed_ns: None,
-            power_cycles: 0,
-            roles: [RoleLamp::Starting; 2],
-        });
+        self.injected = Some(Injected::new(*number, driver, begin));
         self.doing = Doing::Suffer {
             begin,
             changes: changes.into(),

@@ -3,7 +3,7 @@
 
 use anyhow::Context as _;
 use rustix::process::{Signal, set_parent_process_death_signal};
-use tandem_board::{CanId, Duration, RoleLamp, SystemId};
+use tandem_board::{CanId, Duration, Instant, RoleLamp, SystemId};
 use tandem_board_host::injection::{Injection, Target};
 use tandem_board_host::{Backplane, BusTap, clock};
 use tandem_bus::Control;
@@ -48,14 +48,7 @@ fn inject_all(
     let mut injector = Injector::new(injection, flash, &hold);
     let backplane = injection.backplane();
     let mut done: Vec<Injected> = Vec::new();
-    let mut begun = Injected {
-        number: 0,
-        driver: SystemId::A,
-        at_ns: 0,
-        healed_ns: None,
-        power_cycles: 0,
-        roles: [RoleLamp::Starting; 2],
-    };
+    let mut begun = Injected::new(0, SystemId::A, Instant::ORIGIN);
     heal(injection, &mut begun);
     for (index, number) in numbers.iter().enumerate() {
         let (sequence, phase) = source.sequence(*number)?;
@@ -67,13 +60,7 @@ fn inject_all(
         if let Some(phase) = phase {
             wait_for_phase(backplane, driver, phase)?;
         }
-        let mut injected = Injected {
-            number: *number,
-            driver,
-            at_ns: clock::now().as_ns(),
-            ..begun.clone()
-        };
-        injected.power_cycles = 0;
+        let mut injected = Injected::new(*number, driver, clock::now());
         injector.suffer(&sequence.faults, sequence.span, driver)?;
         let healed = heal(injection, &mut injected);
         if backplane.stop_requested() {

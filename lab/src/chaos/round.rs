@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use clap::Parser as _;
-use tandem_board::{Duration, RoleLamp, SystemId};
+use tandem_board::{Duration, Instant, RoleLamp, SystemId};
 
 use crate::args::{Cli, Command};
 use tandem::args::RunArgs;
@@ -32,6 +32,20 @@ pub(super) struct Injected {
     pub(super) power_cycles: u32,
     /// The roles when the wait was over, for a message.
     pub(super) roles: [RoleLamp; 2],
+}
+
+impl Injected {
+    /// A sequence that begins now, with what is known then.
+    pub(super) const fn new(number: u64, driver: SystemId, at: Instant) -> Self {
+        Self {
+            number,
+            driver,
+            at_ns: at.as_ns(),
+            healed_ns: None,
+            power_cycles: 0,
+            roles: [RoleLamp::Starting; 2],
+        }
+    }
 }
 
 /// The arguments of a run that is long enough for these faults.
