@@ -35,9 +35,9 @@ use iceoryx2_bb_posix::shared_memory::{
     SharedMemory, SharedMemoryBuilder, SharedMemoryCreationError, SharedMemoryRemoveError,
 };
 use iceoryx2_bb_system_types::file_name::FileName;
-use iceoryx2_bb_system_types::file_path::FilePath;
 use iceoryx2_bb_system_types::path::Path;
-use iceoryx2_cal::dynamic_storage::dynamic_storage_configuration::DynamicStorageConfiguration;
+pub use iceoryx2_cal::dynamic_storage::posix_shared_memory::Configuration;
+use iceoryx2_cal::dynamic_storage::posix_shared_memory::Storage as TouchedLater;
 use iceoryx2_cal::dynamic_storage::{
     DynamicStorage, DynamicStorageBuilder, DynamicStorageCreateError, DynamicStorageOpenError,
     DynamicStorageOpenOrCreateError, Initializer,
@@ -101,86 +101,11 @@ impl From<CreateError> for DynamicStorageCreateError {
     }
 }
 
-/// How the file of a storage is named, and who owns it.
-#[derive(Debug)]
-pub struct Configuration<T, const LASTING: bool = false> {
-    prefix: FileName,
-    suffix: FileName,
-    path_hint: Path,
-    type_name: String,
-    _value: PhantomData<fn() -> T>,
-}
-
-// A derived implementation would require that `T` is `Clone`.
-impl<T, const LASTING: bool> Clone for Configuration<T, LASTING> {
-    fn clone(&self) -> Self {
-        Self {
-            type_name: self.type_name.clone(),
-            ..*self
-        }
-    }
-}
-
-impl<T: Value, const LASTING: bool> Default for Configuration<T, LASTING> {
-    fn default() -> Self {
-        Self {
-            prefix: Storage::<T, LASTING>::default_prefix(),
-            suffix: Storage::<T, LASTING>::default_suffix(),
-            path_hint: Storage::<T, LASTING>::default_path_hint(),
-            type_name: core::any::type_name::<T>().to_owned(),
-            _value: PhantomData,
-        }
-    }
-}
-
-impl<T: Value, const LASTING: bool> NamedConceptConfiguration for Configuration<T, LASTING> {
-    fn prefix(mut self, value: &FileName) -> Self {
-        self.prefix = *value;
-        self
-    }
-
-    fn get_prefix(&self) -> &FileName {
-        &self.prefix
-    }
-
-    fn suffix(mut self, value: &FileName) -> Self {
-        self.suffix = *value;
-        self
-    }
-
-    fn get_suffix(&self) -> &FileName {
-        &self.suffix
-    }
-
-    fn path_hint(mut self, value: &Path) -> Self {
-        self.path_hint = *value;
-        self
-    }
-
-    fn get_path_hint(&self) -> &Path {
-        &self.path_hint
-    }
-
-    fn path_for(&self, value: &FileName) -> FilePath {
-        self.path_for_with_type(value)
-    }
-
-    fn extract_name_from_file(&self, value: &FileName) -> Option<FileName> {
-        self.extract_name_from_file_with_type(value)
-    }
-}
-
-impl<T: Value, const LASTING: bool> DynamicStorageConfiguration for Configuration<T, LASTING> {
-    fn type_name(&self) -> &str {
-        &self.type_name
-    }
-}
-
 /// Creates or opens a [`Storage`].
 #[derive(Debug)]
-pub struct Builder<'builder, T, const LASTING: bool = false> {
+pub struct Builder<'builder, T: Value, const LASTING: bool = false> {
     name: FileName,
-    config: Configuration<T, LASTING>,
+    config: Configuration<T>,
     supplementary_size: usize,
     for_all: bool,
     has_ownership: bool,
@@ -358,7 +283,7 @@ impl<T: Value, const LASTING: bool> NamedConceptBuilder<Storage<T, LASTING>>
         }
     }
 
-    fn config(mut self, config: &Configuration<T, LASTING>) -> Self {
+    fn config(mut self, config: &Configuration<T>) -> Self {
         self.config = config.clone();
         self
     }
@@ -474,11 +399,11 @@ impl<T: Value, const LASTING: bool> NamedConcept for Storage<T, LASTING> {
 }
 
 impl<T: Value, const LASTING: bool> NamedConceptMgmt for Storage<T, LASTING> {
-    type Configuration = Configuration<T, LASTING>;
+    type Configuration = Configuration<T>;
 
     unsafe fn remove_cfg(
         name: &FileName,
-        config: &Configuration<T, LASTING>,
+        config: &Configuration<T>,
     ) -> Result<bool, NamedConceptRemoveError> {
         let file = config.path_for(name).file_name();
         SharedMemory::remove(&file).map_err(|error| match error {
@@ -491,14 +416,12 @@ impl<T: Value, const LASTING: bool> NamedConceptMgmt for Storage<T, LASTING> {
 
     fn does_exist_cfg(
         name: &FileName,
-        config: &Configuration<T, LASTING>,
+        config: &Configuration<T>,
     ) -> Result<bool, NamedConceptDoesExistError> {
         Ok(SharedMemory::does_exist(&config.path_for(name).file_name()))
     }
 
-    fn list_cfg(
-        config: &Configuration<T, LASTING>,
-    ) -> Result<Vec<FileName>, NamedConceptListError> {
+    fn list_cfg(config: &Configuration<T>) -> Result<Vec<FileName>, NamedConceptListError> {
         let all = SharedMemory::list();
         let ours = all
             .iter()
@@ -536,10 +459,8 @@ impl<T: Value, const LASTING: bool> DynamicStorage<T> for Storage<T, LASTING> {
         unsafe { self.content().value.assume_init_ref() }
     }
 
-    unsafe fn __internal_set_type_name_in_config(
-        config: &mut Configuration<T, LASTING>,
-        name: &str,
-    ) {
-        name.clone_into(&mut config.type_name);
+    unsafe fn __internal_set_type_name_in_config(config: &mut Configuration<T>, name: &str) {
+        // SAFETY: the caller's promise is the same one.
+        unsafe { TouchedLater::<T>::__internal_set_type_name_in_config(config, name) };
     }
 }
