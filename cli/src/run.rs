@@ -406,11 +406,7 @@ fn grant(
     launcher: &Launcher,
 ) -> anyhow::Result<(LimitProfile, String)> {
     let granted = if args.timing == Timing::Desktop {
-        Grant {
-            fifo: None,
-            cpu: None,
-            memory_locked: false,
-        }
+        Grant::default()
     } else {
         // In a separate thread, because a claim changes its thread.
         let probe = || {

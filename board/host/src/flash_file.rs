@@ -103,10 +103,7 @@ impl HostFlash {
     /// # Errors
     /// [`FlashFileError`] if it cannot be created or has a wrong size.
     pub fn prepare(path: &Path) -> Result<(), FlashFileError> {
-        let failed = |source| FlashFileError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let failed = refused(path);
         match fs::metadata(path) {
             Ok(found) if found.len() == SIZE => Ok(()),
             Ok(found) => Err(FlashFileError::Size {
@@ -123,18 +120,10 @@ impl HostFlash {
     /// # Errors
     /// [`FlashFileError`], also if the file is in use.
     pub fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
-        let failed = |source| FlashFileError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let failed = refused(path);
         let deadline = Instant::now() + LAST_OWNER_ENDS;
         loop {
-            Self::prepare(path)?;
-            let file = OpenOptions::new()
-                .read(true)
-                .write(true)
-                .open(path)
-                .map_err(failed)?;
+            let file = open_prepared(path)?;
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Err(Errno::WOULDBLOCK) if Instant::now() < deadline => {
                     thread::sleep(Duration::from_millis(2));
@@ -166,16 +155,7 @@ impl HostFlash {
     /// # Errors
     /// [`FlashFileError`] if the file cannot be opened or created, or has a wrong size.
     pub fn open(path: &Path) -> Result<Self, FlashFileError> {
-        Self::prepare(path)?;
-        let failed = |source| FlashFileError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(path)
-            .map_err(failed)?;
+        let file = open_prepared(path)?;
         let device = Arc::new(Device {
             file,
             status: AtomicU8::new(IDLE),
@@ -190,7 +170,7 @@ impl HostFlash {
         let worker = thread::Builder::new()
             .name("data flash".to_owned())
             .spawn(move || its.work())
-            .map_err(failed)?;
+            .map_err(refused(path))?;
         Ok(Self {
             device,
             worker: worker.thread().clone(),
@@ -298,6 +278,22 @@ fn carry_out(file: &File, started: &Started, present: &mut [u8; SECTOR]) -> io::
     operation.apply(bytes, &started.data);
     file.write_all_at(bytes, at)?;
     file.sync_data()
+}
+
+/// Prepares the file, and opens it for reading and writing.
+fn open_prepared(path: &Path) -> Result<File, FlashFileError> {
+    HostFlash::prepare(path)?;
+    let mut options = OpenOptions::new();
+    let opened = options.read(true).write(true).open(path);
+    opened.map_err(refused(path))
+}
+
+/// Makes the error of an operation on this file.
+fn refused(path: &Path) -> impl Fn(io::Error) -> FlashFileError + Copy {
+    move |source| FlashFileError::Io {
+        path: path.to_owned(),
+        source,
+    }
 }
 
 /// Creates the file completely or not at all, even at a power loss. Keeps a file that another

@@ -20,8 +20,8 @@ pub struct Claim {
     pub lock_memory: bool,
 }
 
-/// The granted claims.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The granted claims; by default none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Grant {
     /// The priority under SCHED_FIFO, if granted.
     pub fifo: Option<u8>,
@@ -92,14 +92,9 @@ pub fn probe(wanted: Claim) -> Grant {
         })
     })
     .join();
-    let nothing = Grant {
-        fifo: None,
-        cpu: None,
-        memory_locked: false,
-    };
     Grant {
         memory_locked: wanted.lock_memory && may_lock(),
-        ..tried.unwrap_or(nothing)
+        ..tried.unwrap_or_default()
     }
 }
 

@@ -5,7 +5,6 @@
 //! frozen or dead never holds the publisher up.
 
 use core::fmt::Debug;
-use std::fmt;
 
 use iceoryx2::node::Node;
 use iceoryx2::port::publisher::Publisher as Sending;
@@ -176,16 +175,9 @@ fn padded<const N: usize>(bytes: &[u8]) -> (u8, [u8; N]) {
 }
 
 /// Why a run cannot be published or observed.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
 pub struct ServiceError(String);
-
-impl fmt::Display for ServiceError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for ServiceError {}
 
 fn refused<E: Debug>(what: &str) -> impl FnOnce(E) -> ServiceError {
     let what = what.to_owned();

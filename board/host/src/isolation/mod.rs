@@ -126,12 +126,6 @@ impl Isolation {
         &self.run
     }
 
-    /// Whether the kernel removes everything at the end.
-    #[must_use]
-    pub const fn is_private(&self) -> bool {
-        matches!(self.place, Place::Private)
-    }
-
     /// Removes the files of the run. Its processes must have ended.
     pub fn wipe(&self) {
         match self.place {
