@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, poll};
-use rustix::process::{Pid, WaitOptions, set_child_subreaper, wait};
+use rustix::process::{Pid, Signal, WaitOptions, set_child_subreaper, wait};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_board::SystemId;
 
@@ -133,7 +133,8 @@ impl Launcher {
     /// # Errors
     /// [`LaunchError`] if shared memory or signals are not available.
     pub fn prepare_in(isolation: Isolation) -> Result<Self, LaunchError> {
-        let backplane = create_memory(&isolation)?;
+        // If there is not room for all, removes it again.
+        let backplane = memory::create(isolation.run()).inspect_err(|_| isolation.wipe())?;
         backplane.set_launcher(std::process::id());
         // Cores whose supply was killed become children of this process, which then waits for them.
         let _ = set_child_subreaper(Pid::from_raw(1));
@@ -341,9 +342,7 @@ impl Launcher {
             // a core.
             while !processes.is_empty() && Instant::now() < deadline {
                 for process in &processes {
-                    if let Some(pid) = i32::try_from(process.pid).ok().and_then(Pid::from_raw) {
-                        spawn::kill(pid);
-                    }
+                    spawn::signal(process.pid, Signal::KILL);
                 }
                 self.wait_for_children(LOOK_AGAIN);
                 reap_orphans();
@@ -396,11 +395,6 @@ impl Drop for Launcher {
             self.end();
         }
     }
-}
-
-/// Creates the run's memory; if there is not room for all, removes it again.
-fn create_memory(isolation: &Isolation) -> Result<Backplane, MemoryError> {
-    memory::create(isolation.run()).inspect_err(|_| isolation.wipe())
 }
 
 /// Waits for cores whose supply was killed: they are children of this process now.

@@ -10,6 +10,10 @@ use rustix::process::{
     Pid, PidfdFlags, Signal, getpid, getppid, kill_process, pidfd_open,
     set_parent_process_death_signal,
 };
+use tandem_board::Duration;
+
+use crate::backplane::Backplane;
+use crate::clock;
 
 /// Starts a process that is killed as soon as the calling one dies, in any way.
 ///
@@ -61,8 +65,7 @@ pub(crate) struct Watched {
 impl Watched {
     /// `None` if the process has already ended (and, if it was a child, was waited for).
     pub(crate) fn new(pid: u32) -> Option<Self> {
-        let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
-        let fd = pidfd_open(pid, PidfdFlags::empty()).ok()?;
+        let fd = pidfd_open(self::pid(pid)?, PidfdFlags::empty()).ok()?;
         Some(Self { fd })
     }
 
@@ -85,7 +88,26 @@ impl Watched {
     }
 }
 
-/// Kills a process by its id.
-pub(crate) fn kill(pid: Pid) {
-    let _ = kill_process(pid, Signal::KILL);
+/// The process with this id; `None` if there can be none.
+pub(crate) fn pid(number: u32) -> Option<Pid> {
+    Pid::from_raw(i32::try_from(number).ok()?)
+}
+
+/// Sends a signal to a process, which may have just ended.
+pub(crate) fn signal(number: u32, signal: Signal) {
+    if let Some(pid) = pid(number) {
+        let _ = kill_process(pid, signal);
+    }
+}
+
+/// Waits until all processes of the run are known. Returns `false` if the launcher died before.
+pub(crate) fn wait_until_assembled(backplane: Backplane) -> bool {
+    let launcher = Watched::new(backplane.launcher_pid());
+    while !backplane.is_assembled() {
+        if launcher.as_ref().is_none_or(Watched::has_ended) {
+            return backplane.is_assembled();
+        }
+        clock::sleep_until(clock::now() + Duration::from_ms(1));
+    }
+    true
 }

@@ -19,7 +19,7 @@ use std::process::{Child, Command};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use signal_hook::consts::SIGURG;
 use signal_hook::low_level::pipe;
 use tandem_board::{
@@ -49,19 +49,12 @@ const POKE: Signal = Signal::URG;
 
 /// Makes the supply of a system read its registers now. No effect if it has none.
 pub(crate) fn poke(backplane: Backplane, system: SystemId) {
-    poke_process(backplane.supply_pid(system));
+    spawn::signal(backplane.supply_pid(system), POKE);
 }
 
 /// The same for the launcher.
 pub(crate) fn poke_launcher(backplane: Backplane) {
-    poke_process(backplane.launcher_pid());
-}
-
-fn poke_process(pid: u32) {
-    if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
-        // It may have just ended.
-        let _ = kill_process(pid, POKE);
-    }
+    spawn::signal(backplane.launcher_pid(), POKE);
 }
 
 /// Pokes and other signals as a stream: one that arrives just before a sleep ends that sleep as
@@ -176,13 +169,8 @@ fn wait_for_ignition(
     backplane: Backplane,
     power_on: u32,
 ) -> Option<(Watched, Option<Watched>)> {
-    let launcher = Watched::new(backplane.launcher_pid());
-    while !backplane.is_assembled() {
-        let ended = launcher.as_ref().is_none_or(Watched::has_ended);
-        if ended && !backplane.is_assembled() {
-            return None;
-        }
-        clock::sleep_until(clock::now() + PERIOD);
+    if !spawn::wait_until_assembled(backplane) {
+        return None;
     }
     let vehicle = Watched::new(backplane.vehicle_pid())?;
     while !backplane.ignition() {
@@ -525,7 +513,7 @@ mod tests {
     #[test]
     fn a_poke_that_arrives_before_the_sleep_ends_it() {
         let mut pokes = Pokes::receive(&[]).unwrap();
-        kill_process(rustix::process::getpid(), POKE).unwrap();
+        spawn::signal(std::process::id(), POKE);
         let is_poked = |pokes: &Pokes, left| {
             let mut fds = [pokes.fd()];
             poll(&mut fds, Some(&left)).is_ok_and(|ready| ready > 0)

@@ -18,7 +18,7 @@ use crate::backplane::{
 };
 use crate::clock::{self, Ticker};
 use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
-use crate::spawn::Watched;
+use crate::spawn;
 use crate::trace_ring::Reader;
 
 /// One period of the vehicle.
@@ -128,7 +128,9 @@ impl HostVehiclePort {
     /// [`VehiclePortError`] if the run is over or never became complete.
     pub fn attach(args: &VehicleArgs) -> Result<Self, VehiclePortError> {
         let backplane = Backplane::open(&args.common.run)?;
-        wait_until_assembled(backplane)?;
+        if !spawn::wait_until_assembled(backplane) {
+            return Err(VehiclePortError::Abandoned);
+        }
         let mut from_cores = vec![];
         for of in CoreAddress::ALL {
             let frames = RINGS.transmit[of.index()];
@@ -366,18 +368,6 @@ impl VehiclePort for HostVehiclePort {
     fn is_powered(&self, system: SystemId) -> bool {
         self.backplane.level(system)
     }
-}
-
-fn wait_until_assembled(backplane: Backplane) -> Result<(), VehiclePortError> {
-    let launcher = Watched::new(backplane.launcher_pid());
-    while !backplane.is_assembled() {
-        let ended = launcher.as_ref().is_none_or(Watched::has_ended);
-        if ended && !backplane.is_assembled() {
-            return Err(VehiclePortError::Abandoned);
-        }
-        clock::sleep_until(clock::now() + Duration::from_ms(1));
-    }
-    Ok(())
 }
 
 #[cfg(test)]
