@@ -3,7 +3,8 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{Instant, Pass, RoleLamp, SystemId, VehiclePort};
+use tandem_board::{Instant, Pass, SystemId, VehiclePort};
+use tandem_board_host::processes::role_name;
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
@@ -367,15 +368,5 @@ where
             });
         }
         self.recorder.close()
-    }
-}
-
-const fn role_name(lamp: RoleLamp) -> &'static str {
-    match lamp {
-        RoleLamp::Starting => "starting",
-        RoleLamp::Master => "master",
-        RoleLamp::DegradedMaster => "degraded",
-        RoleLamp::Standby => "standby",
-        RoleLamp::Suspended => "suspended",
     }
 }

@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::os::unix::ffi::OsStringExt;
 
-use tandem_board::{CoreId, Generation, SystemId};
+use tandem_board::{CoreId, Generation, RoleLamp, SystemId};
 
 use crate::args::ProcessArgs;
 use crate::name::RunName;
@@ -47,6 +47,18 @@ pub struct Process {
     pub role: Option<String>,
     /// The CPU that it ran on last.
     pub cpu: Option<u32>,
+}
+
+/// The name of a role in [`Process::role`].
+#[must_use]
+pub const fn role_name(lamp: RoleLamp) -> &'static str {
+    match lamp {
+        RoleLamp::Starting => "starting",
+        RoleLamp::Master => "master",
+        RoleLamp::DegradedMaster => "degraded",
+        RoleLamp::Standby => "standby",
+        RoleLamp::Suspended => "suspended",
+    }
 }
 
 /// All processes of all runs, ordered by run, system (the vehicle last), supply before cores.

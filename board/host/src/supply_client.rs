@@ -12,6 +12,7 @@ use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
+use crate::processes::role_name;
 use crate::supply::poke;
 
 /// The registers of a system's supply. Only core 0 services the watchdog.
@@ -82,13 +83,7 @@ const NAME_BYTES: usize = 15;
 
 /// The name of a core in `ps`, and its length: `A0 master`.
 fn process_name(of: Identity, lamp: RoleLamp) -> ([u8; NAME_BYTES], usize) {
-    let role = match lamp {
-        RoleLamp::Starting => "starting",
-        RoleLamp::Master => "master",
-        RoleLamp::DegradedMaster => "degraded",
-        RoleLamp::Standby => "standby",
-        RoleLamp::Suspended => "suspended",
-    };
+    let role = role_name(lamp);
     let mut name = [0; NAME_BYTES];
     let mut rest = &mut name[..];
     // The end of a long name is cut off.
