@@ -251,7 +251,7 @@ impl News {
                 VehicleRecord::Start { at_ns } => self.start_ns = Some(*at_ns),
                 VehicleRecord::Power { system, on, .. } => {
                     if let Some(state) = self.roles.state.get_mut(usize::from(*system)) {
-                        *state = if *on { 1 } else { 0 };
+                        *state = u8::from(*on);
                     }
                 }
                 _ => {}
@@ -282,7 +282,8 @@ impl News {
                 let Some(system) = SystemId::from_index(system.into()) else {
                     return;
                 };
-                self.roles.state[system.index()] = code(RoleState::of(status.role, status.mode));
+                // The states are in the order of the numbers.
+                self.roles.state[system.index()] = RoleState::of(status.role, status.mode) as u8;
                 // A system reports the lines that it receives: those from its peer.
                 let heard =
                     [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));
@@ -290,19 +291,6 @@ impl News {
             }
             _ => {}
         }
-    }
-}
-
-/// Returns the number of [`Roles::state`].
-const fn code(state: RoleState) -> u8 {
-    match state {
-        RoleState::Off => 0,
-        RoleState::Starting => 1,
-        RoleState::Standby => 2,
-        RoleState::Master => 3,
-        RoleState::Degraded => 4,
-        RoleState::SafeStop => 5,
-        RoleState::Suspended => 6,
     }
 }
 

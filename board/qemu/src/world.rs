@@ -133,13 +133,14 @@ impl EmulatedWorld {
         })
     }
 
+    fn running(&self) -> impl Iterator<Item = &Machine> {
+        self.machines.iter().flat_map(|node| &node.machine)
+    }
+
     /// The running emulator processes, with their systems.
     pub fn processes(&self) -> impl Iterator<Item = (u32, &[SystemId])> {
-        let running = self
-            .machines
-            .iter()
-            .filter_map(|node| node.machine.as_ref());
-        running.map(|machine| (machine.pid(), machine.systems()))
+        self.running()
+            .map(|machine| (machine.pid(), machine.systems()))
     }
 
     /// The flag that requests an early end of the run.
@@ -151,11 +152,10 @@ impl EmulatedWorld {
     /// The log of the firmware of all running machines.
     #[must_use]
     pub fn log(&self) -> String {
-        let running = self
-            .machines
-            .iter()
-            .filter_map(|node| node.machine.as_ref());
-        running.map(Machine::log).collect::<Vec<_>>().join("\n")
+        self.running()
+            .map(Machine::log)
+            .collect::<Vec<_>>()
+            .join("\n")
     }
 
     /// Ends all machines and returns their firmware's logs.

@@ -54,21 +54,21 @@ fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
     } else {
         thin(points, LINE_POINTS)
     };
-    Series {
-        name: name.to_owned(),
-        title: String::new(),
-        color,
-        style: Style::Line(2.0),
-        points,
-    }
+    series(name, color, Style::Line(2.0), points)
 }
 
-fn dashed(name: &str, color: Color, points: Vec<(f64, f64)>) -> Series {
+/// A series without a tooltip.
+pub(super) fn series(
+    name: impl Into<String>,
+    color: Color,
+    style: Style,
+    points: Vec<(f64, f64)>,
+) -> Series {
     Series {
-        name: name.to_owned(),
+        name: name.into(),
         title: String::new(),
         color,
-        style: Style::Dashed(1.0, "6 4"),
+        style,
         points,
     }
 }
@@ -159,7 +159,12 @@ pub(super) fn speed(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         LINE_POINTS,
     );
     let series = vec![
-        dashed("set by the driver", Color::MUTED, set),
+        series(
+            "set by the driver",
+            Color::MUTED,
+            Style::Dashed(1.0, "6 4"),
+            set,
+        ),
         line("own speed", Color::A, &over_time(log, |s| s.speed)),
     ];
     time_chart(log, takeovers, 230.0, "m/s", series)
@@ -220,13 +225,10 @@ pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
             .filter(|gap| gap.0 == system)
             .map(|gap| (gap.1, gap.2.max(0.0)))
             .collect();
-        chart.series.push(Series {
-            name: format!("accepted from {system}"),
-            title: String::new(),
-            color: system_color(system),
-            style: Style::Dots,
-            points: thin(&points, DOTS),
-        });
+        let name = format!("accepted from {system}");
+        let dots = thin(&points, DOTS);
+        let color = system_color(system);
+        chart.series.push(series(name, color, Style::Dots, dots));
     }
     chart.marks = marks(log, takeovers);
     chart
@@ -246,27 +248,22 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
             Spans::from_ms(chain_ms(log)).curve(),
         ),
     ];
-    let series: Vec<Series> = curves
+    let all_series: Vec<Series> = curves
         .into_iter()
         .filter(|(_, _, curve)| !curve.is_empty())
-        .map(|(name, color, curve)| Series {
-            name: name.to_owned(),
-            title: String::new(),
-            color,
-            style: Style::Line(2.0),
-            points: curve
-                .iter()
-                .map(|(rarity, ms)| (rarity.log10(), ms.max(SHORTEST_MS).log10()))
-                .collect(),
+        .map(|(name, color, curve)| {
+            let place = |(rarity, ms): &(f64, f64)| (rarity.log10(), ms.max(SHORTEST_MS).log10());
+            let points = curve.iter().map(place).collect();
+            series(name, color, Style::Line(2.0), points)
         })
         .collect();
-    let all = || series.iter().flat_map(|series| &series.points);
+    let all = || all_series.iter().flat_map(|series| &series.points);
     let rarest = all().map(|point| point.0.ceil() as i32).fold(1, i32::max);
     let low = all().map(|point| point.1.floor() as i32).fold(0, i32::min);
     let top = all().map(|point| point.1.ceil() as i32).fold(1, i32::max);
     let x = Axis::decades("percentile", (0, rarest), chart::percentile);
     let y = Axis::decades("ms", (low, top), chart::power);
     let mut chart = Chart::new(260.0, x, y);
-    chart.series = series;
+    chart.series = all_series;
     chart
 }

@@ -1,9 +1,11 @@
 //! The road from above at one moment: lanes, the own path, the vehicles.
 
-use tandem_page::chart::{Axis, Chart, Polygon, Series, Style};
+use tandem_page::chart::{Axis, Chart, Polygon, Style};
 use tandem_page::svg::Color;
 use tandem_record::RunLog;
 use tandem_record::log::{Lane, Other, Sample};
+
+use super::sections::series;
 
 /// Height of the chart in its own units.
 const HEIGHT: f64 = 230.0;
@@ -141,13 +143,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
         }
     }
     let mut line = |color, style, points| {
-        chart.series.push(Series {
-            name: String::new(),
-            title: String::new(),
-            color,
-            style,
-            points,
-        });
+        chart.series.push(series("", color, style, points));
     };
     for lane in lanes {
         for border in [&lane.left, &lane.right] {
