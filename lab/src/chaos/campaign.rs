@@ -188,8 +188,6 @@ fn follow(
 }
 
 fn signal(child: &Child, signal: Signal) {
-    if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
-        // Fails if it has ended.
-        let _ = kill_process(pid, signal);
-    }
+    // Fails if it has ended.
+    let _ = kill_process(Pid::from_child(child), signal);
 }

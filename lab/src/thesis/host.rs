@@ -4,8 +4,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, ensure};
 use clap::Parser as _;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use tandem_board::{CoreId, RoleLamp, SystemId};
+use tandem_board_host::injection::{Injection, Target};
 use tandem_board_host::{Backplane, clock};
 use tandem_record::RunLog;
 use tandem_record::verdict::Beside;
@@ -35,24 +36,27 @@ fn arguments() -> anyhow::Result<RunArgs> {
 /// returned as standby, the supply of B is killed.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Beside, Done)> {
     let recorded = run::recorded(&arguments()?, |injection, _| {
-        let done = act(injection.backplane());
+        let done = act(&injection);
         injection.backplane().request_stop();
         done
     })?;
     Ok((recorded.log, recorded.around.beside, recorded.done))
 }
 
-fn act(backplane: Backplane) -> anyhow::Result<Done> {
+fn act(injection: &Injection) -> anyhow::Result<Done> {
+    let backplane = injection.backplane();
+    let kill = |target| {
+        let killed = injection.signal(target, Signal::KILL);
+        killed.then_some(()).context("there is no process")
+    };
     wait(backplane, [RoleLamp::Master, RoleLamp::Standby])?;
     std::thread::sleep(PAUSE);
-    let core = backplane.core_pid(SystemId::A, CoreId::CONTROL);
     let reset_ns = clock::now().as_ns();
-    kill(core)?;
+    kill(Target::Core(SystemId::A, CoreId::CONTROL))?;
     wait(backplane, [RoleLamp::Standby, RoleLamp::Master])?;
     std::thread::sleep(PAUSE);
-    let supply = backplane.supply_pid(SystemId::B);
     let off_ns = clock::now().as_ns();
-    kill(supply)?;
+    kill(Target::Supply(SystemId::B))?;
     std::thread::sleep(PAUSE);
     Ok(Done { reset_ns, off_ns })
 }
@@ -66,11 +70,6 @@ fn wait(backplane: Backplane, lamps: [RoleLamp; 2]) -> anyhow::Result<()> {
         std::thread::sleep(POLL_INTERVAL);
     }
     Ok(())
-}
-
-fn kill(pid: u32) -> anyhow::Result<()> {
-    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    kill_process(pid.context("there is no process")?, Signal::KILL).context("kill")
 }
 
 /// Returns two CPUs for the experiments between two cores; the same one twice if there is only one.

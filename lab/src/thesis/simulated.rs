@@ -5,7 +5,7 @@ use std::rc::Rc;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant as Wall;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use tandem_board::{Board, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId};
 use tandem_board_sim::{Config, Poller, SimBoard, SimPair, blocking};
 use tandem_record::{Entry, RunLog};
@@ -241,10 +241,9 @@ pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
         seen.iter().all(|seen| seen.len() == each as usize),
         "a core did not finish its increments: {seen:?}"
     );
-    Some(Counted {
+    Ok(Counted {
         increments: 2 * each,
         counter,
         seen: seen.map(|seen| seen.into_iter().take(10).collect()),
     })
-    .context("the counter")
 }
