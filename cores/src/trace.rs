@@ -381,7 +381,10 @@ fields! {
 /// The codec of the events: the number of each event, the place of each of its fields, and the
 /// values to which its field `a` is limited.
 macro_rules! codec {
-    ($($kind:literal $event:ident {$($field:tt: $place:ident),*} $($least:literal ..= $most:literal)?;)+) => {
+    ($(
+        $kind:literal $event:ident {$($field:tt: $place:ident),*}
+        $($least:literal ..= $most:literal)?;
+    )+) => {
         impl Event {
             /// The event as four words: kind and up to three small fields in the first, then three
             /// numbers.
