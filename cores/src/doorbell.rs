@@ -23,7 +23,7 @@ pub enum RingOutcome {
 /// Passes rings of a doorbell on with at least [`DOORBELL_DISTANCE`] between two. None is lost.
 ///
 /// An interrupt handler and a task of the same core may share it if no call interrupts another: the
-/// task masks the interrupt meanwhile.
+/// task masks the interrupt during its calls.
 #[derive(Debug, Default)]
 pub struct DoorbellThrottle {
     /// When the next ring passes, ns, in words: 32-bit targets have no 64-bit atomics.

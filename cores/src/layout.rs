@@ -1,4 +1,4 @@
-//! The controller's layout of the LMU: who talks to whom through which words.
+//! The controller's layout of the LMU: which core communicates with which through which words.
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};

@@ -1,14 +1,14 @@
 //! The events that cores write to the board's trace, in four words each.
 //!
-//! The trace is for people and reports; nothing that drives reads it. `docs/tracing.md` shows what
-//! becomes of it. Codes of tasks and interrupts are those of [`crate::task_table`].
+//! The trace is for people and reports; no driving function reads it. `docs/tracing.md` shows how
+//! to use it. Codes of tasks and interrupts are those of [`crate::task_table`].
 //!
-//! The scheduler writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
-//! a kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with
-//! [`Begin::Goes`], *switched out* is `TaskOut` with [`Leaves::Gives`], *moved to ready* is
-//! `Ready`, entry and exit of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from
-//! its release (`Ready`, [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut`
-//! that says [`Leaves::Done`].
+//! The scheduler writes [`Event::TaskIn`] and [`Event::TaskOut`] around each use of the CPU. For a
+//! kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with [`Begin::Goes`],
+//! *switched out* is `TaskOut` with [`Leaves::Gives`], *moved to ready* is `Ready`, entry and exit
+//! of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from its release (`Ready`,
+//! [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut` that says
+//! [`Leaves::Done`].
 
 use crate::task_table::{IrqCode, TaskCode};
 use strum::{FromRepr, VariantArray};
@@ -111,7 +111,7 @@ pub enum Event {
     LinesSplit,
     /// Nothing arrives on CAN, or frames arrive again.
     CanSilent(bool),
-    /// A frame came that no correct peer sends, or one of a lower term; it was ignored.
+    /// A frame that no correct peer sends, or one of a lower term, arrived and was ignored.
     Ignored {
         /// Its term; 0 if that was not the reason.
         term: u32,
@@ -187,7 +187,7 @@ pub enum Event {
     TaskIn {
         /// Which.
         task: TaskCode,
-        /// How it came to it.
+        /// How it gets the CPU.
         begin: Begin,
     },
     /// A task gives the CPU up.
@@ -238,7 +238,7 @@ pub enum Event {
         /// Number of the signal.
         flow: u32,
     },
-    /// The stack of a task was never fuller than this.
+    /// The deepest use of a task's stack so far.
     Stack {
         /// Which.
         task: TaskCode,
@@ -264,12 +264,12 @@ pub enum Event {
         /// another one from the same inputs.
         witness: u8,
     },
-    /// The driver of the outputs has a fault, for as long as it takes to believe it.
+    /// The output driver has had a fault for the confirmation time.
     OutputFault {
         /// 1 open load, 2 short circuit.
         found: u8,
     },
-    /// A task never held what all share for longer than this.
+    /// The longest time for which a task held the shared state.
     Held {
         /// Which.
         task: TaskCode,
@@ -313,8 +313,8 @@ impl From<tandem_redundancy::RedundancyEvent> for Event {
 }
 
 impl Event {
-    /// Whether a scheduler or a signal writes it, thousands of times in a second. The others stand
-    /// for themselves.
+    /// Whether a scheduler or a signal writes it, thousands of times a second. Any other event is
+    /// reported one by one.
     #[must_use]
     pub const fn is_scheduling(self) -> bool {
         matches!(

@@ -288,7 +288,7 @@ impl Part for Trajectory {
     }
 }
 
-/// What crosses the LMU by itself.
+/// Values that cross the LMU on their own.
 macro_rules! payloads {
     ($($name:ident)+) => {$(
         impl Payload for $name {

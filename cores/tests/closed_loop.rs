@@ -13,9 +13,9 @@ use tandem_vehicle::Scenario;
 
 /// How long every scenario is driven, s.
 const SECONDS: f64 = 60.0;
-/// When something happens to the controller, s: in scenarios with events this is amid them.
+/// When a fault hits the controller, s: scenarios with events have theirs around this time.
 const EVENT_S: f64 = 24.0;
-/// Most that a scenario without an emergency may ask of the passengers, m/s², m/s³.
+/// Comfort limits of a scenario without an emergency, m/s², m/s³.
 const COMFORT_BRAKING: f64 = 3.2;
 const COMFORT_JERK: f64 = 3.5;
 
@@ -24,7 +24,7 @@ fn is_emergency(scenario: &Scenario) -> bool {
     ["cut-in", "hard-braking"].contains(&scenario.name())
 }
 
-/// What holds for every run, whatever happened to the controller.
+/// Checks that every run must pass, whatever happened to the controller.
 fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
     let m = drive.metrics();
     let run = format!("{} seed {seed}: {m:?}", scenario.name());
@@ -92,7 +92,7 @@ fn l2_drives_every_scenario() {
     }
 }
 
-/// When core 2 dies amid the drive, core 0 goes over to the L2 functions without a jump.
+/// When core 2 dies during the drive, core 0 switches to the L2 functions without a jump.
 #[test]
 fn degrades_amid_the_drive() {
     for scenario in recorded::scenarios() {
@@ -141,10 +141,10 @@ fn a_takeover_is_not_felt() {
     }
 }
 
-/// T-CHIP-5: a system that joins as the vehicle ahead begins to brake knows it from the first cycle
-/// on if it is told. Lies make no object: neither those that the own sensors contradict at once nor
-/// those that they cannot; and a second later, when commands begin to be compared, all know the
-/// same.
+/// T-CHIP-5: a system that joins as the vehicle ahead begins to brake knows this from its first
+/// cycle if it receives knowledge. False knowledge creates no object, whether or not the own
+/// sensors can contradict it at once. A second later, when commands begin to be compared, all
+/// systems have the same knowledge.
 #[test]
 fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
     let mut drive = Drive::new(&Scenario::load("hard-braking").unwrap(), 3, 1);
@@ -202,8 +202,8 @@ fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
     assert!(worst.iter().all(|[_, late]| *late < 0.3), "{worst:?}");
 }
 
-/// T-CHIP-5: a system that joins amid a change of lanes goes on with it if it is told; by itself it
-/// would plan to stay.
+/// T-CHIP-5: a system that joins during a lane change continues it if it receives knowledge.
+/// Without knowledge it would plan to keep the lane.
 #[test]
 fn a_plan_is_continued_by_a_system_that_joins() {
     let mut drive = Drive::new(&Scenario::load("slow-leader").unwrap(), 5, 1);
@@ -254,7 +254,7 @@ fn drives_without_any_one_sensor() {
     }
 }
 
-/// With nothing left but the chassis the vehicle comes to a stop.
+/// With only the chassis sensors left, the vehicle stops.
 #[test]
 fn a_safe_stop_stops() {
     let scenario = Scenario::load("free-lane").unwrap();

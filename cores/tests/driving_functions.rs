@@ -1,4 +1,4 @@
-//! Each driving function by itself, against inputs made by hand.
+//! Tests each driving function alone, with inputs made by hand.
 #![allow(clippy::unwrap_used)]
 
 use tandem_board::{Duration, Instant};
@@ -18,7 +18,7 @@ fn at_ms(ms: u64) -> Instant {
     Instant::ORIGIN + Duration::from_ms(1_000 + ms)
 }
 
-/// Feeds perception with a straight three-lane road and an ego that drives as told.
+/// Feeds perception with a straight three-lane road and an ego that drives as the test demands.
 struct Feed {
     perception: Perception,
     now: Instant,
@@ -150,7 +150,7 @@ fn a_track_begins_coasts_and_ends() {
     assert!(feed.perception.scene().objects.is_empty());
 }
 
-/// The own turn is no motion of what stands beside the road.
+/// When the ego turns, objects beside the road still count as standing.
 #[test]
 fn the_own_motion_is_compensated() {
     let mut feed = Feed::new(10.0);
@@ -187,7 +187,7 @@ fn lanes_are_carried_along_and_then_given_up() {
     assert!(feed.cycle(&[], true).lanes.is_some());
 }
 
-/// A vehicle that comes over from the next lane is announced before it is in the own one.
+/// A vehicle that cuts in from the next lane is reported before it is in the own lane.
 #[test]
 fn a_cut_in_is_foreseen() {
     let mut feed = Feed::new(25.0);
@@ -322,8 +322,8 @@ fn plans_join_each_other() {
     }
 }
 
-/// In front of a standing obstacle the plan stops; too near for comfort it brakes as hard as it
-/// can.
+/// The plan stops in front of a standing obstacle. If it is too near for comfort, the plan brakes
+/// as hard as it can.
 #[test]
 fn brakes_for_a_standing_obstacle() {
     let mut scene = scene(0, 20.0, &[object(45.0, 0.0, 0.0)]);
@@ -419,8 +419,8 @@ fn the_driver_chooses_distance_and_place() {
     }
 }
 
-/// From standstill a free lane beside is taken around what stands ahead; not where there is none,
-/// or no room to turn out.
+/// From standstill, the vehicle uses a free lane beside it to pass a standing object. It stays if
+/// there is no such lane or no room to turn out.
 #[test]
 fn from_standstill_a_free_lane_is_taken() {
     for (gap, left, expected) in [
@@ -449,7 +449,7 @@ fn without_lanes_the_plan_slows_down() {
     assert!(last.speed < 18.0 && last.y > 3.0, "{last:?}");
 }
 
-/// Whatever a scene says, the plan is made of numbers, and is a plan: it does not go back.
+/// For any scene, the plan holds finite numbers and never moves backwards.
 #[test]
 fn every_scene_gives_a_plan() {
     let mut seed = 9_u32;
@@ -495,7 +495,7 @@ fn every_scene_gives_a_plan() {
     }
 }
 
-/// A trajectory is followed for its time, and not longer; what is no trajectory is refused.
+/// A trajectory is followed only while it is valid. An invalid trajectory is refused.
 #[test]
 fn control_refuses_old_and_broken_trajectories() {
     let plan = Planner::new().plan(&scene(0, 20.0, &[]));
@@ -553,8 +553,8 @@ fn every_function_goes_on_from_the_last_command() {
     }
 }
 
-/// T-CHIP-4: lists are fused at the time of their measurement. Those that the bus holds back are
-/// carried along to the present; taken for fresh, they would pull the object back by 0.8 m.
+/// T-CHIP-4: lists are fused at the time of their measurement. Lists that the bus delayed are
+/// predicted to the present. Treated as fresh, they would pull the object back by 0.8 m.
 #[test]
 fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
     let (speed, closing) = (25.0, -20.0);
@@ -591,8 +591,8 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
             perception.on_message(at_ms(arrives), &Message::SensorHeader(radar, header));
             perception.on_message(at_ms(arrives), &Message::SensorObject(radar, object));
         };
-        // The cycle comes 1 ms before a list that is held back: the next one takes that in, when
-        // the tracks are 39 ms ahead of it.
+        // The cycle begins 1 ms before a delayed list arrives. The next cycle takes the list in,
+        // when the tracks are 39 ms ahead of it.
         if held_back_ms == 0 {
             list(&mut perception);
         }
@@ -608,8 +608,8 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
     assert!(worst > 0.0 && worst < 0.2, "{worst} m");
 }
 
-/// The route decides the lane: it leads to a free one without a gain, keeps the own one behind a
-/// slow leader, and does not lead beside another vehicle.
+/// The route decides the lane: the vehicle changes to a free lane without a gain, keeps its own
+/// lane behind a slow leader, and does not change into another vehicle.
 #[test]
 fn the_route_leads_to_its_lane_when_there_is_room() {
     let slow = object(75.0, 0.0, 21.0);

@@ -55,11 +55,11 @@ pub struct RuntimeOptions {
 /// Jobs that take longer than they should, to test the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overload {
-    /// Whose jobs.
+    /// The task that is overloaded.
     pub task: Core0Task,
     /// Every `every`-th job is longer. At least 1.
     pub every: u32,
-    /// By this much of the task's own time.
+    /// How long the extra work takes, in CPU time of the task.
     pub span: core::time::Duration,
 }
 
@@ -94,7 +94,7 @@ struct Runtime<B: Board + 'static> {
     board: &'static B,
     shared: Mutex<SharedState<'static, B>>,
     drive: Mutex<Driving>,
-    /// By [`Core0Task`].
+    /// Indexed by [`Core0Task`].
     states: [TaskState; Core0Task::ALL.len()],
     doorbell: DoorbellThrottle,
     options: RuntimeOptions,
@@ -121,10 +121,10 @@ impl<B: Board> Runtime<B> {
     }
 }
 
-/// Handles of tasks by [`Core0Task`], as far as they are made.
+/// Handles of the tasks created so far, indexed by [`Core0Task`].
 type Handles = [Option<TaskHandle>; Core0Task::ALL.len()];
 
-/// The executor as one task has it.
+/// The executor of one task.
 struct OfTask<'a, B: Board + 'static> {
     ctx: &'a TaskContext,
     runtime: &'static Runtime<B>,
@@ -156,7 +156,7 @@ impl<B: Board + Sync> OfTask<'_, B> {
         }
     }
 
-    /// Takes longer than it should, if this job is to.
+    /// Overruns this job if the overload selects it.
     fn overload(&self) {
         if let Some(overload) = self.runtime.options.overload
             && overload.task == self.task
@@ -287,7 +287,7 @@ fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid
     }
 }
 
-/// Makes a task; those below it are made.
+/// Creates a task. All less urgent tasks already exist.
 fn spawn<B, T>(
     kernel: &Kernel,
     runtime: &'static Runtime<B>,

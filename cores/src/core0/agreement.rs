@@ -58,7 +58,7 @@ impl Excess {
     fn add(&mut self, difference: f32, limits: &Limits) -> f32 {
         let add = |sum: f32, by: f32| {
             let sum = sum + (by - limits.tolerance) * PERIOD_S;
-            // What is no number is no agreement.
+            // NaN counts as disagreement.
             if sum < limits.limit {
                 sum.max(0.0)
             } else {
@@ -108,7 +108,7 @@ pub(super) struct Agreement {
     worst_tenths: u8,
 }
 
-/// Something worth a line in the trace: the stage, and the share of the limits that is used, %.
+/// A change to trace: the stage, and the share of the limits that is used, %.
 pub(super) type Change = (Stage, u8);
 
 impl Agreement {

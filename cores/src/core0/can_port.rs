@@ -13,7 +13,7 @@ const MOTIONS: usize = 6;
 /// A slower vehicle stands still, m/s: the noise of the measured speed stays below.
 const STANDSTILL: f32 = 0.1;
 
-/// What has arrived for the function that drives since it ran last.
+/// The inputs that have arrived since the driving function last ran.
 #[derive(Default)]
 pub(super) struct Inbox {
     motions: Deque<(Instant, Ego), MOTIONS>,
@@ -23,7 +23,7 @@ pub(super) struct Inbox {
 }
 
 impl Inbox {
-    /// Passes everything on, motions in the order of their arrival.
+    /// Delivers all inputs, with motions in the order of their arrival.
     pub(super) fn empty_into(self, driving: &mut Driving) {
         for (at, ego) in &self.motions {
             driving.on_ego(*at, *ego);

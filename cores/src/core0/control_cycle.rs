@@ -1,4 +1,4 @@
-//! The control cycle: what the drive knows becomes a command, and the command a frame.
+//! The control cycle: computes a command from the inputs and sends it as a frame.
 //!
 //! A cycle takes three locked sections. The first takes the release and all inputs, the second
 //! computes, the third sends. More urgent tasks may run between them, so the third section takes

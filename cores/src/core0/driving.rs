@@ -105,7 +105,7 @@ impl Driving {
         let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
         let scene = self.scene.as_ref().filter(fresh);
         let lanes = scene.and_then(|scene| Some((scene.lanes.as_ref()?, scene.ego.speed)));
-        // What is not seen changes nothing: the function is blind then, which ends in a stop.
+        // Missing lanes change nothing here: the function is then blind and stops.
         if let Some((lanes, speed)) = lanes {
             self.in_domain = stays_in_domain(lanes, speed, self.in_domain);
         }
@@ -115,7 +115,7 @@ impl Driving {
                 permitted,
                 driver: self.driver,
                 sees: moves && lanes.is_some(),
-                // What one sensor no longer sees is outside the domain, too.
+                // The loss of a sensor is outside the domain, too.
                 in_domain: self.in_domain && self.scene.as_ref().is_none_or(|it| it.missing == 0),
             },
         )

@@ -64,9 +64,10 @@ impl ReadBack {
         self.newest = counter;
     }
 
-    /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
-    /// `stops_at`: this system stops the vehicle though its command is wrong; the vehicle's speed,
-    /// m/s. Then a difference does not count if the vehicle still stops in its lane.
+    /// Takes the vehicle's echo; returns whether this system's command is wrong. `term`: the term
+    /// in which this system drives. `stops_at`: this system stops the vehicle though its command is
+    /// wrong; the vehicle's speed, m/s. Then a difference does not count if the vehicle still stops
+    /// in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
         // is all that was sent.

@@ -32,7 +32,7 @@ pub(super) struct StartConditions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub(super) enum Outcome {
-    /// Nothing outside this port.
+    /// The input changes nothing outside this port.
     Done,
     /// The control cycle begins anew, at once.
     RestartControl,

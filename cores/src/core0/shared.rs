@@ -222,8 +222,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
     }
 
-    /// Gives one input to the redundancy; returns the tasks to run for it. Each input by itself: in
-    /// a flood, the last frame counts as much as the first.
+    /// Gives one input to the redundancy; returns the tasks to run for it. Each input is processed
+    /// separately: in a flood, the last frame counts as much as the first.
     fn notify(&mut self, input: Input) -> TaskSet {
         let outcome = self.redundancy.on(input);
         self.after(outcome)

@@ -146,7 +146,7 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// Services the watchdog unless the window is not yet open, or this system must end.
+    /// Services the watchdog if the window is open and this system may continue.
     fn service_watchdog(&mut self) {
         if self.withholds {
             return;

@@ -1,7 +1,7 @@
 //! Degraded mode (core 0): L2 lane keeping and distance keeping straight from the scene, and safe
 //! stop.
 //!
-//! Needs no trajectory, so it lives on when core 2 or the other system is gone. It never changes
+//! Needs no trajectory, so it still works without core 2 or the other system. It never changes
 //! lanes, drives no faster than a cap, and stops before its lane ends.
 
 use tandem_board::{Duration, Instant};
@@ -74,7 +74,7 @@ impl DegradedControl {
         self.wish
     }
 
-    /// Goes on from this command, which another function or the other system gave last.
+    /// Resumes from this command, which another function or the other system gave last.
     pub fn resume(&mut self, last: &Command) {
         self.shaper.resume(last);
     }

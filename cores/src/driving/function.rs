@@ -87,7 +87,7 @@ impl FunctionState {
         !matches!(self, Self::Off | Self::Ready)
     }
 
-    /// How long it may last, and no longer; `None` if it may last.
+    /// The longest time that it may last; `None` if unlimited.
     #[must_use]
     pub const fn limit(self) -> Option<Duration> {
         match self {
@@ -193,8 +193,8 @@ impl Function {
         self.state
     }
 
-    /// One control cycle. The driver comes first and the clock last; a signal acts on the state
-    /// that the one before it has led to.
+    /// One control cycle. The driver's signal is processed first and the clock's last. Each signal
+    /// acts on the state that the previous one produced.
     pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> FunctionState {
         if inputs.sees {
             self.seen = now;
@@ -397,8 +397,8 @@ mod tests {
         assert_eq!(function.cycle(MS(40), &DRIVES), FunctionState::Active);
     }
 
-    /// The request comes with the time for an answer and a stop, later while a lane beside goes
-    /// on, and does not flicker with the noise of the distance.
+    /// The request leaves time for an answer and a stop. It is made later while a lane beside
+    /// continues, and does not flicker with the noise of the distance.
     #[test]
     fn the_domain_is_left_when_its_end_is_nearer_than_request_and_stop() {
         let lanes = |own_end: f32, left: Option<f32>| Lanes {

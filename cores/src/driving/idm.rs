@@ -37,7 +37,8 @@ pub(crate) struct Leader {
 /// The strongest braking that the model asks for, m/s².
 pub(crate) const MAX_BRAKING: f32 = 9.0;
 
-/// How cool the cruise control is: 0 is the plain model, 1 trusts the leader not to brake suddenly.
+/// The coolness factor of the cruise control: 0 is the plain model, 1 trusts the leader not to
+/// brake suddenly.
 const COOLNESS: f32 = 0.99;
 
 /// Acceleration in m/s² of a cruise control behind a leader with this acceleration in m/s².
@@ -66,7 +67,7 @@ fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerate
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);
     let closing = speed - leader.speed;
-    // Not for what stands: there both sides are zero.
+    // Excludes a standing leader: there both sides are zero.
     if leader.speed * closing < -2.0 * gap * accelerates {
         let divisor = leader.speed * leader.speed - 2.0 * gap * accelerates;
         return speed * speed * accelerates / max(divisor, 0.01);

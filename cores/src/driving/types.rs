@@ -220,7 +220,7 @@ pub struct Trajectory {
     pub measured: Instant,
     /// The scene's cycle.
     pub cycle: u32,
-    /// What it does.
+    /// The decision that it carries out.
     pub maneuver: Maneuver,
     /// The memory of decision.
     pub memory: Memory,

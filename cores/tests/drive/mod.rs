@@ -12,7 +12,7 @@ use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
 use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig, WorldMetrics, WorldSnapshot};
 
-/// Perception begins its cycle so late in each 50 ms, when all sensors have reported.
+/// Perception begins its cycle this late in each 50 ms, when all sensors have reported.
 const PERCEPTION_PHASE_MS: u64 = 25;
 /// Time from the begin of perception until the trajectory is with core 0.
 const CHAIN_MS: u64 = 15;
@@ -39,9 +39,9 @@ pub(crate) struct System {
     scene: Option<Scene>,
     pending: Option<(u64, Trajectory)>,
     pub(crate) trajectory: Option<Trajectory>,
-    /// Trajectories no longer come, as if core 2 had died.
+    /// Trajectories no longer arrive, as if core 2 had died.
     pub(crate) planning_is_dead: bool,
-    /// What another system tells it before its next cycle.
+    /// Knowledge of another system, delivered before the next cycle.
     pub(crate) told: Option<Knowledge>,
 }
 
@@ -62,7 +62,7 @@ impl System {
         }
     }
 
-    /// What this system would tell another one.
+    /// The knowledge that this system would send to another one.
     pub(crate) fn knowledge(&self) -> Knowledge {
         Knowledge::of(self.perception.scene(), self.trajectory.as_ref())
     }
@@ -169,7 +169,7 @@ impl Drive {
         Instant::ORIGIN + Duration::from_ms(self.now_ms + 1_000)
     }
 
-    /// Runs until the scenario has gone on for `seconds` more.
+    /// Runs the scenario for `seconds` more.
     pub(crate) fn run(
         &mut self,
         seconds: f64,

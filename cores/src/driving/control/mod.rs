@@ -89,8 +89,8 @@ impl MotionControl {
         self.odometry.update(now, ego);
     }
 
-    /// Goes on from this command, which another function or the other system gave last: the next
-    /// command differs from it by no more than one cycle's limits.
+    /// Resumes from this command, which another function or the other system gave last. The next
+    /// command differs from it by no more than the limits of one cycle.
     pub fn resume(&mut self, last: &Command) {
         self.shaper.resume(last);
     }
@@ -207,7 +207,7 @@ fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
             + SPEED_GAIN * (reference.speed - ego.speed)
             + WAY_GAIN * way_error
     };
-    // Limits would hide what is no number, so it is looked for before they apply.
+    // Checks for NaN first, because the limits would hide it.
     let sums = reference.x + reference.y + reference.heading + reference.speed;
     if !(sums + feed_forward.curvature + feed_forward.acceleration).is_finite() {
         return None;
@@ -278,8 +278,8 @@ mod tests {
         }
     }
 
-    /// T-RED-9: another core that has the trajectory finds a step right, and finds it wrong when
-    /// anything of it is not as it must be: a stuck command, a wrong place, a wrong motion.
+    /// T-RED-9: another core that has the trajectory finds a step right, and finds it wrong if any
+    /// part is wrong: a stuck command, a wrong place, a wrong motion.
     #[test]
     fn a_step_is_computed_again_and_every_fault_in_it_is_found() {
         let (trajectory, at) = (trajectory(), trajectory().at);

@@ -196,8 +196,8 @@ mod tests {
         (jerks.fold(0.0, f32::max), way)
     }
 
-    /// The brake is let go before standstill, and the jolt that passengers know stays out. In an
-    /// emergency the way counts.
+    /// The brake is released before standstill, which avoids the usual stopping jolt. In an
+    /// emergency the stopping distance has priority.
     #[test]
     fn a_stop_ends_softly() {
         for (braking, longer_m) in [(1.5, 0.03), (2.5, 0.07), (4.0, 0.22)] {

@@ -37,7 +37,7 @@ pub(crate) struct LaneFilter {
     lanes: Lanes,
     state: Vector4<f32>,
     covariance: Matrix4<f32>,
-    /// Another system's word was taken.
+    /// Knowledge of another system has been used.
     received: bool,
 }
 

@@ -112,8 +112,8 @@ impl Perception {
         }
     }
 
-    /// Whether everything that the last cycle used has arrived again. A sensor that missed the last
-    /// cycle is not waited for, so a lost sensor delays one cycle.
+    /// Whether all inputs that the last cycle used have arrived again. A sensor that missed the
+    /// last cycle is not waited for, so a lost sensor delays one cycle.
     #[must_use]
     pub fn is_round_complete(&self) -> bool {
         self.round.is_next_complete(|member| match member {
@@ -252,7 +252,7 @@ impl Perception {
         }
     }
 
-    /// Takes what another system knew as what was expected: own detections correct it.
+    /// Uses the knowledge of another system as the prediction, which own detections correct.
     fn recall(&mut self, now: Instant, received: &Knowledge) {
         let dt = now.since(received.at).as_secs_f32();
         let step = motion(&received.ego, self.odometry.ego(), dt);

@@ -177,7 +177,7 @@ impl Behaviour {
         }
     }
 
-    /// Tells that the own lane is now the one to the left (+1) or right (-1) of the old one.
+    /// Reports that the own lane is now the one to the left (+1) or right (-1) of the old one.
     pub(crate) fn crossed_line(&mut self, direction: f32) {
         self.wishes = [0; 2];
         if let Intent::Change { side, crossed, .. } = &mut self.intent {

@@ -147,7 +147,7 @@ impl Corridor {
             let spare = self.bound[step] - motion.value - wanted;
             let ahead = max(self.bound_speed[step], 0.0);
             let keeping = ahead + closing(spare, APPROACH_BRAKING, distance_s, REGAIN_S);
-            // A gap that opens by itself is waited for.
+            // Waits for a gap that is already opening.
             let opening = motion.first - 2.0 * max(motion.first + OPENING - ahead, 0.0);
             target = min(target, max(keeping, opening));
         }
@@ -566,7 +566,7 @@ mod tests {
         assert_eq!(manner(30.0), Manner::Emergency);
     }
 
-    /// One that turns across the lane ahead is waited for. That it then would drive on into the
+    /// One that turns across the lane ahead is waited for. The prediction that it then hits the
     /// standing vehicle is no reason to brake harder.
     #[test]
     fn who_drives_towards_a_standing_vehicle_is_no_emergency() {

@@ -122,7 +122,7 @@ impl Planner {
     }
 
     /// Continues the plan of another system, if this one is newly started: the next plan joins it.
-    /// Each plan is made for the own scene; what that does not permit is not done.
+    /// Each plan is made for the own scene and does only what that scene permits.
     pub fn recall(&mut self, received: &Knowledge) {
         let Some(plan) = received.plan.as_ref().filter(|_| self.is_starting()) else {
             return;

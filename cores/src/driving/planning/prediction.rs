@@ -85,7 +85,7 @@ impl Predicted {
     }
 
     /// Place along the road and speed in `t` seconds: braking lasts the longer the harder it is,
-    /// acceleration does not go on.
+    /// acceleration is not extrapolated.
     pub(crate) fn along(&self, t: f32) -> (f32, f32) {
         if self.speed <= 0.0 {
             return (self.s + self.speed * t, self.speed);
