@@ -5,8 +5,9 @@
 //! environment obstacles (they are no traffic).
 //!
 //! **Limits.** A file is an input, and no input may cost more than seconds and some 100 MB: each
-//! limit below is far above every published scenario. What can be left out without a lie is left
-//! out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
+//! limit below is far above every published scenario. A part that can be left out without
+//! falsifying the rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is
+//! used.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -32,13 +33,13 @@ const ATTRIBUTES_MAX: usize = 100;
 const LANELETS_MAX: usize = 5_000;
 /// A lanelet with more predecessors or more successors is refused.
 const BRANCHES_MAX: usize = 50;
-/// A file with more obstacles is refused: all pairs of vehicles are looked at while they drive.
+/// A file with more obstacles is refused: every step checks all pairs of vehicles.
 const OBSTACLES_MAX: usize = 1_000;
-/// A goal with more places is led to the first ones only.
+/// Only the first places of a goal are used if it has more.
 const PLACES_MAX: usize = 30;
 /// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
-/// A longer lanelet is refused, m: it is a slip of the keyboard, and would fill the memory.
+/// A longer lanelet is refused, m: it is a typing error, and would fill the memory.
 const LANELET_MAX: f64 = 1e5;
 /// No vehicle is faster, m/s.
 const SPEED_MAX: f64 = 150.0;
@@ -192,7 +193,7 @@ fn tag_with_many_attributes(text: &str) -> Option<u32> {
 struct Reader<'a, 'input> {
     document: &'a Document<'input>,
     file: &'a str,
-    /// What was left out, and how often in all.
+    /// The parts that were left out, and their total number.
     warnings: RefCell<(Vec<String>, usize)>,
 }
 
@@ -700,7 +701,7 @@ fn elements<'a, 'i: 'a>(
         .filter(move |child| child.has_tag_name(name))
 }
 
-/// What `read` makes of the first child of this name; `None` without one.
+/// Applies `read` to the first child of this name; `None` without one.
 fn optional<'a, 'i: 'a, T>(
     node: Element<'a, 'i>,
     name: &str,

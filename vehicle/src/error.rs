@@ -1,4 +1,4 @@
-//! Why a scenario cannot be had.
+//! Errors in getting a scenario.
 
 use thiserror::Error;
 
@@ -59,7 +59,7 @@ pub enum ScenarioError {
         /// The error of the XML parser.
         problem: String,
     },
-    /// The file does not hold what CommonRoad files have to.
+    /// The file lacks content that CommonRoad requires.
     #[error("{file}:{line}: {element} {problem}; {advice}")]
     Element {
         /// Path of the file.

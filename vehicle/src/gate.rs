@@ -1,5 +1,5 @@
-//! The vehicle's own decision which control frames act: valid, from a master, of the highest term,
-//! fresh and plausible.
+//! Decides, in the vehicle, which control frames act: those that are valid, from a master, of the
+//! highest term, fresh and plausible.
 //!
 //! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
 //! its sender believes. The caller receives a ruling on every control frame, and records
@@ -29,7 +29,7 @@ const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
 /// A control frame is overdue this long after the last one, ns: the shortest limit of any standby.
 const OVERDUE_NS: u64 = 11_000_000;
-/// After this silence no system waits for a hasty word any more, ns.
+/// After this silence no system waits for an early echo any more, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
 /// A frame that took longer than the fastest one by more than this is refused, ms: four
@@ -42,8 +42,8 @@ const DRIFT_NS: u64 = 1_000_000_000;
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
 /// The oldest data that a command may rest on, ms. The functions stop earlier, by the age of what
-/// they have; this is for one that does not. A safe stop rests on no data, nor does a frame of a
-/// function that does not drive.
+/// they have; this limit catches a function that does not. A safe stop rests on no data, nor does a
+/// frame of a function that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
 /// The limits of the actuators: rad, m/s².
@@ -305,7 +305,7 @@ impl Gate {
     }
 
     /// The echo to both systems, to be sent at `now_ns`: which term the vehicle obeys, how old
-    /// its last frame is, and what that asked for.
+    /// its last frame is, and its demand.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
         let sent_at = (now_ns / 1_000_000) as u8;
         let none = GateEcho {
@@ -384,7 +384,7 @@ mod tests {
         judged.map(|it| it.unwrap().acceptance.verdict).collect()
     }
 
-    /// T-CHIP-7: after a takeover no frame of the former master acts, not one.
+    /// T-CHIP-7: after a takeover no frame of the former master acts.
     #[test]
     fn a_higher_term_fences_the_former_master() {
         use Ruling::{Accepted, Fenced};
@@ -412,7 +412,7 @@ mod tests {
         );
     }
 
-    /// T-RED-9: the echo tells the term that is obeyed, and since when no frame of it came; a frame
+    /// T-RED-9: the echo reports the term that is obeyed and the time since its last frame. A frame
     /// that does not act changes nothing.
     #[test]
     fn the_echo_tells_the_term_that_is_obeyed() {
@@ -450,8 +450,8 @@ mod tests {
     }
 
     /// T-RED-9: frames that wait in a queue that grows are refused, though each is valid and in
-    /// order, and its command rests on fresh data by its own word. Clocks that run apart by 0.05 %
-    /// and wrap around are none; nor is one that was set.
+    /// order, and claims that its command rests on fresh data. Clocks that drift apart by 0.05 %
+    /// and wrap around are not taken for a queue, nor is a clock that was set.
     #[test]
     fn frames_of_a_growing_queue_are_refused() {
         let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));

@@ -18,8 +18,8 @@
 //! # Ok::<(), tandem_vehicle::ScenarioError>(())
 //! ```
 //!
-//! It is given the time and the frames, and returns frames: no clock, no input, no output, except
-//! for reading a scenario file.
+//! The caller passes the time and the frames, and gets frames back. The crate reads no clock and
+//! does no input or output, except for reading a scenario file.
 #![forbid(unsafe_code)]
 
 pub mod actuators;

@@ -143,7 +143,7 @@ mod tests {
     fn a_single_frame_of_another_master_counts_until_the_next_frame() {
         let frames = [(0, A, 2), (5, B, 3), (10, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 5);
-        // The time is not counted twice, whichever term comes between.
+        // The time is not counted twice, whichever term lies between.
         let frames = [(0, A, 2), (10, B, 3), (15, B, 5), (20, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 10);
         let frames = [(0, A, 2), (1, A, 4), (10, B, 3), (20, A, 2), (25, A, 4)];

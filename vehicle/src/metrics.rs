@@ -8,26 +8,26 @@ use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
 use crate::traffic::{Participant, RoadUser};
 
-/// A collision with the same vehicle counts again after so much time apart, s.
+/// A collision with the same vehicle counts again after this time apart, s.
 const COLLISION_APART_S: f64 = 1.0;
 /// Within this distance of a lane's centre the ego counts as being in place, m.
 const IN_PLACE: f64 = 0.3;
 /// An offset from the lane's centre that lasts longer than this counts as no change of lane, s.
 const LANE_CHANGE_S: f64 = 10.0;
-/// Farther beyond the border of its lane no lane change leads through the middle of nowhere, m.
+/// A lane change never leads farther than this beyond the border of a lane, m.
 const BESIDE_ROAD: f64 = 0.5;
 /// Lanes of different widths may leave a gap between them that is no way beside the road, m.
 const LANE_GAP: f64 = 0.3;
 /// Slower is standing, m/s.
 const STANDING: f64 = 0.1;
-/// Who moves to the side faster than this does so on purpose, m/s.
+/// Lateral motion faster than this is intentional, m/s.
 const SWERVING: f64 = 0.3;
 /// Stronger braking is named with its reason, m/s².
 pub(crate) const HARD_BRAKING: f64 = 4.0;
-/// Braking from which on it is asked whether the situation needs it, m/s².
+/// Braking harder than this is checked against the need of the situation, m/s².
 pub(crate) const NOTED_BRAKING: f64 = 0.5;
-/// An emergency lasts so much longer than the situation that is one, s: until the vehicle has let
-/// go of its brake, or stands.
+/// An emergency lasts this much longer than its situation, s: until the vehicle has released its
+/// brake, or stands.
 const EMERGENCY_ENDS_S: f64 = 1.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
@@ -108,7 +108,7 @@ pub struct WorldMetrics {
     pub calm_deceleration_max: f64,
     /// See there.
     pub calm_jerk_max: f64,
-    /// The hardest braking above 4 m/s²: when it began to be so hard, and for what.
+    /// The hardest braking above 4 m/s²: when it first exceeded that, and its reason.
     pub hard_braking: Option<HardBraking>,
     /// Distance driven, m.
     pub distance_m: f64,
@@ -464,7 +464,7 @@ impl Meter {
     }
 }
 
-/// Whether the moving ego caused that it touches `other`.
+/// Whether the moving ego caused its collision with `other`.
 ///
 /// It did not if it is hit from behind, or in the side while it kept its lane.
 fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
@@ -553,7 +553,7 @@ mod tests {
         }
     }
 
-    /// Each reason, and the order in which they are looked for.
+    /// Each reason, and the order in which reasons are checked.
     #[test]
     fn the_reason_of_hard_braking_is_what_is_nearest_in_time() {
         const FREE: f64 = f64::INFINITY;

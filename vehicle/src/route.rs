@@ -1,5 +1,5 @@
-//! The way to the goal of a scenario, as a driver with a navigation system asks for it: a lane, and
-//! a speed that leads there in time.
+//! The route to the goal of a scenario, as a navigation system gives it to a driver: a lane, and a
+//! speed that reaches the goal in time.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ const EARLY: f64 = 0.2;
 /// A spot at which the ego may stand is driven to at once, and waited for: it is approached with
 /// this time constant, s.
 const STOPS_S: f64 = 2.0;
-/// Nearer in time than this, the speed is not corrected any more, s.
+/// The speed is no longer corrected when less than this time is left, s.
 const NEAR_S: f64 = 0.5;
 /// Speeds inside of the goal's range are kept away from its limits by this much, m/s.
 const SPEED_MARGIN: f64 = 0.7;
@@ -110,7 +110,8 @@ impl Navigation {
     fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
         let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));
         let (opens, ends) = ((opens - time_s).max(0.0), (ends - time_s).max(NEAR_S));
-        // To be there at the end of the time at the latest, and not to be beyond at its begin.
+        // The ego must arrive by the end of the time, and must not have passed the goal at its
+        // begin.
         let slowest = from.max(0.0) / ends;
         let fastest = to.max(0.0) / opens.max(1e-3);
         let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {

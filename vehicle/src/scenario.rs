@@ -19,10 +19,10 @@ const SET_SPEED_MIN: f64 = 13.9;
 const START_BRAKING: f64 = 8.0;
 const START_DELAY_S: f64 = 0.3;
 const START_ASIDE: f64 = 0.35;
-/// Who moves faster than this across the lane, or against it, m/s, is not followed.
+/// A vehicle that moves faster than this across the lane, or against it, m/s, is not followed.
 const ALONG_LANE: f64 = 1.0;
 
-/// The scenarios that the program brings along: name, one line about it, CommonRoad XML.
+/// The embedded scenarios: name, one-line description, CommonRoad XML.
 const EMBEDDED: [(&str, &str, &str); 6] = [
     (
         "free-lane",
@@ -232,7 +232,7 @@ impl Scenario {
 
 /// The text of a regular file, of which no more is read than the parser takes.
 fn read_limited(path: &Path) -> std::io::Result<String> {
-    // To open a pipe would wait for its writer.
+    // Opening a pipe would block until its writer opens it.
     if !path.metadata()?.is_file() {
         return Err(std::io::Error::other("not a regular file"));
     }
@@ -328,7 +328,7 @@ mod tests {
     use crate::commonroad::{Class, TimedState};
 
     /// A collision that no braking avoids is refused before the start: with a vehicle that stands
-    /// near, or drives slower close ahead, in the lane or a hand's breadth beside the own way.
+    /// near, or drives slower close ahead, in the lane or a few centimetres beside the own path.
     #[test]
     fn who_is_too_near_to_brake_for_is_named() {
         let scenario = Scenario::load("free-lane").unwrap();

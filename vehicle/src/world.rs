@@ -338,7 +338,7 @@ impl World {
         }
     }
 
-    /// The ego obeys for one millisecond.
+    /// Moves the ego by the request for one millisecond.
     fn move_ego(&mut self) {
         let input = self.actuators.step(self.request, &self.state, &BMW_320I);
         let before = self.state;

@@ -110,7 +110,7 @@ fn send(
     }
 }
 
-/// A bus between the world and functions that drive it in the same program, without a board.
+/// A bus between the world and the driving functions in the same program, without a board.
 #[derive(Clone, Debug)]
 pub struct LocalBus {
     /// The time of both.

@@ -107,7 +107,7 @@ fn compare(file: &str, ours: &RoadMap, theirs: &serde_json::Value) {
     }
 }
 
-/// Lanelets, traffic and the ego's start, of all scenarios that the program brings along.
+/// Lanelets, traffic and the ego's start, of all embedded scenarios.
 #[test]
 fn commonroad_io_reads_the_same() {
     if !installed_or_skip("commonroad_io_reads_the_same") {

@@ -1,6 +1,6 @@
 //! Every scenario can be driven: a reference driver with perfect knowledge drives 60 s through
-//! each. Whatever the ego does, the others do not collide with each other, and none runs into its
-//! back.
+//! each. For any behaviour of the ego, the others do not collide with each other, and none hits the
+//! ego from behind.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -14,7 +14,7 @@ use tandem_vehicle::{Scenario, World, WorldConfig, WorldSnapshot};
 
 const MS: u64 = 1_000_000;
 
-/// Drives 60 s of a scenario and looks at every 5 ms.
+/// Drives 60 s of a scenario and checks every 5 ms.
 fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&WorldSnapshot)) -> World {
     let mut world = World::new(scenario, WorldConfig { seed: 1 });
     let mut driver = ReferenceDriver::new(manner);
@@ -61,8 +61,8 @@ fn every_scenario_can_be_driven() {
     }
 }
 
-/// What is asked of the ego can be asked: no vehicle needs to brake harder than in real traffic,
-/// except in the scenario that is about it.
+/// The scenarios are realistic: no vehicle needs to brake harder than in real traffic, except in
+/// the scenario about hard braking.
 #[test]
 fn embedded_scenarios_are_fair() {
     for name in Scenario::names() {

@@ -1,4 +1,4 @@
-//! CommonRoad files: both versions, every kind of value, and what is wrong with the bad ones.
+//! CommonRoad files: both versions, every kind of value, and the errors of bad files.
 
 #![allow(clippy::unwrap_used)]
 
@@ -194,7 +194,7 @@ fn errors_name_file_line_element_and_a_way_out() {
     }
 }
 
-/// What one part of a file says wrongly is left out with a word; the rest drives.
+/// An invalid part of a file is left out with a warning. The rest is used.
 #[test]
 fn what_cannot_be_used_is_left_out_with_a_warning() {
     let degenerate = "<lanelet id=\"9\"><leftBound><point><x>0</x><y>9</y></point><point><x>0</x>\
@@ -226,7 +226,8 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
     assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
 }
 
-/// Small files that ask for much are refused by name, or cost little: no case takes seconds.
+/// Small files that demand much work are refused with the reason, or cost little: no case takes
+/// seconds.
 #[test]
 fn files_that_ask_for_much_are_refused() {
     let point = |x: f64, y: f64| format!("<point><x>{x}</x><y>{y}</y></point>");

@@ -28,7 +28,7 @@ impl Run {
         }
     }
 
-    /// Sends a control frame; what becomes of it.
+    /// Sends a control frame and returns its ruling.
     fn send(&mut self, system: u8, term: u32, acceleration: f32, steering_angle: f32) -> Ruling {
         let (role, mode) = (RoleCode::Master, ModeCode::L3);
         let control = Control {
@@ -47,7 +47,7 @@ impl Run {
         judged.unwrap().verdict
     }
 
-    /// Lets time pass; every frame must pass the receiver's checks, and be foreseen.
+    /// Advances time. Every frame must pass the receiver's checks and must have been predicted.
     fn wait(&mut self, ms: u64) {
         for period in 0..ms {
             let (before, now_ns) = (self.received.len(), self.now_ms * MS);
@@ -181,7 +181,7 @@ fn a_late_caller_gets_all_that_was_due_and_a_frozen_one_stops_the_world() {
 }
 
 /// T-CHIP-7: without a controller the vehicle holds the steering and brakes gently, and it obeys
-/// the next master at once; the former one never again.
+/// the next master at once. It never obeys the former one again.
 #[test]
 fn without_a_controller_it_brakes_gently_until_the_next_master() {
     let mut run = Run::new("free-lane", 1);

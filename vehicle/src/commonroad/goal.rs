@@ -140,7 +140,7 @@ impl Goal {
         is_nearer.then(here).or(before)
     }
 
-    /// When it can be reached no more, s since the ego's start.
+    /// The time from which it can no longer be reached, s since the ego's start.
     #[must_use]
     pub fn deadline(&self) -> Option<f64> {
         self.time.map(|(_, to)| to)
@@ -162,7 +162,7 @@ mod tests {
             speed: Some((5.0, 9.0)),
         };
         let inside = Vec2::new(1.0, 3.0);
-        // The same direction, once more round.
+        // The same direction after one more full turn.
         for yaw in [3.1, 3.1 - TAU] {
             assert!(goal.is_reached(1.5, inside, yaw, 6.0));
         }

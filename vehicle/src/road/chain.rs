@@ -36,7 +36,7 @@ pub(super) struct CentreLine {
     ends: Vec<(f64, usize)>,
 }
 
-/// A lanelet's centre line, and what of it others ask for.
+/// A lanelet's centre line with the values that other functions need.
 pub(super) struct Piece {
     points: Vec<(Vec2, f64)>,
     start_heading: f64,
@@ -136,7 +136,7 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
         is_continued[*successor] = true;
     }
     let begins = (0..lanelets.len()).filter(|index| !is_continued[*index]);
-    // What is left then are rings: they begin anywhere.
+    // The remaining lanelets form rings, which may begin anywhere.
     for start in begins.chain(0..lanelets.len()) {
         if in_chain[start].is_none() {
             chains.push(follow(start, chains.len(), &mut in_chain)?);

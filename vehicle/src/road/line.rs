@@ -106,8 +106,8 @@ impl Bounds {
         })
     }
 
-    /// The square of the distance, m². Rounded like that to a point inside, so it is never above
-    /// that one.
+    /// The square of the distance, m². It is rounded like the distance to a point inside, so it
+    /// never exceeds that distance.
     fn distance_squared(&self, point: Vec2) -> f64 {
         let outside = |low: f64, high: f64, at: f64| (low - at).max(at - high).max(0.0);
         let apart = Vec2::new(
@@ -344,7 +344,7 @@ impl Line {
     }
 
     /// Whether each point of the line is farther from `point` than `distance`, m. If some box is
-    /// nearer, it may say no where yes is right.
+    /// nearer, it may return false although true is right.
     pub(super) fn is_farther(&self, point: Vec2, distance: f64) -> bool {
         let limit = distance + ROUNDING;
         let limit_squared = limit * limit;

@@ -32,7 +32,7 @@ pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
     samples
 }
 
-/// Smooths twice and adds back what the second pass took ("twicing", Tukey 1977): a kernel of
+/// Smooths twice and adds back what the second pass removed ("twicing", Tukey 1977): a kernel of
 /// fourth order, which leaves parabolas where they are.
 pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let once = gaussian(points, step);

@@ -42,7 +42,7 @@ struct Model {
     classifies: bool,
 }
 
-/// Edges of nothing.
+/// The edges of an empty interval of directions.
 const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -216,7 +216,7 @@ impl Detector {
             let footprint = &vehicle.participant.footprint;
             let centre = frame.to_local(footprint.pose.position);
             let farthest = reach + footprint.length;
-            // Without a root first, which most of the others are too far away for.
+            // Compares squares first, without a root: most of the others are too far away.
             if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }

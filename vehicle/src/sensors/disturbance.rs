@@ -19,7 +19,7 @@ pub struct SensorFault {
     pub span_s: (f64, f64),
 }
 
-/// The text is no [`SensorFault`].
+/// The text is not a [`SensorFault`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write it as camera-front:lost:10-15; sensors are {sensors}; lost or late", sensors = names())]
 pub struct NoSensorFault;
@@ -69,7 +69,7 @@ fn parsed(text: &str) -> Option<SensorFault> {
     })
 }
 
-/// Between the sensors and the bus: what fails, and the messages that are held back.
+/// The stage between the sensors and the bus: holds the faults, and the messages that are delayed.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Faults {
     faults: Vec<SensorFault>,

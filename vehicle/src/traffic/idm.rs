@@ -4,7 +4,8 @@
 //! microscopic simulations", Phys. Rev. E 62 (2000). With the improved free term and the "constant
 //! acceleration heuristic" of Kesting, Treiber, Helbing, "Enhanced Intelligent Driver Model to
 //! assess the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): the base model
-//! brakes in an emergency when a vehicle cuts in, where people see that a little is enough.
+//! brakes in an emergency when a vehicle cuts in, where human drivers see that gentle braking is
+//! enough.
 
 /// Share of the heuristic in the model ("coolness"); the published value.
 const COOLNESS: f64 = 0.99;

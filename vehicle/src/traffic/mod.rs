@@ -1,4 +1,4 @@
-//! The other road users: they replay their recording, and then drive on.
+//! The other road users: they replay their recording, then drive autonomously.
 //!
 //! A recording does not react: it was made around another ego, and it is short. So each vehicle
 //! changes from replay to driving by itself, for good, when
@@ -102,7 +102,7 @@ pub struct RoadUser {
 }
 
 impl RoadUser {
-    /// Whether it is in the picture.
+    /// Whether it is present.
     #[must_use]
     pub fn is_present(&self) -> bool {
         self.mode != Movement::Absent
@@ -132,7 +132,7 @@ struct Deviating {
     participant: Participant,
     forward: Vec2,
     velocity: Vec2,
-    /// How far it gets within the time that is looked ahead, and its body, m.
+    /// How far it gets within the look-ahead time, including its body, m.
     farthest: f64,
 }
 
@@ -160,7 +160,7 @@ impl Deviating {
 
 /// Where a replayed vehicle will be.
 struct Ahead {
-    /// So far in the future, at scenario time `t`, s.
+    /// This far in the future, at scenario time `t`, s.
     dt: f64,
     t: f64,
     /// It is no farther from there than by this, m.
@@ -302,7 +302,7 @@ impl Traffic {
         }
     }
 
-    /// Puts a vehicle into the picture when its recording begins; things are always there.
+    /// Makes a vehicle present when its recording begins; objects are always present.
     fn appear_if_due(&mut self, index: usize, t: f64) {
         let recording = &self.recordings[index];
         let (begin, end) = self.tracks[index].span();
@@ -351,7 +351,7 @@ impl Traffic {
         let track = &self.tracks[index];
         let own = vehicle.participant.footprint.grown(ROOM.0, ROOM.1);
         let own_farthest = farthest(track.speed_max(), &own);
-        // Whether the two can touch within the time that is looked ahead; yes, if in doubt.
+        // Whether the two can touch within the time that is looked ahead; true if in doubt.
         let may_meet = |other: &&Deviating| {
             let apart = other.participant.footprint.pose.position - own.pose.position;
             let farthest = own_farthest + other.farthest;

@@ -77,7 +77,7 @@ impl Track {
         }
     }
 
-    /// The times that the recording covers, s.
+    /// The span of time that the recording covers, s.
     pub(crate) fn span(&self) -> (f64, f64) {
         (self.knots[0].t, self.knots[self.knots.len() - 1].t)
     }
@@ -187,8 +187,8 @@ mod tests {
         assert!((Track::new(&unknown).motion(1.0).speed - 12.0).abs() < 1e-9);
     }
 
-    /// States at uneven times: the one before each time is found, and the vehicle stays where it is
-    /// said to be around.
+    /// States at uneven times: the one before each time is found, and the vehicle stays within the
+    /// stated distance of the stated point.
     #[test]
     fn a_time_is_found_and_the_vehicle_is_near_there() {
         let times = [0.0, 0.1, 0.15, 0.9, 1.0, 1.1, 3.0];

@@ -43,7 +43,7 @@ impl View {
     }
 }
 
-/// How one vehicle is seen from the lanes around it, until it moves: those who look are in few
+/// How one vehicle is seen from the lanes around it, until it moves: its observers are in few
 /// lanes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Views {
@@ -230,7 +230,7 @@ pub(super) fn ahead(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> Opt
     let clearance = clearance(vehicle, other);
     let apart = seen.place.d - vehicle.place.d;
     let soon = apart + seen.drift - vehicle.lateral_speed;
-    // Who passes from one side to the other within the second is in the way as well.
+    // A vehicle that crosses from one side to the other within the second is in the way as well.
     let in_the_way = apart.abs().min(soon.abs()) < clearance || apart * soon < 0.0;
     (in_the_way && seen.place.s > vehicle.place.s).then_some(seen.leader)
 }

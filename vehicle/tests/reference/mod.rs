@@ -11,15 +11,15 @@ const WHEELBASE: f64 = 2.579;
 /// How the driver drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Manner {
-    /// As one should.
+    /// Drives correctly.
     Normal,
     /// Brakes to a standstill after 5 s and stays there.
     StopsInLane,
     /// At 60 percent of the speed that the others expect.
     Dawdles,
-    /// Takes every gap beside.
+    /// Changes lanes into every gap.
     ChangesLanes,
-    /// Sends one frame and then nothing: the vehicle helps itself.
+    /// Sends one frame and then nothing: the vehicle acts on its own.
     Absent,
 }
 
@@ -42,7 +42,7 @@ impl ReferenceDriver {
         }
     }
 
-    /// The control frame for what the world looks like now.
+    /// The control frame for the present state of the world.
     pub(crate) fn control(&mut self, world: &World) -> tandem_bus::Encoded {
         let now = world.snapshot();
         let target = self.choose_lane(world);
