@@ -609,7 +609,7 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
 }
 
 /// The route decides the lane: the vehicle changes to a free lane without a gain, keeps its own
-/// lane behind a slow leader, and does not change into another vehicle.
+/// lane behind a slow leader, and does not change lanes towards a vehicle beside it.
 #[test]
 fn the_route_leads_to_its_lane_when_there_is_room() {
     let slow = object(75.0, 0.0, 21.0);

@@ -207,7 +207,8 @@ fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
             + SPEED_GAIN * (reference.speed - ego.speed)
             + WAY_GAIN * way_error
     };
-    // Checks for NaN first, because the limits would hide it.
+    // Refuses values that are not finite before the limits apply, because the limits would hide
+    // them.
     let sums = reference.x + reference.y + reference.heading + reference.speed;
     if !(sums + feed_forward.curvature + feed_forward.acceleration).is_finite() {
         return None;
