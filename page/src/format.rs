@@ -123,7 +123,7 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A further figure by its name: one whose name says so is a time in ns.
+/// A further figure, formatted by its name: some names mark a time in ns.
 #[must_use]
 pub fn fact(name: &str, value: f64) -> String {
     // Avoids "-0".

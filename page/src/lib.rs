@@ -33,7 +33,7 @@ pub fn document(title: &str, content: &Markup) -> String {
     page.into_string()
 }
 
-/// A section with a heading, something beside the heading, a note, and its content.
+/// A section: a heading, text beside the heading, a note, and the content.
 #[must_use]
 pub fn section(title: &str, aside: &Markup, note: &str, content: &Markup) -> Markup {
     html! {

@@ -67,7 +67,7 @@ enum Target {
     Absent(File, OsString),
 }
 
-/// What makes a message of an error.
+/// Builds a message from an error.
 type Why = Result<Target, String>;
 
 impl OutputFile {
@@ -104,7 +104,7 @@ impl OutputFile {
         Ok(places)
     }
 
-    /// Writes the file. One that did not exist is not left half-written.
+    /// Writes the file. A new file is never left half-written.
     ///
     /// # Errors
     /// [`OutputError`], such as a full disk.
@@ -184,7 +184,7 @@ fn parent(path: &Path) -> &Path {
     parent.unwrap_or(Path::new("."))
 }
 
-/// A name that is free, in a folder that must be there and let itself be written.
+/// A free name in a folder that must exist and be writable.
 fn absent(path: &Path) -> Why {
     if path.symlink_metadata().is_ok() {
         return Err("a symbolic link that leads nowhere".to_owned());
@@ -198,8 +198,8 @@ fn absent(path: &Path) -> Why {
     Ok(Target::Absent(open_folder(folder)?, name.to_owned()))
 }
 
-/// Opens a folder that can be written to: permissions, read-only file systems and full disks show
-/// only when one tries. The file that tries has no name and is gone at once.
+/// Opens a folder that can be written to. Only an attempt shows permissions, read-only file systems
+/// and full disks, so this creates a file without a name, which vanishes at once.
 fn open_folder(path: &Path) -> Result<File, String> {
     let tried = tempfile::tempfile_in(path).and_then(|_| File::open(path));
     tried.map_err(|error| format!("cannot write in {}: {}", path.display(), error))
@@ -218,7 +218,7 @@ fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
     let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
     let written = File::from(file).write_all(text.as_bytes());
     written.inspect_err(|_| {
-        // The caller gets the error of the writing; a further one of the removal adds nothing.
+        // The caller gets the write error. An error of the removal would add nothing.
         let _ = unlinkat(folder, name, AtFlags::empty());
     })
 }
