@@ -2,8 +2,8 @@
 //!
 //! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first, byte 2 a counter that goes up by one
 //! with every frame of an id and wraps around. The CRC covers the bytes from 2 on and then the
-//! data id, low byte first; the data id is the CAN id and is not sent, so a frame under a
-//! wrong id is found too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
+//! data id, low byte first; the data id is the CAN id and is not sent, so a frame under a wrong id
+//! is detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
 
 use crc::{CRC_16_IBM_3740, Crc};
 
@@ -21,7 +21,7 @@ pub const MAX_DELTA_COUNTER: u8 = 10;
 const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 
 /// Writes counter and CRC into a frame whose other bytes are final. A frame without room for them
-/// is left as it is.
+/// stays unchanged.
 pub fn protect(id: u16, counter: u8, data: &mut [u8]) {
     if data.len() < HEADER_LEN {
         return;

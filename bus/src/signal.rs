@@ -99,7 +99,7 @@ impl Signal {
         self.max as f32 * self.factor
     }
 
-    // With a constant signal this is a few instructions.
+    // For a constant signal this compiles to a few instructions.
     #[inline(always)]
     fn get(&self, data: &[u8; MAX_LEN]) -> Result<i64, FrameError> {
         let mut window = 0;
@@ -143,7 +143,7 @@ impl Signal {
     }
 }
 
-/// A type of Rust that a signal carries.
+/// A Rust type that a signal carries.
 pub(crate) trait Field: Copy {
     /// The raw value; it may be out of the signal's range.
     fn to_raw(self, signal: &Signal) -> i64;
@@ -228,7 +228,7 @@ impl<T: ValueTable> Field for T {
     }
 }
 
-/// What is done with each signal of a frame in turn.
+/// An operation on each signal of a frame in turn.
 pub(crate) trait Walk {
     /// A signal that is a field of the message.
     fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError>;
@@ -312,8 +312,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever value is written, the nearest one that the signal can hold is read; no other
-        /// bit of the frame changes.
+        /// For any value written, reading returns the nearest one that the signal can hold. No
+        /// other bit of the frame changes.
         #[test]
         fn values_saturate_and_round(signal in signal(), value: f32, raw: i64) {
             let mut data = [0; MAX_LEN];

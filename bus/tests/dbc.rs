@@ -1,9 +1,9 @@
-//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: an enum for each value table, a
-//! struct for each frame layout, the enum of all messages and the table of all frames.
+//! This generator makes `src/dbc.rs` from `dbc/tandem.dbc`: an enum for each value table, a struct
+//! for each frame layout, the enum of all messages and the table of all frames.
 //! `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
 //!
-//! Frames with the same layout share a struct (see [`Layout`]). What the generated code calls
-//! stands in `src/signal.rs`. The generator fails at anything in the DBC that it does not know.
+//! Frames with the same layout share a struct (see [`Layout`]). The functions that the generated
+//! code calls are in `src/signal.rs`. The generator fails on any unknown element in the DBC.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -78,7 +78,7 @@ fn one_more_message_needs_only_the_dbc() -> Result<()> {
     Ok(())
 }
 
-/// As `cargo fmt` would have it.
+/// Formatted as by `cargo fmt`.
 fn formatted(code: &str) -> Result<String> {
     let mut rustfmt = Command::new("rustfmt")
         .args(["--edition", "2024"])

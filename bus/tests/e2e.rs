@@ -151,7 +151,7 @@ fn transmitter_and_receiver_agree_per_id() {
     assert_eq!(receiver.lost(), 2);
 }
 
-/// Frames that must not be used are told apart by reason.
+/// Each frame that must not be used is refused with its reason.
 #[test]
 fn receiver_says_why_it_refuses() {
     let (mut transmitter, mut receiver) = (FrameTransmitter::new(), FrameReceiver::new());

@@ -1,4 +1,4 @@
-//! Any message with any values that the DBC allows: what a new frame needs to be tested.
+//! Generates any message with any values that the DBC allows, so that new frames are tested too.
 #![allow(dead_code, reason = "each test uses a part")]
 
 use std::sync::LazyLock;
@@ -36,7 +36,7 @@ fn raw(frame: &FrameInfo, signal: &Signal, seed: u64) -> i64 {
     }
     let limit = |value| (number(value) / signal.factor).round() as i64;
     let (min, max) = (limit(signal.min), limit(signal.max));
-    // The limits are where mistakes show.
+    // Mistakes show at the limits.
     match seed % 8 {
         0 => min,
         1 => max,
