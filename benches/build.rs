@@ -1,4 +1,4 @@
-//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and notes commit,
+//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and records commit,
 //! compiler and flags, which a result must name.
 
 use std::env;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let ours = PathBuf::from("src/peers/freertos_posix");
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", ours.display());
-    // Where tandem-rtos has its kernel from: the peer is of the same sources.
+    // The kernel sources of tandem-rtos: the peer is built from the same.
     let kernel = PathBuf::from(env::var("DEP_TANDEM_FREERTOS_KERNEL")?);
     let port = kernel.join("portable/ThirdParty/GCC/Posix");
     let program = PathBuf::from(env::var("OUT_DIR")?).join("freertos-posix");

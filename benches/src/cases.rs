@@ -36,7 +36,7 @@ pub enum Comparison {
 }
 
 impl Comparison {
-    /// As it stands in names and on the command line.
+    /// The name that case names and the command line use.
     #[must_use]
     pub fn name(self) -> String {
         let value = self.to_possible_value();
@@ -56,8 +56,8 @@ pub struct Candidate {
     pub name: &'static str,
     /// Description for the table.
     pub what: &'static str,
-    /// Rounds of one batch: some 10 to 50 ms, so that cases take turns while the machine's mood
-    /// lasts.
+    /// Rounds of one batch: some 10 to 50 ms, so that cases take turns before the machine's state
+    /// changes.
     pub rounds: usize,
     /// One batch, by a plan whose CPUs fit the group.
     run: Run,
@@ -102,7 +102,7 @@ const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
 const ADAPTIVE: WaitPolicy = SpinThenSleep { spins: 2000 };
 
-/// What sleeps in the kernel, on two CPUs or on one.
+/// Cases whose receiver sleeps in the kernel, on two CPUs or on one.
 #[rustfmt::skip]
 const SLEEPERS: &[(&str, &str, Run)] = &[
     ("floor", "futex on a shared word", floor::futex),
@@ -186,7 +186,7 @@ const CASES: &[Cases] = &[
         ("pthread", "mutex shared by processes, free", |p| mutex::free(p, Death::Fatal)),
         ("pthread-robust", "robust mutex, free", |p| mutex::free(p, Death::Robust)),
     ]),
-    // Microseconds of contention: many of the scheduler's turns.
+    // Microseconds of contention: many time slices of the scheduler.
     (Comparison::Lock, 40_000, &[
         ("contended-2-floor", "one word, no turns: from wanting to having it, two CPUs",
             |p| floor::contended_word(p, 2)),

@@ -4,7 +4,7 @@ use crate::result::Row;
 use Figure::{Text, Time};
 use tandem_page::format;
 
-/// A figure of a row: a time in ns, or something else in words.
+/// A figure of a row: a time in ns, or a text.
 pub(crate) enum Figure {
     Time(fn(&Row) -> Option<f64>),
     Text(fn(&Row) -> Option<String>),
@@ -14,14 +14,14 @@ pub(crate) enum Figure {
 pub(crate) struct Column {
     pub(crate) head: &'static str,
     pub(crate) title: &'static str,
-    /// 0 is always shown, 1 to 4 where the terminal is wide enough, [`PAGE`] on the page alone.
+    /// 0 is always shown, 1 to 4 if the terminal is wide enough, [`PAGE`] only on the page.
     rank: u8,
     /// Share of the samples that lie beyond this figure; 1 if it is no percentile.
     beyond: f64,
     figure: Figure,
 }
 
-/// Rank of what only the page shows.
+/// Rank of columns that only the page shows.
 pub(crate) const PAGE: u8 = 5;
 const TAIL_RATIO: &str = "x p99.9";
 /// A percentile with fewer samples than this beyond it rests on chance; so does a ratio of tails

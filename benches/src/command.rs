@@ -154,8 +154,8 @@ pub fn bench(args: &BenchArgs) -> Result<Printed, NoFigures> {
     }
 }
 
-/// Measures, and writes what `args` asks for. Ctrl-C ends the measurement early; what was measured
-/// so far is written all the same.
+/// Measures, and writes the outputs that `args` names. Ctrl-C ends the measurement early. The
+/// figures measured so far are still written.
 fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
     let files = [("--json", &args.json), ("--html", &args.html)];
     let files = files.map(|(option, path)| (option, path.as_deref()));

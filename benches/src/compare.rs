@@ -1,15 +1,15 @@
 //! `tandem bench compare --against OLD`: what changed between two builds, beyond noise.
 //!
 //! Both programs measure in pairs of short runs, in changing order. Each run has processes of its
-//! own, whose memory lies elsewhere, so the luck of a run is part of the noise that the test sees.
-//! A pair counts as one number: the logarithm of new over old, of the ratio to the floor of the
-//! same run where the case has a floor, else of the time.
+//! own, whose memory lies elsewhere, so the random effects of a run are part of the noise that the
+//! test sees. A pair counts as one number: the logarithm of new over old, of the ratio to the floor
+//! of the same run where the case has a floor, else of the time.
 //!
 //! If nothing changed, each number is as often above 0 as below. So p is the share of all choices
 //! of their signs for which the mean lies at least as far from 0 as the measured one (R. A. Fisher,
-//! "The Design of Experiments", 1935, section 21). It is exact and knows no distribution. A change
-//! counts if p is at most [`ALPHA`] after Holm's correction for the number of cases ("A simple
-//! sequentially rejective multiple test procedure", 1979), and if it is larger than
+//! "The Design of Experiments", 1935, section 21). The test is exact and assumes no distribution. A
+//! change counts if p is at most [`ALPHA`] after Holm's correction for the number of cases ("A
+//! simple sequentially rejective multiple test procedure", 1979), and if it is larger than
 //! [`SMALLEST_CHANGE`].
 
 use crate::columns;
@@ -27,16 +27,16 @@ use tandem_page::format::{TimeUnit, median};
 const COMPARE_SCHEMA: &str = "tandem-bench-compare/2";
 /// How often comparisons of equal builds may show a change.
 pub(crate) const ALPHA: f64 = 0.05;
-/// Less than this is not worth acting on, however sure it is.
+/// A smaller change is not worth acting on, even if it is significant.
 pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
 
-/// What became of a figure.
+/// The verdict on a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Trend {
     Faster,
     Slower,
-    /// Nothing that could not be noise.
+    /// Any difference could be noise.
     NoChange,
 }
 
@@ -58,7 +58,7 @@ pub(crate) struct Change {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Compared {
     pub(crate) name: String,
-    /// Shown for the machine's sake, without a verdict.
+    /// Shows the state of the machine, without a verdict.
     pub(crate) is_floor: bool,
     /// Not Tandem's: its verdict does not count.
     pub(crate) is_peer: bool,
@@ -88,7 +88,7 @@ pub(crate) struct Comparison {
 pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Results> {
     let name = program.display();
     let foreign = || format!("{name} is no `tandem` that can be compared");
-    // The file has no name, so nothing is left of it, whatever ends this process.
+    // The file has no name, so it vanishes when this process ends for any reason.
     let mut file = tempfile::tempfile()?;
     let mut command = Command::new(program);
     command.args(["bench", "--json", "/dev/stdin"]).args(args);
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(table.matches("(185)").count(), 2, "{table}");
     }
 
-    /// The tick has a floor of its own: where both take twice as long, the machine does.
+    /// The tick has a floor of its own: if both take twice as long, the machine is slower.
     #[test]
     fn a_case_is_compared_beside_the_floor_of_its_own() {
         let run = |ns| results(vec![row("rtos/tick-floor", ns), row("rtos/tick", ns)]);

@@ -64,8 +64,9 @@ const PER_LINE: u32 = 8;
 const LINES: u32 = 64;
 
 /// The floor of throughput: a ring whose cache lines are handed over one by one, full. Eight
-/// messages of 8 bytes fill a line; only then the producer says so. That is what the lines
-/// themselves cost; it delays each message until its line is full, so it is no channel to use.
+/// messages of 8 bytes fill a line; only then the producer publishes it. This measures the cost of
+/// the cache lines alone. It delays each message until its line is full, so it is not a practical
+/// channel.
 pub(crate) fn full_lines(plan: &BatchPlan) -> io::Result<Batch> {
     let shared = SharedPage::with_case_words((2 + LINES as usize) * LINE)?;
     // The producer's count of lines, the consumer's, and the lines.
@@ -141,7 +142,7 @@ pub(crate) fn lock(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// Polls of a word that another process has, before the CPU goes to others.
+/// Polls of a word that another process holds, before this process yields the CPU.
 const POLLS: u32 = 1000;
 
 /// A word that is 1 while one process is inside.

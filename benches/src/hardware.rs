@@ -1,4 +1,4 @@
-//! The machine that figures were measured on, as far as it says something about itself.
+//! The machine that figures were measured on, as far as it describes itself.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.l
 /// The peers that are libraries.
 const PEERS: [&str; 4] = ["iceoryx2", "io-uring", "rtrb", "triple_buffer"];
 
-/// What was measured on.
+/// The machine of a measurement.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Machine {
     /// Processor, as it names itself.
@@ -33,7 +33,8 @@ pub(crate) struct Machine {
     /// Where each CPU that an end is pinned to lies: package, core, and who shares its caches.
     #[serde(default)]
     pub(crate) topology: Vec<String>,
-    /// Whether a hypervisor is below: then other guests take time that this system cannot see.
+    /// Whether the system runs under a hypervisor: then other guests take time that this system
+    /// cannot see.
     pub(crate) hypervisor: bool,
     /// The governor of the first CPU's clock; `None` if this system does not know it.
     pub(crate) governor: Option<String>,

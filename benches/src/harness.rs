@@ -37,7 +37,7 @@ pub struct Batch {
     /// The same messages counted from when they left, where they were due at fixed times; else
     /// empty.
     pub naive_ps: Vec<u64>,
-    /// CPU time (user and system, all ends) per message in ns, where it means something.
+    /// CPU time (user and system, all ends) per message in ns, where it applies.
     pub cpu_ns_per_message: Option<f64>,
     /// Bytes of payload per message.
     pub payload_bytes: u64,
@@ -273,7 +273,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
     Ok(batch)
 }
 
-/// What both ends of a ping-pong have written down, with the sender's own cost and each direction.
+/// The records of both ends of a ping-pong, with the sender's own cost and each direction.
 fn there_and_back(plan: &BatchPlan, shared: &SharedPage) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();

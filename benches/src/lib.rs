@@ -1,6 +1,6 @@
 //! Measurements: floors, peers, and what Tandem adds, by one harness in one run.
 //!
-//! Two ends pass 4 bytes to and fro (see [`harness`]); the [`cases`] differ only in how.
+//! Two ends pass 4 bytes to and fro (see [`harness`]); the [`cases`] differ only in the mechanism.
 #![allow(
     clippy::expect_used,
     clippy::missing_panics_doc,

@@ -34,7 +34,7 @@ fn main() -> ExitCode {
             return ExitCode::from(failure.status);
         }
     };
-    // A reader that has seen enough is no error.
+    // A closed stdout is not an error.
     if let Err(error) = io::stdout().write_all(shown.as_bytes())
         && error.kind() != io::ErrorKind::BrokenPipe
     {

@@ -1,5 +1,5 @@
-//! The cases in turn, batch by batch, in a new order in each turn: each sees the same of the
-//! machine's moods.
+//! Measures the cases in turn, batch by batch, in a new order in each turn, so that the machine's
+//! changes affect all cases alike.
 
 use crate::cases::Candidate;
 use crate::hardware::stolen_ms;
@@ -54,7 +54,7 @@ impl Measurement {
             (&mut self.naive, &mut batch.naive_ps),
         ] {
             for sample in std::mem::take(samples) {
-                // The histogram grows as needed; only memory could refuse.
+                // The histogram grows as needed; only a lack of memory could make this fail.
                 let _ = into.record(sample);
             }
         }

@@ -7,14 +7,14 @@ use crate::worker::{BatchPart, Child, PartContext, perform};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// One process's way into the room that only one may be in.
+/// One process's access to the critical section.
 pub trait Exclusion {
     /// Enters the critical section, runs `stay` in it, and leaves.
     fn inside(&mut self, stay: impl FnOnce());
 }
 
-/// `processes` (2 or 3) want in for as many microseconds as the plan has rounds. The first and the
-/// third share the near CPU. A sample is the time from wanting in to being in. Each stay changes
+/// `processes` (2 or 3) contend for as many microseconds as the plan has rounds. The first and the
+/// third share the near CPU. A sample is the time from the request to the entry. Each stay changes
 /// one word; at the end it must have been changed once for each stay.
 ///
 /// # Errors
@@ -39,7 +39,8 @@ pub fn contended<E: Exclusion>(
                 let mut waited = 0;
                 exclusion.inside(|| {
                     waited = ticks().wrapping_sub(wanted);
-                    // Not one atomic addition: the lock is what keeps others from between.
+                    // Not one atomic addition: the lock must keep others out between the load and
+                    // the store.
                     word.store(word.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
                 });
                 stays += 1;
@@ -71,9 +72,9 @@ pub fn contended<E: Exclusion>(
 
 /// An owner takes the lock and is killed (-9) while another process on another CPU waits for it.
 /// A sample is the time from the kill to the end of that process's turn; most of it is the
-/// kernel's. `own` makes the end of the owner of this number, `bury` tells of its death once it has
-/// ended, and what `take` makes takes the lock, gives it back, and says whether its last owner had
-/// died.
+/// kernel's. `own` makes the end of the owner of this number, `bury` reports its death once it has
+/// ended. The function that `take` makes takes the lock, gives it back, and returns whether its
+/// last owner had died.
 pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -133,7 +134,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
-/// Share of the least served in its fair share: 1 if all had the same, 0 if it had nothing.
+/// The least served process's part of its fair share: 1 if all had the same, 0 if it had nothing.
 fn least_share(served: &[f64]) -> f64 {
     let all: f64 = served.iter().sum();
     let least = served.iter().copied().fold(f64::INFINITY, f64::min);

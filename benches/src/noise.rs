@@ -10,9 +10,9 @@ const WINDOW_NS: u64 = 100_000;
 /// A pause between two time stamps that is longer than this is not the spin's own.
 const GAP_NS: u64 = 1_000;
 
-/// Reads the clock again and again on this CPU. Two readings that lie far apart had something
-/// between them: an interrupt, another process, the hypervisor. A sample is the longest pause
-/// within 100 us; all pauses above 1 us are counted.
+/// Reads the clock again and again on this CPU. If two readings lie far apart, an interrupt,
+/// another process or the hypervisor ran between them. A sample is the longest pause within 100 us;
+/// all pauses above 1 us are counted.
 pub(crate) fn gaps(plan: &BatchPlan, cpu: usize) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     alone(cpu, &shared, |role| {

@@ -91,8 +91,8 @@ fn group(name: &str, rows: &[Row]) -> Markup {
     html! { div id=(name) { (section(about.title, &aside, about.note, &content)) } }
 }
 
-/// The introduction of a group: its heading, what one sample is, and what to compare. One that is
-/// not known here explains itself by its cases.
+/// The introduction of a group: its heading, what one sample is, and what to compare. A group
+/// without an introduction here gets none: its cases explain it.
 struct About {
     title: &'static str,
     measures: &'static str,

@@ -7,7 +7,7 @@ use tandem_page::svg::Color;
 /// The provider of a measured mechanism, in the order of legends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Provider {
-    /// The hardware's or the kernel's alone: what nothing can beat.
+    /// The hardware or the kernel alone: no mechanism can be faster.
     Floor,
     Tandem,
     Iceoryx2,
@@ -64,7 +64,7 @@ impl Provider {
         Look { name, color, style }
     }
 
-    /// Whether it is what one would use instead.
+    /// Whether it is an alternative to Tandem.
     pub(crate) const fn is_peer(self) -> bool {
         !matches!(self, Self::Floor | Self::Tandem)
     }

@@ -1,4 +1,4 @@
-//! Messages in a row, as many as go: throughput.
+//! Messages in a row, as many as possible: throughput.
 //!
 //! The receiver takes the time at the end of each chunk of messages; a sample is the mean time per
 //! message over a chunk. Every message carries its number, and the receiver checks that none is

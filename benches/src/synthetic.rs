@@ -1,4 +1,4 @@
-//! Results made up for tests.
+//! Synthetic results for tests.
 
 use crate::hardware::Machine;
 use crate::result::{Results, Row, SCHEMA};

@@ -1,8 +1,8 @@
 //! Counts the system calls of a piece of code, by Linux's Syscall User Dispatch.
 //!
-//! While a byte in our memory says so, the kernel hands every system call of this thread back to
-//! us as a signal (SIGSYS). Its handler counts, makes the call itself, and returns the result to
-//! the counted code. Nothing is estimated. See
+//! While a selector byte in our memory demands it, the kernel hands every system call of this
+//! thread back to us as a signal (SIGSYS). Its handler counts, makes the call itself, and returns
+//! the result to the counted code. Nothing is estimated. See
 //! Documentation/admin-guide/syscall-user-dispatch.rst in the Linux sources.
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]

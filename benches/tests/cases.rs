@@ -1,5 +1,5 @@
-//! Every case runs once with a tiny plan, so that none is dead; no figure is judged. And the
-//! processes of a batch: how they end, and what is counted in them.
+//! Every case runs once with a tiny plan, so that none is dead; no figure is judged. Also tests the
+//! processes of a batch: how they end, and the counts taken in them.
 //!
 //! They are forked, which is sound only in a process with one thread: the tests run one after the
 //! other on the main thread.
@@ -25,7 +25,7 @@ use tandem_rtos::host::TaskAllocator;
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
-/// Facts that a case must have, with what they may be.
+/// Facts that a case must have, with their permitted values.
 #[rustfmt::skip]
 const FACTS: [(&str, &str, RangeInclusive<f64>); 3] = [
     ("lock/contended-2", "share of the least served, 1 is fair", 0.0..=1.0),
@@ -39,7 +39,7 @@ const CALLS: [(&str, RangeInclusive<f64>, f64); 8] = [
     ("sleep/floor", 1.0..=1.0, 1.0),
     ("sleep/pipe", 1.0..=1.0, 1.0),
     ("spin/floor", 0.0..=0.0, 0.0),
-    // No system call on a send to an awake receiver, whatever it does when it waits.
+    // A send to an awake receiver makes no system call under any waiting policy.
     ("spin/tandem", 0.0..=0.0, 0.0),
     ("spin/tandem-channel", 0.0..=0.0, 0.0),
     ("sleep/tandem", 1.0..=1.0, 0.0),
@@ -178,7 +178,7 @@ impl Exclusion for Absent {
     fn inside(&mut self, _stay: impl FnOnce()) {}
 }
 
-/// The guarded word finds out whether the lock works.
+/// The guarded word reveals a lock that does not work.
 fn stays_that_get_lost_are_noticed() {
     let plan = BatchPlan {
         rounds: 100,

@@ -1,4 +1,4 @@
-//! `tandem bench` as a person uses it: cut short, compared, and asked for what cannot be.
+//! `tandem bench` as a person uses it: cut short, compared, and given impossible requests.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use std::fs::{self, File};
@@ -59,7 +59,8 @@ fn interrupt(child: &Child) {
     kill_process(pid, Signal::INT).unwrap();
 }
 
-/// A measurement that is cut short gives what there is, says so everywhere, and can be compared.
+/// A measurement that is cut short gives the figures so far, marks every output as cut short, and
+/// can be compared.
 #[test]
 fn a_measurement_that_is_cut_short_gives_what_there_is() {
     let fixture = Fixture::new();
@@ -70,7 +71,7 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // Time for some cases, whatever else the machine does.
+    // Enough time for some cases, even on a busy machine.
     sleep(Duration::from_secs(6));
     assert_eq!(
         fixture.names(),
@@ -114,8 +115,8 @@ fn a_program_compared_with_itself_has_not_changed() {
     assert_eq!(fixture.names(), ["c.json"]);
 }
 
-/// Under SCHED_FIFO an end that spins keeps all others from its CPU. The measurement ends all the
-/// same, beside a load that has no such priority, and says which load it was.
+/// Under SCHED_FIFO an end that spins keeps all others from its CPU. The measurement still ends
+/// beside a load without that priority, and names the load.
 #[test]
 fn a_measurement_under_sched_fifo_ends() {
     let fixture = Fixture::new();
@@ -134,7 +135,7 @@ fn a_measurement_under_sched_fifo_ends() {
     assert_eq!(results["skipped"], Value::Array(Vec::new()));
 }
 
-/// What is wrong is said at once, with exit status 2, and leaves nothing behind.
+/// An error is reported at once, with exit status 2, and leaves no files behind.
 #[test]
 fn a_benchmark_that_cannot_be_is_refused_at_once() {
     let fixture = Fixture::new();

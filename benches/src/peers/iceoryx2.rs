@@ -29,8 +29,8 @@ type Ipc = ipc::Service;
 /// Where its files go: the benchmark's own `/dev/shm`, so that nothing is left behind.
 const ROOT: &[u8] = b"/dev/shm/iceoryx2";
 
-/// What `open` makes of a node with default settings, but for the place of its files and for
-/// signals: Ctrl-C is the benchmark's.
+/// Calls `open` with a node of default settings, except for the place of its files and for signals:
+/// the benchmark handles Ctrl-C.
 fn with_node<S: Service, T>(open: impl FnOnce(Node<S>) -> Result<T, Error>) -> T {
     let start = || {
         set_log_level(LogLevel::Fatal);

@@ -1,4 +1,4 @@
-//! What one would use instead, each as its documentation recommends.
+//! The alternatives to Tandem, each used as its documentation recommends.
 
 pub(crate) mod iceoryx2;
 mod iceoryx2_semaphore;

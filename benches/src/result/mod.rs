@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use tandem_page::format::median;
 
-/// First field of the file; its version rises when a reader must know.
+/// First field of the file; its version rises with each incompatible change.
 pub(crate) const SCHEMA: &str = "tandem-bench/1";
 /// Points of a percentile curve, at most.
 const CURVE_POINTS: usize = 100;
@@ -60,7 +60,7 @@ pub(crate) struct Row {
     pub(crate) ratio_to_floor_p50: Option<f64>,
     pub(crate) ratio_to_floor_p99_9: Option<f64>,
     pub(crate) round_trip: Option<RoundTrip>,
-    /// CPU time of all ends per message, where it means something.
+    /// CPU time of all ends per message, where it applies.
     pub(crate) cpu_ns_per_message: Option<f64>,
     /// At the median time per message; throughput only.
     pub(crate) messages_per_second: Option<f64>,

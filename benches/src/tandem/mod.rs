@@ -80,7 +80,7 @@ fn handle_channel<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, _: Call)
     inbox.received = payload.ok().map(|(_, words)| sum_from(words.into_iter()));
 }
 
-/// By which way the payload goes.
+/// How the payload travels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Way {
     /// 4 bytes as the value of the signal.

@@ -238,7 +238,7 @@ impl Log {
         f64::from_bits(self.sheet.notes[at].load(Ordering::Relaxed))
     }
 
-    /// Leaves a text, cut to some 250 bytes: why the part cannot go on.
+    /// Leaves a text, cut to some 250 bytes: why the part cannot continue.
     pub fn say(&self, text: &str) {
         for (place, byte) in self.sheet.text.iter().zip(text.bytes()) {
             place.store(byte, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! The processes of one batch: started pinned, watched, and ended, whatever happens.
+//! The processes of one batch: started pinned, watched, and ended in every case.
 //!
 //! Each part is forked for one batch only and inherits nothing from earlier batches. If one dies or
 //! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang.
