@@ -1,9 +1,9 @@
 //! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2.
 //! T-CHIP-3
 //!
-//! The sensors release it: a cycle begins when all lists are there that the last one had. The core
-//! sleeps until they are expected, and only then asks to be woken by frames. If one is missing, the
-//! cycle begins 5 ms after it was expected, and the next ones no longer wait for it.
+//! The sensors release it: a cycle begins when all lists of the last cycle have arrived again. The
+//! core sleeps until they are expected, and only then asks to be woken by frames. If one is
+//! missing, the cycle begins 5 ms after it was expected, and the next ones no longer wait for it.
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::perception::Perception;

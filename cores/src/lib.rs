@@ -29,10 +29,10 @@ use tandem_board::{Board, Can, CanId, Duration, Instant, SystemId};
 use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
 
-/// The work of one core, in steps that end by themselves.
+/// The work of one core, in steps that terminate.
 pub trait Core {
-    /// Does everything that is due and returns the latest time of the next call. Also called after
-    /// an interrupt. Task context; never blocks, never allocates.
+    /// Does all due work and returns the latest time of the next call. Also called after an
+    /// interrupt. Task context; never blocks, never allocates.
     fn poll(&mut self) -> Instant;
 }
 

@@ -106,8 +106,8 @@ impl Grid {
 pub struct Cycles(Option<u32>);
 
 impl Cycles {
-    /// The task works on this cycle; how many before it were replaced before it could. A number
-    /// that goes back is that of a core that has started again.
+    /// Records that the task works on this cycle. Returns how many earlier cycles were replaced
+    /// before the task could read them. A number that decreases comes from a restarted core.
     pub fn missed(&mut self, cycle: u32) -> u32 {
         let last = self.0.replace(cycle);
         last.map_or(0, |last| cycle.saturating_sub(last).saturating_sub(1))

@@ -56,7 +56,7 @@ pub enum ReleasedBy {
     Task(TaskCode),
 }
 
-/// What tasks of core 0 share, each behind a lock of its own.
+/// The parts that tasks of core 0 share, each behind its own lock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SharedPart {
     /// The redundancy, CAN, link, flash and outputs: [`SharedState`](crate::core0::SharedState).

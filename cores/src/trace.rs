@@ -29,7 +29,7 @@ pub enum Begin {
     },
 }
 
-/// What a task does that leaves the CPU.
+/// What a task does when it leaves the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
 pub enum Leaves {

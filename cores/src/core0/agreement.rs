@@ -1,5 +1,5 @@
-//! Whether both systems would command the same: the command of the one that drives is compared with
-//! the one that the other would give. T-RED-9
+//! Compares the command of the system that drives with the command that the other system would
+//! give. T-RED-9
 //!
 //! Two channels cannot vote. A difference that lasts is reported, and a system that finds itself
 //! wrong leaves. If neither does, the vehicle is stopped. The rule and its reasons stand in
@@ -14,8 +14,8 @@ use tandem_redundancy::Phase;
 /// Both systems have run the same functions for this long before they are compared: a system that
 /// has just joined does not yet track all that the other tracks.
 const WARM_UP: Duration = Duration::from_ms(1000);
-/// A system that finds itself wrong leaves within this time. What is left of a disagreement
-/// afterwards has no cause that a system can find in itself.
+/// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has
+/// no cause that a system can find in itself.
 const RESOLVE: Duration = Duration::from_ms(300);
 /// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
@@ -71,7 +71,7 @@ impl Excess {
     }
 }
 
-/// How far two commands are from each other.
+/// The difference of two commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Deviation {
     /// Difference of the lateral accelerations that they ask for, m/s².
@@ -136,7 +136,7 @@ impl Agreement {
     }
 
     /// Takes the result of one control cycle in this phase; `None` if there was nothing to compare.
-    /// To be called every 10 ms.
+    /// Must be called every 10 ms.
     pub(super) fn cycle(
         &mut self,
         now: Instant,
@@ -144,7 +144,8 @@ impl Agreement {
         deviation: Option<Deviation>,
     ) -> Option<Change> {
         if self.phase.replace(phase) != Some(phase) {
-            // After a takeover the command is still on its way from the other's to the own one.
+            // After a takeover the command is still moving from the other system's command to the
+            // own one.
             self.forget();
         }
         let Some(deviation) = deviation else {

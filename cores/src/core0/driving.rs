@@ -80,7 +80,7 @@ impl Driving {
         self.scene = Some(scene);
     }
 
-    /// What this system knows, for one that joins; `None` before the first scene.
+    /// The knowledge of this system, for one that joins; `None` before the first scene.
     pub(crate) fn knowledge(&self) -> Option<Knowledge> {
         Some(Knowledge::of(
             self.scene.as_ref()?,
@@ -135,7 +135,7 @@ impl Driving {
         let state = self.state(now, permitted, fresh.is_some());
         let mode = state.mode(permitted);
         if mode == Mode::None {
-            // The driver drives: the function begins from what the vehicle does.
+            // The driver drives: the function begins from the vehicle's present motion.
             self.last = Command {
                 steering_angle: ego.steering_angle,
                 acceleration: ego.acceleration,

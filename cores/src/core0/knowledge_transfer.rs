@@ -105,7 +105,7 @@ impl KnowledgeTransfer<'_> {
         knowledge: Option<&Knowledge>,
         link: &impl Link,
     ) {
-        // A full link loses the datagram: a request is repeated, a lost chunk costs its transfer.
+        // A full link drops the datagram. Requests repeat; a lost chunk costs its transfer.
         let Some(redundancy) = redundancy.filter(|it| it.phase().is_driving()) else {
             // Cores 1 and 2 may take long before the redundancy starts: only cycles after that
             // count.

@@ -69,8 +69,8 @@ impl ReadBack {
     /// wrong; the vehicle's speed, m/s. Then a difference does not count if the vehicle still stops
     /// in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
-        // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
-        // is all that was sent.
+        // If the echo has a lower term, the vehicle has not yet accepted a frame of this term: it
+        // has refused every frame sent.
         let in_term = echo.term == term;
         if echo.term > term || self.term != term {
             (self.wrong, self.refused) = (0, None);
@@ -157,8 +157,8 @@ mod tests {
     }
 
     /// T-RED-9: a command that the vehicle obeys as it was sent is right, also if the echo is late.
-    /// One that it obeys otherwise, or keeps refusing, is wrong. Commands of the other system are
-    /// not judged.
+    /// A command that it obeys differently, or keeps refusing, is wrong. Commands of the other
+    /// system are not judged.
     #[test]
     fn a_command_that_is_obeyed_otherwise_is_wrong() {
         assert_eq!(found(|_, echo| echo), None);

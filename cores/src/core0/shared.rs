@@ -256,7 +256,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// This system's command is wrong. It sends none any more and leaves; the other one drives.
+    /// This system's command is wrong. It stops sending commands and leaves; the other one drives.
     pub(super) fn on_wrong_command(&mut self, witness: u8) -> TaskSet {
         if !self.check.on_wrong() {
             return TaskSet::NONE;
@@ -281,7 +281,8 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     /// The CAN controller was bus-off, and has not been error-active since. `again`: it is bus-off
-    /// once more. The vehicle receives nothing of this system: the other one learns it at once.
+    /// once more. The vehicle receives nothing from this system, so the other one is notified at
+    /// once.
     pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
         let released = self.notify(Input::OwnFault(FailureMode::CanBusOff));
         if again {

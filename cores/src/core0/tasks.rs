@@ -84,7 +84,7 @@ pub struct MonitoringTask<'b, B> {
     /// The core that is silent: a system that drives on traces it once.
     silent: Option<CoreId>,
     control: Progress,
-    /// The watchdog gets no service, and resets this system.
+    /// The watchdog is not serviced, and resets this system.
     withholds: bool,
     last_service: Option<Instant>,
 }

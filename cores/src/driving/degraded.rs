@@ -16,7 +16,7 @@ use super::road::CentreLine;
 use super::types::{Command, Ego, Object, Scene};
 use super::vehicle::{LENGTH_M, WIDTH_M};
 
-/// A scene is used for this long; after that the functions have nothing to go by but the chassis.
+/// A scene is used for this long. After that the functions have only the chassis sensors.
 pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
 
 /// Degraded mode drives no faster than this, m/s (90 km/h).
@@ -31,7 +31,7 @@ const SAFE_STOP_BRAKING: f32 = 2.5;
 const SOON_BRAKING: f32 = 3.0;
 /// Deceleration without lanes, m/s².
 const BLIND_BRAKING: f32 = 1.5;
-/// Steering answers this late, s: its feed-forward looks so far ahead.
+/// Steering responds after this delay, s: its feed-forward looks this far ahead.
 const PREVIEW_S: f32 = 0.07;
 
 /// How degraded mode drives: with a larger gap than a system that has its full functions.

@@ -37,7 +37,7 @@ pub struct KnownLine {
     pub view_range: f32,
 }
 
-/// What one system sends to another one. All in the vehicle frame at [`Knowledge::at`].
+/// The data that one system sends to another. All in the vehicle frame at [`Knowledge::at`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knowledge {
     /// The time of the scene, on the clock of the system that holds this.

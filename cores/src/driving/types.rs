@@ -1,5 +1,5 @@
-//! What the driving functions hand to each other: scene (core 1 to 2), trajectory (core 2 to 0),
-//! command (core 0 to the vehicle).
+//! The values that the driving functions pass to each other: scene (core 1 to 2), trajectory (core
+//! 2 to 0), command (core 0 to the vehicle).
 //!
 //! Vehicle frame (ISO 8855): origin at the centre of gravity of the own vehicle, x forward, y left,
 //! angles counter-clockwise. SI units throughout.
@@ -129,7 +129,7 @@ impl Object {
     }
 }
 
-/// What core 1 knows of the world at one time: the object list of T-CHIP-3.
+/// The state of the world that core 1 perceives at one time: the object list of T-CHIP-3.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// The time that it is predicted to, on this system's clock.
@@ -171,7 +171,7 @@ pub enum Maneuver {
     Brake,
 }
 
-/// What decision remembers from cycle to cycle, in 30 bits: for a system that joins.
+/// The memory of decision from cycle to cycle, in 30 bits: for a system that joins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Memory(pub(super) u32);
 
@@ -210,7 +210,7 @@ pub struct TrajectoryPoint {
     pub acceleration: f32,
 }
 
-/// What core 2 wants the vehicle to do: samples every [`TRAJECTORY_STEP_S`] from `at` on.
+/// The motion that core 2 plans for the vehicle: samples every [`TRAJECTORY_STEP_S`] from `at` on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's

@@ -19,7 +19,7 @@ use super::types::{
 /// have changed too much.
 pub const TRAJECTORY_MAX_AGE: Duration = Duration::from_ms(300);
 
-/// Steering and powertrain answer this late, s: their feed-forward looks so far ahead.
+/// Steering and powertrain respond after this delay, s: their feed-forward looks this far ahead.
 const STEERING_PREVIEW_S: f32 = 0.07;
 const POWERTRAIN_PREVIEW_S: f32 = 0.14;
 /// Feedback of the speed, 1/s.

@@ -24,7 +24,7 @@ pub(crate) const HARD_BRAKING: f32 = -4.0;
 /// A brake that is not let go before standstill ends with a jolt. So it is let go with this jerk,
 /// m/s³, down to the braking that holds the vehicle. From 2.5 m/s² that costs 5 cm, from 4 m/s² 19.
 const SOFT_STOP_JERK: f32 = 4.0;
-/// The brake lets go so late, s: its lag of 0.14 s twice, so that only a twentieth is left.
+/// The release delay of the brake, s: its lag of 0.14 s twice, and then a twentieth is left.
 const BRAKE_DELAY_S: f32 = 0.3;
 /// From this speed on the wheels may be turned as fast as they can, m/s.
 const ROLLING_SPEED: f32 = 4.0;

@@ -16,7 +16,7 @@ pub(crate) struct Motion {
     pub(crate) fading_s: f32,
 }
 
-/// What a span of time does to each axis that moves in the same way.
+/// The effect of a span of time on each axis that moves in the same way.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     dt: f32,

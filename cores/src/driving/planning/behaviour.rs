@@ -355,7 +355,7 @@ impl Situation<'_> {
         side.lane(self.lanes).map(|(centre, _)| (side, centre))
     }
 
-    /// Whether the body is over the line so far that going back is no better than going on.
+    /// Whether the body is so far over the line that going back is no better than continuing.
     fn past_the_middle(&self, side: Side) -> bool {
         side.sign() * self.offset > 0.5 * self.lanes.width - 0.25 * WIDTH_M
     }

@@ -67,7 +67,7 @@ const MEETING_S: f32 = 2.5;
 /// A road user that crosses ahead or comes towards the vehicle has been passed when it is this far
 /// behind, m.
 const PASSED_M: f32 = 1.0;
-/// Objects farther away along the road are not looked at, m.
+/// Objects farther away along the road are ignored, m.
 const FARTHEST_M: f32 = 220.0;
 const FARTHEST_BEHIND_M: f32 = 90.0;
 /// Times in which the lane is regained, s.
