@@ -12,7 +12,7 @@ use tandem_bus::DriverRequest;
 /// How far ahead the driver aims, m, and s of driving.
 const AIM: (f64, f64) = (8.0, 1.0);
 
-/// What the driver does in a run. The default engages the function and never touches it again.
+/// The driver's actions in a run. The default engages the function and then never acts again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Habit {
     /// Overrides the function between these two scenario times, s.

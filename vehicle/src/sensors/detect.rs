@@ -216,7 +216,7 @@ impl Detector {
             let footprint = &vehicle.participant.footprint;
             let centre = frame.to_local(footprint.pose.position);
             let farthest = reach + footprint.length;
-            // Compares squares first, without a root: most of the others are too far away.
+            // Compares squares first, without a root, which excludes most of the others.
             if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }

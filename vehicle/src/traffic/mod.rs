@@ -9,10 +9,9 @@
 //! - it would hit one of these from the side within a second by changing lanes: it stays in
 //!   its lane, like a driver who checks before changing.
 //!
-//! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the
-//! speed, heading and time gap that it has at that moment. It knows the ego and all others, slows
-//! down for curves, stops at the end of a lane, and lets in vehicles that must leave a lane that
-//! ends.
+//! Then it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
+//! heading and time gap of that moment. It knows the ego and all others, slows down for curves,
+//! stops at the end of a lane, and lets in vehicles that must leave a lane that ends.
 
 mod idm;
 pub(crate) mod recording;
@@ -51,7 +50,7 @@ const DESIRED_SPEED_MIN: f64 = 13.9;
 /// Hardest braking of a driver to let another vehicle in, m/s².
 const COURTESY: f64 = 1.5;
 
-/// Another vehicle, or the ego, as vehicles that drive by themselves see it.
+/// Another vehicle, or the ego, as seen by vehicles that have left their recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Participant {
     /// The area that it covers.
@@ -118,7 +117,7 @@ impl RoadUser {
         };
     }
 
-    /// What its views depend on.
+    /// The values that its views depend on.
     const fn motion(&self) -> (Pose, f64) {
         (self.participant.footprint.pose, self.participant.speed)
     }

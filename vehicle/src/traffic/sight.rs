@@ -1,4 +1,4 @@
-//! What a driver sees of the others: which one is ahead, beside, or wants to merge.
+//! A driver's view of the others: which one is ahead, beside, or wants to merge.
 
 use super::{Leader, Participant, RoadUser};
 use crate::geometry::{Vec2, wrap_angle};
@@ -245,8 +245,8 @@ pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen
     between && near && on_that_side
 }
 
-/// `other` as a leader, if it is ahead in this lane beside, which ends, and soon: it has to come
-/// in, and to let in one is a duty (in German law, StVO § 7 (4)).
+/// `other` as a leader, if it is ahead in this lane beside, which ends, and soon: it has to merge,
+/// and German law requires drivers to let it in (StVO § 7 (4)).
 pub(super) fn merging(
     road: &Road,
     vehicle: &RoadUser,
