@@ -26,7 +26,7 @@ const fn task(number: u8) -> TaskId {
 pub const MAILBOX_1_TO_2: Region<Mailbox> = Region::first("mailbox 1 to 2");
 /// Core 2 signals core 0.
 pub const MAILBOX_2_TO_0: Region<Mailbox> = MAILBOX_1_TO_2.then("mailbox 2 to 0");
-/// Each core counts its cycles here, on a cache line of its own, for the alive supervision.
+/// Each core counts its cycles here, on its own cache line, for the alive supervision.
 const ALIVE: Region<Words<{ CoreId::COUNT * LINE_WORDS }>> = MAILBOX_2_TO_0.then("alive counters");
 /// Core 1 publishes, cores 2 and 0 read.
 pub const SCENE: Region<Newest<Scene>> = ALIVE.then("scene");

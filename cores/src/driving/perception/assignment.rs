@@ -11,7 +11,7 @@ use super::{MAX_DETECTIONS, MAX_TRACKS};
 pub(crate) const IMPOSSIBLE: f32 = 1e6;
 /// Cost of leaving a track without a detection: more than any pair within the gate.
 const UNASSIGNED: f32 = 60.0;
-/// Real columns, and one column of its own for every track that stays without a detection.
+/// Real columns, and one separate column for every track that stays without a detection.
 const COLUMNS: usize = MAX_DETECTIONS + MAX_TRACKS;
 
 /// Costs of all pairs; rows are tracks, columns are detections.

@@ -131,7 +131,7 @@ mod tests {
     }
 
     /// The time of a measurement is the sensor's, not that of its arrival: a list that the bus held
-    /// back is as old as it is. The sensors' clock has an origin of its own, and wraps around.
+    /// back is as old as it is. The sensors' clock has its own origin, and wraps around.
     #[test]
     fn a_list_is_as_old_as_its_measurement() {
         let mut clock = SensorClock::default();
