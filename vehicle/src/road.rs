@@ -519,7 +519,7 @@ mod tests {
         lanes.map(|lane| lane.lanelets.clone()).collect()
     }
 
-    /// At a fork a lane continues straight; the branch begins there and is a lane of its own.
+    /// At a fork a lane continues straight; the branch begins there and is a separate lane.
     #[test]
     fn a_fork_makes_two_lanes() {
         let road = Road::new(&[

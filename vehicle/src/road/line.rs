@@ -6,7 +6,7 @@
 use super::{Frenet, STEP};
 use crate::geometry::{Vec2, wrap_angle};
 
-/// Samples in a piece with a box of its own.
+/// Samples in a piece with its own box.
 const PIECE: usize = 32;
 /// A search over the whole line tests every sample of this number, and then those between.
 const COARSE: usize = 4;

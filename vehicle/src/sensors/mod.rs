@@ -1,6 +1,6 @@
 //! What the vehicle measures and puts on the bus: five radars, a camera, chassis sensors.
 //!
-//! Every sensor draws its noise from a generator of its own, so that one sensor's detections do not
+//! Every sensor draws its noise from its own generator, so that one sensor's detections do not
 //! change another one's noise; all come from the run's seed.
 
 mod camera;
