@@ -184,7 +184,7 @@ impl Svg {
         ));
     }
 
-    /// The picture as a file of its own.
+    /// The picture as a separate file.
     #[must_use]
     pub fn into_file(self) -> String {
         let ((width, height), body, style) = (self.size, self.body, crate::STYLE);
