@@ -15,9 +15,9 @@ use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
 /// Cases that are compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Comparison {
-    /// 4 bytes one way; the receiver polls on a CPU of its own.
+    /// 4 bytes one way; the receiver polls on its own CPU.
     Spin,
-    /// 4 bytes one way; the receiver sleeps in the kernel until it is woken, on a CPU of its own.
+    /// 4 bytes one way; the receiver sleeps in the kernel until it is woken, on its own CPU.
     Sleep,
     /// 4 bytes one way; both ends share one CPU.
     OneCpu,

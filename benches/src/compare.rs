@@ -325,7 +325,7 @@ mod tests {
     const CASES: [&str; 4] = ["floor", "tandem", "tandem-channel", "pipe"];
 
     /// Pairs of runs on a machine like ours. Each run is fast or slow as a whole, and each case of
-    /// a run has an effect of its own, which all of its batches share.
+    /// a run has its own effect, which all of its batches share.
     fn pairs(random: &mut ChaCha8Rng, count: usize, factor: f64) -> Vec<[Results; 2]> {
         let mood = Normal::new(0.0, 0.3).unwrap();
         let effect = Normal::new(0.0, 0.04).unwrap();
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(table.matches("(185)").count(), 2, "{table}");
     }
 
-    /// The tick has a floor of its own: if both take twice as long, the machine is slower.
+    /// The tick has its own floor: if both take twice as long, the machine is slower.
     #[test]
     fn a_case_is_compared_beside_the_floor_of_its_own() {
         let run = |ns| results(vec![row("rtos/tick-floor", ns), row("rtos/tick", ns)]);

@@ -234,7 +234,7 @@ pub(crate) fn between_processes<E: End>(
 
 /// The same with ends of two kinds.
 ///
-/// Each end is made in a process of its own, which lives for this batch only: it inherits nothing
+/// Each end is made in its own process, which lives for this batch only: it inherits nothing
 /// from earlier batches but what the caller had opened before.
 pub(crate) fn between_unlike<N: End, F: End>(
     plan: &BatchPlan,

@@ -17,7 +17,7 @@ use std::io;
 const PERIOD_NS: u64 = 100_000;
 
 /// Sends as many messages as the plan has rounds, one each [`PERIOD_NS`]. The sender spins until
-/// each is due, on a CPU of its own; CPU time is the receiver's alone.
+/// each is due, on its own CPU; CPU time is the receiver's alone.
 pub(crate) fn at_fixed_rate<E: End>(
     plan: &BatchPlan,
     end: impl Fn(&SharedPage, [usize; 2]) -> E,

@@ -86,7 +86,7 @@ impl<'a> Headline<'a> {
         let is_ours = |row: &&Row| Provider::of(row) == Provider::Tandem;
         let tandem = rows.iter().find(is_ours)?;
         let is_peer = |row: &&Row| Provider::of(row).is_peer();
-        // In `rtos` a case has a peer of its own: `tick-posix-port`.
+        // In `rtos` a case has its own peer: `tick-posix-port`.
         let own = format!("{}-", tandem.case());
         let is_own = |row: &&Row| row.case().starts_with(&own);
         let peers = || rows.iter().filter(is_peer);

@@ -1,7 +1,7 @@
 //! FreeRTOS on the host: our port beside its own POSIX port and beside what the kernel of the
 //! operating system alone can do.
 //!
-//! Each batch is a process of its own on the near CPU, in the same scheduling class for all:
+//! Each batch is a separate process on the near CPU, in the same scheduling class for all:
 //! SCHED_FIFO where that is permitted. The peer is a C program of the same kernel's sources
 //! (`peers/freertos_posix`), which mirrors the functions here.
 
@@ -42,7 +42,7 @@ impl Samples {
 /// Begin of the timed operation.
 static STAMP: AtomicU32 = AtomicU32::new(0);
 
-/// Runs `body` in a process of its own and returns the samples that it leaves.
+/// Runs `body` in a separate process and returns the samples that it leaves.
 fn in_process(
     plan: &BatchPlan,
     in_ps: fn(u32) -> u64,

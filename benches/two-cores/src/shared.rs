@@ -48,7 +48,7 @@ pub fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
     incarnation
 }
 
-/// A word on a cache line of its own.
+/// A word on its own cache line.
 #[repr(C, align(64))]
 pub struct CacheLine(AtomicU32);
 
@@ -142,7 +142,7 @@ impl SharedPage {
         &self.words[self.case_at..]
     }
 
-    /// One word of the case on a cache line of its own.
+    /// One word of the case on its own cache line.
     #[must_use]
     pub fn line(&self, number: usize) -> &'static AtomicU32 {
         &self.case()[number * LINE]

@@ -105,7 +105,7 @@ pub fn perform(shared: &SharedPage, parts: Vec<BatchPart<'_>>) -> io::Result<()>
     perform_within(LIMIT, shared, parts)
 }
 
-/// As [`perform`], with a limit of its own.
+/// As [`perform`], with its own limit.
 ///
 /// # Errors
 /// As [`perform`].
