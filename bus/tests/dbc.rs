@@ -120,9 +120,9 @@ fn generated(text: &str) -> Result<String> {
 enum Senders {
     /// One node sends one frame.
     One,
-    /// Both systems, each under an id of its own.
+    /// Both systems, each under its own id.
     Systems,
-    /// Every sensor, each under an id of its own.
+    /// Every sensor, each under its own id.
     Sensors,
 }
 
