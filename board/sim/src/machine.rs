@@ -297,8 +297,8 @@ impl Machine {
         }
     }
 
-    /// Moves the clock to the next thing that happens, by itself or in the world, if that is not
-    /// after `until`; returns whether it is. If not, moves the clock to `until`.
+    /// Moves the clock to the next event of the machine or the world and returns `true`, if that
+    /// event is not after `until`. Otherwise moves the clock to `until` and returns `false`.
     pub(crate) fn advance(&mut self, world: Instant, until: Instant) -> bool {
         let next = Instant::from_ns(self.next_ns()).min(world);
         let goes_on = next <= until && next != Instant::NEVER;

@@ -159,7 +159,8 @@ fn report_power(board: &HostBoard) {
     serve(board);
 }
 
-/// T-CHIP-5, T-CHIP-6: with its supply a system loses all cores, and the other system is told.
+/// T-CHIP-5, T-CHIP-6: a system that loses its supply loses all cores, and the other
+/// system is notified.
 fn kill_supply(script: &mut Script) {
     await_start(script, A, 1);
     await_start(script, B, 1);
