@@ -31,7 +31,7 @@ impl Drop for Run {
 }
 
 impl Run {
-    /// Looks until there is what is looked for.
+    /// Polls `look` until it returns a value, and returns that value.
     fn until<T>(&mut self, what: &str, mut look: impl FnMut() -> Option<T>) -> T {
         let begin = Instant::now();
         loop {
@@ -108,7 +108,7 @@ fn both_systems_are_updated_while_they_drive() {
     };
     // From then on the files of the flashes are whole.
     run.until("core 0 of A starts", || core_0("A", launcher));
-    // The standby comes first; on a busy machine either may be it.
+    // The standby is updated first. On a busy machine either system may be the standby.
     let first = run.until("the standby approves its image", || {
         ["A", "B"].into_iter().find(|system| is_updated(system))
     });
