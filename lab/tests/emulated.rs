@@ -271,7 +271,7 @@ fn fault(folder: &Path, what: &str, of: &str) -> String {
 }
 
 /// A campaign on firmware: faults of both systems and of the wires between them, each in its bound.
-/// Without power on both sides no system drives, and that is told.
+/// Without power on both sides no system drives, and that is reported.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn faults_of_emulated_machines_are_judged() {

@@ -53,7 +53,7 @@ impl Coverage {
         json!(self.0)
     }
 
-    /// What [`Coverage::json`] gave; `None` if it is none.
+    /// Parses the output of [`Coverage::json`]; `None` if `value` has another form.
     pub(super) fn of_json(value: &Value) -> Option<Self> {
         serde_json::from_value(value.clone()).ok().map(Self)
     }

@@ -46,7 +46,7 @@ impl Outcome {
         Ok(serde_json::to_string(self)? + "\n")
     }
 
-    /// `None` if the line is none of an outcome.
+    /// Parses an outcome; `None` if the line does not hold one.
     pub(super) fn of(line: &str) -> Option<Self> {
         serde_json::from_str(line).ok()
     }
