@@ -20,7 +20,7 @@ pub enum Loss {
     /// Its clock is wrong: the longest control period of a system by its own clock.
     Clock(Duration),
     /// The same, and without the link it cannot find out itself. The gate refuses its frames as
-    /// late; after two of them it falls silent, and then it is as good as mute.
+    /// late; after two of them it falls silent, and then it counts as mute.
     Refused(Duration),
 }
 
