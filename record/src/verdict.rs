@@ -182,7 +182,7 @@ impl fmt::Display for Rule {
 pub struct Finding {
     /// The rule.
     pub rule: Rule,
-    /// When, scenario time in s; `None` if it is no matter of one time.
+    /// Scenario time in s; `None` if the finding does not belong to one time.
     pub at_s: Option<f64>,
     /// The figure.
     pub measured: f64,
