@@ -15,18 +15,17 @@ mod rooms;
 mod rta;
 mod sizes;
 mod task_tables;
+mod test_runner;
 mod tidy;
 mod toolchain;
 mod weakened;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, Subcommand};
-use std::collections::BTreeSet;
 use std::env;
 use std::ffi::OsString;
-use std::io::{BufRead as _, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode};
 
 /// Crates that run in firmware: no_std, without dependencies on a board.
 const PORTABLE: [&str; 8] = [
@@ -281,7 +280,7 @@ fn execute() -> Result<()> {
         .parent()
         .context("xtask has no parent")?;
     match Arguments::parse().task {
-        Task::Test => test(root),
+        Task::Test => test_runner::test(root),
         Task::Licences => licences::run(root),
         Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),
@@ -494,86 +493,6 @@ fn git_files(root: &Path, arguments: &[&str]) -> Result<Vec<String>> {
 
 /// Of all files: those that are tracked or not ignored.
 const PRESENT: [&str; 3] = ["--cached", "--others", "--exclude-standard"];
-
-/// Builds the programs first: the whole-process tests start `tandem` as a user would.
-fn test(root: &Path) -> Result<()> {
-    // The runner hides the output of a test that passes.
-    if std::env::var_os("TANDEM_SCENARIOS").is_none() {
-        println!("SKIPPED: recorded scenarios (TANDEM_SCENARIOS=FOLDER is not set)");
-    }
-    run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
-    let nextest = cargo(root, &["nextest", "--version"]).output();
-    let commands: &[&[&str]] = if nextest.is_ok_and(|output| output.status.success()) {
-        &[
-            &["nextest", "run", "--workspace", "--no-fail-fast"],
-            &["test", "--workspace", "--doc", "--no-fail-fast"],
-        ]
-    } else {
-        println!("cargo-nextest is not installed; cargo test runs the same tests");
-        &[&["test", "--workspace", "--no-fail-fast"]]
-    };
-    let (mut passed, mut failed) = (0, BTreeSet::new());
-    let mut has_failed = false;
-    for arguments in commands {
-        let mut command = cargo(root, arguments);
-        println!("$ {command:?}");
-        // Results of nextest stand on stderr, those of cargo test on stdout.
-        let mut child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()?;
-        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        let read = std::thread::spawn(move || echo(stderr, &mut std::io::stderr()));
-        let results = echo(stdout, &mut std::io::stdout());
-        for (name, has_passed) in results.into_iter().chain(read.join().unwrap_or_default()) {
-            if has_passed {
-                passed += 1;
-            } else {
-                failed.insert(name);
-            }
-        }
-        has_failed |= !child.wait()?.success();
-    }
-    println!("\n{passed} tests passed, {} failed", failed.len());
-    for name in &failed {
-        println!("FAILED: {name}");
-    }
-    ensure!(passed > 0, "no test ran");
-    ensure!(!has_failed && failed.is_empty(), "not all tests pass");
-    Ok(())
-}
-
-/// Hands the lines on as they arrive, and returns the names of tests, each with whether it passed.
-fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
-    let mut results = Vec::new();
-    let pipe = from
-        .into_iter()
-        .flat_map(|pipe| BufReader::new(pipe).split(b'\n'));
-    for line in pipe.map_while(Result::ok) {
-        let _ = to.write_all(&[&line[..], b"\n"].concat());
-        results.extend(result_in(&String::from_utf8_lossy(&line)));
-    }
-    results
-}
-
-/// The result in a line of a runner.
-fn result_in(line: &str) -> Option<(String, bool)> {
-    // A failed test's own output has such lines too, indented.
-    if let Some(test) = line.strip_prefix("test ") {
-        let (name, result) = test.trim_end().rsplit_once(" ... ")?;
-        return ["ok", "FAILED"]
-            .contains(&result)
-            .then(|| (name.to_owned(), result == "ok"));
-    }
-    // "FAIL [  1.0s] (1/2) package::file name", and once more at the end.
-    let line = line.trim();
-    let status = line.split(' ').next()?;
-    let has_passed = ["PASS", "LEAK"].contains(&status);
-    let has_failed = ["FAIL", "LEAK-FAIL", "TIMEOUT"].contains(&status);
-    let name = line.rsplit(") ").next()?;
-    let is_result = has_passed || has_failed || status.starts_with("SIG");
-    is_result.then(|| (name.to_owned(), has_passed))
-}
 
 fn bare_metal(root: &Path) -> Result<()> {
     for target in BARE_METAL {
