@@ -19,11 +19,11 @@ pub mod candump;
 mod dbc;
 pub mod e2e;
 mod endpoint;
-mod message;
+mod frame_codec;
 mod sensor;
 mod signal;
 
 pub use dbc::*;
 pub use endpoint::{FrameReceiver, FrameTransmitter, ReceiveError};
-pub use message::Encoded;
+pub use frame_codec::Encoded;
 pub use signal::{FrameError, FrameInfo};

@@ -3,7 +3,7 @@
 use anyhow::Context as _;
 use serde::Serialize;
 use tandem_board::SystemId;
-use tandem_board_host::processes::{self, Process, ProcessKind};
+use tandem_board_host::process_list::{self, Process, ProcessKind};
 
 use crate::args::PsArgs;
 
@@ -42,7 +42,7 @@ fn row(process: &Process) -> Row {
 /// # Errors
 /// If stdout cannot be written.
 pub fn run(args: &PsArgs) -> anyhow::Result<()> {
-    let processes = processes::list();
+    let processes = process_list::list();
     let text = if args.json {
         let rows: Vec<Row> = processes.iter().map(row).collect();
         serde_json::to_string_pretty(&rows).context("the list of processes")? + "\n"

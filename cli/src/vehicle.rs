@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use tandem_board::{Instant, Pass, SystemId, VehiclePort};
-use tandem_board_host::processes::role_name;
+use tandem_board_host::process_list::role_name;
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};

@@ -9,7 +9,7 @@ use crate::driving::knowledge::Knowledge;
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
 use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
-use crate::schedule::Release;
+use crate::release::Release;
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY, ReceivedFrame, read_can};

@@ -8,7 +8,7 @@ use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE,
     TRAJECTORY, TRAJECTORY_READY,
 };
-use crate::schedule::Cycles;
+use crate::release::Cycles;
 use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};

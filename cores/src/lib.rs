@@ -20,7 +20,7 @@ pub mod doorbell;
 mod download;
 pub mod driving;
 pub mod layout;
-pub mod schedule;
+pub mod release;
 pub mod task_table;
 pub mod trace;
 pub mod words;

@@ -119,7 +119,7 @@ impl Sequence {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bound::Loss;
+    use crate::loss::Loss;
 
     #[test]
     fn every_sequence_survives_the_file() {

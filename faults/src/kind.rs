@@ -4,7 +4,7 @@
 //! further keys.
 
 use crate::amount::{Amount, Given, just};
-use crate::bound::Loss;
+use crate::loss::Loss;
 use crate::site::Site;
 use crate::words::wire;
 use serde::{Deserialize, Serialize};

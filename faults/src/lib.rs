@@ -7,22 +7,22 @@
 #![forbid(unsafe_code)]
 
 mod amount;
-mod bound;
 mod entry;
 mod file;
 mod judge;
 mod kind;
+mod loss;
 mod plan;
 mod sequence;
 mod site;
 mod words;
 
 pub use amount::{Amount, Given, just};
-pub use bound::Loss;
 pub use entry::{BusFaults, CannotSuffer, Effect, Fault, Suffer, Way, effects};
 pub use file::FileError;
 pub use judge::{Observed, known};
 pub use kind::{Ends, Facts, Kind, Scope};
+pub use loss::Loss;
 pub use plan::{DISTANCES, PHASES};
 pub use sequence::{Group, Sequence};
 pub use site::Site;

@@ -1,8 +1,8 @@
 //! A sequence of faults, and the longest gap that it may cost.
 
-use crate::bound::Loss;
 use crate::entry::{Fault, Way};
 use crate::kind::{Kind, Scope};
+use crate::loss::Loss;
 use std::fmt;
 use tandem_board::{Duration, SystemId};
 use tandem_peripherals::network::Wire;

@@ -9,7 +9,7 @@ use tandem_vehicle::Ruling;
 use tandem_vehicle::gate::MAX_DELAY_MS;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::limits::Limits;
+use crate::required_limits::Limits;
 use crate::run_log::{ControlFrame, CoreEvent, Stall, Stood};
 use crate::takeover::report_of;
 use crate::{RunLog, Takeover, ms_between};

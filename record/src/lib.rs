@@ -8,9 +8,9 @@
 pub mod description;
 pub mod file;
 pub mod gap;
-pub mod limits;
 pub mod log;
 pub mod reaction;
+pub mod required_limits;
 pub mod roles;
 pub mod run_log;
 pub mod start;

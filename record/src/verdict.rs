@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use tandem_board::Duration;
 use tandem_redundancy::Config;
 
-pub use crate::limits::{self, Limits};
+pub use crate::required_limits::{self, Limits};
 pub use figures::{Beside, Figures};
 
 /// What a finding does to a run.

@@ -18,7 +18,6 @@
 extern crate std;
 
 mod action;
-mod budget;
 mod config;
 mod driving;
 mod input;
@@ -31,11 +30,11 @@ mod starting;
 mod state;
 mod store;
 mod term;
+mod timing_profile;
 mod transition;
 mod witness;
 
 pub use action::{Action, Actions, ClockOwner, RedundancyEvent, Takeover};
-pub use budget::Budget;
 pub use config::Config;
 pub use input::{ControlHeader, Input, LineSnapshot, ObeyedTerm};
 pub use machine::Redundancy;
@@ -44,3 +43,4 @@ pub use report::{LinkReport, PeerReport};
 pub use state::{FailureMode, StateDecodeError, SystemState};
 pub use store::{FlashOp, Geometry, Loaded, StateStore};
 pub use term::Term;
+pub use timing_profile::Budget;

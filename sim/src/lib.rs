@@ -11,8 +11,8 @@
 
 mod bench;
 pub mod drive;
-mod judge;
 mod outside;
+mod sequence_judge;
 pub mod timed;
 pub mod timing;
 mod trial;

@@ -21,7 +21,7 @@ use tandem_cores::core0::{
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
-use tandem_cores::schedule::TickGrid;
+use tandem_cores::release::TickGrid;
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_cores::{Config, Core};

@@ -1,7 +1,7 @@
 //! A sequence of faults on the simulated machine.
 
 use crate::bench::{Bench, Profile};
-pub use crate::judge::Tried;
+pub use crate::sequence_judge::Tried;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use tandem_board::{RoleLamp, SystemId};
 use tandem_faults::Sequence;

@@ -19,7 +19,7 @@ use crate::backplane::{Backplane, BackplaneError};
 use crate::doorbell::Ringers;
 use crate::memory;
 use crate::name::RunName;
-use crate::processes::{self, Process, RunError};
+use crate::process_list::{self, Process, RunError};
 use crate::segment::SegmentError;
 use crate::supply::{poke, poke_launcher};
 
@@ -87,7 +87,7 @@ impl Injection {
     /// # Errors
     /// [`InjectionError`] if there is no such run, there are several, or it cannot be entered.
     pub fn on(name: Option<&str>) -> Result<Self, InjectionError> {
-        let process = processes::process_of(name)?;
+        let process = process_list::process_of(name)?;
         let run = process.run.clone();
         enter(&process).map_err(|source| InjectionError::Place {
             run: run.clone(),
@@ -181,9 +181,9 @@ impl Injection {
     /// The process of a system's supply, if it lives.
     fn supply(&self, system: SystemId) -> Option<Pid> {
         let is_supply = |process: &Process| {
-            process.system == Some(system) && process.kind == processes::ProcessKind::Supply
+            process.system == Some(system) && process.kind == process_list::ProcessKind::Supply
         };
-        let pid = processes::of_run(&self.run)
+        let pid = process_list::of_run(&self.run)
             .into_iter()
             .find(is_supply)?
             .pid;

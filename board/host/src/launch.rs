@@ -24,7 +24,7 @@ use crate::injection::Injection;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
 use crate::name::RunName;
-use crate::processes::{self, Process};
+use crate::process_list::{self, Process};
 use crate::spawn::{self, Watched};
 use crate::supply::{self, Pokes};
 
@@ -335,7 +335,7 @@ impl Launcher {
         self.backplane.request_stop();
         self.backplane.set_ignition(false);
         let all_gone = self.wait_for_children(POWER_DOWN_GRACE);
-        let mut processes = processes::of_run(self.isolation.run());
+        let mut processes = process_list::of_run(self.isolation.run());
         if !all_gone || !processes.is_empty() {
             let deadline = Instant::now() + KILL_GRACE;
             // Killing the supplies once would be enough, except that a supply may just be starting
@@ -346,7 +346,7 @@ impl Launcher {
                 }
                 self.wait_for_children(LOOK_AGAIN);
                 reap_orphans();
-                processes = processes::of_run(self.isolation.run());
+                processes = process_list::of_run(self.isolation.run());
             }
         }
         reap_orphans();

@@ -30,7 +30,7 @@ mod lines;
 mod memory;
 mod name;
 mod observe;
-pub mod processes;
+pub mod process_list;
 pub mod realtime;
 mod segment;
 pub mod services;

@@ -14,7 +14,7 @@ use iceoryx2::prelude::{
 };
 
 use crate::name::RunName;
-use crate::processes;
+use crate::process_list;
 
 /// Observers of a run at the same time.
 const OBSERVERS: usize = 8;
@@ -321,7 +321,7 @@ impl Observer {
     /// # Errors
     /// If there is no such run, there are several, or it does not publish.
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
-        let run = processes::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
+        let run = process_list::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
         let node = node()?;
         Ok(Self {
             roles: subscriber(&node, &run, "roles")?,

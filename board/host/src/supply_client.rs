@@ -12,7 +12,7 @@ use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
-use crate::processes::role_name;
+use crate::process_list::role_name;
 use crate::supply::poke;
 
 /// The registers of a system's supply. Only core 0 services the watchdog.

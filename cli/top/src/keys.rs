@@ -6,7 +6,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::{CoreId, SystemId};
 use tandem_board_host::RunName;
-use tandem_board_host::processes::{self, ProcessKind};
+use tandem_board_host::process_list::{self, ProcessKind};
 
 /// The keys and their effect on the selected system.
 pub(super) const KEYS: &str =
@@ -102,14 +102,14 @@ impl Keys {
     }
 
     fn signal(&mut self, system: SystemId, core: Option<CoreId>, signal: Signal) -> Option<Pid> {
-        let is_it = |process: &processes::Process| {
+        let is_it = |process: &process_list::Process| {
             let of = match process.kind {
                 ProcessKind::Core(of, _) => Some(of),
                 ProcessKind::Supply | ProcessKind::Vehicle => None,
             };
             process.system == Some(system) && of.is_some() && of == core
         };
-        let found = processes::of_run(&self.run).into_iter().find(is_it);
+        let found = process_list::of_run(&self.run).into_iter().find(is_it);
         let pid = found.and_then(|it| Pid::from_raw(i32::try_from(it.pid).ok()?));
         if pid.is_none_or(|pid| kill_process(pid, signal).is_err()) {
             self.said = format!("{system} has no such core");

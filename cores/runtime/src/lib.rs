@@ -21,7 +21,7 @@ use tandem_cores::core0::{
     Core0Task, Driving, Executor, Parts, SharedState, TaskBody, TaskSet, Tasks,
 };
 use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
-use tandem_cores::schedule::TickGrid;
+use tandem_cores::release::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
     HandlerError, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority,

@@ -11,7 +11,7 @@ use super::tasks::released;
 use super::{Core0Task, Executor, TaskBody, frames};
 use crate::driving::knowledge::Knowledge;
 use crate::layout::age_ns;
-use crate::schedule::Release;
+use crate::release::Release;
 use crate::trace::Event;
 use tandem_board::{Board, Instant, Link};
 use tandem_bus::Message;

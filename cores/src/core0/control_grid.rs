@@ -2,7 +2,7 @@
 //! do not wait long for the control task.
 
 use super::CONTROL_PERIOD;
-use crate::schedule::{Grid, Release, TickGrid};
+use crate::release::{Grid, Release, TickGrid};
 use tandem_board::{Duration, Instant};
 
 /// A trajectory waits no longer than this for the control task, once the grid has followed it.

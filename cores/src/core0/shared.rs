@@ -12,7 +12,7 @@ use super::knowledge_transfer::KnowledgeTransfer;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::redundancy_port::{Outcome, RedundancyPort};
 use super::{Core0Task, TaskSet, frames};
-use crate::schedule::TickGrid;
+use crate::release::TickGrid;
 use crate::trace::Event;
 use crate::{Config, ReceivedFrame, read_can};
 use tandem_board::{

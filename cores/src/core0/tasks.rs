@@ -8,7 +8,7 @@ use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY,
     age_ns,
 };
-use crate::schedule::{Cycles, Grid, Release};
+use crate::release::{Cycles, Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
 use tandem_board::{

@@ -11,8 +11,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_page::output::OutputFile;
 
-use super::judge::Outcome;
 use super::pipe::Line;
+use super::recording_judge::Outcome;
 use super::report::Found;
 use super::{Source, report};
 use crate::chaos_args::ChaosArgs;

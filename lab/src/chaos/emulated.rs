@@ -18,8 +18,8 @@ use tandem_faults::{BusFaults, CannotSuffer, Effect, Kind, Sequence, Site, Suffe
 use tandem_vehicle::Scenario;
 
 use super::Source;
-use super::judge;
 use super::pipe::{Line, report};
+use super::recording_judge;
 use super::round::{HEALED_WITHIN, Injected, SUSPENDED_FOR, arguments, driver, settled};
 use crate::emulated;
 use tandem::collected::read;
@@ -81,7 +81,7 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
         around,
         done: disturbed.done,
     };
-    let (outcomes, wrong) = judge::judge(source, &recorded)?;
+    let (outcomes, wrong) = recording_judge::judge(source, &recorded)?;
     report(&Line::Ended(outcomes, wrong))
 }
 

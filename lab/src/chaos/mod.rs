@@ -4,9 +4,9 @@
 mod campaign;
 mod emulated;
 mod inject;
-mod judge;
 mod pipe;
 mod processes;
+mod recording_judge;
 mod report;
 mod round;
 

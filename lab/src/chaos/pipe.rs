@@ -5,7 +5,7 @@ use std::io::Write as _;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 
-use super::judge::Outcome;
+use super::recording_judge::Outcome;
 
 /// A line that a drive reports.
 #[derive(Debug, Serialize, Deserialize)]

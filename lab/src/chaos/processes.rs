@@ -10,8 +10,8 @@ use tandem_bus::Control;
 
 use super::Source;
 use super::inject::Injector;
-use super::judge;
 use super::pipe::{Line, report};
+use super::recording_judge;
 use super::round::{
     HEALED_WITHIN, Injected, SETTLED_MS, SUSPENDED_FOR, arguments, driver, settled,
 };
@@ -33,7 +33,7 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
         injection.backplane().request_stop();
         done
     })?;
-    let (outcomes, wrong) = judge::judge(source, &recorded)?;
+    let (outcomes, wrong) = recording_judge::judge(source, &recorded)?;
     report(&Line::Ended(outcomes, wrong))
 }
 

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use serde_json::json;
 
 use super::Source;
-use super::judge::Outcome;
+use super::recording_judge::Outcome;
 use tandem::percentiles::Spans;
 
 /// Upper ends of the histogram's columns, ms; one more column is open.
@@ -259,7 +259,7 @@ mod tests {
         };
         let outcomes = (0..1_000).map(|number| {
             let (sequence, _) = source.sequence(number).expect("a sequence");
-            let class = super::super::judge::class(&sequence);
+            let class = super::super::recording_judge::class(&sequence);
             let spares_control = sequence.spares_the_master();
             Outcome {
                 spares_control,

@@ -8,7 +8,7 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
     SystemId, VehicleBus, VehiclePort, watchdog_answer,
 };
-use tandem_board_host::{HostBoard, clock, processes};
+use tandem_board_host::{HostBoard, clock, process_list};
 
 use crate::fixture::{Case, GRANTED, Script, await_interrupt, idle, live, serve, service, signal};
 
@@ -171,7 +171,7 @@ fn kill_supply(script: &mut Script) {
     script.await_trace(B, CONTROL, POWER);
     let run = script.run.clone();
     script.until("the cores are dead", |_| {
-        processes::of_run(&run)
+        process_list::of_run(&run)
             .iter()
             .all(|process| !cores.contains(&process.pid))
     });
@@ -467,8 +467,8 @@ fn list(script: &mut Script) {
         script.port.role(A) == RoleLamp::Master && script.port.role(B) == RoleLamp::Standby
     });
     let run = script.run.clone();
-    let listed = |processes: Vec<processes::Process>| -> Vec<String> {
-        let line = |p: &processes::Process| {
+    let listed = |processes: Vec<process_list::Process>| -> Vec<String> {
+        let line = |p: &process_list::Process| {
             let system = p.system.map_or("-".to_owned(), |system| system.to_string());
             format!("{} {system} {}", p.kind, p.role.as_deref().unwrap_or("-"))
         };
@@ -486,9 +486,9 @@ fn list(script: &mut Script) {
         "vehicle - -",
     ];
     script.until("the names are set", |_| {
-        listed(processes::of_run(&run)) == expected
+        listed(process_list::of_run(&run)) == expected
     });
-    let all = processes::of_run(&run);
+    let all = process_list::of_run(&run);
     assert!(all.iter().all(|process| process.cpu.is_some()));
     assert!(all.iter().any(|process| process.pid == std::process::id()));
 }

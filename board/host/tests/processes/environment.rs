@@ -21,7 +21,7 @@ use rustix::thread::{
     set_keep_capabilities, set_no_new_privs, set_thread_gid, set_thread_groups, set_thread_uid,
 };
 use tandem_board::{CoreId, Generation, SystemId};
-use tandem_board_host::processes::{self, ProcessKind};
+use tandem_board_host::process_list::{self, ProcessKind};
 
 use crate::fixture::{self, Case, GRANTED, Script, live, signal};
 use crate::launcher;
@@ -265,7 +265,7 @@ fn full() -> Outcome {
         let started = started(ground.launcher(LASTING.name, "shared").spawn()?, 9)?;
         let filled = fill(Path::new("/dev/shm/others"));
         let supplies = || -> Vec<u32> {
-            let all = processes::of_run(&started.run).into_iter();
+            let all = process_list::of_run(&started.run).into_iter();
             all.filter(|process| process.kind == ProcessKind::Supply)
                 .map(|process| process.pid)
                 .collect()
@@ -276,7 +276,7 @@ fn full() -> Outcome {
         })?;
         let incarnation = |number| {
             let control = ProcessKind::Core(CoreId::CONTROL, Generation(number));
-            processes::of_run(&started.run)
+            process_list::of_run(&started.run)
                 .into_iter()
                 .find(|process| process.kind == control && process.system == Some(SystemId::A))
         };
@@ -422,7 +422,7 @@ fn file_capability() -> Outcome {
     first(&mut launcher, become_ordinary);
     let mut started = started(launcher.spawn()?, 9)?;
     let of_a = || -> Vec<_> {
-        let all = processes::of_run(&started.run).into_iter();
+        let all = process_list::of_run(&started.run).into_iter();
         all.filter(|process| process.system == Some(SystemId::A))
             .collect()
     };

@@ -10,7 +10,7 @@ use tandem_board::{
     Board, CoreId, Generation, SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
 };
 use tandem_board_host::{
-    HostBoard, HostVehiclePort, ProcessArgs, RunName, clock, processes, supply,
+    HostBoard, HostVehiclePort, ProcessArgs, RunName, clock, process_list, supply,
 };
 use tandem_peripherals::watchdog::Window;
 
@@ -149,7 +149,7 @@ impl Script {
             assert!(
                 Instant::now() < deadline,
                 "never: {what}; {:?}",
-                processes::of_run(&self.run)
+                process_list::of_run(&self.run)
             );
             self.port.transmitted(&mut |_, _, _| {});
             thread::sleep(Duration::from_micros(200));

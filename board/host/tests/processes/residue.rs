@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use libtest_mimic::Trial;
 use rustix::process::Signal;
 use tandem_board::{SystemId, VehiclePort};
-use tandem_board_host::{RunName, processes};
+use tandem_board_host::{RunName, process_list};
 
 use crate::fixture::{self, Case, PATIENCE, Script, live, signal};
 use crate::launcher::start_launcher;
@@ -86,7 +86,7 @@ fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
 pub(crate) fn started(launcher: Child, count: usize) -> Result<Started, String> {
     let prefix = format!("tandem-{}-", launcher.id());
     let found = until("the run starts", || {
-        let all = processes::list();
+        let all = process_list::list();
         let ours: Vec<_> = all
             .iter()
             .filter(|p| p.run.as_str().starts_with(&prefix))
@@ -106,9 +106,9 @@ pub(crate) fn started(launcher: Child, count: usize) -> Result<Started, String> 
 
 fn gone(run: &RunName) -> Result<(), String> {
     until("all processes are gone", || {
-        processes::of_run(run).is_empty().then_some(())
+        process_list::of_run(run).is_empty().then_some(())
     })
-    .map_err(|error| format!("{error}: {:?}", processes::of_run(run)))
+    .map_err(|error| format!("{error}: {:?}", process_list::of_run(run)))
 }
 
 fn interrupt(place: &str) -> Outcome {
@@ -159,7 +159,7 @@ fn kill_all(place: &str) -> Outcome {
         let mut started = start(folder.path(), place, 9)?;
         launchers.push(started.launcher.id());
         signal(started.launcher.id(), Signal::KILL);
-        for process in processes::of_run(&started.run) {
+        for process in process_list::of_run(&started.run) {
             signal(process.pid, Signal::KILL);
         }
         started.launcher.wait()?;
@@ -183,7 +183,7 @@ fn orphan(place: &str) -> Outcome {
     signal(started.launcher.id(), Signal::KILL);
     started.launcher.wait()?;
     thread::sleep(Duration::from_millis(300));
-    let alive = processes::of_run(&started.run);
+    let alive = process_list::of_run(&started.run);
     assert_eq!(alive.len(), 9, "{alive:?}");
     let vehicle = alive
         .iter()
@@ -202,8 +202,8 @@ fn kill_while_starting(place: &str) -> Outcome {
         launchers.push(launcher.id());
         let prefix = format!("tandem-{}-", launcher.id());
         thread::sleep(Duration::from_micros(round * 1_300));
-        let ours = || -> Vec<processes::Process> {
-            let all = processes::list().into_iter();
+        let ours = || -> Vec<process_list::Process> {
+            let all = process_list::list().into_iter();
             all.filter(|process| process.run.as_str().starts_with(&prefix))
                 .collect()
         };
@@ -245,7 +245,7 @@ fn two_runs() -> Outcome {
     let mut lasting = start(folder.path(), "shared", 9)?;
     let case = fixture::all_cases().find(|case| case.name == "a_short_run_ends_by_itself");
     let second = fixture::run_case(case.expect("a known case"));
-    let first = processes::of_run(&lasting.run).len();
+    let first = process_list::of_run(&lasting.run).len();
     signal(lasting.launcher.id(), Signal::INT);
     until("the launcher ends", || {
         lasting.launcher.try_wait().ok().flatten()

@@ -11,7 +11,7 @@ const MS: Duration = Duration::from_ms(1);
 /// Time between two control frames.
 pub const CONTROL_PERIOD: Duration = Duration::from_ms(10);
 /// The gap at a takeover is shorter than this: two control periods.
-const GOAL: Duration = Duration::from_ms(20);
+const TAKEOVER_GOAL: Duration = Duration::from_ms(20);
 /// Longest time between two polls of a system.
 pub const POLL: Duration = MS;
 /// A line may be silent for at most this long: the goal, less the control period since the last
@@ -173,8 +173,8 @@ impl Limits {
 }
 
 const _: () = {
-    assert!(LINE_MOST.as_ns() + CONTROL_PERIOD.as_ns() + 2 * MS.as_ns() == GOAL.as_ns());
-    assert!(THIRD_MOST.as_ns() + 3 * MS.as_ns() == GOAL.as_ns());
+    assert!(LINE_MOST.as_ns() + CONTROL_PERIOD.as_ns() + 2 * MS.as_ns() == TAKEOVER_GOAL.as_ns());
+    assert!(THIRD_MOST.as_ns() + 3 * MS.as_ns() == TAKEOVER_GOAL.as_ns());
 };
 
 #[cfg(test)]
@@ -191,7 +191,11 @@ mod tests {
         assert_eq!(us(Limits::CHIP), [13_800, 12_800, 13_000]);
         assert_eq!(us(Limits::RT), [19_000, 13_000, 19_000]);
         assert_eq!(us(Limits::DESKTOP), [19_000, 14_000, 19_000]);
-        assert!(Limits::ALL.iter().all(|limits| limits.longest() < GOAL));
+        assert!(
+            Limits::ALL
+                .iter()
+                .all(|limits| limits.longest() < TAKEOVER_GOAL)
+        );
     }
 
     /// The product's own limits stay within the judge's, for any stall that is measured.

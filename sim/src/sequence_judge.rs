@@ -6,7 +6,7 @@ use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
 use std::fmt;
 use tandem_board::{Duration, Instant, RoleLamp, SystemId};
 use tandem_faults::{Fault, Kind, Loss, Observed};
-use tandem_record::verdict::limits::CONTROL_PERIOD;
+use tandem_record::verdict::required_limits::CONTROL_PERIOD;
 use tandem_record::verdict::{HEADWAY_MIN_S, LATERAL_ERROR_MAX_M, Rule};
 use tandem_redundancy::{Loaded, SystemState};
 use tandem_vehicle::World;

@@ -2,7 +2,7 @@
 
 use tandem_board::Duration;
 use tandem_record::verdict::Limits;
-use tandem_record::verdict::limits::{CONTROL_PERIOD, POLL};
+use tandem_record::verdict::required_limits::{CONTROL_PERIOD, POLL};
 
 /// How the vehicle loses its master. Each has a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
