@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arch = env::var("CARGO_CFG_TARGET_ARCH")?;
     let mut build = cc::Build::new();
     build.include("kernel").include(kernel.join("include"));
-    // The kernel's own code; its warnings are not reported.
+    // The kernel is not our code: its warnings are not reported.
     build.warnings(false).opt_level(2).debug(true);
     match (os.as_str(), arch.as_str()) {
         ("linux", "x86_64" | "aarch64") => host(&mut build),
@@ -39,10 +39,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         build.file(kernel.join(source));
     }
     build.file("kernel/shim.c");
-    // The whole archive: the trap handlers in shim.c replace weak ones.
+    // Links the whole archive: the trap handlers in shim.c replace weak ones.
     build.link_lib_modifier("+whole-archive");
     build.try_compile("tandem_freertos")?;
-    // For a benchmark that builds the kernel with another port.
+    // A benchmark that builds the kernel with another port reads this variable.
     println!("cargo::metadata=KERNEL={}", kernel.display());
     Ok(())
 }
@@ -69,7 +69,7 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
         build.flag(flag);
     }
     for flag in [
-        // Without default flags the level of optimisation is not passed either.
+        // Without its default flags, the `cc` crate does not pass the level of optimisation either.
         "-O2",
         "-g",
         "-mcmodel=medany",
@@ -80,7 +80,7 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     ] {
         build.flag(flag);
     }
-    // Headers of a C library that may be missing: the kernel needs four functions of it.
+    // Stand-ins for a C library that may be missing: the kernel needs four of its functions.
     build
         .include("kernel/riscv32/libc")
         .include("kernel/riscv32");
@@ -90,8 +90,8 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// FreeRTOS's message buffer between cores, which the firmware's benchmark alone links as a peer.
-/// No task waits at either end: the benchmark rings the doorbell itself.
+/// FreeRTOS's message buffer between cores. Only the benchmark of the firmware links it, to
+/// compare. No task waits at either end: the benchmark rings the doorbell itself.
 fn message_buffer(mut build: cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     build.file(kernel.join("stream_buffer.c"));
     build.define("configUSE_STREAM_BUFFERS", "1");

@@ -1,4 +1,4 @@
-//! Where code runs: in a task, or in a handler of an interrupt.
+//! The contexts in which code runs: a task, a handler of an interrupt, a callback of a timer.
 
 use core::marker::PhantomData;
 
@@ -6,20 +6,20 @@ mod sealed {
     pub trait Sealed {
         /// Whether to use the kernel's functions for interrupts.
         const IN_INTERRUPT: bool = false;
-        /// A task of higher priority than the interrupted one was woken.
+        /// Records whether a task of higher priority than the interrupted one was woken.
         fn woken(&self, _woken: bool) {}
     }
 }
 pub(crate) use sealed::Sealed;
 
-/// A caller of functions that never block: a task, a handler, or the owner of a kernel that does
-/// not run yet.
+/// A caller of functions that never block: a task, a handler, or the owner of a kernel that is not
+/// running yet.
 pub trait Context: Sealed {}
 
-/// A caller that may make objects: a task, or the owner of a kernel that does not run yet.
+/// A caller that may make objects: a task, or the owner of a kernel that is not running yet.
 pub trait TaskLevel: Context {}
 
-/// Proof that the caller is a task. Cannot be sent to another one.
+/// Proof that the caller is a task. It cannot be sent to another task.
 #[derive(Debug)]
 pub struct TaskContext {
     _of_one_task: PhantomData<*mut ()>,
@@ -36,8 +36,8 @@ impl Sealed for TaskContext {}
 impl Context for TaskContext {}
 impl TaskLevel for TaskContext {}
 
-/// Proof that the caller is the callback of a software timer. It runs in the task that serves all
-/// timers, and must not block.
+/// Proof that the caller is the callback of a software timer. A callback runs in the task that
+/// serves all timers, and must not block.
 #[derive(Debug)]
 pub struct TimerContext {
     _of_one_task: PhantomData<*mut ()>,
@@ -70,7 +70,7 @@ impl InterruptContext {
         }
     }
 
-    /// T-RTOS-2: a task that a handler wakes runs when the last interrupt has ended.
+    /// Whether the handler woke a task, which runs when the last interrupt has ended (T-RTOS-2).
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
     }

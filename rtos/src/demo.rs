@@ -10,7 +10,7 @@ use crate::time::Ticks;
 use core::fmt;
 use core::time::Duration;
 
-/// How long each test runs, ms: whole periods of every output.
+/// How long each test runs, ms: a multiple of every output's period.
 pub const SPAN_MS: u32 = 360;
 /// An image prints this after its last edge.
 pub const COMPLETE: &str = "outputs complete";
@@ -20,7 +20,7 @@ pub const COMPLETE: &str = "outputs complete";
 pub struct Output {
     /// Name of the task and its curve; at most 15 bytes.
     pub name: &'static str,
-    /// Priority of the task; more is more urgent.
+    /// Priority of the task; a higher number is more urgent.
     pub priority: u8,
     /// Period of the task, ms.
     pub period_ms: u32,
@@ -29,7 +29,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// How often the task runs in a test.
+    /// How often the task runs during a test.
     #[must_use]
     pub const fn rounds(&self) -> u32 {
         SPAN_MS / self.period_ms
@@ -49,10 +49,10 @@ pub fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl 
     }
 }
 
-/// A test: its tasks begin together, with their outputs low.
+/// A test: its tasks begin at the same tick, with their outputs low.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Test {
-    /// As in the requirements.
+    /// The id of the requirement.
     pub id: &'static str,
     /// The expected picture.
     pub title: &'static str,
@@ -115,7 +115,7 @@ impl fmt::Display for OutputEdge {
 }
 
 impl OutputEdge {
-    /// The edge in a line of a log; `None` if the line has none.
+    /// Reads the edge from a line of a log; `None` if the line has none.
     #[must_use]
     pub fn parse(line: &str) -> Option<Self> {
         let mut words = line.trim_end().strip_prefix("edge ")?.split(' ');

@@ -1,5 +1,5 @@
 //! Functions and types of the kernel as the C compiler sees them; `kernel/shim.c` checks the
-//! widths. Those that both ports and objects need have a wrapper here.
+//! widths. Functions that both ports and objects need have a wrapper here.
 #![allow(unsafe_code)]
 #![allow(dead_code, reason = "each target uses its part")]
 
@@ -36,7 +36,7 @@ pub(crate) struct TaskInfo {
 }
 
 unsafe extern "C" {
-    /// Changed by the kernel whenever it chooses a task.
+    /// The running task. The kernel changes it when it chooses a task.
     pub(crate) static pxCurrentTCB: AtomicPtr<Tcb>;
 
     pub(crate) fn tandem_enter_critical();
@@ -45,7 +45,7 @@ unsafe extern "C" {
     pub(crate) fn tandem_yield_from_interrupt(woken: Base);
     pub(crate) fn tandem_task_info(task: *mut Tcb, info: *mut TaskInfo);
 
-    /// Of riscv32.
+    /// Only on riscv32.
     pub(crate) fn tandem_port_reset();
     pub(crate) fn vTaskStartScheduler();
     pub(crate) fn vTaskResetState();
@@ -160,7 +160,7 @@ unsafe extern "C" {
     pub(crate) fn ulTaskGetRunTimeCounter(task: *const Tcb) -> u64;
 }
 
-/// Runs `body` with interrupts masked. Nests. Also ends if `body` unwinds.
+/// Runs `body` with interrupts masked. Calls nest. The masking also ends if `body` unwinds.
 pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
     struct End;
     impl Drop for End {
@@ -177,7 +177,7 @@ pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
 
 /// The control block of the running task, or null.
 pub(crate) fn current_tcb() -> *mut Tcb {
-    // SAFETY: the kernel's variable is a pointer, which is all that matters here.
+    // SAFETY: the kernel's variable is a pointer and is read in one access.
     unsafe { pxCurrentTCB.load(Ordering::Relaxed) }
 }
 
@@ -193,8 +193,8 @@ pub(crate) fn current_name() -> &'static str {
 
 /// The name of a live task.
 pub(crate) fn name_of(tcb: *mut Tcb) -> &'static str {
-    // SAFETY: a live task's control block holds its name, closed with a zero; a name is read at
-    // once and not kept.
+    // SAFETY: a live task's control block holds its name, which ends with a zero; the name is read
+    // at once and not kept.
     let name = unsafe { CStr::from_ptr(pcTaskGetName(tcb)) };
     name.to_str().unwrap_or("not UTF-8")
 }

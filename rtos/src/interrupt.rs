@@ -5,11 +5,11 @@
 pub struct Interrupt(u8);
 
 impl Interrupt {
-    /// The inter-core interrupt. On riscv32 the machine software interrupt.
+    /// The inter-core interrupt. On riscv32 it is the machine software interrupt.
     pub const DOORBELL: Self = Self(0);
-    /// On riscv32 the machine external interrupt; on the host one of many.
+    /// On riscv32 the machine external interrupt; on the host an ordinary source.
     pub const EXTERNAL: Self = Self(1);
-    /// The highest number of a source; the tick has the one above.
+    /// The highest number of a source. The tick has the next number.
     pub const LAST: Self = Self(62);
 
     /// Source 0 to 62. The target has [`Interrupt::DOORBELL`] and [`Interrupt::EXTERNAL`] only.
@@ -29,8 +29,8 @@ impl Interrupt {
     }
 }
 
-/// How urgent an interrupt is: a more urgent one interrupts the handler of a less urgent one. As on
-/// the chip the numbers are 1 to 255; 1 is the reschedule (T-RTOS-2) and 2 the tick.
+/// How urgent an interrupt is: a more urgent one interrupts the handler of a less urgent one. The
+/// chip's numbers are used, 1 to 255: 1 is the reschedule (T-RTOS-2), 2 the tick.
 ///
 /// On riscv32 handlers do not nest, and the number has no effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -65,7 +65,7 @@ impl InterruptPriority {
 /// A handler cannot be registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HandlerError {
-    /// The source already has a handler; handlers stay until the scheduler stops.
+    /// The source already has a handler, which stays until the scheduler stops.
     #[error("the interrupt has a handler already")]
     HasHandler,
     /// This machine has no such source.

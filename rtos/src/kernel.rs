@@ -1,4 +1,4 @@
-//! The kernel as a value: taken once, filled with tasks, started.
+//! The kernel as a value: a program takes it once, adds tasks and starts it.
 
 use crate::context::{Context, InterruptContext, Sealed, TaskContext, TaskLevel};
 use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
@@ -13,14 +13,14 @@ use core::marker::PhantomData;
 /// The one kernel of this process or core.
 #[derive(Debug)]
 pub struct Kernel {
-    /// Until its tasks run, one thread makes all kernel calls: the one that starts it.
+    /// Before its tasks run, only the thread that starts the kernel may call it.
     _of_one_thread: PhantomData<*mut ()>,
 }
 
 /// The kernel is not available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KernelError {
-    /// It is already taken; it can be taken again when the scheduler has stopped.
+    /// The kernel is already taken. It can be taken again after the scheduler has stopped.
     #[error("the kernel is in use already")]
     Taken,
 }
@@ -40,7 +40,7 @@ impl Kernel {
         })
     }
 
-    /// Makes a task, with memory from the heap. It runs when the scheduler has started.
+    /// Makes a task, with memory from the heap. It runs after the scheduler has started.
     ///
     /// # Errors
     /// [`SpawnError`]
@@ -52,7 +52,7 @@ impl Kernel {
         sys::task::spawn(options, Box::new(body))
     }
 
-    /// Gives an interrupt its handler, for as long as the scheduler runs. During the call, less
+    /// Sets the handler of an interrupt until the scheduler stops. While the handler runs, less
     /// urgent interrupts wait; a task that it wakes runs when the last handler has ended.
     ///
     /// # Errors
@@ -67,21 +67,21 @@ impl Kernel {
         port::attach(interrupt, priority, handler)
     }
 
-    /// Reports every event to a sink, until the scheduler stops.
+    /// Passes every event to `sink`, until the scheduler stops.
     pub fn trace(&self, sink: &'static dyn TraceSink) {
         events::listen(Some(sink));
     }
 
-    /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
-    /// target for ever.
+    /// Runs the tasks. On the host it returns when all have returned or one calls
+    /// `TaskContext::stop`; on the target it returns only if the kernel could not start.
     ///
-    /// On the host all tasks share one thread, which this call starts with the caller's scheduling
-    /// and waits for: they must keep the crate's rule about thread-locals. After
-    /// `TaskContext::stop` that thread sleeps for ever: another thread may still use memory that an
-    /// abandoned task lent it.
+    /// On the host all tasks share one thread. This call starts it with the caller's scheduling and
+    /// waits for it. Tasks must keep the crate's rule about thread-locals. After
+    /// `TaskContext::stop` that thread sleeps for ever, because another thread may still use memory
+    /// that an abandoned task lent to it.
     ///
     /// # Errors
-    /// [`StartError`]; the kernel is free again.
+    /// [`StartError`]; the kernel can then be taken again.
     pub fn start(self, clock: TickSource) -> Result<(), StartError> {
         port::start(clock, sys::task::none_left)
     }

@@ -1,17 +1,17 @@
-//! FreeRTOS on the control core: the real kernel, two ports, a safe interface. T-RTOS-1..4
+//! FreeRTOS on the control core: the unmodified kernel, two ports, a safe interface. T-RTOS-1..4
 //!
 //! The kernel is FreeRTOS V11 in C, compiled by the build script with the configuration in
-//! `kernel/FreeRTOSConfig.h`. On Linux it runs on the port of this crate, in one thread of a
-//! process; on riscv32 on the kernel's own port. See the README for how the host port works and
-//! what a task may do.
+//! `kernel/FreeRTOSConfig.h`. On Linux it runs on this crate's port, in one thread of a process; on
+//! riscv32 it runs on FreeRTOS's own port. The README says how the host port works and what a task
+//! may do.
 //!
-//! [`Kernel::take`] gives the kernel, [`Kernel::spawn`] makes tasks, [`Kernel::start`] runs them. A
-//! task gets a [`TaskContext`], a handler of interrupts an [`InterruptContext`]; blocking calls
-//! need the former, so that a handler cannot make them.
+//! [`Kernel::take`] returns the kernel, [`Kernel::spawn`] makes tasks, [`Kernel::start`] runs them.
+//! A task receives a [`TaskContext`], a handler of interrupts an [`InterruptContext`]. Blocking
+//! calls need a [`TaskContext`], so a handler cannot make them.
 //!
-//! On the host this interface is sound under one rule that the compiler does not check: all tasks
-//! are one thread, so a thread-local (`thread_local!`, also in a library) is shared by all of them.
-//! If two access it, they must do so within `host::deferred`, or it is a data race. See the README.
+//! On the host this interface is sound under one rule that the compiler does not check. All tasks
+//! are one thread, so they share every thread-local (`thread_local!`, also in a library). Two tasks
+//! that access it must do so within `host::deferred`, or there is a data race. See the README.
 #![no_std]
 #![deny(unsafe_code)]
 

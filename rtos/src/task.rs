@@ -1,6 +1,6 @@
 //! The options of a task: name, priority, stack.
 
-/// How urgent a task is; more is more urgent. Tasks of equal priority share the processor tick by
+/// How urgent a task is; a higher number is more urgent. Tasks of equal priority alternate at each
 /// tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Priority(u8);
@@ -58,7 +58,7 @@ impl<'a> TaskOptions<'a> {
         }
     }
 
-    /// With a stack of this many bytes.
+    /// Sets the number of bytes of the stack.
     #[must_use]
     pub const fn stack_bytes(self, stack_bytes: usize) -> Self {
         Self {
@@ -71,7 +71,7 @@ impl<'a> TaskOptions<'a> {
 /// Why a task could not be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpawnError {
-    /// The name is empty, longer than 23 bytes, or contains a zero.
+    /// The name is empty, longer than 23 bytes, or contains a zero byte.
     #[error("a task's name has 1 to 23 bytes, none of them zero")]
     BadName,
     /// There is no memory for the stack.

@@ -21,14 +21,14 @@ impl Ticks {
         Self(ms)
     }
 
-    /// The ticks from `earlier` to this point, over the wrap.
+    /// The ticks from `earlier` to this point. The count may wrap between them.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Self {
         Self(self.0.wrapping_sub(earlier.0))
     }
 
-    /// The ticks from this point to `later`, over the wrap; none if that point has passed. The two
-    /// are less than 24 days apart.
+    /// The ticks from this point to `later`; none if that point has passed. The count may wrap
+    /// between them. They must be less than 24 days apart.
     #[must_use]
     pub const fn until(self, later: Self) -> Self {
         let left = later.since(self);
@@ -38,15 +38,15 @@ impl Ticks {
         left
     }
 
-    /// The point `span` after this one, over the wrap.
+    /// The point `span` after this one. The count may wrap between them.
     #[must_use]
     pub const fn after(self, span: Self) -> Self {
         Self(self.0.wrapping_add(span.0))
     }
 }
 
-/// Rounded up: a wait is at most shorter by the part of the current tick that has passed. A span
-/// too long for 32 bits becomes the longest finite wait, about 49 days.
+/// Rounds up. A wait is shorter by the part of the current tick that has already passed. A span
+/// that does not fit in 32 bits becomes the longest finite wait, about 49 days.
 impl From<Duration> for Ticks {
     fn from(span: Duration) -> Self {
         let ticks = span
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(Ticks(2).since(Ticks(u32::MAX)), Ticks(3));
     }
 
-    /// A task that is delayed between two reads of the time finds that its release has passed.
+    /// A task that is delayed between two reads of the time does not wait for a passed point.
     #[test]
     fn a_point_that_has_passed_is_not_waited_for() {
         for due in [0, 7, u32::MAX] {

@@ -1,4 +1,4 @@
-//! `start` refuses a program whose allocator tasks cannot share, before any task runs. T-RTOS-1
+//! `start` refuses a program whose tasks cannot share its allocator, and runs no task. T-RTOS-1
 
 use tandem_rtos::{Kernel, StartError, TickSource};
 

@@ -1,5 +1,5 @@
-//! How tasks could harm each other and their process: shared allocator and output, overflowed
-//! stacks, panics. A test that ends its process runs in a child. T-RTOS-1
+//! Ways in which tasks could harm each other and their process: a shared allocator or output, stack
+//! overflow, panics. A test that ends its process runs in a child. T-RTOS-1
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a test may")]
 
 #[path = "fixture/setup.rs"]
@@ -33,14 +33,14 @@ impl Witness {
     }
 
     fn within<R>(&self, body: impl FnOnce() -> R) -> R {
-        // Ignores other threads.
+        // Ignores calls of other threads.
         if !WATCHED.get() {
             return body();
         }
         if self.busy.swap(true, Ordering::Relaxed) {
             self.overlaps.fetch_add(1, Ordering::Relaxed);
         }
-        // Long enough to be interrupted by a tick sooner or later.
+        // This takes long enough for a tick to interrupt it after some calls.
         for _ in 0..200 {
             black_box(());
         }
@@ -50,7 +50,7 @@ impl Witness {
     }
 }
 
-// SAFETY: all calls are passed on to the system's allocator as they are.
+// SAFETY: all calls are passed on to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Witness {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller's promise.
@@ -69,17 +69,17 @@ std::thread_local! {
 
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<Witness> = TaskAllocator::new(Witness::new());
-/// The same without the guard.
+/// The same allocator without the guard.
 static UNGUARDED: Witness = Witness::new();
 
-/// The test of this name runs itself again as a child, which finds this variable.
+/// A test runs itself again as a child with this variable set to its name.
 const CHILD: &str = "TANDEM_RTOS_CHILD";
 
 fn is_child(of: &str) -> bool {
     std::env::var(CHILD).is_ok_and(|name| name == of)
 }
 
-/// Runs a test of this file as a child, which is killed after some time.
+/// Runs a test of this file as a child, which is killed after 60 s.
 fn child(test: &str, kind: &str) -> Output {
     let mut command = Command::new(std::env::current_exe().expect("this program"));
     command.args(["--exact", test, "--nocapture", "--test-threads=1"]);
@@ -107,20 +107,20 @@ fn run(clock: TickSource, fill: impl FnOnce(&Kernel)) {
     kernel.start(clock).expect("it starts");
 }
 
-/// The child prints `says` and aborts.
+/// Asserts that the child printed `says` and aborted.
 fn assert_aborted(output: &Output, says: &str) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(text.contains(says), "{text}");
     assert_eq!(output.status.signal(), Some(libc::SIGABRT), "{text}");
 }
 
-/// Tasks that allocate through `allocator` for some time, while another thread interrupts them.
+/// Runs tasks that allocate through `allocator` while another thread interrupts them.
 fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
     let _ringer = Ringer::every(Duration::from_micros(50));
     run(TickSource::Wall, |kernel| {
         let allocates = move || {
             let layout = Layout::from_size_align(64, 8).expect("valid");
-            // SAFETY: of this size, and given back with it.
+            // SAFETY: allocated with this layout and freed with it.
             unsafe {
                 let place = allocator.alloc(layout);
                 place.write_bytes(0xAB, 64);
@@ -148,8 +148,8 @@ fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
     });
 }
 
-/// No task enters the allocator while another is in it. Without the guard the same allocator has
-/// overlaps, so the test can detect them.
+/// No task enters the allocator while another task is in it. The control: without the guard, the
+/// same allocator has overlaps.
 #[test]
 fn tasks_share_the_allocator() {
     const NAME: &str = "tasks_share_the_allocator";
@@ -169,7 +169,7 @@ fn tasks_share_the_allocator() {
             guarded.status.success() && text.contains("overlaps: 0\n"),
             "{guarded:?}"
         );
-        // It detects them, unless the system's allocator has ended the process before.
+        // The child prints the overlaps, unless the system's allocator ends the process first.
         let went_well = || {
             let unguarded = child(NAME, "unguarded");
             let text = String::from_utf8_lossy(&unguarded.stdout);
@@ -179,9 +179,9 @@ fn tasks_share_the_allocator() {
     }
 }
 
-/// Lines of two tasks that print while a third interrupts them.
+/// Runs two tasks that print lines while a third one interrupts them.
 fn print_from_tasks(print: fn(&str)) {
-    // After the harness's output without a line end.
+    // The test harness's output has no line end yet.
     println!();
     run(TickSource::Wall, |kernel| {
         for (name, priority, count) in [("a", 1, 3000), ("b", 1, 3000), ("c", 2, 400)] {
@@ -205,7 +205,7 @@ fn print_from_tasks(print: fn(&str)) {
 static DONE: AtomicU32 = AtomicU32::new(0);
 
 /// Lines that tasks print with pre-emption deferred are whole, in order, and complete. Without
-/// that, the same tasks collide in the lock of the output and the process ends.
+/// deferring, the same tasks collide in the lock of the output and the process ends.
 #[test]
 fn tasks_share_the_output() {
     const NAME: &str = "tasks_share_the_output";
@@ -229,7 +229,7 @@ fn tasks_share_the_output() {
                 assert_eq!(*line, format!("line {name} {number:06} {end}"));
             }
         }
-        // The control: a task that is pre-empted while it holds the lock. Usually the first try
+        // The control: a task is pre-empted while it holds the lock. Usually the first attempt
         // shows it.
         let collides = || !child(NAME, "standard").status.success();
         assert!(
@@ -260,8 +260,8 @@ fn an_overflowed_stack_is_named() {
 }
 
 /// A task lends a thread-local to another thread, and a second task stops the scheduler. The first
-/// one never returns from the lending call, so the loan lasts for ever: the kernel's thread must
-/// not end, and the thread-local must stay.
+/// task never returns from the lending call, so the loan never ends: the kernel's thread must not
+/// end, and the thread-local must stay.
 #[test]
 fn what_an_abandoned_task_has_lent_stays() {
     const NAME: &str = "what_an_abandoned_task_has_lent_stays";
@@ -303,9 +303,9 @@ fn what_an_abandoned_task_has_lent_stays() {
             kernel.task("stops", 2, stops);
         });
     };
-    // Its thread-locals are dropped when it ends, before `join` returns.
+    // The thread-locals of this thread are dropped when it ends, before `join` returns.
     std::thread::spawn(life).join().expect("it stops");
-    // A thread that ended late would drop them in this time.
+    // A thread that ends late would drop them during this time.
     std::thread::sleep(Duration::from_millis(200));
     assert!(!DROPPED.load(Ordering::Relaxed), "a lent value was dropped");
     let before = READS.load(Ordering::Relaxed);
@@ -330,15 +330,15 @@ fn own_stack() -> usize {
     own.next().expect("it is mapped").start
 }
 
-/// T-RTOS-1: the kernel sees at the next switch that the end of a stack was overwritten, by a jump
-/// over the guard or by a stray pointer.
+/// T-RTOS-1: at the next switch the kernel detects that the end of a stack was overwritten, by an
+/// access beyond the guard or by a stray pointer.
 #[test]
 fn an_overwritten_stack_end_is_named() {
     const NAME: &str = "an_overwritten_stack_end_is_named";
     if is_child("full") {
         run(TickSource::Virtual, |kernel| {
             let full = |ctx: &TaskContext| {
-                // SAFETY: within this task's stack, far below what it uses.
+                // SAFETY: within this task's stack, far below the part that it uses.
                 unsafe { (own_stack() as *mut [usize; 2]).write_volatile([0; 2]) };
                 ctx.delay(Ticks(1));
                 ctx.stop();
@@ -350,7 +350,7 @@ fn an_overwritten_stack_end_is_named() {
     }
 }
 
-/// A fault that is not an overflow ends the process as without this crate.
+/// A fault that is not an overflow ends the process as it does without this crate.
 #[test]
 fn another_fault_is_what_it_was() {
     const NAME: &str = "another_fault_is_what_it_was";
@@ -419,7 +419,7 @@ fn misuse_is_refused() {
                 let unwind = |_: &InterruptContext| resume_unwind(Box::new(()));
                 kernel.on(Interrupt::DOORBELL, unwind);
             });
-            // Only the last one stops.
+            // Only the last of the tasks stops the scheduler.
             run(TickSource::Wall, |kernel| {
                 let sends = move |ctx: &TaskContext| {
                     let _ = old.take().map(|queue| queue.try_send(ctx, 1));
@@ -432,7 +432,7 @@ fn misuse_is_refused() {
     }
 }
 
-/// There is one kernel, and it can be taken again.
+/// There is one kernel. It can be taken again after its scheduler has stopped.
 #[test]
 fn the_kernel_is_taken_once_and_comes_back() {
     const NAME: &str = "the_kernel_is_taken_once_and_comes_back";
@@ -445,7 +445,7 @@ fn the_kernel_is_taken_once_and_comes_back() {
     first.task("never", 1, |_| ());
     drop(first);
     for _ in 0..3 {
-        // Another thread each time: each life of the kernel belongs to one thread.
+        // Uses another thread each time, because each life of the kernel belongs to one thread.
         let life = std::thread::spawn(|| {
             run(TickSource::Wall, |kernel| {
                 kernel.task("stops", 1, |ctx| ctx.stop());

@@ -1,5 +1,5 @@
-//! A switch or an interrupt at the wrong moment must do no harm: to tasks that are being made,
-//! `errno`, the C library's own allocations. T-RTOS-1
+//! A switch or an interrupt at any moment must not disturb the creation of tasks, `errno`, or the C
+//! library's own allocations. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tandem_rtos::host::{deferred, raise};
 use tandem_rtos::{Interrupt, InterruptContext, TaskContext, TaskError, TickSource, Ticks};
 
-/// T-RTOS-1: a list of all tasks shows each one made. The stack of a new task is filled,
+/// T-RTOS-1: a list of all tasks never shows an incomplete task. The stack of a new task is filled,
 /// which takes long enough for several ticks.
 #[test]
 fn a_task_is_seen_when_it_is_made() {
@@ -50,13 +50,13 @@ fn a_task_is_seen_when_it_is_made() {
     assert_eq!(nameless.load(Ordering::Relaxed), 0, "a half-made task");
 }
 
-/// The tasks run with the real-time priority of the thread that starts the kernel, even if it was
-/// claimed such that new threads do not inherit it. Needs the permission for real time.
+/// The tasks run with the real-time priority of the thread that starts the kernel, even if new
+/// threads do not inherit it (SCHED_RESET_ON_FORK). Needs the permission for real time.
 #[test]
 fn tasks_have_the_priority_of_the_starting_thread() {
     static FOUND: AtomicU32 = AtomicU32::new(0);
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // On a separate thread, whose priority ends with it.
+    // Uses a separate thread, whose priority ends with it.
     let starts = std::thread::spawn(move || {
         let param = libc::sched_param { sched_priority: 3 };
         // SAFETY: 0 is the calling thread; the place is read during the call.
@@ -101,7 +101,7 @@ fn a_task_keeps_its_errno() {
         let wake = move |ctx: &InterruptContext| spoiler.notify(ctx).expect("it lives");
         kernel.on(Interrupt::DOORBELL, wake);
         let check = move |ctx: &TaskContext| {
-            // SAFETY: a path with its zero; there is none of that name.
+            // SAFETY: the path ends with a zero; no such file exists.
             unsafe { libc::open(c"/nonexistent/x".as_ptr(), 0) };
             ctx.critical(|| raise(Interrupt::DOORBELL));
             let at_unmask = errno() != Some(libc::ENOENT);
@@ -119,8 +119,8 @@ fn a_task_keeps_its_errno() {
     assert_eq!(WRONG.load(Ordering::Relaxed), 0);
 }
 
-/// T-RTOS-1: the C library allocates without Rust's allocator (here in `opendir`), and holds a lock
-/// in that time. A task that is pre-empted there does not stop the allocation of another one.
+/// T-RTOS-1: the C library allocates without Rust's allocator (here in `opendir`), under a lock. If
+/// a task is pre-empted there, another task can still allocate.
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {

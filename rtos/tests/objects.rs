@@ -1,5 +1,5 @@
-//! Queues, semaphores, mutexes, sets, timers: the checks of the kernel's own standard demos, in
-//! virtual time. T-RTOS-1
+//! Queues, semaphores, mutexes, sets, timers: the checks of FreeRTOS's standard demos, in virtual
+//! time. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
@@ -16,7 +16,7 @@ use tandem_rtos::{
 };
 
 /// T-RTOS-1: a queue keeps the order, blocks a sender while it is full and a receiver while it is
-/// empty, and gives values back that do not fit in time.
+/// empty, and returns values that do not fit in time.
 #[test]
 fn a_queue_passes_values_in_order_and_blocks() {
     let log = Log::new();
@@ -227,7 +227,7 @@ fn timers_expire_at_their_ticks() {
         again.start(kernel).expect("room");
         kernel.task("changes", 2, move |ctx| {
             ctx.delay(Ticks(12));
-            // Restarted: the next expiry is a whole period from here.
+            // After this restart the next expiry is one whole period from here.
             again.start(ctx).expect("room");
             ctx.delay(Ticks(11));
             again.stop(ctx).expect("room");
@@ -264,7 +264,7 @@ fn an_interrupts_queue_loses_nothing() {
         kernel.task("receives", 2, move |ctx| {
             for expected in 0..COUNT {
                 let value = loop {
-                    // An interrupt that found no room is raised again.
+                    // An interrupt that found no room in the queue is raised again.
                     match queue.receive(ctx, Ticks(1)) {
                         Some(value) => break value,
                         None => raise(Interrupt::DOORBELL),

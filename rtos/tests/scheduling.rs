@@ -13,7 +13,7 @@ use tandem_rtos::demo::{TESTS, Test, toggle};
 use tandem_rtos::host::{caught_up, deferred, elapsed_ns, raise};
 use tandem_rtos::{Interrupt, InterruptPriority, TaskContext, TickSource, Ticks};
 
-/// T-RTOS-2: a yield in a task is an immediate switch; tasks of equal priority alternate.
+/// T-RTOS-2: a yield in a task switches at once; tasks of equal priority alternate.
 #[test]
 fn equals_that_yield_take_turns() {
     let log = Log::new();
@@ -32,8 +32,8 @@ fn equals_that_yield_take_turns() {
     assert_eq!(log.take().concat(), "ababab");
 }
 
-/// T-RTOS-1, T-RTOS-4: a task that never yields is pre-empted by a more urgent one at the tick at
-/// which that one is due. By the machine's clock a tick may be late.
+/// T-RTOS-1, T-RTOS-4: a more urgent task pre-empts a task that never yields, at the tick at which
+/// it is due. By the machine's clock a tick may be late.
 #[test]
 fn a_task_that_never_yields_is_pre_empted() {
     for clock in [TickSource::Virtual, TickSource::Wall] {
@@ -65,7 +65,7 @@ fn a_task_that_never_yields_is_pre_empted() {
     }
 }
 
-/// T-RTOS-1: tasks of the same priority that never yield take turns, a tick each.
+/// T-RTOS-1: tasks of the same priority that never yield alternate at each tick.
 #[test]
 fn equals_that_never_yield_share_time() {
     const TICKS: usize = 60;
@@ -75,7 +75,7 @@ fn equals_that_never_yield_share_time() {
             let log = log.clone();
             kernel.task(name, 1, move |ctx| {
                 loop {
-                    // Half a tick: more would run into the turn of the next.
+                    // Burns half a tick: more would reach into the next task's tick.
                     ctx.burn(Duration::from_micros(500));
                     log.note((ctx.now().0, name));
                 }
@@ -96,7 +96,7 @@ fn equals_that_never_yield_share_time() {
     assert!(changes, "one task had two ticks in a row: {turns:?}");
 }
 
-/// T-RTOS-1: as many tasks as there is memory for.
+/// T-RTOS-1: the number of tasks is limited only by memory.
 #[test]
 fn three_hundred_tasks_each_run_when_they_are_due() {
     const TASKS: u32 = 300;
@@ -143,8 +143,8 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
     assert_eq!(log.take(), vec![1; 1000]);
 }
 
-/// Runs a test of the demonstration: which output changed, at which tick, and at what time of the
-/// clock that the kernel does not count, ns.
+/// Runs a test of the demonstration. Returns for each change the output, the tick, and the time in
+/// ns of a clock that the kernel does not count.
 fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
     let log = Log::new();
     run(clock, |kernel| {
@@ -160,9 +160,9 @@ fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
     log.take()
 }
 
-/// Whether the outputs of a run have the periods of their tasks, measured by the clock. Of a busy
-/// machine's changes one in each half must be in time: a period that is wrong by 1 % delays all of
-/// the second half.
+/// Whether the outputs of a run have the periods of their tasks, measured by the clock. On a busy
+/// machine, one change in each half of the run must be in time: a period that is wrong by 1 %
+/// delays every change of the second half.
 fn has_its_periods(clock: TickSource) -> bool {
     const IN_TIME_NS: i64 = 600_000;
     let changes = changes(&TESTS[0], clock);
@@ -190,14 +190,14 @@ fn has_its_periods(clock: TickSource) -> bool {
 #[test]
 fn three_tasks_run_with_their_periods() {
     assert!(has_its_periods(TickSource::Virtual));
-    // By the machine's clock a tick may be late: only `cargo xtask campaign rtos-drift` judges it.
+    // By the machine's clock a tick may be late: only `cargo xtask campaign rtos-drift` fails then.
     let in_time = has_its_periods(TickSource::Wall);
     assert!(in_time || std::env::var_os("TANDEM_RTOS_DRIFT_SECONDS").is_none());
 }
 
 /// T-RTOS-4: priorities 3 > 2 > 1 with periods of 30, 20 and 10 ms; the highest works for 20 ms.
-/// While it works, neither lower one toggles; otherwise both do. In virtual time its output is a
-/// signal of 30 ms with 20 ms up.
+/// While it works, neither lower one toggles; otherwise both do. In virtual time its output is high
+/// for 20 ms of every 30 ms.
 #[test]
 fn a_burning_task_keeps_lower_ones_from_running() {
     for clock in [TickSource::Virtual, TickSource::Wall] {
@@ -220,7 +220,7 @@ fn a_burning_task_keeps_lower_ones_from_running() {
 }
 
 /// T-RTOS-2: a more urgent interrupt interrupts a handler, a less urgent one waits for its end, and
-/// the woken task runs when the last of them has ended.
+/// the woken task runs when the last handler has ended.
 #[test]
 fn a_switch_waits_for_the_last_nested_interrupt() {
     const LESS: Interrupt = Interrupt::new(3);
@@ -269,8 +269,8 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
     assert_eq!(log.take(), expected);
 }
 
-/// T-RTOS-2: an interrupt that arrives in a critical section runs at its end, and the switch with
-/// it.
+/// T-RTOS-2: an interrupt that arrives in a critical section runs at the end of the section, and so
+/// does the switch.
 #[test]
 fn a_critical_section_holds_interrupts_back() {
     let log = Log::new();
@@ -290,7 +290,7 @@ fn a_critical_section_holds_interrupts_back() {
         kernel.task("masking", 2, move |ctx| {
             ctx.critical(|| {
                 raise(Interrupt::DOORBELL);
-                // From another thread it arrives as a signal.
+                // An interrupt of another thread arrives as a signal.
                 std::thread::scope(|scope| {
                     scope.spawn(|| raise(Interrupt::DOORBELL));
                 });
@@ -301,8 +301,8 @@ fn a_critical_section_holds_interrupts_back() {
     assert_eq!(log.take(), ["still masked", "interrupt", "task"]);
 }
 
-/// How many ticks the count and the clock differ: the least of many reads, as the tick that is due
-/// may be late. A count that has drifted differs in all of them.
+/// By how many ticks the count and the clock differ: the minimum of many reads, because the tick
+/// that is due may be late. A count that has drifted differs in all reads.
 fn off_by(ctx: &TaskContext) -> u32 {
     let read = |_| {
         let mut wake = ctx.now();
@@ -341,8 +341,8 @@ fn late_ticks_are_made_up() {
     assert!(caught_up >= 19, "{caught_up} ticks were made up");
 }
 
-/// T-RTOS-1: the tick does not drift. A second of it is compared with the clock;
-/// `cargo xtask campaign rtos-drift` takes a minute.
+/// T-RTOS-1: the tick does not drift. One second is compared with the clock; `cargo xtask campaign
+/// rtos-drift` compares one minute.
 #[test]
 fn the_tick_does_not_drift() {
     let seconds = std::env::var("TANDEM_RTOS_DRIFT_SECONDS").ok();
@@ -369,7 +369,7 @@ fn the_tick_does_not_drift() {
     );
 }
 
-/// The scheduler ends when every task has returned, and has dropped everything that they owned.
+/// The scheduler ends when every task has returned, and all that the tasks owned is dropped.
 #[test]
 fn the_scheduler_ends_with_the_last_task() {
     let owned: Arc<()> = Arc::default();
@@ -393,7 +393,7 @@ fn the_scheduler_ends_with_the_last_task() {
 /// thread, in integers and in vectors, while another thread interrupts them.
 #[test]
 fn registers_survive_pre_emption() {
-    /// A round of it takes some microseconds, with many values alive at once.
+    /// Takes some microseconds, with many values in registers.
     fn compute(seed: u64) -> (u64, [f64; 8]) {
         let (mut word, mut lanes) = (seed | 1, [0.0f64; 8]);
         for round in 0..500u64 {
@@ -432,7 +432,7 @@ fn registers_survive_pre_emption() {
             over.store(1, Ordering::Relaxed);
         });
         kernel.on(Interrupt::DOORBELL, move |ctx| {
-            // It has ended when the last ones arrive.
+            // The task has ended when the last interrupts arrive.
             let _ = urgent.notify(ctx);
         });
     });
@@ -446,9 +446,9 @@ fn registers_survive_pre_emption() {
     assert!(rounds.load(Ordering::Relaxed) > 0);
 }
 
-/// The origin of the ticks is the same value at every call. Otherwise a task that waits for a tick
-/// on absolute time would keep an error for ever: the time for which it was interrupted between two
-/// reads.
+/// The origin of the ticks is the same value at every call. If it changed by the time for which a
+/// task was interrupted between two reads, a task that waits on absolute time would keep that
+/// error.
 #[test]
 fn ticks_have_one_origin() {
     let log = Log::new();
@@ -490,20 +490,20 @@ mod control {
             asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack));
             asm!("fnstcw [{}]", in(reg) &raw mut x87, options(nostack));
         }
-        // Only the control bits of `mxcsr`: the lowest six bits are status.
+        // Keep only the control bits of `mxcsr`: the lowest six bits are status.
         (mxcsr & !0x3F, x87)
     }
 
     pub(super) fn write((mxcsr, x87): (u32, u16)) {
         // SAFETY: both load from a valid place; the caller computes no floating-point numbers until
-        // it has put the default back.
+        // it has restored the default.
         unsafe {
             asm!("ldmxcsr [{}]", in(reg) &raw const mxcsr, options(nostack));
             asm!("fldcw [{}]", in(reg) &raw const x87, options(nostack));
         }
     }
 
-    /// Number 0 to 2: another rounding of SSE, and another one and another precision of x87.
+    /// Variant 0 to 2: other roundings of SSE and x87, and another precision of x87.
     pub(super) const fn variant(number: u16) -> (u32, u16) {
         let rounding = number + 1;
         (
@@ -513,16 +513,16 @@ mod control {
     }
 }
 
-/// Each task keeps its control words over switches: at a yield, where they are saved by the switch,
-/// and at pre-emption, where the next task's must replace those of the interrupted one. A new task
-/// has the default ones. T-RTOS-1
+/// T-RTOS-1: each task keeps its control words over switches. At a yield the switch saves them; at
+/// pre-emption the next task's words must replace those of the interrupted one. A new task has the
+/// default ones.
 #[cfg(target_arch = "x86_64")]
 #[test]
 fn control_words_survive_switches() {
     let log = Log::new();
     let ours = log.clone();
     run(TickSource::Wall, |kernel| {
-        // Two of equal priority that yield, and a more urgent one that interrupts them.
+        // Two tasks of equal priority yield, and a more urgent one interrupts them.
         for (number, name, priority) in [(0, "a", 1), (1, "b", 1), (2, "c", 2)] {
             let log = ours.clone();
             let body = move |ctx: &TaskContext| {

@@ -2,11 +2,11 @@
 //!
 //! The model does not use the kernel: it is fixed-priority pre-emptive scheduling with a ring for
 //! each priority, driven by ticks, completions and yields. The same set runs on the real kernel in
-//! virtual time, where each tick is a real signal that pre-empts inside its frame. Order and times
+//! virtual time, where each tick is a real signal that pre-empts the running task. Order and times
 //! of all completions must be the same.
 //!
-//! `TANDEM_RTOS_SOAK_SECONDS` and `TANDEM_RTOS_SOAK_SEED` choose how long and from which seed on;
-//! `cargo xtask campaign rtos-soak` sets them.
+//! `TANDEM_RTOS_SOAK_SECONDS` and `TANDEM_RTOS_SOAK_SEED` set the length and the first seed; `cargo
+//! xtask campaign rtos-soak` sets them.
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
@@ -23,21 +23,21 @@ use tandem_rtos::host::{elapsed_ns, raise};
 use tandem_rtos::{Interrupt, Kernel, TaskContext, TaskHandle, TickSource, Ticks};
 
 const TICK_NS: u64 = 1_000_000;
-/// Ticks that a set runs.
+/// The length of a set's run, in ticks.
 const SPAN: u32 = 400;
-/// The task that raises interrupts is more urgent than all that are checked.
+/// The task that raises interrupts is more urgent than all tasks that are checked.
 const RAISER: u8 = 20;
 
-/// The release of a task's jobs.
+/// When a task's jobs are released.
 #[derive(Clone, Debug)]
 enum Release {
     /// At `offset` and then every `period` ticks; at once if the last job took longer.
     Periodic { offset: u32, period: u32 },
-    /// An interrupt at each of these ticks.
+    /// By an interrupt at each of these ticks.
     Sporadic { at: Vec<u32> },
 }
 
-/// A task: its jobs work through all bursts, with a yield between two of them.
+/// A task. Each of its jobs works through all bursts and yields between them.
 #[derive(Clone, Debug)]
 struct Spec {
     priority: u8,
@@ -45,7 +45,7 @@ struct Spec {
     bursts_ns: Vec<u64>,
 }
 
-/// A job that ended: task, number, and when.
+/// A completed job: its task, its number, and the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Done {
     task: usize,
@@ -56,7 +56,7 @@ struct Done {
 fn random_set(seed: u64) -> Vec<Spec> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let tasks = random.random_range(2..=7);
-    // Few priorities make many tasks of equal priority.
+    // With few priorities, many tasks have equal priority.
     let priorities = random.random_range(1..=5);
     let load = random.random_range(0.3..1.3) / f64::from(tasks);
     (0..tasks)
@@ -74,7 +74,7 @@ fn random_set(seed: u64) -> Vec<Spec> {
             };
             let work_us = f64::from(period) * 1000.0 * load * random.random_range(0.5..1.5);
             let bursts = random.random_range(1..=3);
-            // Every other set works in whole ticks, so that its completions coincide with ticks.
+            // Every second set works in whole ticks, so that its completions coincide with ticks.
             let grain_us = if seed.is_multiple_of(2) { 1000.0 } else { 50.0 };
             let burst_us = (work_us / f64::from(bursts) / grain_us).round().max(1.0) * grain_us;
             Spec {
@@ -86,12 +86,12 @@ fn random_set(seed: u64) -> Vec<Spec> {
         .collect()
 }
 
-/// Fixed priorities, a ring for each, and time that passes by work.
+/// Fixed priorities, a ring for each; time advances by work.
 mod model {
     use super::{Done, Release, SPAN, Spec, TICK_NS, VecDeque};
 
     /// The ready tasks of one priority, in the order in which they will be served. The task that
-    /// was served last stays at the back while it is ready: a new one is inserted before it.
+    /// was served last stays at the back while it is ready; a new task is inserted before it.
     #[derive(Clone, Default)]
     struct Ring {
         order: VecDeque<usize>,
@@ -111,7 +111,7 @@ mod model {
             Some(task)
         }
 
-        /// The task that was served last waits.
+        /// Removes the task that was served last: it now waits.
         fn leave(&mut self) {
             self.order.pop_back();
             self.back_was_served = false;
@@ -122,7 +122,7 @@ mod model {
     enum Waits {
         /// Ready or running.
         No,
-        /// Until a tick; the time since when it waits orders tasks that wake together.
+        /// Until a tick. The second field, the time when the wait began, orders tasks that wake.
         ForTick(u32, u64),
         ForInterrupt,
     }
@@ -137,7 +137,7 @@ mod model {
         job: u32,
         /// Tick of the last release.
         release: u32,
-        /// Interrupts that it has not served yet.
+        /// Interrupts that the task has not served yet.
         asked: u32,
     }
 
@@ -183,7 +183,7 @@ mod model {
             }
         }
 
-        /// All completions before the end.
+        /// Returns all completions before the end.
         pub(super) fn run(mut self) -> Vec<Done> {
             let mut running = self.pick();
             while self.now_ns < u64::from(SPAN) * TICK_NS {
@@ -222,7 +222,7 @@ mod model {
             self.pick()
         }
 
-        /// Works until the end of the burst or the next tick, whichever is first.
+        /// Works until the end of the burst or the next tick, whichever is earlier.
         fn work(&mut self, task: usize) -> Option<usize> {
             let to_tick = TICK_NS - self.now_ns % TICK_NS;
             let step = self.states[task].left_ns.min(to_tick);
@@ -257,7 +257,7 @@ mod model {
                 .iter()
                 .any(|(_, task)| self.specs[*task].priority > own);
             let equals = self.rings[usize::from(own)].order.len() > 1;
-            // The task that raises the interrupts is more urgent than all.
+            // The task that raises the interrupts is more urgent than all others.
             if urgent || equals || raised {
                 self.pick()
             } else {
@@ -318,8 +318,7 @@ mod model {
             next
         }
 
-        /// A task that is late for its next release starts at once, but after those of equal
-        /// priority.
+        /// A task that is late for its next release starts at once, after those of equal priority.
         fn release(state: &mut State, after: u32, tick: u32) -> Next {
             state.release += after;
             if state.release > tick {
@@ -430,7 +429,7 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
                 }
                 ctx.delay(Ticks(1));
             }
-            // The scheduler ends when all have returned: nothing remains of this life.
+            // The scheduler ends when all tasks have returned, so no state of this run remains.
         };
         kernel.task("supervisor", 30, supervisor);
     });

@@ -10,7 +10,7 @@ use core::sync::atomic::{AtomicPtr, Ordering};
 pub enum KernelEventKind {
     /// The kernel chose a task, which starts or continues. It may be the one that ran before.
     SwitchedIn,
-    /// The running task is switched out, perhaps in favour of itself.
+    /// The running task is switched out. The kernel may choose the same task again.
     SwitchedOut,
     /// A task became ready: it was woken or made, or its wait has ended.
     Ready,
@@ -33,10 +33,10 @@ pub struct KernelEvent {
     pub subject: u32,
 }
 
-/// Receives the events. Called in tasks and in handlers, also nested in itself: it must not block,
-/// allocate or lock.
+/// Receives the events. Tasks and handlers call it, and a handler may interrupt a call: it must not
+/// block, allocate or lock.
 pub trait TraceSink: Sync {
-    /// An event.
+    /// Records an event.
     fn record(&self, event: KernelEvent);
 }
 
@@ -47,7 +47,7 @@ unsafe impl Sync for Sink {}
 
 static SINK: Sink = Sink(UnsafeCell::new(None));
 
-/// The kernel's C code calls only if this is not null.
+/// The kernel's C code calls [`record`] only if this is not null.
 #[unsafe(no_mangle)]
 static tandem_trace_sink: AtomicPtr<c_void> = AtomicPtr::new(ptr::null_mut());
 

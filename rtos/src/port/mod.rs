@@ -24,8 +24,8 @@ pub(crate) use riscv32::{
 pub enum TickSource {
     /// The machine's timer: 1 kHz on absolute time.
     Wall,
-    /// Work: time passes only in [`burn`](crate::TaskContext::burn) and while all tasks wait. For
-    /// tests that must give the same result in each run. Host only.
+    /// Virtual time, which passes only in [`burn`](crate::TaskContext::burn) and while all tasks
+    /// wait. For tests that must give the same result in each run. Host only.
     #[cfg(target_os = "linux")]
     Virtual,
 }
@@ -33,13 +33,13 @@ pub enum TickSource {
 /// The scheduler cannot start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StartError {
-    /// The program's allocator is not one that tasks can share: see `host::TaskAllocator`.
+    /// Tasks cannot share the program's allocator: see `host::TaskAllocator`.
     #[error(
         "tasks cannot share this allocator: the program must declare \
                  `#[global_allocator] static A: tandem_rtos::host::TaskAllocator<…>`"
     )]
     Allocator,
-    /// The operating system refused a timer, a signal or a stack; its error number.
+    /// The operating system refused a timer, a signal or a stack. Holds its error number.
     #[error("the operating system refused: error {0}")]
     System(i32),
 }

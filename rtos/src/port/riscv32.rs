@@ -2,7 +2,7 @@
 //!
 //! The tick is the machine timer interrupt, the doorbell the machine software interrupt (bit 0 of
 //! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
-//! Interrupts do not nest, so a switch that a handler requests happens when it returns.
+//! Interrupts do not nest, so a switch that a handler requests happens when the handler returns.
 
 use super::events::{self, KernelEventKind};
 use super::{StartError, TickSource};
@@ -16,11 +16,11 @@ use core::ptr;
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicUsize, Ordering};
 use core::time::Duration;
 
-/// The smallest stack in words: a context and some calls.
+/// The smallest stack in words: room for a context and some calls.
 const MIN_STACK_WORDS: usize = 128;
 /// Words of the stacks of the idle task and of the timers' task.
 const SERVICE_WORDS: usize = 1024;
-/// The CLINT's software interrupt registers, one word for each hart. As in QEMU's `virt`.
+/// The CLINT's software interrupt registers, one word for each hart, as in QEMU's `virt`.
 const MSIP: usize = 0x0200_0000;
 /// The CLINT's counter, as configMTIME_BASE_ADDRESS.
 const MTIME: usize = 0x0200_BFF8;
@@ -28,15 +28,14 @@ const MTIME: usize = 0x0200_BFF8;
 const MTIMECMP: usize = 0x0200_4000;
 const CAUSE_SOFTWARE: u32 = 3;
 const CAUSE_EXTERNAL: u32 = 11;
-/// Enables of these two in `mie`; the kernel's port enables timer and external.
+/// The software interrupt's bit in `mie`; the kernel's port enables timer and external.
 const MIE_SOFTWARE: usize = 1 << 3;
 
 type Handler = dyn FnMut(&InterruptContext) + Send;
 
 struct Source(UnsafeCell<Option<&'static mut Handler>>);
 
-// SAFETY: written with interrupts masked, called with interrupts masked, on the one hart of the
-// kernel.
+// SAFETY: written and called with interrupts masked, on the one hart of the kernel.
 unsafe impl Sync for Source {}
 
 static SOURCES: [Source; 2] = [const { Source(UnsafeCell::new(None)) }; 2];
@@ -62,7 +61,7 @@ impl Stack {
         core::alloc::Layout::from_size_align(bytes, 16).ok()
     }
 
-    /// From the heap.
+    /// Allocates a stack on the heap.
     pub(crate) fn allocate(bytes: usize) -> Option<Self> {
         let words = (bytes / size_of::<usize>()).max(MIN_STACK_WORDS);
         // SAFETY: the size is not zero.
@@ -74,14 +73,14 @@ impl Stack {
         })
     }
 
-    /// For a task of the kernel itself: one of two statics.
+    /// Returns the stack of one of the kernel's own tasks: one of two statics.
     pub(crate) fn for_service() -> Self {
         struct Memory(UnsafeCell<[[usize; SERVICE_WORDS]; 2]>, UnsafeCell<usize>);
-        // SAFETY: used by the kernel's hart alone, before the scheduler runs.
+        // SAFETY: only the kernel's hart uses it, before the scheduler runs.
         unsafe impl Sync for Memory {}
         static MEMORY: Memory =
             Memory(UnsafeCell::new([[0; SERVICE_WORDS]; 2]), UnsafeCell::new(0));
-        // SAFETY: called twice, for the idle task and for the timers' task, each taking its own.
+        // SAFETY: called twice, for the idle and the timers' task; each call takes a fresh stack.
         unsafe {
             let taken = *MEMORY.1.get();
             *MEMORY.1.get() = taken + 1;
@@ -105,10 +104,10 @@ impl Drop for Stack {
     }
 }
 
-/// The hart of the kernel.
+/// The hart that runs the kernel.
 static KERNEL_HART: AtomicUsize = AtomicUsize::new(0);
 
-/// Called before the first task is made: the kernel belongs to the calling hart.
+/// Makes the calling hart the kernel's. Called before the first task is made.
 pub(crate) fn prepare() {
     KERNEL_HART.store(hart(), Ordering::Relaxed);
 }
@@ -117,7 +116,7 @@ pub(crate) fn prepare() {
 pub(crate) fn start(_clock: TickSource, _none_left: fn() -> bool) -> Result<(), StartError> {
     let vector = freertos_risc_v_trap_handler as *const () as usize;
     // SAFETY: the vector is the kernel's, aligned, in direct mode. The software interrupt is
-    // enabled here; interrupts as a whole are by the first task.
+    // enabled here; the first task enables interrupts as a whole.
     unsafe {
         core::arch::asm!("csrci mstatus, 8");
         core::arch::asm!("csrw mtvec, {}", in(reg) vector);
@@ -127,7 +126,7 @@ pub(crate) fn start(_clock: TickSource, _none_left: fn() -> bool) -> Result<(), 
     Ok(())
 }
 
-/// The kernel was taken and not started: nothing to release.
+/// Has nothing to release: the kernel was taken and not started.
 pub(crate) fn tear_down() {}
 
 /// Counts the lives of the kernel.
@@ -137,7 +136,7 @@ pub(crate) fn epoch() -> u32 {
     EPOCH.load(Ordering::Relaxed)
 }
 
-/// After a reset of the hart: handlers and the scheduler's state as at power-on.
+/// Restores handlers and the scheduler's state to power-on, after a reset of the hart.
 ///
 /// # Safety
 /// As [`after_reset`](crate::sys::after_reset).
@@ -159,19 +158,19 @@ pub(crate) unsafe fn reset() {
 static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
 
 /// Whether the caller is a task of the kernel's hart, and not a handler. Other harts have no
-/// context, and so cannot reach an object.
+/// context, so they cannot call an object.
 pub(crate) fn in_task() -> bool {
     hart() == KERNEL_HART.load(Ordering::Relaxed) && !IN_INTERRUPT.load(Ordering::Relaxed)
 }
 
-/// The idle task has nothing to do.
+/// Called when the idle task has nothing to do.
 pub(crate) fn idle(_none_left: fn() -> bool) {
     wait();
 }
 
 /// Waits for an interrupt.
 fn wait() {
-    // SAFETY: no effect but waiting.
+    // SAFETY: only waits.
     unsafe { core::arch::asm!("wfi") };
 }
 
@@ -207,11 +206,11 @@ pub(crate) fn timestamp_ns() -> u64 {
     run_time() * MTIME_NS
 }
 
-/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock: the timer's register holds the time of the
-/// next tick.
+/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock. It is computed from the timer's register,
+/// which holds the time of the next tick.
 pub(crate) fn tick_origin_ns() -> u64 {
     let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
-    // Neither changes while interrupts are masked: both do in the tick's interrupt.
+    // Neither changes while interrupts are masked: the tick's interrupt changes both.
     let (next, ticks) = ffi::critical(|| {
         // SAFETY: the two words of the CLINT's register of this hart.
         let (low, high) = unsafe { (register.read_volatile(), register.add(1).read_volatile()) };
@@ -223,17 +222,17 @@ pub(crate) fn tick_origin_ns() -> u64 {
     (next * MTIME_NS).saturating_sub(since)
 }
 
-/// There is no virtual time.
+/// Returns `false`: there is no virtual time.
 pub(crate) fn virtual_work(_span: Duration) -> bool {
     false
 }
 
-/// Only the tasks share state here.
+/// Runs `body`. Nothing has to be deferred here: `task::each` itself stops the other tasks.
 pub(crate) fn without_others<R>(body: impl FnOnce() -> R) -> R {
     body()
 }
 
-/// The caller is about to block.
+/// Panics if the caller must not block.
 pub(crate) fn assert_may_block() {
     let status: usize;
     // SAFETY: reads a register.
@@ -280,7 +279,7 @@ pub fn on_fatal(report: fn(fmt::Arguments<'_>) -> !) {
 
 /// Ends all work with a message.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
-    // SAFETY: nothing may interrupt the last message.
+    // SAFETY: masks interrupts, so that nothing interrupts the last message.
     unsafe { core::arch::asm!("csrci mstatus, 8") };
     let report = ON_FATAL.load(Ordering::Relaxed);
     if !report.is_null() {
@@ -300,7 +299,7 @@ fn hart() -> usize {
     hart
 }
 
-/// An interrupt other than the timer's, from the kernel's trap handler, on the interrupt stack.
+/// Runs a handler. The kernel's trap handler calls this on the interrupt stack, not for the timer.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_riscv_interrupt(cause: u32) {
     let number = match cause & 0x7FFF_FFFF {
@@ -332,12 +331,12 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
     IN_INTERRUPT.store(false, Ordering::Relaxed);
     events::record(KernelEventKind::InterruptLeft, subject, timestamp_ns);
     if context.has_woken() {
-        // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
+        // SAFETY: called in the trap, whose end restores the task that the kernel has chosen.
         unsafe { ffi::tandem_yield_from_interrupt(1) };
     }
 }
 
-/// An exception other than the call that yields.
+/// Ends all work at an exception. A call that yields does not reach this function.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_riscv_exception(cause: u32) {
     let (place, value): (usize, usize);

@@ -27,8 +27,8 @@ impl InterruptContext {
 }
 
 impl TaskContext {
-    /// Makes a task, with memory from the heap. It may run before this call returns. Other tasks
-    /// wait while its stack is filled with the pattern that measures its use.
+    /// Makes a task, with memory from the heap. The task may run before this call returns. Other
+    /// tasks wait while its stack is filled with the pattern by which stack use is measured.
     ///
     /// # Errors
     /// [`SpawnError`]
@@ -46,9 +46,9 @@ impl TaskContext {
         task::now(false)
     }
 
-    /// When tick 0 was, in nanoseconds of the clock that times
-    /// [`KernelEvent`](crate::KernelEvent)s. The same value in every task and at every call, until
-    /// the count of ticks wraps around (49 days).
+    /// The time of tick 0, in nanoseconds of the clock that times
+    /// [`KernelEvent`](crate::KernelEvent)s. The value is the same in every task and at every call,
+    /// until the count of ticks wraps around (49 days).
     #[must_use]
     pub fn tick_origin_ns(&self) -> u64 {
         port::tick_origin_ns()
@@ -80,7 +80,7 @@ impl TaskContext {
         unsafe { ffi::tandem_yield() };
     }
 
-    /// Blocks for a span, counted from now.
+    /// Blocks for `span`, counted from now.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred.
@@ -91,8 +91,8 @@ impl TaskContext {
         unsafe { ffi::vTaskDelay(span) };
     }
 
-    /// Blocks until `period` after `last_wake`, and sets `last_wake` to that point: no drift,
-    /// whatever the work takes. Returns `false` at once if that point has already passed.
+    /// Blocks until `period` after `last_wake`, and sets `last_wake` to that point. The work of a
+    /// period causes no drift. Returns `false` at once if that point has already passed.
     ///
     /// # Panics
     /// If the period is zero; in a critical section or with pre-emption deferred.
@@ -104,8 +104,8 @@ impl TaskContext {
         unsafe { ffi::xTaskDelayUntil(&mut last_wake.0, period.0) != 0 }
     }
 
-    /// Works for a span of this task's own time, which stands still while others run. In virtual
-    /// time the span passes at once. For tests and models.
+    /// Works for `span` of this task's run time, in which other tasks' run time does not count. In
+    /// virtual time the span passes at once. For tests and models.
     pub fn burn(&self, span: Duration) {
         if port::virtual_work(span) {
             return;
@@ -117,7 +117,7 @@ impl TaskContext {
     }
 
     /// Bytes of this task's stack that were never used. Reads all of them, which takes some
-    /// microseconds; other tasks may run in between.
+    /// microseconds; other tasks may run during that time.
     #[must_use]
     pub fn unused_stack_bytes(&self) -> usize {
         let mut info = ffi::TaskInfo::default();
@@ -133,14 +133,14 @@ impl TaskContext {
     }
 
     /// Runs `body` with interrupts masked: neither handlers nor other tasks run before it returns.
-    /// Keep it short.
+    /// `body` must be short.
     pub fn critical<R>(&self, body: impl FnOnce() -> R) -> R {
         ffi::critical(body)
     }
 
     /// Ends the scheduler: [`Kernel::start`](crate::Kernel::start) returns. The other tasks are
-    /// abandoned where they are, and nothing that they own is dropped. To drop it, let every task
-    /// return instead.
+    /// abandoned where they are, and the objects that they own are not dropped. To drop them, let
+    /// every task return instead.
     #[cfg(target_os = "linux")]
     pub fn stop(&self) -> ! {
         port::host::stop()
@@ -150,11 +150,11 @@ impl TaskContext {
 /// Waits for a notification of the running task; takes one, or all of them.
 fn take(all: bool, timeout: Ticks) -> u32 {
     port::assert_may_block();
-    // SAFETY: called by a task that may block, about its own word 0.
+    // SAFETY: called by a task that may block; the call concerns the task's own word 0.
     unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
 }
 
-/// The time that the running task has run, in the port's units.
+/// How long the running task has run, in the port's units.
 fn own_run_time() -> u64 {
     // SAFETY: null means the caller, a task.
     unsafe { ffi::ulTaskGetRunTimeCounter(ptr::null()) }

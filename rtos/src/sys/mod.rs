@@ -1,4 +1,4 @@
-//! The calls of the kernel: its objects, and the claim on it.
+//! The calls of the kernel: its objects, and the claim to use it.
 #![allow(unsafe_code)]
 
 mod calls;
@@ -17,19 +17,18 @@ static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Claims the one kernel; returns whether it was free.
 pub(crate) fn take() -> bool {
-    // Acquire pairs with the Release in `release`: a kernel that was used on another thread is
-    // idle.
+    // Acquire pairs with the Release in `release`: the kernel's use on another thread has ended.
     !TAKEN.swap(true, Ordering::Acquire)
 }
 
-/// The kernel can be taken again.
+/// Makes the kernel free to be taken again.
 pub(crate) fn release() {
     events::listen(None);
     // Release pairs with the Acquire in `take`.
     TAKEN.store(false, Ordering::Release);
 }
 
-/// An event of a task, by the numbers in `FreeRTOSConfig.h`.
+/// Records an event of a task, whose kind is a number of `FreeRTOSConfig.h`.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_trace(kind: u32, task: u32) {
     let kind = match kind {
@@ -40,16 +39,16 @@ extern "C" fn tandem_trace(kind: u32, task: u32) {
     events::record(kind, task, port::timestamp_ns);
 }
 
-/// The kernel's counter for the time that tasks run.
+/// Returns the kernel's counter for the time that tasks run.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_run_time() -> u64 {
     port::run_time()
 }
 
-/// The life of the kernel for which an object was made.
+/// The life of the kernel in which an object was made.
 ///
-/// The state of an earlier life (waiting tasks, active timers) is gone: its objects are never
-/// passed to the kernel again.
+/// When a life ends, its state (waiting tasks, active timers) is lost: its objects are never passed
+/// to the kernel again.
 pub(crate) struct Life(u32);
 
 impl Life {
@@ -57,7 +56,7 @@ impl Life {
         Self(port::epoch())
     }
 
-    /// Whether the object is of this life.
+    /// Whether the object was made in the current life.
     pub(crate) fn is_current(&self) -> bool {
         self.0 == port::epoch()
     }
@@ -72,13 +71,12 @@ impl Life {
     }
 }
 
-/// Restores the kernel's state at power-on, after a reset of its hart that has kept its memory:
-/// [`Kernel::take`](crate::Kernel::take) succeeds again. Tasks, handlers and objects of the earlier
-/// life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
+/// Restores the kernel's state at power-on, after a reset of its hart that did not clear its
+/// memory: [`Kernel::take`](crate::Kernel::take) succeeds again. Tasks, handlers and objects of the
+/// earlier life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
 ///
-/// # Safety
-/// The calling hart was the kernel's and has been reset: no code of the earlier life runs again,
-/// and nothing that it has made (handles, objects, borrowed stacks) is used again, by any hart.
+/// The calling hart was the kernel's and has been reset. No code of the earlier life runs again,
+/// and no hart uses anything that the earlier life made (handles, objects, borrowed stacks).
 #[cfg(target_arch = "riscv32")]
 pub unsafe fn after_reset() {
     // SAFETY: the caller's promise.

@@ -15,14 +15,14 @@ struct Inner<T> {
     value: UnsafeCell<T>,
 }
 
-// SAFETY: the value is reached by one task at a time, which the kernel's mutex sees to, on the
-// core's thread; it moves from task to task, so it must be `Send`.
+// SAFETY: the kernel's mutex lets one task at a time reach the value, on the core's thread; the
+// value moves from task to task, so it must be `Send`.
 unsafe impl<T: Send> Send for Inner<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Inner<T> {}
 
-/// A value behind a mutex with priority inheritance: while a task holds it and a more urgent one
-/// waits, the holder has the priority of the waiter. Not re-entrant, and not for interrupts.
+/// A value behind a mutex with priority inheritance: while a more urgent task waits for it, the
+/// holder has the priority of the waiter. It is not re-entrant, and handlers cannot lock it.
 ///
 /// A handle that outlives its scheduler panics when it is used in the next one: an abandoned task
 /// may still borrow the value.
@@ -57,7 +57,7 @@ impl<T: Send> Mutex<T> {
         Self { inner }
     }
 
-    /// Waits for the value.
+    /// Waits until the mutex is free, and locks it.
     ///
     /// # Errors
     /// [`TimedOut`]
@@ -80,7 +80,7 @@ impl<T: Send> Mutex<T> {
     }
 }
 
-/// The value, until this is dropped. Belongs to the task that locked.
+/// Access to the value until this is dropped. Belongs to the task that locked.
 pub struct MutexGuard<'a, T> {
     inner: &'a Inner<T>,
     ctx: &'a TaskContext,
@@ -90,14 +90,14 @@ impl<T> Deref for MutexGuard<'_, T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: this task holds the mutex as long as the guard is.
+        // SAFETY: this task holds the mutex as long as the guard exists.
         unsafe { &*self.inner.value.get() }
     }
 }
 
 impl<T> DerefMut for MutexGuard<'_, T> {
     fn deref_mut(&mut self) -> &mut T {
-        // SAFETY: as above, and the guard is borrowed alone.
+        // SAFETY: as above, and the guard is borrowed mutably.
         unsafe { &mut *self.inner.value.get() }
     }
 }

@@ -16,7 +16,7 @@ use core::sync::atomic::AtomicUsize;
 
 const TYPE_QUEUE: u8 = 0;
 const TYPE_MUTEX: u8 = 1;
-/// At the back of the queue, as `queueSEND_TO_BACK`.
+/// Sends to the back of the queue, as `queueSEND_TO_BACK`.
 const BACK: ffi::Base = 0;
 
 /// The kernel's control block of a queue, a semaphore, a mutex or a set. It is made once, at its
@@ -28,8 +28,8 @@ pub(crate) struct Raw {
     set: UnsafeCell<Option<Arc<Members>>>,
 }
 
-// SAFETY: the block is the kernel's, which is called from the core's thread only: every call needs
-// a context, and no context leaves its thread. The set is written once, on that thread.
+// SAFETY: the block is the kernel's, which is called only on the core's thread: every call needs a
+// context, and no context leaves its thread. The set is written once, on that thread.
 unsafe impl Send for Raw {}
 // SAFETY: as above.
 unsafe impl Sync for Raw {}
@@ -46,7 +46,7 @@ impl Raw {
     /// The kernel's handle.
     ///
     /// # Panics
-    /// If this was made for an earlier life of the kernel.
+    /// If the object was made in an earlier life of the kernel.
     pub(super) fn handle(&self) -> *mut c_void {
         self.life.assert_current();
         self.block.get().cast()
@@ -62,11 +62,11 @@ impl Raw {
         unsafe { ffi::xQueueCreateMutexStatic(TYPE_MUTEX, self.handle()) };
     }
 
-    /// Counts a semaphore up, or unlocks a mutex. Returns whether it could be counted.
+    /// Counts a semaphore up, or unlocks a mutex. Returns whether the count could rise.
     pub(crate) fn give<C: Context>(&self, ctx: &C) -> bool {
         let handle = self.handle();
         let mut woken = 0;
-        // SAFETY: a semaphore of this life; the call for interrupts in interrupts.
+        // SAFETY: a semaphore of this life; a handler makes the call for interrupts.
         let given = unsafe {
             if C::IN_INTERRUPT {
                 ffi::xQueueGiveFromISR(handle, &mut woken)
@@ -90,7 +90,7 @@ impl Raw {
         }
     }
 
-    /// Takes a semaphore if that is possible at once.
+    /// Takes a semaphore if it can do so at once.
     pub(crate) fn try_take<C: Context>(&self, ctx: &C) -> bool {
         if !C::IN_INTERRUPT {
             return self.take(Ticks::NONE).is_ok();
@@ -109,28 +109,28 @@ impl Raw {
         unsafe { ffi::xQueueGetMutexHolder(self.handle()) == ffi::current_tcb() }
     }
 
-    /// Makes this a member of a set. Returns whether it was empty and in no other set.
+    /// Makes this a member of a set. Returns `false` if it is not empty or is already in a set.
     pub(super) fn join(&self, set: &Arc<Members>) -> bool {
-        // SAFETY: both are of this life. The kernel will point from here to the set, which is held
-        // below for as long.
+        // SAFETY: both are of this life. The kernel will point from here to the set, which the line
+        // below keeps alive.
         let joined = unsafe { ffi::xQueueAddToSet(self.handle(), set.raw.handle()) == ffi::PASS };
         if joined {
-            // SAFETY: on the core's thread; there was no set, so nothing refers to this place.
+            // SAFETY: on the core's thread; there was no set, so no reference to this place exists.
             unsafe { *self.set.get() = Some(Arc::clone(set)) };
         }
         joined
     }
 
-    /// The set's name for a member.
+    /// The address by which the set identifies a member.
     pub(super) fn address(&self) -> usize {
         self.block.get() as usize
     }
 }
 
-/// A time for the kernel.
+/// Converts a time-out for the kernel.
 ///
 /// # Panics
-/// Where the caller may not block, unless the time is [`Ticks::NONE`].
+/// If the caller may not block, unless the time is [`Ticks::NONE`].
 pub(super) fn may_wait(timeout: Ticks) -> ffi::Tick {
     if timeout != Ticks::NONE {
         port::assert_may_block();
@@ -143,7 +143,7 @@ pub(super) struct Items<T>(Box<[UnsafeCell<MaybeUninit<T>>]>);
 
 impl<T> Items<T> {
     /// # Panics
-    /// If there are none.
+    /// If `count` is zero.
     pub(super) fn new(count: usize) -> Self {
         assert!(count > 0, "a queue of no items");
         let items = (0..count).map(|_| UnsafeCell::new(MaybeUninit::uninit()));
@@ -154,7 +154,7 @@ impl<T> Items<T> {
         self.0.len()
     }
 
-    /// The kernel requires null for items of no bytes.
+    /// The address of the items. It is null for items of no bytes, as the kernel requires.
     pub(super) fn place(&self) -> *mut u8 {
         if size_of::<T>() == 0 {
             ptr::null_mut()
@@ -168,36 +168,36 @@ impl<T> Items<T> {
 pub(super) struct Members {
     pub(super) raw: Raw,
     pub(super) items: Items<usize>,
-    /// How many of its places the members could fill.
+    /// How many of its places the members can fill together.
     pub(super) promised: AtomicUsize,
 }
 
-// SAFETY: as for `Raw`; what is stored are addresses that are only compared.
+// SAFETY: as for `Raw`; the stored values are addresses, which are only compared.
 unsafe impl Send for Members {}
 // SAFETY: as above.
 unsafe impl Sync for Members {}
 
-/// There was no room; the value is given back.
+/// There was no room. Returns the value to the sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the queue is full")]
 pub struct QueueFull<T>(pub T);
 
-/// The kernel copies the bytes of values; the sender forgets a sent value, so that there is one
-/// owner at any time.
+/// The kernel copies the bytes of values. The sender forgets a value that was sent, so a value
+/// always has one owner.
 struct Values<T: 'static> {
     raw: Raw,
     items: Items<T>,
 }
 
-// SAFETY: as for `Raw`; values go from task to task, so they must be `Send`.
+// SAFETY: as for `Raw`; values move from task to task, so they must be `Send`.
 unsafe impl<T: Send> Send for Values<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Values<T> {}
 
-/// A queue: values of one type, first in, first out, from tasks and handlers to tasks and handlers.
+/// A queue: values of one type, first in, first out. Tasks and handlers send and receive.
 ///
-/// Cloned handles are the same queue. Values left in it when the last handle is dropped are dropped
-/// if that happens in a task, and leaked elsewhere. A handle that outlives its scheduler panics
+/// Cloned handles are the same queue. If the last handle is dropped in a task, the values left in
+/// the queue are dropped; elsewhere they are leaked. A handle that outlives its scheduler panics
 /// when it is used in the next one.
 pub struct Queue<T: 'static> {
     values: Arc<Values<T>>,
@@ -218,7 +218,7 @@ impl<T> fmt::Debug for Queue<T> {
 }
 
 impl<T: Send> Queue<T> {
-    /// A queue of `capacity` values.
+    /// Makes a queue for `capacity` values.
     ///
     /// # Panics
     /// If the capacity is zero.
@@ -229,7 +229,7 @@ impl<T: Send> Queue<T> {
             items: Items::new(capacity),
         });
         let (items, block) = (values.items.place(), values.raw.handle());
-        // SAFETY: block and items are ours, and stay as long as the queue is.
+        // SAFETY: block and items are ours, and live as long as the queue.
         unsafe {
             ffi::xQueueGenericCreateStatic(capacity, size_of::<T>(), items, block, TYPE_QUEUE);
         }
@@ -240,7 +240,7 @@ impl<T: Send> Queue<T> {
         &self.values.raw
     }
 
-    /// Sends a value; waits for room.
+    /// Sends a value; waits for room if the queue is full.
     ///
     /// # Errors
     /// [`QueueFull`] if there was no room in time.
@@ -274,8 +274,8 @@ impl<T: Send> Queue<T> {
         let value = ManuallyDrop::new(value);
         let item = ptr::from_ref(&value).cast();
         let mut woken = 0;
-        // SAFETY: a queue of this life with items of this size. The bytes are copied; if they are,
-        // the value is not used here any more.
+        // SAFETY: a queue of this life with items of this size. If the bytes are copied, the value
+        // is not used here any more.
         let sent = unsafe {
             if C::IN_INTERRUPT {
                 ffi::xQueueGenericSendFromISR(handle, item, &mut woken, BACK)
@@ -291,7 +291,7 @@ impl<T: Send> Queue<T> {
         }
     }
 
-    /// Waits for a value. `None` if none arrived in time.
+    /// Waits for a value. Returns `None` if none arrived in time.
     ///
     /// # Panics
     /// As [`Queue::send`].
@@ -299,7 +299,7 @@ impl<T: Send> Queue<T> {
         self.receive_within(ctx, may_wait(timeout.into()))
     }
 
-    /// The first value, if there is one.
+    /// Returns the first value, if there is one.
     pub fn try_receive(&self, ctx: &impl Context) -> Option<T> {
         self.receive_within(ctx, 0)
     }
@@ -309,7 +309,7 @@ impl<T: Send> Queue<T> {
         let mut item = MaybeUninit::<T>::uninit();
         let place = item.as_mut_ptr().cast();
         let mut woken = 0;
-        // SAFETY: a queue of this life; what it passes was sent, and leaves the queue.
+        // SAFETY: a queue of this life; it passes a value that was sent, and removes it.
         unsafe {
             let received = if C::IN_INTERRUPT {
                 ffi::xQueueReceiveFromISR(handle, place, &mut woken)
@@ -321,7 +321,7 @@ impl<T: Send> Queue<T> {
         }
     }
 
-    /// How many values the queue holds at most.
+    /// The largest number of values in the queue.
     #[must_use]
     pub fn capacity(&self) -> usize {
         self.values.items.count()
@@ -330,14 +330,14 @@ impl<T: Send> Queue<T> {
 
 impl<T: 'static> Drop for Values<T> {
     fn drop(&mut self) {
-        // Remaining values are dropped if the kernel may be called here, and leaked otherwise.
+        // Remaining values are dropped if the kernel may be called here; otherwise they leak.
         if !self.raw.life.is_current() || !port::in_task() {
             return;
         }
         loop {
             let mut item = MaybeUninit::<T>::uninit();
             let block = self.raw.block.get().cast();
-            // SAFETY: as in `receive_within`; without waiting.
+            // SAFETY: as in `receive_within`; does not wait.
             unsafe {
                 if ffi::xQueueReceive(block, item.as_mut_ptr().cast(), 0) != ffi::PASS {
                     return;

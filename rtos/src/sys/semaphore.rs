@@ -1,4 +1,4 @@
-//! Semaphores: counting, and binary (those that count to one).
+//! Semaphores: counting ones, and binary ones, which count to one.
 
 use super::queue::Raw;
 use crate::TimedOut;
@@ -28,13 +28,13 @@ impl fmt::Debug for Semaphore {
 }
 
 impl Semaphore {
-    /// A binary semaphore, not given yet.
+    /// Makes a binary semaphore, not given yet.
     #[must_use]
     pub fn binary(at: &impl TaskLevel) -> Self {
         Self::counting(at, 1, 0)
     }
 
-    /// A counting semaphore.
+    /// Makes a counting semaphore.
     ///
     /// # Panics
     /// If `max` is zero, or `initial` above it.
@@ -59,7 +59,7 @@ impl Semaphore {
         self.max
     }
 
-    /// Counts up by one, and wakes the most urgent task that waits.
+    /// Counts up by one, and wakes the most urgent waiting task.
     ///
     /// # Errors
     /// [`SemaphoreFull`]
@@ -71,7 +71,7 @@ impl Semaphore {
         }
     }
 
-    /// Counts down by one; waits until that is possible.
+    /// Waits until the count is above zero, and counts down by one.
     ///
     /// # Errors
     /// [`TimedOut`]
@@ -82,7 +82,7 @@ impl Semaphore {
         self.raw.take(timeout.into())
     }
 
-    /// Counts down by one if that is possible at once; returns whether it was.
+    /// Counts down by one if the count is above zero; returns whether it was.
     pub fn try_take(&self, ctx: &impl Context) -> bool {
         self.raw.try_take(ctx)
     }

@@ -16,10 +16,10 @@ pub struct Member(usize);
 /// A queue or semaphore cannot become a member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddError {
-    /// The set has no room for all items that its members and this one could hold together.
+    /// The set has no room for all items that its members and the new one can hold together.
     #[error("the set is too small for another member of this capacity")]
     SetFull,
-    /// It is not empty, or is already in a set.
+    /// The member is not empty, or is already in a set.
     #[error("the member is not empty, or in a set already")]
     NotFree,
 }
@@ -40,7 +40,7 @@ impl fmt::Debug for QueueSet {
 }
 
 impl QueueSet {
-    /// A set for members that together hold `capacity` items.
+    /// Makes a set for members that together hold `capacity` items.
     ///
     /// # Panics
     /// If the capacity is zero.
@@ -51,7 +51,7 @@ impl QueueSet {
             items: Items::new(capacity),
             promised: AtomicUsize::new(0),
         });
-        // SAFETY: block and items are ours, and stay as long as the set is.
+        // SAFETY: block and items are ours, and live as long as the set.
         unsafe { ffi::xQueueCreateSetStatic(capacity, set.items.place(), set.raw.handle()) };
         Self { set }
     }
@@ -61,7 +61,7 @@ impl QueueSet {
         if promised > self.set.items.count() {
             return Err(AddError::SetFull);
         }
-        // Atomic: the member must not fill between the check and the joining.
+        // One critical section: the member must not fill between the check and the joining.
         if !ffi::critical(|| member.join(&self.set)) {
             return Err(AddError::NotFree);
         }
@@ -93,7 +93,7 @@ impl QueueSet {
         self.add(semaphore.raw(), semaphore.max())
     }
 
-    /// Waits until a member has an item. `None` at a time-out.
+    /// Waits until a member has an item. Returns `None` at a time-out.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].

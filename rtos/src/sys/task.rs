@@ -1,4 +1,4 @@
-//! Tasks: their memory, their life, and the calls of others about them.
+//! Tasks: their memory, their life, and the calls that other tasks make about them.
 
 use crate::context::{Context, TaskContext};
 use crate::ffi::{self, Tcb, current_name, current_tcb, name_of};
@@ -18,28 +18,28 @@ pub(crate) const NAME_BYTES: usize = 24;
 /// The code of a task.
 type Entry = Box<dyn FnOnce(&TaskContext) + Send>;
 
-/// A task in memory. The control block comes first: a kernel's handle is a pointer to it.
+/// A task in memory. The control block is the first field: a kernel's handle is a pointer to it.
 #[repr(C)]
 pub(crate) struct Record {
     tcb: UnsafeCell<[usize; ffi::TASK_WORDS]>,
     stack: UnsafeCell<Option<port::Stack>>,
     entry: UnsafeCell<Option<Entry>>,
-    /// The kernel knows the task, which has neither returned nor been abandoned.
+    /// The kernel knows the task, and the task has neither returned nor been abandoned.
     alive: AtomicBool,
     next: AtomicPtr<Record>,
     /// Mutexes that the task holds.
     mutexes: AtomicU32,
 }
 
-// SAFETY: the cells are written before the task starts and after it is gone, by the one thread of
-// the core; the closure in between is taken by the task itself and is `Send`.
+// SAFETY: the core's one thread writes the cells before the task starts and after it has ended; the
+// closure is `Send`, and the task itself takes it.
 unsafe impl Send for Record {}
-// SAFETY: as above; what others reach through a handle is `alive`, which is atomic, and the control
-// block, which only the kernel touches, on the core's thread.
+// SAFETY: as above. Other code reaches through a handle only `alive`, which is atomic, and the
+// control block, which only the kernel accesses, on the core's thread.
 unsafe impl Sync for Record {}
 
-/// All tasks that the kernel knows. Changed with interrupts masked; the handler of faults also
-/// reads it.
+/// All tasks that the kernel knows. Changed only with interrupts masked, because the handler of
+/// faults also reads it.
 static TASKS: AtomicPtr<Record> = AtomicPtr::new(ptr::null_mut());
 
 impl Record {
@@ -79,29 +79,29 @@ impl Record {
                     link.store(self.next.load(Ordering::Relaxed), Ordering::Relaxed);
                     return;
                 }
-                // SAFETY: what is in the list is counted for the list, so it lives.
+                // SAFETY: the list holds a count of each of its records, so this one lives.
                 link = unsafe { &(*at).next };
             }
         });
     }
 
-    /// Gives back the count that the list held.
+    /// Drops the count that the list holds.
     ///
     /// # Safety
-    /// To be called once, after `unlink`; no reference to the record is used afterwards.
+    /// Called once, after `unlink`; no reference to the record is used afterwards.
     unsafe fn release(record: *const Self) {
-        // SAFETY: `spawn` turned a count of this Arc into the list's.
+        // SAFETY: `spawn` turned one count of this Arc into the list's.
         drop(unsafe { Arc::from_raw(record) });
     }
 }
 
-/// A handle of a task, for others. It may outlive the task: calls then return [`TaskError::Ended`].
+/// A handle of a task. It may outlive the task; calls then return [`TaskError::Ended`].
 #[derive(Clone)]
 pub struct TaskHandle {
     record: Arc<Record>,
 }
 
-/// A task cannot be reached.
+/// The task cannot be reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TaskError {
     /// It has returned, or the scheduler was stopped.
@@ -116,8 +116,8 @@ impl TaskHandle {
         self.record.alive.load(Ordering::Relaxed)
     }
 
-    /// Runs `body` on the kernel's handle while the task cannot end: in an interrupt no task runs,
-    /// and otherwise interrupts are masked.
+    /// Runs `body` on the kernel's handle while the task cannot end: no task runs during an
+    /// interrupt, and otherwise interrupts are masked.
     pub(crate) fn with<R>(
         &self,
         in_interrupt: bool,
@@ -149,12 +149,12 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
     record.stack = UnsafeCell::new(Some(stack));
     record.entry = UnsafeCell::new(Some(entry));
     let record = Arc::new(record);
-    // The list's count, given back by `release`.
+    // This count belongs to the list; `release` drops it.
     let parameters = Arc::into_raw(Arc::clone(&record)).cast_mut().cast();
-    // A switch between these steps would show a half-made task to others.
+    // A switch between these steps would show an incomplete task to others.
     let _no_switch = NoSwitch::begin();
-    // SAFETY: the control block and the stack live until the kernel reports that the task is gone;
-    // the name is copied.
+    // SAFETY: the control block and the stack live until the kernel reports that the task has
+    // ended; the name is copied.
     let handle = unsafe {
         ffi::xTaskCreateStatic(
             task_main,
@@ -171,19 +171,19 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
         record.handle(),
         "the handle is the control block's address"
     );
-    // Only now: a task runs when `_no_switch` ends.
+    // The task cannot run before this line: `_no_switch` is still held.
     record.alive.store(true, Ordering::Relaxed);
     record.link();
     Ok(TaskHandle { record })
 }
 
-/// While this exists, no other task runs; interrupts do. Nests. Its end may switch.
+/// While this exists, no other task runs; interrupts do. Nests. A switch may happen at its end.
 struct NoSwitch;
 
 impl NoSwitch {
-    /// Called by a task, or before the scheduler runs.
+    /// Called by a task, or when no scheduler runs.
     fn begin() -> Self {
-        // SAFETY: ended by `drop`. Before the scheduler runs, this only counts.
+        // SAFETY: `drop` ends it. When no scheduler runs, this only counts.
         unsafe { ffi::vTaskSuspendAll() };
         Self
     }
@@ -196,11 +196,11 @@ impl Drop for NoSwitch {
     }
 }
 
-/// The start of every task, on its own stack.
+/// The first function of every task, on its own stack.
 extern "C" fn task_main(parameters: *mut c_void) {
-    // SAFETY: `spawn` passed the record, which lives until the task is gone.
+    // SAFETY: `spawn` passed the record, which lives until the task has ended.
     let record = unsafe { &*parameters.cast::<Record>() };
-    // SAFETY: only the task itself touches its entry once it runs.
+    // SAFETY: only the task itself accesses its entry once it runs.
     if let Some(entry) = unsafe { (*record.entry.get()).take() } {
         entry(&TaskContext::new());
     }
@@ -212,31 +212,31 @@ extern "C" fn task_main(parameters: *mut c_void) {
         ));
     }
     record.alive.store(false, Ordering::Relaxed);
-    // SAFETY: null means the caller; nothing on this stack is needed any more.
+    // SAFETY: null means the caller; nothing on this stack is used any more.
     unsafe { ffi::vTaskDelete(ptr::null_mut()) };
     unreachable!("a deleted task ran");
 }
 
-/// The idle task has taken the last pointer to this task out of the kernel.
+/// Called when the idle task has removed the last pointer to this task from the kernel.
 ///
 /// # Safety
 /// Called by the kernel with the control block of a task made by [`spawn`].
 #[unsafe(no_mangle)]
 unsafe extern "C" fn tandem_task_gone(tcb: *mut c_void) {
     let record = tcb.cast::<Record>().cast_const();
-    // SAFETY: the control block is the first field of a record in the list, which holds it.
+    // SAFETY: the control block is the first field of a record, which the list keeps alive.
     unsafe { retire(&*record) };
-    // SAFETY: unlinked by `retire`, and not used below.
+    // SAFETY: `retire` unlinked it, and it is not used below.
     unsafe { Record::release(record) };
 }
 
-/// Takes a task that has left its stack for good out of the list.
+/// Removes a task from the list and frees its stack.
 ///
 /// # Safety
-/// It will never run again.
+/// The task never runs again.
 unsafe fn retire(record: &Record) {
     record.unlink();
-    // SAFETY: the task has left its stack for good.
+    // SAFETY: the task never uses its stack again.
     drop(unsafe { (*record.stack.get()).take() });
 }
 
@@ -245,8 +245,8 @@ pub(crate) fn none_left() -> bool {
     TASKS.load(Ordering::Relaxed).is_null()
 }
 
-/// Called after the scheduler has stopped: no task runs any more. What the tasks own is never
-/// freed.
+/// Called after the scheduler has stopped: no task runs any more. Objects that the tasks own are
+/// never freed.
 #[cfg(target_os = "linux")]
 pub(crate) fn abandon_all() {
     loop {
@@ -254,11 +254,11 @@ pub(crate) fn abandon_all() {
         if first.is_null() {
             return;
         }
-        // SAFETY: what is in the list lives. A task that has returned uses nothing on its stack,
-        // and it never runs again.
+        // SAFETY: records in the list live. A task that has returned uses nothing on its stack, and
+        // it never runs again.
         unsafe {
             if (*first).alive.swap(false, Ordering::Relaxed) {
-                // Something may still borrow from its stack, which is never used again.
+                // Another thread may still borrow from its stack, so the stack is never freed.
                 core::mem::forget((*(*first).stack.get()).take());
             }
             retire(&*first);
@@ -268,7 +268,7 @@ pub(crate) fn abandon_all() {
     }
 }
 
-/// Called after a reset of the hart: no task runs any more.
+/// Empties the list of tasks, after a reset of the hart: no task runs any more.
 #[cfg(target_arch = "riscv32")]
 pub(crate) fn forget_all() {
     TASKS.store(ptr::null_mut(), Ordering::Relaxed);
@@ -276,18 +276,18 @@ pub(crate) fn forget_all() {
 
 fn current() -> Option<&'static Record> {
     // SAFETY: only this thread changes the pointer. Every task of the kernel was made from a
-    // record, whose first field is the control block; the running one's is not given back.
+    // record, whose first field is the control block; the running task's record is not released.
     unsafe { current_tcb().cast::<Record>().as_ref() }
 }
 
-/// The running task has locked a mutex.
+/// Counts a mutex that the running task has locked.
 pub(crate) fn mutex_taken() {
     if let Some(record) = current() {
         record.mutexes.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// The running task unlocks a mutex.
+/// Counts a mutex that the running task unlocks.
 pub(crate) fn mutex_given() {
     if let Some(record) = current() {
         record.mutexes.fetch_sub(1, Ordering::Relaxed);
@@ -309,12 +309,12 @@ pub(crate) fn now(in_interrupt: bool) -> Ticks {
 static IDLE: Record = Record::new();
 static TIMERS: Record = Record::new();
 
-/// Gives the memory of one of its own tasks to the kernel, and the stack that it was given first.
+/// Passes the memory of one of the kernel's own tasks to the kernel, always with the same stack.
 fn give(record: &'static Record, tcb: *mut *mut c_void, stack: *mut *mut usize, words: *mut usize) {
-    // SAFETY: the kernel calls before the task exists, on the core's thread.
+    // SAFETY: the kernel calls this before the task exists, on the core's thread.
     let slot = unsafe { &mut *record.stack.get() };
     let memory = slot.get_or_insert_with(port::Stack::for_service);
-    // SAFETY: the kernel's call passes three valid places.
+    // SAFETY: the kernel passes three valid places.
     unsafe {
         *tcb = record.tcb.get().cast();
         *stack = memory.low;
@@ -354,10 +354,10 @@ extern "C" fn vApplicationStackOverflowHook(task: *mut Tcb, _name: *const c_char
     ));
 }
 
-/// A failed assertion of the kernel.
+/// Reports a failed assertion of the kernel.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_assert(file: *const c_char, line: i32) -> ! {
-    // SAFETY: the compiler's name of the file, closed with a zero.
+    // SAFETY: a string literal of the C compiler, which ends with a zero.
     let file = unsafe { CStr::from_ptr(file) }.to_str().unwrap_or("?");
     let task = current_name();
     port::fatal(format_args!(
@@ -370,12 +370,12 @@ extern "C" fn tandem_assert(file: *const c_char, line: i32) -> ! {
 pub struct TaskStatistics<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Its number in traces: the order in which tasks were made, from 1 on.
+    /// Its number in traces. Tasks are numbered in the order in which they were made, from 1.
     pub number: u32,
-    /// Its priority, including one inherited from tasks that wait for its mutexes. 0 is the idle
-    /// task's, 31 the timers'.
+    /// Its priority, including one inherited from tasks that wait for its mutexes. The idle task
+    /// has 0, the timers' task 31.
     pub priority: u8,
-    /// How long it has run, including interrupts in that time.
+    /// How long it has run. Includes interrupts that occurred while it ran.
     pub run_time: Duration,
     /// Bytes of its stack.
     pub stack_bytes: usize,
@@ -385,7 +385,7 @@ pub struct TaskStatistics<'a> {
 
 fn statistics(record: &Record) -> TaskStatistics<'_> {
     let mut info = ffi::TaskInfo::default();
-    // SAFETY: the task is alive, and cannot end now: no other task runs.
+    // SAFETY: the task is alive and cannot end here, because no other task runs.
     let (name, words) = unsafe {
         ffi::tandem_task_info(record.handle(), &mut info);
         let stack = &*record.stack.get();
@@ -404,14 +404,14 @@ fn statistics(record: &Record) -> TaskStatistics<'_> {
     }
 }
 
-/// Calls `visit` for every task that is alive, the kernel's own ones first, while no other task
-/// runs.
+/// Calls `visit` for every task that is alive, the kernel's own ones first. No other task runs
+/// until it returns.
 pub(crate) fn each(mut visit: impl FnMut(&TaskStatistics<'_>)) {
     let _no_switch = NoSwitch::begin();
     visit(&statistics(&IDLE));
     visit(&statistics(&TIMERS));
     let mut at = TASKS.load(Ordering::Relaxed);
-    // SAFETY: what is in the list lives, and only tasks change the list.
+    // SAFETY: records in the list live, and only tasks change the list.
     while let Some(record) = unsafe { at.as_ref() } {
         if record.alive.load(Ordering::Relaxed) {
             visit(&statistics(record));
@@ -434,7 +434,7 @@ impl TaskHandle {
         })
     }
 
-    /// Counts the task's notification up by one and wakes it if it waits for that.
+    /// Increments the task's notification by one and wakes the task if it waits for it.
     ///
     /// # Errors
     /// [`TaskError::Ended`]

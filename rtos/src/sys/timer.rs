@@ -1,4 +1,4 @@
-//! Software timers: callbacks in the kernel's service task, once or repeatedly.
+//! Software timers: callbacks in the kernel's service task, one-shot or periodic.
 
 use super::Life;
 use crate::context::{Context, TaskLevel, TimerContext};
@@ -16,16 +16,16 @@ pub struct CommandsFull;
 
 type Callback = Box<dyn FnMut(&TimerContext) + Send>;
 
-/// The kernel's control block and the callback. Never freed: the service task may still have a
-/// command for it.
+/// The kernel's control block and the callback. It is never freed, because the service task may
+/// still have a command for it.
 struct Block {
     block: UnsafeCell<[usize; ffi::TIMER_WORDS]>,
     callback: UnsafeCell<Callback>,
     life: Life,
 }
 
-// SAFETY: the block is the kernel's, which is called from the core's thread only; the callback is
-// called by the service task alone, and `Send`.
+// SAFETY: the block is the kernel's, which is called only on the core's thread; only the service
+// task calls the callback, which is `Send`.
 unsafe impl Sync for Block {}
 
 /// Commands of the service task, as `tmrCOMMAND_…`; interrupts use other numbers for the same
@@ -35,9 +35,9 @@ const STOP: ffi::Base = 3;
 /// The difference between the commands of interrupts and those of tasks.
 const FROM_INTERRUPT: ffi::Base = 5;
 
-/// A timer. Copied handles are the same timer. It lives as long as the program.
+/// A timer. Copied handles are the same timer. It exists until the program ends.
 ///
-/// Its callback runs in the service task, which is more urgent than all others: keep it short.
+/// Its callback runs in the service task, which is more urgent than all others, and must be short.
 #[derive(Clone, Copy)]
 pub struct Timer(&'static Block);
 
@@ -48,8 +48,8 @@ impl fmt::Debug for Timer {
 }
 
 impl Timer {
-    /// A timer that has not started. Its memory is never freed. With `reload` it restarts at each
-    /// expiry, without drift.
+    /// Makes a timer that has not started. Its memory is never freed. With `reload` it restarts at
+    /// each expiry, without drift.
     ///
     /// # Panics
     /// If the period is zero.
@@ -75,7 +75,7 @@ impl Timer {
         Self(timer)
     }
 
-    /// Starts it, or restarts it: it expires one period from now.
+    /// Starts or restarts the timer: it expires one period from now.
     ///
     /// # Errors
     /// [`CommandsFull`]
@@ -83,7 +83,7 @@ impl Timer {
         self.command(ctx, START, super::task::now(C::IN_INTERRUPT).0)
     }
 
-    /// Stops it.
+    /// Stops the timer.
     ///
     /// # Errors
     /// [`CommandsFull`]
@@ -100,7 +100,7 @@ impl Timer {
         self.0.life.assert_current();
         let timer = self.0.block.get().cast();
         let mut woken = 0;
-        // SAFETY: a timer of this life that is never freed; without waiting.
+        // SAFETY: a timer of this life that is never freed; does not wait.
         let sent = unsafe {
             if C::IN_INTERRUPT {
                 let command = command + FROM_INTERRUPT;
@@ -118,11 +118,11 @@ impl Timer {
     }
 }
 
-/// The service task found that a timer has expired.
+/// Calls the callback. The service task found that the timer has expired.
 extern "C" fn expired(timer: *mut c_void) {
-    // SAFETY: `new` gave the block as the timer's id.
+    // SAFETY: `new` set the block as the timer's id.
     let block = unsafe { &*ffi::pvTimerGetTimerID(timer).cast::<Block>() };
-    // SAFETY: only the service task calls it, one timer after the other.
+    // SAFETY: only the service task calls it, one timer after another.
     let callback = unsafe { &mut *block.callback.get() };
     callback(&TimerContext::new());
 }

@@ -1,15 +1,15 @@
 //! Resources that the tasks share through their one thread: the allocator, locks of libraries.
 //!
 //! A lock of the standard library belongs to a thread, and all tasks are one thread. If a task were
-//! pre-empted while it holds one, the next task would wait for ever (a dead-lock) or, where locks
-//! are re-entrant, see half-changed data. So a task is not pre-empted there: an allocation is a
-//! critical section, and a longer operation defers the switch and lets interrupts run.
+//! pre-empted while it holds a lock, the next task would wait for ever (a dead-lock) or, if the
+//! lock is re-entrant, see half-changed data. So such a task is not pre-empted: an allocation is a
+//! critical section, and a longer operation defers the switch but lets interrupts run.
 
 use super::{interrupts, state};
 use core::alloc::{GlobalAlloc, Layout};
 use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-/// An allocator that tasks can share. A program with tasks declares it:
+/// An allocator that tasks can share. A program with tasks must declare it:
 ///
 /// ```
 /// use std::alloc::System;
@@ -19,23 +19,23 @@ use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
 /// static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 /// ```
 ///
-/// Costs a critical section on the core's thread and one thread-local load on every other.
+/// Costs a critical section on the core's thread and one thread-local load on other threads.
 pub struct TaskAllocator<A> {
     inner: A,
 }
 
-/// Whether `is_installed` is testing.
+/// Is true while `is_installed` runs.
 static PROBING: AtomicBool = AtomicBool::new(false);
 static PROBED: AtomicBool = AtomicBool::new(false);
 
 impl<A> TaskAllocator<A> {
-    /// Around another allocator.
+    /// Wraps another allocator.
     #[must_use]
     pub const fn new(inner: A) -> Self {
         Self { inner }
     }
 
-    /// The other allocator.
+    /// The wrapped allocator.
     pub const fn inner(&self) -> &A {
         &self.inner
     }
@@ -52,8 +52,8 @@ pub(super) fn guarded<R>(body: impl FnOnce() -> R) -> R {
     result
 }
 
-// SAFETY: every call is passed on as it is. Interrupts are masked, so on the core's
-// thread no other task and no handler runs in between; the inner allocator takes care of other
+// SAFETY: every call is passed on unchanged. Interrupts are masked, so on the core's thread no
+// other task and no handler runs during a call; the inner allocator synchronises with other
 // threads.
 unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -89,12 +89,12 @@ pub(super) fn is_installed() -> bool {
     PROBED.load(Relaxed)
 }
 
-/// Runs `body` while no other task of the core runs; interrupts do, and a task that they wake
-/// waits. For implicitly shared state: locks and thread-locals of libraries. Costs as much as a
-/// critical section. On threads without tasks `body` is just called.
+/// Runs `body` while no other task of the core runs. Interrupts still run, and a task that they
+/// wake waits. Use it for state that a library shares implicitly: locks and thread-locals. Costs as
+/// much as a critical section. On threads without tasks it only calls `body`.
 ///
 /// # Panics
-/// A call in `body` that may block the task panics.
+/// If a call in `body` may block the task.
 pub fn deferred<R>(body: impl FnOnce() -> R) -> R {
     interrupts::deferred(body)
 }

@@ -1,4 +1,4 @@
-//! The ends of a process that name a task: an overflowed stack, a panic.
+//! Ends the process with a task's name after a stack overflow or a panic.
 
 use super::process::{errno, fatal};
 use super::stack::page;
@@ -9,9 +9,9 @@ use core::ptr;
 use std::boxed::Box;
 use std::sync::Once;
 
-/// The size of the fault handler's stack: the task's own has no room.
+/// The size of the fault handler's stack: an overflowed task stack has no room.
 const HANDLER_BYTES: usize = 64 << 10;
-/// If the stack pointer is closer to the end than this, a frame of a signal did not fit.
+/// If the stack pointer is closer to the stack's end than this, a signal's frame did not fit.
 const FRAME_BYTES: usize = 16 << 10;
 
 /// The previous state of this thread.
@@ -45,7 +45,7 @@ pub(super) fn begin() -> Result<Before, i32> {
         let mut action: libc::sigaction = core::mem::zeroed();
         action.sa_sigaction = handler as *const () as usize;
         action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
-        // No other signal: a switch of tasks must not happen on the alternate stack.
+        // Blocks all other signals: a switch of tasks must not happen on the alternate stack.
         libc::sigfillset(&mut action.sa_mask);
         let actions = [libc::SIGSEGV, libc::SIGBUS].map(|signal| {
             let mut old: libc::sigaction = core::mem::zeroed();
@@ -91,8 +91,8 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
             fatal(format_args!("task '{name}' has overflowed its stack"));
         }
     }
-    // Not a fault of a task: restore the previous handler. The instruction faults again, or the
-    // sender's signal is lost.
+    // This is not a task's fault: restore the previous handler. The instruction then faults again;
+    // a signal that another process sent is lost.
     let place = usize::from(signal == libc::SIGBUS);
     // SAFETY: `begin` wrote it before this handler was there.
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
@@ -105,7 +105,7 @@ fn current_stack() -> Option<usize> {
         return None;
     }
     let (mut low, mut tcb) = (ptr::null_mut(), ptr::null_mut());
-    // SAFETY: the running task lives; the call reads what it was made from into the two places.
+    // SAFETY: the running task lives; the call writes its stack and control block to our places.
     let known = unsafe { ffi::xTaskGetStaticBuffers(task, &mut low, &mut tcb) } == ffi::PASS;
     known.then_some(low as usize)
 }
@@ -118,7 +118,7 @@ fn on_stack(address: usize, low: usize) -> bool {
 /// The stack pointer of interrupted code.
 ///
 /// # Safety
-/// `context` is what a handler of signals was given.
+/// `context` is the argument of a signal handler.
 pub(super) unsafe fn stack_pointer(context: *const libc::ucontext_t) -> usize {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: the caller's promise.

@@ -1,11 +1,11 @@
 //! Sources of interrupts, their handlers, and the signals that carry them.
 //!
-//! A source is raised by setting its bit in `PENDING` and, from another thread, sending the core's
-//! thread a signal: at most one is under way. The handler runs on the stack of the task that it
-//! interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask), so
+//! To raise a source, a caller sets its bit in `PENDING`; another thread then sends the core's
+//! thread a signal, and at most one is under way. The handler runs on the stack of the task that it
+//! interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask). So
 //! a task that is left inside a handler has the same mask as any other, and the switch need not
-//! handle it. Signals that arrive while interrupts are masked return at once; at most a few frames
-//! are on a stack.
+//! handle it. Signals that arrive while interrupts are masked return at once, so at most a few
+//! frames are on a stack.
 
 use super::process::{fatal, keeping_errno};
 use super::state::{self, DEFERRED, DEPTH, LEVEL, PENDING, YIELD, on_core};
@@ -19,11 +19,11 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering, compiler_fence};
 
-/// A handler: `FnMut`, since an interrupt never interrupts itself.
+/// A handler. It may be `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
 
-/// T-RTOS-2: 1 is the deferred reschedule, which has no handler here. Everything else is above the
-/// tick.
+/// T-RTOS-2: priority 1 is the deferred reschedule, which has no handler here. All other interrupts
+/// are above the tick.
 const TICK_PRIORITY: u8 = 2;
 
 struct Source {
@@ -42,11 +42,11 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// Address of the context that the last handler that was left with signals unblocked returns to.
-/// The handler's variables are below it, and those of the interrupted code above.
+/// Address of the context to which the last handler that ended with signals unblocked returns. The
+/// handler's variables are below it, and those of the interrupted code above.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
-/// What is interrupted at the end of a handler has its stack pointer less than this below that
-/// handler's context, bytes.
+/// If a stack pointer is less than this many bytes below [`LEAVING`], the interrupted code may be
+/// the end of that handler.
 static NEAR: AtomicUsize = AtomicUsize::new(0);
 
 pub(crate) fn attach(
@@ -61,26 +61,26 @@ pub(crate) fn attach(
         if source.priority.load(Ordering::Relaxed) != 0 {
             return Err(HandlerError::HasHandler);
         }
-        // SAFETY: interrupts are masked, and no handler of this source was ever there to run.
+        // SAFETY: interrupts are masked, and this source had no handler that could run.
         unsafe { *source.handler.get() = Some(handler) };
         source.priority.store(priority.level(), Ordering::Relaxed);
         Ok(())
     })
 }
 
-/// Forgets all handlers. No scheduler runs.
+/// Removes all handlers. No scheduler runs.
 pub(super) fn detach_all() {
     for source in &SOURCES {
         source.priority.store(0, Ordering::Relaxed);
-        // SAFETY: no interrupt runs, and none will until the next start. What a handler owned is
-        // leaked: it was given for ever.
+        // SAFETY: no interrupt runs, and none will until the next start. Objects that a handler
+        // owned are leaked.
         unsafe { *source.handler.get() = None };
     }
 }
 
 /// Raises an interrupt of the core. Callable from any thread of this process, from tasks, and from
-/// handlers of signals. Raising a pending interrupt has no effect; without a handler it stays
-/// pending.
+/// handlers of signals. Raising a pending interrupt has no effect. An interrupt without a handler
+/// stays pending.
 ///
 /// Everything that the caller wrote before is visible to the handler.
 pub fn raise(interrupt: Interrupt) {
@@ -93,14 +93,14 @@ pub fn raise(interrupt: Interrupt) {
     }
 }
 
-/// Ends one masking.
+/// Ends one level of masking.
 pub(super) fn unmask() {
     if state::unmask_once() {
         tandem_port_attend();
     }
 }
 
-/// Interrupts are unmasked, and `attention` is set.
+/// Serves interrupts. Called when interrupts are unmasked and `attention` is set.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_attend() {
     state::set_masked(1);
@@ -108,7 +108,7 @@ extern "C" fn tandem_port_attend() {
     keeping_errno(serve_and_unmask);
 }
 
-/// Entered with interrupts masked once; serves pending interrupts and returns with them unmasked.
+/// Serves pending interrupts. Interrupts are masked once on entry and unmasked on return.
 fn serve_and_unmask() {
     loop {
         state::clear_attention();
@@ -123,7 +123,7 @@ fn serve_and_unmask() {
 }
 
 /// Runs every pending interrupt above the current level, then switches if a switch is due and no
-/// interrupt is left. Entered and left with interrupts masked once.
+/// interrupt is left. Interrupts are masked once on entry and on return.
 fn serve() {
     while let Some((number, priority)) = most_urgent(LEVEL.load(Relaxed)) {
         // Acquire pairs with the Release of the raising thread.
@@ -160,7 +160,7 @@ fn most_urgent(level: u32) -> Option<(u32, u32)> {
     best
 }
 
-/// Runs the handler of a source. Entered with interrupts masked once and the source's level taken.
+/// Runs the handler of a source. On entry interrupts are masked once and `LEVEL` is the source's.
 fn run(number: u32) {
     events::record(
         KernelEventKind::InterruptEntered,
@@ -171,7 +171,7 @@ fn run(number: u32) {
         // The tick works on the kernel's lists, so nothing may interrupt it.
         None => tick::interrupt(),
         Some(source) => {
-            // SAFETY: a source of this level runs once at a time, and `attach` never replaces.
+            // SAFETY: only one source of a level runs at a time; `attach` never replaces one.
             if let Some(handler) = unsafe { (*source.handler.get()).as_mut() } {
                 let context = InterruptContext::new();
                 nested(|| handler(&context));
@@ -184,9 +184,9 @@ fn run(number: u32) {
     events::record(KernelEventKind::InterruptLeft, number, tick::timestamp_ns);
 }
 
-/// Lets more urgent interrupts in while a handler runs.
+/// Unmasks more urgent interrupts while a handler runs.
 fn nested<R>(handler: impl FnOnce() -> R) -> R {
-    /// The interrupted code cannot continue without the handler's end.
+    /// Ends the process if the handler unwinds: the interrupted code could not continue.
     struct Unwound;
     impl Drop for Unwound {
         fn drop(&mut self) {
@@ -201,12 +201,12 @@ fn nested<R>(handler: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again,
-/// with interrupts masked once as on entry.
+/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again.
+/// Interrupts are masked once on entry and on return.
 fn switch() {
     YIELD.store(false, Relaxed);
-    // SAFETY: interrupts are masked and none runs; the kernel's pointer to the current task is its
-    // own, and both control blocks are alive: one is running, the other was chosen.
+    // SAFETY: interrupts are masked and no handler runs. Only the kernel changes its pointer to the
+    // current task. Both control blocks are alive: one task is running, the other was chosen.
     unsafe {
         let from = current_tcb();
         ffi::vTaskSwitchContext();
@@ -217,7 +217,7 @@ fn switch() {
     }
 }
 
-/// `portYIELD`: at once, or as soon as interrupts are unmasked and pre-emption is not deferred.
+/// `portYIELD`: switches as soon as interrupts are unmasked and pre-emption is not deferred.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_yield() {
     if !state::is_masked() && state::may_switch() {
@@ -229,7 +229,7 @@ extern "C" fn tandem_port_yield() {
     }
 }
 
-/// After a switch back: serves the interrupts that have become pending.
+/// Serves the interrupts that have become pending. Called after a switch back to a task.
 pub(super) fn serve_if_asked_and_unmask() {
     state::set_masked(0);
     if state::needs_attention() {
@@ -237,7 +237,7 @@ pub(super) fn serve_if_asked_and_unmask() {
     }
 }
 
-/// An interrupt was made pending on the core's own thread.
+/// Called when an interrupt was made pending on the core's own thread.
 fn poll() {
     if state::is_masked() {
         state::want_attention();
@@ -247,10 +247,10 @@ fn poll() {
     }
 }
 
-/// The handler of both signals. It may interrupt a task anywhere, even in a system call, which is
-/// restarted when the task continues (SA_RESTART) or returns EINTR.
+/// The handler of both signals. It may interrupt a task anywhere, even in a system call. When the
+/// task continues, the call is restarted (SA_RESTART) or returns EINTR.
 extern "C" fn on_signal(signal: i32, _: *mut libc::siginfo_t, context: *mut libc::ucontext_t) {
-    // A stray signal for a thread that is no longer a core.
+    // Ignores a late signal to a thread that is no longer the core.
     if !on_core() {
         return;
     }
@@ -261,14 +261,14 @@ extern "C" fn on_signal(signal: i32, _: *mut libc::siginfo_t, context: *mut libc
     keeping_errno(|| interrupt(context.addr(), interrupted));
 }
 
-/// A signal arrived on the core's thread. Its handler returns to the context at the address
+/// Handles a signal on the core's thread. The handler returns to the context at the address
 /// `context`, whose stack pointer is `interrupted`.
 ///
 /// A signal that arrives between the last read of `attention` and the end of the handler is served
-/// in its own frame, below this one; and another one may arrive at the end of that. So that frames
-/// do not pile up while interrupts keep arriving, a handler that may have interrupted such an end
-/// returns with both signals blocked. The operating system unblocks them when it removes the frame,
-/// and then delivers the pending ones.
+/// in a separate frame below this one, and another signal may interrupt the end of that handler. To
+/// bound the number of frames, a handler that may have interrupted such an end returns with both
+/// signals blocked. The operating system unblocks them when it removes the frame, and then delivers
+/// the pending ones.
 fn interrupt(context: usize, interrupted: usize) {
     if state::is_masked() {
         state::want_attention();
@@ -283,7 +283,7 @@ fn interrupt(context: usize, interrupted: usize) {
         serve();
         if at_an_end {
             signals::block(true);
-            // The interrupted code is still at its end.
+            // The interrupted handler has not returned yet.
             LEAVING.store(leaving, Relaxed);
         } else {
             LEAVING.store(context, Relaxed);
@@ -305,7 +305,7 @@ fn interrupt(context: usize, interrupted: usize) {
 /// signal.
 ///
 /// The doorbell's signal and those of both timers may arrive together. The last of them interrupts
-/// the first instruction of the one before it, so two more frames are between it and that end.
+/// the first instruction of the previous one, so two more frames lie between it and that end.
 pub(super) fn begin() -> Result<(), i32> {
     /// Bytes that a handler has on the stack below its frame.
     const BELOW: usize = 4 << 10;
@@ -315,8 +315,8 @@ pub(super) fn begin() -> Result<(), i32> {
     signals::begin(on_signal)
 }
 
-/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads `body`
-/// is just called.
+/// Runs `body` while no other task of the core runs; interrupts still run. Calls nest. On other
+/// threads it only calls `body`.
 pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
     struct End;
     impl Drop for End {
@@ -349,15 +349,15 @@ mod tests {
     use std::sync::atomic::AtomicU32;
     use std::thread;
 
-    /// How often the end of a handler is still interrupted, and by how many ticks each time.
+    /// How many more times a handler's end is interrupted, and by how many ticks each time.
     static TO_COME: AtomicU32 = AtomicU32::new(0);
     static TICKS: AtomicU32 = AtomicU32::new(0);
-    /// The deepest stack pointer of interrupted code.
+    /// The lowest stack pointer of interrupted code.
     static DEEPEST: AtomicUsize = AtomicUsize::new(usize::MAX);
 
-    /// A doorbell and ticks that arrive at this thread together, with nothing to serve. As in a
-    /// run, a doorbell has one signal under way at most; and a timer has none while its last one
-    /// has not been handled, so none arrives at a handler that has blocked them.
+    /// Sends a doorbell and ticks to this thread at the same time, with nothing to serve. As in a
+    /// run, at most one doorbell signal is under way. A timer sends no second signal before its
+    /// last one was handled, so none arrives at a handler that has blocked them.
     fn signals_arrive() {
         let mut before = MaybeUninit::<libc::sigset_t>::uninit();
         // SAFETY: the set is a valid place, which the first call fills; the signals are handled
@@ -374,7 +374,7 @@ mod tests {
         }
     }
 
-    /// Called where a handler can be interrupted that has served everything.
+    /// Called by a handler that has served everything and can still be interrupted.
     pub(super) fn at_an_end(interrupted: usize) {
         DEEPEST.fetch_min(interrupted, Relaxed);
         let left = TO_COME.load(Relaxed);
@@ -384,8 +384,8 @@ mod tests {
         }
     }
 
-    /// T-RTOS-2: however often a handler is interrupted at its end, by a doorbell alone or together
-    /// with the signals of both timers, no frames are added but those of one such time.
+    /// T-RTOS-2: a handler's end is interrupted 5 or 30 times, by a doorbell alone or together with
+    /// the signals of both timers. The stack is equally deep in both cases.
     #[test]
     fn frames_of_interrupts_do_not_pile_up() {
         // No tick is ever due.
@@ -414,7 +414,7 @@ mod tests {
         rang.join().unwrap();
     }
 
-    /// As [`doorbell_rings`], some bytes further down the stack.
+    /// As [`doorbell_rings`], with the stack pointer 512 bytes lower.
     #[inline(never)]
     fn doorbell_rings_deeper() {
         let room = core::hint::black_box([0_u8; 512]);
@@ -422,8 +422,8 @@ mod tests {
         core::hint::black_box(room);
     }
 
-    /// A handler that has ended is not taken for one that has been interrupted at its end, which
-    /// would cost a system call in each interrupt from then on.
+    /// A handler that has ended is not mistaken for one that was interrupted at its end. The
+    /// mistake would cost a system call in each later interrupt.
     #[test]
     fn interrupts_of_code_further_down_the_stack_block_nothing() {
         assert_eq!(begin(), Ok(()));
@@ -440,8 +440,8 @@ mod tests {
         assert_eq!(blocked, 0, "of 10 handlers");
     }
 
-    /// A doorbell between `begin` and the first task is not lost, and does not suppress later ones:
-    /// the core records that there is something to serve.
+    /// A doorbell between `begin` and the first task is not lost and does not suppress later ones:
+    /// the core sets `attention`.
     #[test]
     fn a_signal_while_the_core_starts_is_noted() {
         assert_eq!(begin(), Ok(()));

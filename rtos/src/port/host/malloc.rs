@@ -1,8 +1,8 @@
-//! The C library's allocator, for callers that bypass Rust's: `opendir`, `getline`, C code.
+//! The C library's allocator, for callers that do not use Rust's: `opendir`, `getline`, C code.
 //!
 //! Its locks cannot distinguish two tasks. So these functions replace the C library's own in every
-//! program that links this crate (glibc supports that), and do the same work, as a critical section
-//! if the caller is on the core's thread.
+//! program that links this crate (glibc supports that). They call the originals, within a critical
+//! section if the caller is on the core's thread.
 
 use super::exclusive::guarded;
 use core::ffi::{c_int, c_void};
@@ -17,31 +17,31 @@ unsafe extern "C" {
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn malloc(bytes: usize) -> *mut c_void {
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_malloc(bytes) })
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn calloc(count: usize, bytes: usize) -> *mut c_void {
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_calloc(count, bytes) })
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn realloc(place: *mut c_void, bytes: usize) -> *mut c_void {
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_realloc(place, bytes) })
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn free(place: *mut c_void) {
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_free(place) });
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memalign(align: usize, bytes: usize) -> *mut c_void {
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_memalign(align, bytes) })
 }
 
@@ -52,7 +52,7 @@ unsafe extern "C" fn aligned_alloc(align: usize, bytes: usize) -> *mut c_void {
         unsafe { *libc::__errno_location() = libc::EINVAL };
         return core::ptr::null_mut();
     }
-    // SAFETY: as the caller's call.
+    // SAFETY: the caller's promise.
     guarded(|| unsafe { __libc_memalign(align, bytes) })
 }
 
@@ -71,7 +71,7 @@ unsafe extern "C" fn posix_memalign(to: *mut *mut c_void, align: usize, bytes: u
     0
 }
 
-/// Names these functions, so that the linker takes this file.
+/// Refers to these functions, so that the linker includes this file.
 pub(super) fn keep() {
     core::hint::black_box(malloc as *const ());
 }

@@ -39,9 +39,9 @@ const THREAD_STACK_BYTES: usize = 64 << 10;
 /// Runs the scheduler on a separate thread, until all tasks have returned or one stops it;
 /// `none_left` returns whether all have returned.
 ///
-/// An abandoned task may have lent a thread-local of that thread to another thread. The loan lasts
-/// until the task's call returns, so for ever. Therefore the thread never ends after a stop, and
-/// its thread-locals stay.
+/// An abandoned task may have lent a thread-local of that thread to another thread, until a call
+/// returns that will never return. Therefore the thread never ends after a stop, and its
+/// thread-locals stay.
 pub(crate) fn start(clock: TickSource, none_left: fn() -> bool) -> Result<(), StartError> {
     #[cfg(target_env = "gnu")]
     malloc::keep();
@@ -69,7 +69,7 @@ pub(crate) fn start(clock: TickSource, none_left: fn() -> bool) -> Result<(), St
         .map_err(|error| StartError::System(error.raw_os_error().unwrap_or(libc::EAGAIN)))?;
     match stop.recv() {
         Ok(()) => Ok(()),
-        // The thread has ended, and its thread-locals are dropped when this call returns.
+        // The thread has ended. Its thread-locals are dropped before this call returns.
         Err(mpsc::RecvError) => match thread.join() {
             Ok(ran) => ran.map_err(StartError::System),
             Err(panic) => std::panic::resume_unwind(panic),
@@ -96,7 +96,7 @@ impl Scheduling {
         Self { policy, param }
     }
 
-    /// Gives it to this thread, if it is a real-time one.
+    /// Applies this scheduling to the calling thread, if it is a real-time one.
     fn apply(self) -> Result<(), i32> {
         // SAFETY: 0 is the calling thread; the place is read during the call.
         let refused = self.param.sched_priority > 0
@@ -130,7 +130,7 @@ pub(crate) fn stop() -> ! {
     scheduler::leave()
 }
 
-/// Called after the scheduler, or without one; its tasks are abandoned.
+/// Called when the scheduler has ended or was never started. Its tasks are abandoned.
 pub(crate) fn tear_down() {
     interrupts::detach_all();
     scheduler::reset();

@@ -1,9 +1,9 @@
-//! What the port needs of its process: `errno`, and its last words.
+//! The process of the port: `errno`, and the message at its end.
 
 use super::state;
 use core::fmt::{self, Write};
 
-/// Runs `body` and leaves `errno` as it was: tasks share it, since they share their thread.
+/// Runs `body` and restores `errno`, which all tasks share because they share a thread.
 pub(super) fn keeping_errno<R>(body: impl FnOnce() -> R) -> R {
     // SAFETY: the address of this thread's errno; all tasks are on this thread.
     let errno = unsafe { *libc::__errno_location() };
@@ -18,10 +18,10 @@ pub(super) fn errno() -> i32 {
     unsafe { *libc::__errno_location() }
 }
 
-/// Bytes of a message without an allocator, with its line end; the rest is cut.
+/// The largest message in bytes, with its line end; longer text is cut.
 const LAST_WORDS: usize = 512;
 
-/// Text without an allocator, for the last message of a process.
+/// The text of the last message of a process, without an allocator.
 struct LastWords {
     text: [u8; LAST_WORDS],
     length: usize,
@@ -49,7 +49,7 @@ fn print_raw(message: fmt::Arguments<'_>) {
     unsafe { libc::write(2, words.text.as_ptr().cast(), words.length + 1) };
 }
 
-/// Ends the process with a message. Callable from everywhere, handlers of signals included.
+/// Ends the process with a message. Callable from everywhere, also from handlers of signals.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
     state::mask_for_good();
     print_raw(format_args!("tandem-rtos: {message}"));

@@ -9,10 +9,10 @@ use core::ptr;
 use core::sync::atomic::AtomicPtr;
 use core::sync::atomic::Ordering::Relaxed;
 
-/// Where the thread was when it started the scheduler.
+/// The saved context of the thread that started the scheduler.
 static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
 
-/// The first code of every task, called on its own stack by the first switch to it.
+/// The first code of every task. The first switch to the task calls it, on the task's stack.
 extern "C" fn begin(code: extern "C" fn(*mut c_void), argument: *mut c_void) -> ! {
     interrupts::serve_if_asked_and_unmask();
     code(argument);
@@ -57,20 +57,20 @@ pub(super) fn leave() -> ! {
 }
 
 /// The idle task: ends the scheduler if `none_left` returns true, otherwise sleeps until a signal.
-/// A signal before the call has already been handled, and if it woke a task, that task ran first;
-/// so no signal is slept through.
+/// A signal before the call was already handled, and a task that it woke has already run; so the
+/// sleep misses no signal.
 pub(crate) fn idle(none_left: fn() -> bool) {
     if none_left() {
         leave();
     } else if tick::is_virtual() {
         tick::skip_to_next();
     } else {
-        // SAFETY: takes nothing, and the signal mask stays as it is.
+        // SAFETY: has no arguments, and does not change the signal mask.
         unsafe { libc::pause() };
     }
 }
 
-/// As before the first task: everything masked, nothing pending, no task known.
+/// Restores the state before the first task: interrupts masked, none pending, no task known.
 pub(super) fn reset() {
     state::reset();
     // SAFETY: no scheduler runs, and no task will run again.

@@ -1,4 +1,4 @@
-//! The two signals of the core's thread: one carries interrupts of other threads, one the tick.
+//! The two signals of the core's thread: one for interrupts of other threads, one for the tick.
 
 use super::process::errno;
 use super::state::{self, PENDING};
@@ -12,29 +12,29 @@ pub(super) type Action = extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::uco
 /// The number of the tick among the interrupts.
 const TICK: u32 = 63;
 
-/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one
-/// word, so that a thread that sets the bit knows to which core it belongs.
+/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. Both are in
+/// one word, so that a thread that sets the bit knows to which core it belongs.
 static CORE: AtomicU64 = AtomicU64::new(0);
-/// A signal to that thread is under way, or has arrived and `PENDING` was not read since.
+/// A signal to that thread is under way, or has arrived while `PENDING` was not yet read.
 const SIGNALLED: u64 = 1 << 32;
 
-/// The signal has arrived, and `PENDING` was not read since. Only for the core's thread.
+/// The signal has arrived and `PENDING` was not yet read. Used only by the core's thread.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
-/// Carries interrupts of other threads.
+/// The signal for interrupts of other threads.
 fn raise_signal() -> i32 {
     libc::SIGRTMIN() + 2
 }
 
-/// Carries the tick.
+/// The signal for the tick.
 pub(super) fn tick_signal() -> i32 {
     libc::SIGRTMIN() + 3
 }
 
 /// Makes the core read [`PENDING`]. Called by another thread, after it has set a bit there.
 pub(super) fn send() {
-    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: the second of the two sees the
-    // first. So either the core reads `PENDING` after our bit, or a signal is sent.
+    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: the later of the two sees the
+    // earlier. So either the core reads `PENDING` after our bit, or a signal is sent.
     let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
     let thread = core as u32;
     if thread != 0 && core & SIGNALLED == 0 {
@@ -42,14 +42,14 @@ pub(super) fn send() {
         let sent =
             unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), thread, raise_signal()) };
         if sent != 0 {
-            // The next one tries again, if this life of the kernel is still the same.
+            // Clear the bit, so that the next call tries again, unless the core has changed.
             let _ =
                 CORE.compare_exchange(core | SIGNALLED, core, Ordering::Release, Ordering::Relaxed);
         }
     }
 }
 
-/// Sends the tick's signal to the calling thread, the core's.
+/// Sends the tick's signal to the calling thread, which is the core.
 pub(super) fn send_tick() {
     // SAFETY: a signal to the calling thread is handled before the call returns, if it is not
     // blocked.
@@ -63,7 +63,7 @@ pub(super) fn send_tick() {
     };
 }
 
-/// One of the two signals is handled.
+/// Records that one of the two signals has arrived.
 pub(super) fn arrived(signal: i32) {
     if signal == tick_signal() {
         PENDING.fetch_or(1 << TICK, Ordering::Relaxed);
@@ -72,10 +72,10 @@ pub(super) fn arrived(signal: i32) {
     }
 }
 
-/// Called before the core reads `PENDING`: later interrupts send a signal again. Not called
+/// Called before the core reads `PENDING`: later interrupts send a signal again. It is not called
 /// earlier, so that no signals pile up on the stack while interrupts are masked.
 pub(super) fn acknowledge() {
-    // One signal at a time: a signal that is still under way would add a frame to the next one's.
+    // Allow one signal at a time: a signal still under way would add a frame to the next one's.
     if ARRIVED.load(Ordering::Relaxed) {
         ARRIVED.store(false, Ordering::Relaxed);
         // AcqRel pairs with the exchange in `send`.
@@ -83,7 +83,7 @@ pub(super) fn acknowledge() {
     }
 }
 
-/// How often signals were blocked.
+/// How many times the signals were blocked.
 #[cfg(test)]
 pub(super) static BLOCKED: core::sync::atomic::AtomicU32 = core::sync::atomic::AtomicU32::new(0);
 
@@ -109,11 +109,11 @@ pub(super) fn block(on: bool) {
 /// Makes this thread the core: `handler` handles the signals, and [`send`] finds the thread.
 pub(super) fn begin(handler: Action) -> Result<(), i32> {
     ARRIVED.store(false, Ordering::Relaxed);
-    // Before the first signal can arrive. Interrupts are masked until the first task runs.
+    // Set this before the first signal can arrive. Interrupts are masked until the first task runs.
     state::set_on_core(true);
     set_up(handler).inspect_err(|_| state::set_on_core(false))?;
-    // AcqRel pairs with the exchange in `send`: the first task reads `PENDING` in any case and
-    // sees a bit that was set before; a bit that is set later sends a signal.
+    // AcqRel pairs with the exchange in `send`: the first task always reads `PENDING` and sees a
+    // bit that was set before; a bit that is set later sends a signal.
     CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
     Ok(())
 }
@@ -143,7 +143,7 @@ fn set_up(handler: Action) -> Result<(), i32> {
     Ok(())
 }
 
-/// This thread is no longer the core. The handler stays and ignores signals still under way.
+/// Ends the core on this thread. The handler stays and ignores signals still under way.
 pub(super) fn end() {
     // Release pairs with the Acquire of a raising thread: the core has finished everything before.
     CORE.store(0, Ordering::Release);
@@ -151,6 +151,6 @@ pub(super) fn end() {
 }
 
 pub(super) fn this_thread() -> i32 {
-    // SAFETY: takes nothing.
+    // SAFETY: has no arguments.
     unsafe { libc::gettid() }
 }

@@ -3,7 +3,7 @@
 use super::process::fatal;
 use core::ptr;
 
-/// The smallest stack in bytes. A frame of a signal with all vector registers has 3.7 KiB with
+/// The smallest stack in bytes. A frame of a signal with all vector registers takes 3.7 KiB with
 /// AVX-512, and several may be on the stack when interrupts follow each other quickly.
 const MIN_BYTES: usize = 64 << 10;
 /// Bytes of the stacks of the idle task and of the timers' task.
@@ -17,20 +17,20 @@ pub(crate) struct Stack {
     pub(crate) words: usize,
 }
 
-/// Bytes of a page, and of the guard: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
+/// Bytes of a page, which is also the guard: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
 pub(super) fn page() -> usize {
-    // SAFETY: reads a value that Linux passed to the process at its start; always there.
+    // SAFETY: reads a value that Linux passes to every process at its start.
     unsafe { libc::getauxval(libc::AT_PAGESZ) as usize }
 }
 
-/// Bytes of a stack that has room for `bytes`, and of its mapping with the guard.
+/// Bytes of a stack that has room for `bytes`, and bytes of its mapping with the guard.
 fn sizes(bytes: usize, page: usize) -> Option<(usize, usize)> {
     let stack = bytes.max(MIN_BYTES).checked_next_multiple_of(page)?;
     Some((stack, stack.checked_add(page)?))
 }
 
 impl Stack {
-    /// Fresh pages with a guard below them.
+    /// Maps a new stack with a guard below it.
     pub(crate) fn allocate(bytes: usize) -> Option<Self> {
         let page = page();
         let (bytes, whole) = sizes(bytes, page)?;
@@ -53,7 +53,7 @@ impl Stack {
         })
     }
 
-    /// For a task of the kernel itself. Kept for the life of the process.
+    /// Maps the stack of one of the kernel's own tasks. It is never unmapped.
     pub(crate) fn for_service() -> Self {
         match Self::allocate(SERVICE_BYTES) {
             Some(stack) => stack,
@@ -74,8 +74,8 @@ impl Drop for Stack {
 mod tests {
     use super::*;
 
-    /// Linux on aarch64 has pages of 4, 16 or 64 KiB. If guard and stack were not whole pages, they
-    /// would share one, and the stack's lower part could not be used.
+    /// Linux on aarch64 has pages of 4, 16 or 64 KiB. If the guard were not a whole page, it would
+    /// share one with the stack, whose lower part could then not be used.
     #[test]
     fn a_stack_and_its_guard_are_whole_pages_of_any_size() {
         for page in [4 << 10, 16 << 10, 64 << 10] {

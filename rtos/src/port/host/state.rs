@@ -1,14 +1,14 @@
 //! The state of the simulated processor: masking, pending interrupts, and whether a switch is due.
 //!
-//! Everything here belongs to the core's thread: its tasks, and the handlers of signals that
-//! interrupt them on the same thread. Between these, program order is enough: loads and stores are
-//! relaxed, and a compiler fence keeps them in place. Other threads access only [`PENDING`].
+//! Only the core's thread uses this state: its tasks, and the handlers of signals that interrupt
+//! them on the same thread. Between these, program order is enough: loads and stores are relaxed,
+//! and a compiler fence keeps them in order. Other threads access only [`PENDING`].
 //!
 //! The one rule: code that finds `masked` at zero may run interrupts, and raises it first. A signal
 //! that arrives while it is above zero records its interrupt in [`PENDING`] and sets `attention`.
 //! When `masked` returns to zero, `attention` is read *after* that. This read sees any earlier
-//! signal; a later signal finds `masked` at zero and is served at once. So none is lost, and no
-//! system call is needed.
+//! signal; a later signal finds `masked` at zero and is served at once. So no signal is lost, and
+//! no system call is needed.
 
 use core::sync::atomic::Ordering::{Relaxed, SeqCst};
 use core::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, compiler_fence};
@@ -17,9 +17,9 @@ use std::cell::Cell;
 /// Same layout as `struct TandemPort` in `kernel/host/portmacro.h`.
 #[repr(C)]
 struct Shared {
-    /// How often interrupts are masked. Always above zero while no scheduler runs.
+    /// How many times interrupts are masked. Always above zero while no scheduler runs.
     masked: AtomicU32,
-    /// Something must be served as soon as interrupts are unmasked.
+    /// Not zero if pending interrupts or a switch must be served when interrupts are unmasked.
     attention: AtomicU32,
 }
 
@@ -35,7 +35,7 @@ pub(super) static PENDING: AtomicU64 = AtomicU64::new(0);
 pub(super) static LEVEL: AtomicU32 = AtomicU32::new(0);
 /// How many handlers are nested.
 pub(super) static DEPTH: AtomicU32 = AtomicU32::new(0);
-/// How often pre-emption is deferred: interrupts run, and the switch waits.
+/// How many times pre-emption is deferred: interrupts run, and the switch waits.
 pub(super) static DEFERRED: AtomicU32 = AtomicU32::new(0);
 /// A reschedule is due.
 pub(super) static YIELD: AtomicBool = AtomicBool::new(false);
@@ -43,12 +43,12 @@ pub(super) static YIELD: AtomicBool = AtomicBool::new(false);
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
 std::thread_local! {
-    /// Whether the scheduler runs on this thread. Without a destructor and constant: a handler of
-    /// signals may read it.
+    /// Whether the scheduler runs on this thread. It is constant-initialised and has no destructor,
+    /// because a handler of signals may read it.
     static ON_CORE: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether the caller is on the thread that the tasks share.
+/// Whether the caller runs on the core's thread.
 pub(super) fn on_core() -> bool {
     ON_CORE.get()
 }
@@ -61,15 +61,15 @@ pub(crate) fn epoch() -> u32 {
     EPOCH.load(Relaxed)
 }
 
-/// Masks interrupts; nests.
+/// Masks interrupts. Calls nest.
 pub(super) fn mask() {
     let masked = &tandem_port.masked;
     masked.store(masked.load(Relaxed) + 1, Relaxed);
     compiler_fence(SeqCst);
 }
 
-/// Ends one masking. Returns whether interrupts are unmasked now, and `attention` is set: then the
-/// caller serves them.
+/// Ends one masking. Returns true if interrupts are now unmasked and `attention` is set: the caller
+/// must then serve them.
 #[must_use]
 pub(super) fn unmask_once() -> bool {
     compiler_fence(SeqCst);
@@ -83,45 +83,45 @@ pub(super) fn is_masked() -> bool {
     tandem_port.masked.load(Relaxed) != 0
 }
 
-/// Sets how often interrupts are masked: 1 to begin serving, 0 when all are served.
+/// Sets how many times interrupts are masked: 1 to begin serving, 0 when all are served.
 pub(super) fn set_masked(times: u32) {
     compiler_fence(SeqCst);
     tandem_port.masked.store(times, Relaxed);
     compiler_fence(SeqCst);
 }
 
-/// Whether something must be served when interrupts are unmasked.
+/// Whether interrupts or a switch must be served when interrupts are unmasked.
 pub(super) fn needs_attention() -> bool {
     tandem_port.attention.load(Relaxed) != 0
 }
 
-/// Interrupts are to be served when they are unmasked.
+/// Requests service when interrupts are next unmasked.
 pub(super) fn want_attention() {
     tandem_port.attention.store(1, Relaxed);
 }
 
-/// Called before pending interrupts are read: a later signal sets `attention` again.
+/// Called before pending interrupts are read, so that a later signal sets `attention` again.
 pub(super) fn clear_attention() {
     compiler_fence(SeqCst);
     tandem_port.attention.store(0, Relaxed);
     compiler_fence(SeqCst);
 }
 
-/// `portYIELD_FROM_ISR`: a switch is due when the last interrupt has ended.
+/// `portYIELD_FROM_ISR`: requests a switch at the end of the last interrupt.
 #[unsafe(no_mangle)]
 pub(super) extern "C" fn tandem_port_yield_from_interrupt() {
     YIELD.store(true, Relaxed);
     want_attention();
 }
 
-/// The process ends: nothing may interrupt its last message.
+/// Masks interrupts until the process ends, so that they cannot interrupt its last message.
 pub(super) fn mask_for_good() {
     if on_core() {
         mask();
     }
 }
 
-/// The caller is about to block.
+/// Panics if the caller must not block.
 pub(crate) fn assert_may_block() {
     assert!(
         !is_masked() && may_switch(),
@@ -144,7 +144,7 @@ pub(super) fn in_interrupt() -> bool {
     DEPTH.load(Relaxed) != 0
 }
 
-/// As before the first task: everything masked, nothing pending.
+/// Restores the state before the first task: interrupts masked, none pending.
 pub(super) fn reset() {
     set_masked(1);
     tandem_port.attention.store(0, Relaxed);

@@ -1,9 +1,9 @@
-//! The switch between two tasks: saves the registers that a C function must preserve, and the stack
-//! pointer.
+//! The switch between two tasks. It saves the registers that a C function must preserve, and the
+//! stack pointer.
 //!
-//! A task that was pre-empted has its remaining registers, including the vector unit, in the frame
-//! of a signal; it continues when the handler returns. A task that yielded called a function, which
-//! need not preserve more than is saved here. Nothing is below the stack pointer: callers are
+//! The remaining registers of a pre-empted task, including the vector unit, are in the frame of a
+//! signal; the task continues when the handler returns. A task that yielded called a function,
+//! which need not preserve more than is saved here. No data is below the stack pointer: callers are
 //! functions, and the operating system preserves the red zone of interrupted code.
 
 use core::ffi::c_void;
@@ -42,8 +42,8 @@ core::arch::global_asm!(
     "pop rbp",
     "ret",
     ".size tandem_switch, . - tandem_switch",
-    // A new task: its code in r12, the argument in r13, what calls them in r14. The outermost frame
-    // of its stack.
+    // The outermost frame of a new task: its code is in r12, the argument in r13, the function that
+    // calls the code in r14.
     ".global tandem_first",
     ".type tandem_first, @function",
     "tandem_first:",
@@ -103,10 +103,10 @@ core::arch::global_asm!(
     ".size tandem_first, . - tandem_first",
 );
 
-/// Prepares the stack of a new task such that [`tandem_switch`] to the result begins it.
+/// Prepares the stack of a new task: [`tandem_switch`] to the result starts the task.
 ///
 /// # Safety
-/// `top` is the highest word of a stack that has room and that nothing else uses.
+/// `top` is the highest word of a stack that has room and is not in use.
 pub(super) unsafe fn first_frame(
     top: *mut usize,
     begin: extern "C" fn(extern "C" fn(*mut c_void), *mut c_void) -> !,

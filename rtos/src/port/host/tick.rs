@@ -1,8 +1,8 @@
-//! The tick: 1 kHz on absolute time, or driven by work.
+//! The tick: 1 kHz on absolute time, or driven by virtual time.
 //!
-//! The expirations of the timers are on a grid that begins with the scheduler, and each signal
-//! computes the number of due ticks from the clock: no error accumulates, and late ticks are made
-//! up at once and counted.
+//! The timers expire on a grid that begins when the scheduler starts. Each signal computes the
+//! number of due ticks from the clock, so no error accumulates; late ticks are made up at once and
+//! counted.
 
 use super::process::errno;
 use super::{signals, state};
@@ -19,32 +19,32 @@ use core::time::Duration;
 pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
 
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
-/// Two timers that alternate. The operating system re-arms a periodic timer when its signal is
-/// delivered, before the handler runs. If that timer is the next one to expire on this processor,
-/// it must program the hardware there, which costs microseconds on a virtual machine. With two
-/// timers, the next one is always the other.
+/// Two timers that alternate. The operating system re-arms a periodic timer when it delivers the
+/// signal, before the handler runs. If that timer is the next one to expire on this processor, the
+/// system must program the hardware then, which costs microseconds on a virtual machine. With two
+/// timers, the next one to expire is always the other.
 static TIMERS: [AtomicPtr<libc::c_void>; 2] = [const { AtomicPtr::new(ptr::null_mut()) }; 2];
-/// How many of them there are.
+/// How many of the timers exist.
 static MADE: AtomicU32 = AtomicU32::new(0);
 /// Nanoseconds of CLOCK_MONOTONIC at tick 0; 0 in virtual time.
 static START_NS: AtomicU64 = AtomicU64::new(0);
 /// Nanoseconds of virtual time since tick 0.
 static VIRTUAL_NS: AtomicU64 = AtomicU64::new(0);
-/// Ticks that the kernel was given.
+/// How many ticks were passed to the kernel.
 static DONE: AtomicU64 = AtomicU64::new(0);
 static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
 /// Called with the lateness of each tick interrupt in nanoseconds.
 static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 
-/// Ticks of this run, or of the last one, that were served together with a later one because the
+/// Ticks of this run, or of the last one, that were served together with a later tick because the
 /// machine was late by more than a tick.
 #[must_use]
 pub fn caught_up() -> u64 {
     CAUGHT_UP.load(Relaxed)
 }
 
-/// Sets `observer`, which each tick interrupt calls with its lateness in nanoseconds, measured when
-/// the handler runs. In interrupt context: it must not allocate, print or block. `None` ends it.
+/// Sets or removes `observer`. Each tick interrupt calls it with its lateness in nanoseconds. It
+/// runs in interrupt context: it must not allocate, print or block.
 pub fn observe(observer: Option<fn(u64)>) {
     let pointer = observer.map_or(ptr::null_mut(), |it| it as *mut ());
     OBSERVER.store(pointer, Relaxed);
@@ -77,7 +77,7 @@ pub fn now_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Makes the timers; they are stopped until `begin`.
+/// Makes the timers. They do not run until `begin`.
 pub(super) fn prepare(clock: TickSource) -> Result<(), i32> {
     VIRTUAL.store(clock == TickSource::Virtual, Relaxed);
     origin();
@@ -110,7 +110,7 @@ pub(super) fn prepare(clock: TickSource) -> Result<(), i32> {
     Ok(())
 }
 
-/// Tick 0 is now.
+/// Sets tick 0 to the current time and starts the timers.
 pub(super) fn begin() {
     if VIRTUAL.load(Relaxed) {
         return;
@@ -135,7 +135,7 @@ const fn time(ns: u64) -> libc::timespec {
     }
 }
 
-/// No more ticks.
+/// Deletes the timers.
 pub(super) fn end() {
     let made = MADE.swap(0, Relaxed) as usize;
     for timer in &TIMERS[..made] {
@@ -144,7 +144,7 @@ pub(super) fn end() {
     }
 }
 
-/// The interrupt of the tick, with interrupts masked.
+/// The interrupt of the tick. Called with interrupts masked.
 pub(super) fn interrupt() {
     let elapsed = elapsed_ns();
     let done = DONE.load(Relaxed);
@@ -169,7 +169,7 @@ pub(super) fn interrupt() {
     }
 }
 
-/// Passes this much virtual time as the caller's work; ticks interrupt it at their times.
+/// Advances virtual time by `span_ns`, as the caller's work; ticks interrupt it at their times.
 pub(super) fn consume_virtual(mut span_ns: u64) {
     while span_ns > 0 {
         let now = VIRTUAL_NS.load(Relaxed);
@@ -177,7 +177,7 @@ pub(super) fn consume_virtual(mut span_ns: u64) {
         span_ns -= step;
         VIRTUAL_NS.store(now + step, Relaxed);
         if (now + step).is_multiple_of(TICK_NS) {
-            // Also in virtual time the tick is a real signal: pre-emption works in the same way.
+            // The tick is a real signal in virtual time too, so pre-emption works in the same way.
             signals::send_tick();
         }
     }
@@ -187,7 +187,7 @@ pub(super) fn is_virtual() -> bool {
     VIRTUAL.load(Relaxed)
 }
 
-/// Passes virtual time for work, if time is virtual.
+/// Advances virtual time by `span`. Returns `false` if time is not virtual.
 pub(crate) fn virtual_work(span: Duration) -> bool {
     if is_virtual() {
         consume_virtual(span.as_nanos() as u64);
@@ -195,7 +195,7 @@ pub(crate) fn virtual_work(span: Duration) -> bool {
     is_virtual()
 }
 
-/// The time of an event, in nanoseconds: of CLOCK_MONOTONIC, or of virtual time.
+/// The time of an event, in nanoseconds of CLOCK_MONOTONIC or of virtual time.
 pub(crate) fn timestamp_ns() -> u64 {
     if is_virtual() {
         VIRTUAL_NS.load(Relaxed)
@@ -204,8 +204,8 @@ pub(crate) fn timestamp_ns() -> u64 {
     }
 }
 
-/// A span of [`run_time`], from the progress of that counter and of the clock since the process
-/// began to use them.
+/// Converts a span of [`run_time`], from the advance of that counter and of the clock since the
+/// process first used them.
 pub(crate) fn run_time_span(counts: u64) -> Duration {
     let (origin_count, origin_ns) = origin();
     let counted = u128::from((run_time() - origin_count).max(1));
@@ -213,7 +213,7 @@ pub(crate) fn run_time_span(counts: u64) -> Duration {
     Duration::from_nanos(ns as u64)
 }
 
-/// Count and clock at one moment: the first call's.
+/// Returns counter and clock as they were at the first call.
 fn origin() -> (u64, u64) {
     static ORIGIN: [AtomicU64; 2] = [const { AtomicU64::new(0) }; 2];
     if ORIGIN[0].load(Relaxed) == 0 {
@@ -223,13 +223,13 @@ fn origin() -> (u64, u64) {
     (ORIGIN[0].load(Relaxed), ORIGIN[1].load(Relaxed))
 }
 
-/// In virtual time nothing happens before the next tick.
+/// Advances virtual time to the next tick.
 pub(super) fn skip_to_next() {
     let now = VIRTUAL_NS.load(Relaxed);
     consume_virtual(TICK_NS - now % TICK_NS);
 }
 
-/// A fine counter for the run time of tasks: the processor's own, which needs no call.
+/// A counter for the run time of tasks: the processor's own, which needs no system call.
 pub(crate) fn run_time() -> u64 {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: reads a counter that every x86_64 has.
