@@ -1,9 +1,9 @@
 //! Receives the records of a file, checks each one, and writes images to free slots.
 //!
 //! The manifest of an image arrives first and is checked before anything is erased. It is written
-//! last, after the body has been read back. So a slot with a readable manifest has a firm body,
-//! even if power was lost while the manifest was written. Finally, one write of the boot
-//! environment changes which slot boots. T-BOOT-5, U-3, U-5
+//! last, after the body has been read back. So a slot with a readable manifest has a firm body (no
+//! bit of it is weak), even if power was lost while the manifest was written. Finally, one write of
+//! the boot environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program};
@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::NorFlash;
 /// The most images in one file: application, configuration, bootloader.
 const MAX_IMAGES: usize = 3;
 
-/// The state of the controller, as far as a download needs it.
+/// The state of the controller that a download uses.
 #[derive(Debug)]
 pub(crate) struct Ground<'k> {
     pub(crate) trust: Trust<'k>,
@@ -112,7 +112,7 @@ pub(crate) struct Download {
 }
 
 impl Download {
-    /// Takes a record. Returns `Ok(true)` if the file has ended and is on trial.
+    /// Processes a record. Returns `Ok(true)` if the file has ended and is on trial.
     pub(crate) fn take(
         &mut self,
         record: &SRecord,
@@ -190,7 +190,7 @@ impl Download {
         Ok(())
     }
 
-    /// Erases the first sector of an image's place. Nothing has changed the flash before.
+    /// Erases the first sector of an image's place. The download has not changed the flash before.
     fn prepare(
         &mut self,
         target: ImageTarget,
@@ -309,7 +309,7 @@ fn begin(
     })
 }
 
-/// Checks a manifest before anything is erased for it.
+/// Checks a manifest. Nothing was erased for it yet.
 fn accept(
     bytes: &[u8; MANIFEST_BYTES],
     target: ImageTarget,
@@ -359,7 +359,7 @@ fn program_in(
     program(flash, at, page)
 }
 
-/// Returns the slot that is free beside the kept one: 0 for A, 1 for B, 2 for either.
+/// Returns the slot that is free, given the kept one: 0 for A, 1 for B, 2 for either.
 pub(crate) const fn free_slot(keep: Option<Slot>) -> u8 {
     match keep {
         Some(kept) => kept.other() as u8,

@@ -2,10 +2,10 @@
 //!
 //! Each copy has its own sector. A change is written to one copy and then to the other, and each
 //! write erases the sector first. A page that a loss of power left half programmed may read as
-//! erased, as right, or differently each time. Therefore a page is programmed only in the life that
-//! erased it. A copy is a record, followed by a confirmation page that is programmed after the
-//! record has been read back. A confirmation that reads as right, even by luck, proves that its
-//! record is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
+//! erased, as right, or differently each time. So a page is programmed only if its sector was
+//! erased since the last start. A copy is a record and a confirmation page, programmed after the
+//! record was read back. A confirmation that reads as right, even by chance, proves that its record
+//! is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, Slot};
@@ -19,7 +19,7 @@ const CONFIRMED: [u8; 4] = *b"FIRM";
 /// A record counts only if this many reads agree.
 const READS: usize = 3;
 
-/// A choice of slots; `None` means none yet, or in a trial unchanged.
+/// A choice of slots. `None` means no slot yet; in a trial it means unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Selection {
     /// The slot of the application.
@@ -49,7 +49,7 @@ pub enum LoaderUpdate {
     Staged,
     /// The backup is complete. Next: write the new bootloader to the primary bank, not sealed.
     Installing,
-    /// The primary bank holds the new bootloader, not sealed. So the backup boots and starts it.
+    /// The primary bank holds the new bootloader, not sealed. The backup boots and starts the new.
     Trial,
     /// The new bootloader was started. If the backup boots again, the new one has failed.
     TrialExecuted,
@@ -156,7 +156,7 @@ impl EnvironmentStore {
     pub fn load(flash: &mut impl NorFlash) -> Result<Option<Self>, FlashFault> {
         let copies = [read_copy(flash, 0)?, read_copy(flash, 1)?];
         let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
-        // Of two equal copies keep the second: a change writes the first copy first.
+        // If both copies are equal, keep the second: a change writes the first copy first.
         let base = match copies.map(|copy| copy.as_ref().map(rank)) {
             [first, second] if first > second => 0,
             _ => 1,
@@ -169,7 +169,7 @@ impl EnvironmentStore {
         }))
     }
 
-    /// Creates an environment where there is none; [`EnvironmentStore::settle`] writes it.
+    /// Creates an environment if the flash holds none; [`EnvironmentStore::settle`] writes it.
     #[must_use]
     pub const fn new(environment: Environment) -> Self {
         Self {

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashFault;
 
-/// Reads bytes. The caller must check for noise; only a failed read is an error.
+/// Reads bytes. Only a failed read is an error: the caller must check for noise.
 pub(crate) fn read<const N: usize>(
     flash: &mut impl NorFlash,
     offset: u32,
@@ -88,7 +88,7 @@ pub(crate) fn body_crc(
     Ok(digest.finalize())
 }
 
-/// Copies a bootloader to a bank: first all pages but the first, then, with `seal`, the first page.
+/// Copies a bootloader to a bank: all pages except the first, then, with `seal`, the first page.
 /// The boot ROM starts no bank without its first page, so a partial copy never runs.
 pub(crate) fn copy_to_bank(
     flash: &mut impl NorFlash,

@@ -14,8 +14,8 @@ use crate::trust::{Trust, TrustMode};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{CanFrame, CoreId, Duration, Instant, ResetCause, SystemId};
 
-/// How long a host may connect after power-on. Short beside the start limit of the pair (2.5 s), so
-/// both systems still find each other; long enough for a host that repeats its request every 5 ms.
+/// How long a host may connect after power-on: short compared with the start limit of the pair
+/// (2.5 s), so both systems still find each other; long enough for a request every 5 ms.
 pub const CONNECT_WINDOW: Duration = Duration::from_ms(20);
 /// How long the loader waits for a host if the application requested a download, and how long a
 /// connected host may be silent.
@@ -39,7 +39,7 @@ pub struct Setup<'k> {
 /// When a host may connect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Entry {
-    /// Not at all: the loader boots.
+    /// Never: the loader boots.
     Never,
     /// Until this moment; then the loader boots.
     Until(Instant),
@@ -48,9 +48,9 @@ enum Entry {
 }
 
 /// The entry rule of T-BOOT-1. A host may connect for [`CONNECT_WINDOW`] after power-on, and for
-/// [`HOST_SILENCE`] if the application requested it by an orderly reset, which it does only at
-/// standstill or as standby. It may never connect after an abnormal reset: a failover must not
-/// wait.
+/// [`HOST_SILENCE`] after an orderly reset by which the application requested it; the application
+/// does so only at standstill or as standby. No host may connect after an abnormal reset: a
+/// failover must not wait.
 const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
     match setup.cause {
         ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
@@ -84,7 +84,7 @@ pub struct Launch {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Next {
-    /// Pass on each received frame; call again no later than this.
+    /// Pass on each received frame, and call again at this time or earlier.
     Wait(Instant),
     /// Send this frame, then call again at once.
     Send(CanFrame),
@@ -105,7 +105,7 @@ pub struct Loader<'k, F> {
     session: Session,
     entry: Entry,
     answer: Option<CanFrame>,
-    /// The final action, once it is decided.
+    /// The final action, after the loader has decided.
     verdict: Option<Next>,
     refusal_logged: bool,
     /// A frame was processed since the last [`Loader::next`].
@@ -124,7 +124,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             Some(store) => store,
             None => EnvironmentStore::new(rebuild(&mut flash, &setup)),
         };
-        // Sectors that are worn out must not prevent booting.
+        // Worn-out sectors must not prevent booting.
         let settled = store.settle(&mut flash);
         if loaded.is_none() && settled.is_ok() {
             let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
@@ -158,8 +158,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
     pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
         if core::mem::take(&mut self.was_busy) {
-            // The loader does not read CAN while the flash is busy: that time is no silence of the
-            // host.
+            // The loader does not read CAN while the flash is busy: that time does not count as
+            // silence of the host.
             self.session.hear(now);
         }
         if let Some(frame) = self.answer.take() {
@@ -199,7 +199,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
     }
 
-    /// Takes a frame from the bus. Call [`Loader::next`] afterwards, before the next frame.
+    /// Processes a frame from the bus. Call [`Loader::next`] before the next frame.
     pub fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
             return;
@@ -217,7 +217,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         match self.session.refusal() {
             Some(refusal) if !self.refusal_logged => {
                 self.refusal_logged = true;
-                // The host gets its answer even if the log fails.
+                // The host receives its answer even if the log fails.
                 let _ = append(&mut self.flash, LogEvent::DownloadRefused, refusal as u32);
             }
             Some(_) => {}
@@ -226,9 +226,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Whether to answer a request. Both loaders hear a host that names no system. At power-on only
-    /// A answers it. A loader that waits because of a request or an empty slot waits alone, and
-    /// answers.
+    /// Whether to answer a request. If the host names no system, both loaders receive its request:
+    /// at power-on only A answers. A loader that waits because of a request or an empty slot is the
+    /// only one that waits, and answers.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;
@@ -247,7 +247,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.flash
     }
 
-    /// Forgets an image on trial that was started and did not approve itself: it has crashed. U-3
+    /// Forgets an image on trial that was started and did not approve itself: it crashed. U-3
     fn roll_back(&mut self) -> Result<(), FlashFault> {
         let environment = *self.ground.store.get();
         if environment.trial.is_some_and(|trial| trial.executed) {
@@ -354,7 +354,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }))
     }
 
-    /// In monitor mode, starts a damaged image rather than none. E-4
+    /// In monitor mode, starts a damaged image if no other can boot. E-4
     fn last_resort(&mut self) -> Option<Next> {
         if self.setup.trust.mode == TrustMode::Strict {
             return None;
@@ -394,7 +394,7 @@ fn manifest_at(
 }
 
 /// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after
-/// the download still counts here, so that an approved image remains as fallback.
+/// the download is still accepted here, so that an approved image remains as fallback.
 fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) -> Option<Image> {
     let (manifest, bytes) = manifest_at(flash, target)?;
     let place = FlashRegion::Target(target).range().start;
@@ -408,7 +408,7 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) ->
 }
 
 /// Derives a boot environment from the slots: of two intact images the older one is active and the
-/// newer one on trial. For a new controller, and for one that lost both copies.
+/// newer one on trial. Used if the controller is new or has lost both copies.
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     let mut environment = Environment::default();
     let mut find = |kind: fn(Slot) -> ImageTarget| {
@@ -498,7 +498,7 @@ pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
 mod tests {
     use super::*;
 
-    /// T-BOOT-1: the whole table of the entry rule.
+    /// T-BOOT-1: tests the whole table of the entry rule.
     #[test]
     fn a_host_may_connect_at_power_on_or_on_request_only() {
         use ResetCause::{Download, PowerOn, Software, Trap, Watchdog};

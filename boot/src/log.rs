@@ -1,6 +1,6 @@
-//! The log of the bootloader's actions and refusals, in two sectors used in turn. U-2
+//! The log of the bootloader's actions and refusals, in two sectors used alternately. U-2
 //!
-//! Writing is best effort: no decision depends on the log.
+//! A failed write is ignored: no decision depends on the log.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};
@@ -92,7 +92,7 @@ fn scan(
     Ok(free)
 }
 
-/// Calls `found` for every entry, the sector with the older entries first.
+/// Calls `found` for every entry. The sector with the older entries is read first.
 ///
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read.
@@ -114,7 +114,7 @@ pub fn read_log(
 /// does not read back is skipped.
 ///
 /// # Errors
-/// [`FlashFault`] if the entry cannot be written anywhere.
+/// [`FlashFault`] if the entry cannot be written to any page.
 pub(crate) fn append(
     flash: &mut impl NorFlash,
     event: LogEvent,

@@ -62,7 +62,7 @@ pub struct Manifest {
     pub lowest_key: u8,
     /// The hardware that it is for.
     pub hardware: u32,
-    /// Rises with every release.
+    /// Version, ascending with every release.
     pub version: u32,
     /// Number of bytes after the manifest.
     pub length: u32,
@@ -125,7 +125,7 @@ impl Manifest {
         bytes
     }
 
-    /// Decodes what [`Manifest::encode`] writes. Refuses all other bytes.
+    /// Decodes the output of [`Manifest::encode`]. Refuses all other bytes.
     ///
     /// # Errors
     /// [`ManifestError`] says what is wrong with the bytes.
@@ -184,8 +184,8 @@ impl Manifest {
         Ok(())
     }
 
-    /// Returns what the boot ROM reads from a bootloader's first page: length and CRC-32 of the
-    /// body. `None` if the page is not the first one of a manifest.
+    /// Returns the length and CRC-32 of the body, which the boot ROM reads from a bootloader's
+    /// first page. `None` if the page is not the first one of a manifest.
     #[must_use]
     pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
         let word = |at: usize| word(page, at);

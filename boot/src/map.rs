@@ -136,7 +136,7 @@ impl ImageTarget {
     }
 }
 
-/// A region of the flash, by its use. U-2
+/// A region of the flash and its use. U-2
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashRegion {
     /// A runnable bootloader: S0–S1, S2–S3.
@@ -188,7 +188,7 @@ mod tests {
         FlashRegion::Target(ImageTarget::Application(Slot::B)),
     ];
 
-    /// T-BOOT-6: the offsets of the thesis's figure 3.9, and no gap.
+    /// T-BOOT-6: the sectors have the offsets of the thesis's figure 3.9, without a gap.
     #[test]
     fn the_sectors_are_those_of_the_tc297() {
         let table: [(u8, u32, u32); 9] = [
@@ -218,7 +218,7 @@ mod tests {
         assert_eq!(sector_at(FLASH_BYTES), None);
     }
 
-    /// T-BOOT-6, U-2: what can be downloaded lies in S2–S26 and shares no sector with anything.
+    /// T-BOOT-6, U-2: targets of a download lie in S2–S26 and share no sector with another region.
     #[test]
     fn regions_are_whole_sectors_and_do_not_overlap() {
         for (index, region) in REGIONS.iter().enumerate() {

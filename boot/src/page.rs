@@ -65,8 +65,8 @@ mod tests {
     use std::vec::Vec;
 
     proptest! {
-        /// T-BOOT-5: records of any length with jumps between them give each page once, with the
-        /// tail, padded where nothing was sent.
+        /// T-BOOT-5: records of any length with jumps between them produce each page once, with the
+        /// tail; bytes that were not sent are padding.
         #[test]
         fn pages_hold_what_was_put(
             runs in prop::collection::vec(

@@ -1,6 +1,6 @@
-//! The frames of a download: ids, values, and an extension that old hosts do not see. T-BOOT-3
+//! The frames of a download: ids, values, and an extension that old hosts do not use. T-BOOT-3
 //!
-//! All values are little endian. `docs/boot.md` has the same as tables, for authors of host tools.
+//! All values are little endian. `docs/boot.md` has the same tables for authors of host tools.
 
 use strum::{FromRepr, VariantArray};
 use tandem_board::{CanFrame, CanId, SystemId};
@@ -147,7 +147,7 @@ impl Answer {
 pub enum HostRequest<'a> {
     /// Connect.
     Connect {
-        /// The system; `None`, as sent by old hosts, for any that listens.
+        /// The system; `None`, as sent by old hosts, means any system that listens.
         system: Option<SystemId>,
         /// Continue after the records accepted before the connection broke.
         resume: bool,
@@ -225,7 +225,7 @@ impl<'a> HostRequest<'a> {
 mod tests {
     use super::*;
 
-    /// T-BOOT-3: the bytes on the bus.
+    /// T-BOOT-3: the bytes on the bus are those of the thesis.
     #[test]
     fn frames_of_the_thesis() {
         assert_eq!(Answer::Connected.encode(), [0, 1, 2, 3, 4, 5, 6, 7]);
@@ -243,7 +243,7 @@ mod tests {
         assert_eq!(accepted.frame().unwrap().id(), CanId::Extended(0x0CFF_0127));
     }
 
-    /// T-BOOT-3: all frames, there and back.
+    /// T-BOOT-3: each frame decodes to what was encoded.
     #[test]
     fn what_is_encoded_is_decoded() {
         let refused = Refusal::VARIANTS.iter().copied().map(Answer::Refused);

@@ -10,7 +10,7 @@ use crate::srec::{Assembler, SRecord, SRecordType};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{Duration, Instant};
 
-/// After this silence within a record or a window the loader requests a resend.
+/// The loader requests a resend after this time without a frame within a record or a window.
 pub const RESEND_AFTER: Duration = Duration::from_ms(100);
 /// The largest window. The receive buffer of a CAN controller must hold what the host sends during
 /// an erase: 16 records of 14 frames.
@@ -69,7 +69,7 @@ impl Session {
         self.heard
     }
 
-    /// Counts the host as heard until now.
+    /// Sets the time at which the host was last heard.
     pub(crate) const fn hear(&mut self, now: Instant) {
         self.heard = now;
     }
@@ -85,7 +85,7 @@ impl Session {
         Answer::Connected
     }
 
-    /// Takes a frame other than a connect request.
+    /// Processes a frame other than a connect request.
     pub(crate) fn on_request(
         &mut self,
         now: Instant,

@@ -140,7 +140,7 @@ impl Assembler {
     /// Takes the data of one frame; returns the record if it ends here.
     ///
     /// # Errors
-    /// [`SRecordError`] inside `Some` if the line that ended is not a record.
+    /// [`SRecordError`] inside `Some` if the completed line is not a record.
     pub fn push(&mut self, data: &[u8]) -> Option<Result<SRecord, SRecordError>> {
         if data.first() == Some(&b'S') {
             (self.len, self.begun) = (0, true);
@@ -190,7 +190,7 @@ mod tests {
         format!("S{digit}{hex}")
     }
 
-    /// T-BOOT-4: lines of the thesis's figure 3.4 whose text is whole in its print.
+    /// T-BOOT-4: reads the lines of the thesis's figure 3.4 that are printed completely.
     #[test]
     fn records_of_the_thesis_are_read() {
         let header = SRecord::parse(b"S01600004D756C7469636F72655F746573742E737265633B").unwrap();
@@ -235,7 +235,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-4: the longest record, also after a line that is longer.
+    /// T-BOOT-4: the longest record is read, also after a line that is longer.
     #[test]
     fn the_longest_record_fits() {
         let text = line(1, &[0x12, 0x34], &[0x5A; MAX_DATA]);
@@ -253,7 +253,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-4: a lost frame makes the record wrong, and the next record is right again.
+    /// T-BOOT-4: a lost frame makes the record wrong; the next record is read again.
     #[test]
     fn a_lost_frame_costs_one_record() {
         let text = format!("{}\r\n", line(3, &[0xA0, 4, 0, 0], &[7; 16]));
@@ -275,7 +275,7 @@ mod tests {
     }
 
     proptest! {
-        /// T-BOOT-4: what is written is read, in either case of the digits.
+        /// T-BOOT-4: a written record is read back, in either case of the digits.
         #[test]
         fn what_is_written_is_read(
             address: u32,
@@ -291,7 +291,7 @@ mod tests {
             prop_assert_eq!(record.data(), &data[..]);
         }
 
-        /// T-BOOT-4: one changed character is noticed.
+        /// T-BOOT-4: one changed character is detected.
         #[test]
         fn a_changed_character_is_noticed(
             data in prop::collection::vec(any::<u8>(), 1..40),

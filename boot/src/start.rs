@@ -29,7 +29,7 @@ pub trait Keeper {
 }
 
 /// Services the watchdog between the steps of the bootloader. For a board on which every step is
-/// shorter than the window is open. An application may continue only before the first service.
+/// shorter than the watchdog's window. An application may continue only before the first service.
 #[derive(Debug)]
 pub struct BetweenSteps<'b, B> {
     board: &'b B,

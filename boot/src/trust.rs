@@ -21,7 +21,7 @@ pub struct Trust<'k> {
     pub mode: TrustMode,
 }
 
-/// The order of the group, little endian. A signature's scalar is below it (RFC 8032, 5.1.7).
+/// The order of the group, little endian. A valid signature's scalar is below it (RFC 8032, 5.1.7).
 const ORDER: [u8; 32] = [
     0xED, 0xD3, 0xF5, 0x5C, 0x1A, 0x63, 0x12, 0x58, 0xD6, 0x9C, 0xF7, 0xA2, 0xDE, 0xF9, 0xDE, 0x14,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x10,
@@ -51,14 +51,14 @@ fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     let Ok(public) = CompressedY(*key).decompressed() else {
         return false;
     };
-    // A scalar that is not below the order would be a second form of the signature.
+    // A scalar that is not below the order would be another form of the same signature.
     if reduced(scalar) != *scalar {
         return false;
     }
     let hash = Sha512::new().updated(point).updated(key).updated(message);
     let hash = reduced(&hash.finalize());
-    // scalar * base - hash * public, both products bit by bit. All inputs are public, so the time
-    // may depend on them.
+    // Computes scalar * base - hash * public, both products bit by bit. All inputs are public, so
+    // the time may depend on them.
     let (base, public) = (EdwardsPoint::basepoint(), -&public);
     let both = &base + &public;
     let mut sum = EdwardsPoint::neutral_element();
@@ -82,7 +82,7 @@ fn is_set(number: &[u8], bit: usize) -> bool {
 fn reduced(number: &[u8]) -> [u8; 32] {
     let mut rest = [0u8; 32];
     for bit in (0..8 * number.len()).rev() {
-        // Double the rest and add this bit: the result is below 2^254.
+        // Double the remainder and add this bit: the result is below 2^254.
         let mut carry = u8::from(is_set(number, bit));
         for byte in &mut rest {
             (*byte, carry) = (*byte << 1 | carry, *byte >> 7);
@@ -115,7 +115,7 @@ mod tests {
         (pair.public.to_bytes(), bytes)
     }
 
-    /// RFC 8032, 7.1, test 2.
+    /// The signature of RFC 8032, 7.1, test 2.
     #[test]
     fn the_signature_of_the_rfc_verifies() {
         let hex = |text: &str| -> std::vec::Vec<u8> {
@@ -135,7 +135,7 @@ mod tests {
         assert!(!verify(&key, &[0x73], &signature));
     }
 
-    /// E-4: any changed bit is noticed; so is another key, an unknown one and a retired one.
+    /// E-4: any changed bit is detected; another key, an unknown and a retired one are refused.
     #[test]
     fn only_the_signed_manifest_is_authentic() {
         let (key, bytes) = signed(1);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     proptest! {
-        /// E-4: two implementations agree, also where a bit is changed.
+        /// E-4: two implementations agree, also if a bit was changed.
         #[test]
         fn signatures_of_another_implementation_verify(
             seed: [u8; 32],
@@ -173,7 +173,7 @@ mod tests {
             prop_assert_eq!(verify(&public, &message, &signature), changed.is_none());
         }
 
-        /// E-4: numbers up to 512 bits, also multiples of the order.
+        /// E-4: reduces numbers of up to 512 bits, also multiples of the order.
         #[test]
         fn numbers_are_reduced(wide: [u8; 64], times: u8) {
             let expected = salty::Scalar::from_u512_le(&wide);

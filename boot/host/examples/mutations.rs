@@ -37,10 +37,10 @@ struct Arguments {
     monitor: bool,
 }
 
-/// The results of the files.
+/// Counts of the results.
 #[derive(Default)]
 struct Tally {
-    /// Number of files by refusal; "accepted" if the flash then holds a signed image.
+    /// Number of files for each refusal; "accepted" if the flash then holds a signed image.
     fates: BTreeMap<String, u64>,
     wrong: Vec<u64>,
 }
@@ -138,7 +138,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
     };
-    // Versions 5 and 6 are valid; 2 is older than the running version.
+    // Versions 5 and 6 are valid; 2 is older than the running version 3.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];
     let base = controller();
     let fresh = || -> Result<_> {
@@ -186,7 +186,7 @@ fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Ans
     loader.on_frame(now, &connect.frame()?);
     let mut last = None;
     for line in lines {
-        // A line without its end gets no answer.
+        // A line without its end receives no answer.
         last = None;
         for piece in line.as_bytes().chunks(8) {
             while let Ok(Next::Send(frame)) = loader.next(now) {
@@ -239,7 +239,7 @@ fn mutate(images: &[Image; 3], chance: &mut ChaCha8Rng) -> Vec<String> {
     lines
 }
 
-/// Returns a record with changed content and the right checksum.
+/// Returns a record with changed content and a matching checksum.
 fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
     let Ok(record) = tandem_boot::SRecord::parse(text.trim_end().as_bytes()) else {
         return text.to_owned();
@@ -257,7 +257,7 @@ fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
     line(3, &address.to_be_bytes(), &data)
 }
 
-/// Changes an image but keeps every checksum right: only digests and signature can detect it.
+/// Changes an image and keeps every checksum valid: only digests and signature can detect it.
 fn change_image(image: &mut Image, images: &[Image; 3], chance: &mut ChaCha8Rng) {
     let other = &images[chance.random_range(0..3)];
     match chance.random_range(0..4) {

@@ -1,7 +1,7 @@
 //! Sweeps all points at which power can be lost: `cargo xtask campaign power-cuts`.
 //!
 //! Each life between two losses of power is a separate process, so only the flash survives it. The
-//! process receives the flash on standard input and returns it on standard output.
+//! process reads the flash from standard input and writes it to standard output.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
@@ -190,7 +190,7 @@ fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
     Ok(())
 }
 
-/// Encodes what the sweep needs of a life: its end, its ticks, its flash.
+/// Encodes the result of a life for the sweep: its end, its ticks, its flash.
 fn encode(outcome: &LifeOutcome, ticks: u64, flash: &SimulatedFlash) -> Vec<u8> {
     let head = match outcome.end {
         End::PowerLost => [0, 0, 0],

@@ -4,7 +4,7 @@ use tandem_board::{CanFrame, CanId};
 
 /// Bits between two frames.
 const INTERFRAME: u32 = 3;
-/// CRC delimiter, acknowledge slot and delimiter, end of frame: without stuff bits.
+/// CRC delimiter, acknowledge slot and delimiter, end of frame. They contain no stuff bits.
 const TRAILER: u32 = 1 + 2 + 7;
 
 /// Returns the bit times from the start of a classic data frame to the earliest start of the next,
@@ -59,8 +59,8 @@ pub fn bits(frame: &CanFrame) -> u32 {
 mod tests {
     use super::*;
 
-    /// Lengths from the standard: fields without stuff bits are 47 + 8 n bits (standard id) and
-    /// 67 + 8 n (extended), with the space between frames; at most one stuff bit in four.
+    /// The lengths of the standard, with the space between frames: without stuff bits 47 + 8 n bits
+    /// (standard id) and 67 + 8 n (extended); at most one stuff bit for four bits.
     #[test]
     fn lengths_are_within_those_of_the_standard() {
         for len in 0..=8usize {
@@ -85,7 +85,7 @@ mod tests {
     }
 
     /// Counted by hand. Id 0 without data: 19 bits of 0, whose CRC is 15 bits of 0. A stuff bit of
-    /// 1 follows each five of these 34 bits, so 6.
+    /// 1 follows each five of these 34 bits, so there are 6.
     #[test]
     fn stuff_bits_are_counted() {
         let zeros = CanFrame::new(CanId::Standard(0), false, &[]).unwrap();

@@ -1,8 +1,8 @@
 //! Losses of power at every point of an update, and the checks afterwards.
 //!
-//! A *point* is a moment of an erase or program operation in a life, with one state in which it
-//! leaves the changing bits. The caller supplies a function that runs a life: in a new process, or
-//! as a [`Life`] in this one. U-5
+//! A *point* is a moment of an erase or program operation in a life, with one state in which the
+//! operation leaves the changing bits. The caller supplies a function that runs a life, in a new
+//! process or as a [`Life`] in this one. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
@@ -30,7 +30,7 @@ pub enum CutScenario {
     RefusedFile,
 }
 
-/// A defect of the wiring. The sweep must find bricks with it.
+/// A defect of the wiring, with which the sweep must find bricks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WiringDefect {
     /// Both slots of the application are the same memory: a download overwrites the active image.
@@ -42,7 +42,7 @@ pub enum WiringDefect {
 /// The plan of one life: its actions, and the loss of power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LifePlan {
-    /// Whether the host sends the scenario's file; otherwise a plain start.
+    /// Whether the host sends the scenario's file; otherwise the life is a plain start.
     pub acts: bool,
     /// Seed of the noise in weak bits.
     pub seed: u64,
@@ -250,7 +250,7 @@ pub struct Swept {
     pub bricks: Vec<String>,
 }
 
-/// The ticks of the first life to sweep: every `every`-th from `from` on.
+/// The ticks of the first life to sweep: every `every`-th, beginning with `from`.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRange {
     /// The first tick.
@@ -273,7 +273,7 @@ pub fn sweep<E>(
     let step = |acts, seed, cut| LifePlan { acts, seed, cut };
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     for tick in (which.from..ticks).step_by(which.every as usize) {
-        // An operation has 33 moments, and there are five tears: the formula combines all of them.
+        // An operation has 33 moments, and there are five tears: the formula produces all pairs.
         let tear = Tear::VARIANTS[(tick * 7 / 3 % 5) as usize];
         let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
         let torn = torn.save();

@@ -1,4 +1,4 @@
-//! The host's end of a download, sans-IO: connects, sends, repeats. T-BOOT-3
+//! The host's end of a download, sans-IO: it connects, sends and repeats. T-BOOT-3
 
 use tandem_board::{CanFrame, Duration, Instant, SystemId};
 use tandem_boot::{Answer, HostRequest, Refusal};
@@ -7,7 +7,7 @@ use tandem_boot::{Answer, HostRequest, Refusal};
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
 /// Silence after which a record is repeated: longer than the erase of the largest sector.
 pub const ANSWER_WITHIN: Duration = Duration::from_ms(3_000);
-/// Attempts in a row after which the host gives up. The loader gives up earlier and sends the
+/// The host gives up after this many attempts in a row. The loader gives up earlier and sends the
 /// reason.
 const MAX_ATTEMPTS: u32 = 16;
 
@@ -59,7 +59,7 @@ pub struct FileSender {
     go_back: bool,
     due: Instant,
     attempts: u32,
-    /// The attempt for which the window was offered.
+    /// The attempt in which the window was offered.
     offered: u32,
     resends: u64,
 }
@@ -96,9 +96,9 @@ impl FileSender {
         self
     }
 
-    /// Whether a loader has answered. With a window, the sender reconnects when the loader falls
-    /// silent, and continues after the records that the loader has; it has none after a loss of
-    /// power.
+    /// Whether a loader has answered. With a window, the sender reconnects when the loader is
+    /// silent, and continues after the records that the loader has; after a loss of power it has
+    /// none.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.state != State::Connecting
@@ -110,7 +110,7 @@ impl FileSender {
         (self.accepted, self.lines.len() as u32)
     }
 
-    /// Returns how often the loader requested a resend.
+    /// Returns how many times the loader requested a resend.
     #[must_use]
     pub const fn resends(&self) -> u64 {
         self.resends
@@ -151,7 +151,7 @@ impl FileSender {
         (self.state, self.resume, self.due) = (State::Connecting, true, now);
     }
 
-    /// Starts another attempt. Returns whether one is left.
+    /// Starts another attempt. Returns `false` if none is left.
     fn repeat(&mut self, now: Instant) -> bool {
         self.due = now + ANSWER_WITHIN;
         self.attempts += 1;
@@ -196,7 +196,7 @@ impl FileSender {
         request.frame().map_or(ToDo::Silent, ToDo::Send)
     }
 
-    /// Takes a frame of the loader.
+    /// Processes a frame of the loader.
     pub fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if frame.id() != tandem_boot::TO_HOST {
             return;
@@ -204,7 +204,7 @@ impl FileSender {
         let Some(answer) = Answer::decode(frame.data()) else {
             return;
         };
-        // Ignore a count beyond the sent records: it is not the loader's.
+        // Ignore a count beyond the sent records: the loader cannot have sent it.
         if let Answer::Accepted { records: count } | Answer::Resend { record: count } = answer
             && count > self.farthest
         {

@@ -1,4 +1,4 @@
-//! The program flash of one system as a file of 2 MiB, byte for byte as in the chip.
+//! The program flash of one system as a file of 2 MiB, with the same bytes as in the chip.
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -46,7 +46,7 @@ impl FlashFile {
         Ok(Self(file))
     }
 
-    /// Writes bytes as a programming station does before assembly.
+    /// Writes bytes, as a programming station does before assembly.
     ///
     /// # Errors
     /// An error of the operating system.

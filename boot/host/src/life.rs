@@ -11,7 +11,7 @@ pub const TEST_KEY: SigningKey = SigningKey {
     number: 0,
     seed: *b"TEST KEY 0: never in a product!!",
 };
-/// Its public key, as a constant: computing it in each life would take too long. A test checks it.
+/// Its public key as a constant: computing it in each life would take too long. A test checks it.
 pub const TEST_PUBLIC: [u8; 32] = [
     0xD1, 0xF9, 0x6F, 0x34, 0x86, 0x2F, 0xAD, 0xD7, 0x02, 0xF5, 0xE2, 0x4C, 0x53, 0x7D, 0xC5, 0x75,
     0x65, 0x94, 0x9D, 0x23, 0x24, 0xA5, 0xA0, 0xAC, 0xA3, 0xD5, 0x5E, 0xAB, 0xB1, 0xD2, 0xC5, 0x2A,
@@ -22,7 +22,7 @@ pub const TEST_KEY_1: SigningKey = SigningKey {
     seed: *b"TEST KEY 1: never in a product!!",
 };
 
-/// After this many resets within one life a controller counts as resetting for ever.
+/// A controller that resets this many times in one life counts as resetting for ever.
 const MAX_RESETS: u32 = 12;
 
 /// How a life ended.
@@ -65,7 +65,7 @@ pub struct LifeOutcome {
 }
 
 impl<'a> Life<'a> {
-    /// A start without a host, in which the application approves itself.
+    /// Creates a life without a host, in which the application approves itself.
     #[must_use]
     pub fn plain() -> Self {
         Self {
@@ -75,7 +75,7 @@ impl<'a> Life<'a> {
         }
     }
 
-    /// A start during which a host sends a file.
+    /// Creates a life in which a host sends a file.
     #[must_use]
     pub fn with_file(lines: &'a [String], window: u8) -> Self {
         Self {
@@ -112,7 +112,7 @@ impl<'a> Life<'a> {
                     run.outcome.end = End::Waiting;
                     break;
                 }
-                // After a fault of the flash or an orderly reset: start again.
+                // After a fault of the flash or an orderly reset, start again.
                 _ => cause = ResetCause::Software,
             }
         }
@@ -203,7 +203,7 @@ impl Run {
     }
 
     fn deliver(&mut self, loader: &mut Loader<'_, &mut SimulatedFlash>, frame: &CanFrame) {
-        // 131 bits and more at 500 kbit/s.
+        // A frame of 131 bits or more takes at least 262 µs at 500 kbit/s.
         self.now = Instant::from_ns(self.now.as_ns() + 270_000);
         loader.on_frame(self.now, frame);
     }
@@ -213,7 +213,7 @@ impl Run {
 mod tests {
     use super::*;
 
-    /// E-4
+    /// E-4: the constant is the public key of the private test key.
     #[test]
     fn the_public_test_key_is_that_of_the_private_one() {
         assert_eq!(TEST_KEY.public(), TEST_PUBLIC);

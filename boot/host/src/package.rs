@@ -1,4 +1,4 @@
-//! Creates signed images, and S-records of them.
+//! Creates signed images, and converts them to S-records.
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
@@ -33,7 +33,7 @@ pub enum PackageError {
     /// A line is not a record.
     #[error("line {line} is not an S-record: {why:?}")]
     Line {
-        /// From 1.
+        /// The number of the line, from 1.
         line: usize,
         /// What is wrong with it.
         why: tandem_boot::SRecordError,
@@ -41,7 +41,7 @@ pub enum PackageError {
     /// The number in a count record is wrong.
     #[error("line {line} counts {counted} data records, but {found} precede it")]
     Count {
-        /// From 1.
+        /// The number of the line, from 1.
         line: usize,
         /// The number in the record.
         counted: u32,
@@ -51,7 +51,7 @@ pub enum PackageError {
     /// Two records give different data for an address.
     #[error("address {address:#010X} has data twice")]
     Overlap {
-        /// Where.
+        /// The address.
         address: u32,
     },
     /// The file has no data.
@@ -66,7 +66,7 @@ pub enum PackageError {
          which are for the manifest"
     )]
     Place {
-        /// In the flash.
+        /// Offset in the flash.
         offset: u32,
     },
 }
@@ -245,8 +245,8 @@ impl Image {
         ))
     }
 
-    /// Signs what an ELF file loads into a program flash at address `flash`. All cores begin at the
-    /// file's entry.
+    /// Signs the bytes that an ELF file loads into a program flash at address `flash`. All cores
+    /// begin at the file's entry.
     ///
     /// # Errors
     /// [`PackageError`] if it is not an ELF file, or its data are not those of one image.
@@ -325,7 +325,7 @@ pub fn records(name: &str, images: &[&Image]) -> Vec<String> {
             }
         }
     }
-    // S6 has three bytes for the count; a file of 2 MiB has at most 131,072 records.
+    // S6 has three bytes for the count, which is enough: 2 MiB need at most 131,072 records.
     let count = (lines.len() as u32 - 1).to_be_bytes();
     lines.push(line(6, &count[1..], &[]));
     let entry = images.iter().find(|image| image.manifest.entries[0] > 0);

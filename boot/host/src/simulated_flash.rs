@@ -1,4 +1,4 @@
-//! A model of the TC297's program flash in memory, in which a loss of power has the effects of real
+//! A model of the TC297's program flash in memory. A loss of power has the same effects as in real
 //! flash.
 //!
 //! A loss of power interrupts a program or erase operation. Bits that were changing are then
@@ -16,18 +16,18 @@ use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
 
 type Page = [u8; PAGE_BYTES];
 
-/// Moments in one program operation: before it, and after each byte.
+/// Moments in one program operation: one before it, and one after each byte.
 pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
-/// Moments in one erase operation: before it, and after each thirty-second of the sector.
+/// Moments in one erase operation: one before it, and one after each thirty-second of the sector.
 pub const ERASE_TICKS: u64 = 33;
 
 /// The state in which an interrupted operation leaves the changing bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Tear {
-    /// They keep their old value: bytes change one after the other.
+    /// They keep their old value: bytes change one after another.
     Clean,
-    /// They take random values, which then stay.
+    /// They take random values, which do not change again.
     Noise,
     /// They read differently each time.
     Flicker,
@@ -54,7 +54,7 @@ impl Cell {
     };
 }
 
-/// Why an operation failed.
+/// The reason for which an operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelError {
     /// Power is lost: every operation fails until [`SimulatedFlash::power_on`].
@@ -94,11 +94,11 @@ pub struct SimulatedFlash {
     is_on: bool,
     /// Ticks of all operations so far.
     ticks: u64,
-    /// Offsets of pages that were programmed although they were not firmly erased.
+    /// Offsets of pages that were programmed although they were not erased or had weak bits.
     overwrites: Vec<u32>,
     erased_bytes: u64,
     programmed_pages: u64,
-    /// A defect for tests that must fail: this range is the same memory as that from the offset on.
+    /// A defect for tests that must fail: the range is the same memory as that from the offset on.
     alias: Option<(Range<u32>, u32)>,
 }
 
@@ -109,7 +109,7 @@ impl Default for SimulatedFlash {
 }
 
 impl SimulatedFlash {
-    /// Creates an erased flash with power on and no loss of power ahead.
+    /// Creates an erased flash with power on and no loss of power planned.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -126,8 +126,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Adds a wiring defect: `range` is the same memory as that from `place` on. Two slots or banks
-    /// of the bootloader then are one.
+    /// Adds a wiring defect: `range` is the same memory as that from `place` on. So two slots, or
+    /// two banks of the bootloader, are one.
     #[must_use]
     pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
         self.alias = Some((range, place));
@@ -167,7 +167,7 @@ impl SimulatedFlash {
         (self.erased_bytes, self.programmed_pages)
     }
 
-    /// Returns the offsets of pages that were programmed although they were not firmly erased.
+    /// Returns the offsets of pages that were programmed although not erased, or weak.
     #[must_use]
     pub fn overwrites(&self) -> &[u32] {
         &self.overwrites
@@ -186,7 +186,7 @@ impl SimulatedFlash {
         (offset..offset + len).map(byte).collect()
     }
 
-    /// Writes bytes as a programming station does before assembly.
+    /// Writes bytes, as a programming station does before assembly.
     pub fn load(&mut self, offset: u32, bytes: &[u8]) {
         for (byte, at) in bytes.iter().zip(offset..) {
             let cell = self.cells.entry(at / PAGE_BYTES as u32);
@@ -236,7 +236,7 @@ impl SimulatedFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
-    /// Leaves bits of a byte in the interrupted state.
+    /// Sets bits of a byte to the interrupted state.
     fn leave(&mut self, cell: &mut Cell, place: usize, bits: u8, torn: Option<(u64, Tear)>) {
         let Some((_, tear)) = torn else { return };
         match tear {
@@ -421,7 +421,7 @@ mod tests {
         assert_eq!(read(&mut flash, 0x04_0000), [0xFF; 96]);
     }
 
-    /// U-5: power is lost at each byte; the bytes before and after the page are unchanged.
+    /// U-5: for a loss of power at each byte, the bytes before and after the page are unchanged.
     #[test]
     fn a_torn_page_is_torn_where_power_was_lost() {
         for &tear in Tear::VARIANTS {
@@ -444,7 +444,7 @@ mod tests {
         }
     }
 
-    /// U-5: weak bits read as their kind says, also after they were saved, until they are erased.
+    /// U-5: weak bits read as their kind says, also after saving, until they are erased.
     #[test]
     fn weak_bits_stay_weak_until_they_are_erased() {
         for (tear, within_life, between_lives) in [
@@ -479,7 +479,7 @@ mod tests {
         }
     }
 
-    /// U-5: an erase operation that ends part-way leaves nothing but old and erased pages.
+    /// U-5: an interrupted erase operation leaves only old and erased pages.
     #[test]
     fn a_torn_erase_leaves_some_pages() {
         let mut left = Vec::new();

@@ -37,7 +37,7 @@ fn left(now: Instant, until: Instant) -> std::time::Duration {
 /// Sends a file. Calls `progress` with the number of accepted records and of all records.
 ///
 /// # Errors
-/// [`TransferError`] if the file is not on trial at the end.
+/// [`TransferError`] if the loader did not put the file on trial.
 pub fn send_file(
     wire: &UdpBus,
     mut host: FileSender,

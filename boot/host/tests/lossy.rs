@@ -1,4 +1,4 @@
-//! A bus that loses frames in both directions and changes records: the download arrives, whole.
+//! Downloads a file over a bus that loses frames in both directions and changes records.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -12,8 +12,8 @@ use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{FileSender, ToDo, records};
 
-/// A frame as it arrives: mostly as it was sent, sometimes not at all. Frames to the loader are
-/// sometimes changed too: records have a checksum of their own, answers have that of CAN only.
+/// Returns the frame as it arrives: unchanged, or `None` if it is lost. A frame to the loader may
+/// also be changed: records have their own checksum, answers have only that of CAN.
 fn noisy(frame: &CanFrame, per_mille: u32, chance: &mut ChaCha8Rng) -> Option<CanFrame> {
     let is_answer = frame.id() == tandem_boot::TO_HOST;
     let dice = chance.random_range(0..1000);
@@ -63,7 +63,7 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
                 ToDo::Wait(other) => now = until.min(other),
                 end => break end,
             },
-            // The farewell is over before the host has heard the last answer.
+            // The loader's farewell time ended before the host received the last answer.
             _ => break ToDo::Silent,
         }
     };
@@ -75,8 +75,8 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// T-BOOT-3, T-BOOT-4: with up to 1 % of the frames lost and half as many changed. What the
-    /// host takes for done is whole.
+    /// T-BOOT-3, T-BOOT-4: up to 1 % of the frames are lost and half as many changed. If the host
+    /// reports that it is done, the image is complete.
     #[test]
     fn a_download_survives_a_noisy_bus(
         window in prop::sample::select(&[0u8, 1, 4, 16][..]),
@@ -90,7 +90,7 @@ proptest! {
     }
 }
 
-/// T-BOOT-3: a frame that is lost is asked for again.
+/// T-BOOT-3: the loader requests a lost frame again.
 #[test]
 fn what_is_lost_is_asked_for_again() {
     for window in [0, 8] {
@@ -101,8 +101,8 @@ fn what_is_lost_is_asked_for_again() {
 }
 
 /// T-BOOT-3, U-5: the controller loses power in the middle of a download. Ten seconds later it
-/// starts with its connect window of 20 ms, and the host, which was told of nothing, brings the
-/// file from its beginning.
+/// starts with its connect window of 20 ms, and the host, which was not informed, sends the file
+/// from its beginning.
 #[test]
 fn a_download_goes_on_after_a_loss_of_power() {
     let mut flash = factory();

@@ -1,6 +1,5 @@
-//! The same files and signatures as other programs understand them: srec_cat, bincopy, objcopy,
-//! OpenSSL. A test whose program is missing says so and passes, unless
-//! `TANDEM_REQUIRE_BOOT_ORACLES=1`.
+//! Compares files and signatures with other programs: srec_cat, bincopy, objcopy, OpenSSL. If a
+//! program is missing, its test prints that and passes, unless `TANDEM_REQUIRE_BOOT_ORACLES=1`.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -16,7 +15,7 @@ use tandem_boot::{SIGNED_BYTES, Slot, Trust, TrustMode};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Content, line, records};
 
-/// Whether `program` starts with these arguments. If not, the test is skipped by name.
+/// Whether `program` starts with these arguments. If not, prints that `test` is skipped.
 fn have(test: &str, program: &str, arguments: &[&str]) -> bool {
     let output = Command::new(program).args(arguments).output();
     if output.is_ok_and(|output| output.status.success()) {
@@ -45,7 +44,7 @@ fn path(folder: &Path, name: &str) -> String {
     folder.join(name).to_str().unwrap().to_owned()
 }
 
-/// Runs of bytes as `srec.py` prints them.
+/// Formats runs of bytes as `srec.py` prints them.
 fn summary(content: &Content) -> String {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let runs = content.runs.iter().map(|(address, bytes)| {
@@ -59,7 +58,7 @@ fn summary(content: &Content) -> String {
     }
 }
 
-/// Files of some hundred kinds: good ones, and each with a changed, lost or doubled character.
+/// 300 files: 150 good ones, and each with one changed, lost or added character.
 fn files() -> Vec<String> {
     let mut runner = TestRunner::deterministic();
     let mut files = Vec::new();
@@ -96,7 +95,7 @@ fn files() -> Vec<String> {
     files
 }
 
-/// T-BOOT-4: what we read from a file is what bincopy reads; what it refuses, we refuse.
+/// T-BOOT-4: we read the same from a file as bincopy, and refuse each file that it refuses.
 #[test]
 fn bincopy_reads_the_same() {
     if !have(
@@ -125,9 +124,9 @@ fn bincopy_reads_the_same() {
                 same += 1;
             }
             (Err(_), "refused") => refused += 1,
-            // Stricter than bincopy: S4, a count or an entry with data, blanks inside a line.
+            // We are stricter than bincopy: S4, a count or entry with data, blanks inside a line.
             (Err(_), _) => {}
-            // bincopy knows no S6 and refuses overlaps by other rules; a header may be damaged.
+            // bincopy must read each of these files that we read.
             (Ok(ours), _) => panic!("only we read {text:?}: {ours:?}"),
         }
     }
@@ -137,7 +136,7 @@ fn bincopy_reads_the_same() {
     );
 }
 
-/// T-BOOT-4: srec_cat writes what we read, at every width of address, and reads what we write.
+/// T-BOOT-4: srec_cat writes files that we read, for every width of address, and reads ours.
 #[test]
 fn srec_cat_writes_and_reads_the_same() {
     if !have(
@@ -202,7 +201,7 @@ fn srec_cat_writes_and_reads_the_same() {
     assert_eq!(fs::read(&binary).unwrap(), image.bytes);
 }
 
-/// T-BOOT-4, T-BOOT-5: what objcopy makes of a program's sections is signed, downloaded and booted.
+/// T-BOOT-4, T-BOOT-5: a program's file from objcopy is signed, downloaded and booted.
 #[test]
 fn a_file_of_objcopy_loads() {
     if !have("a_file_of_objcopy_loads", "objcopy", &["--version"]) {
@@ -244,14 +243,14 @@ fn a_file_of_objcopy_loads() {
     assert_eq!(launch.entries[0], Some(0x10_0104));
 }
 
-/// The key files that OpenSSL reads: RFC 8410's encodings around the 32 bytes.
+/// Builds a key file that OpenSSL reads: RFC 8410's encoding around the 32 bytes.
 fn der(prefix: &str, key: &[u8; 32]) -> Vec<u8> {
     let (pairs, _) = prefix.as_bytes().as_chunks::<2>();
     let pair = |pair: &[u8; 2]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
     pairs.iter().map(pair).chain(*key).collect()
 }
 
-/// E-4: OpenSSL verifies our signatures, we verify its, and neither takes a changed manifest.
+/// E-4: OpenSSL verifies our signatures, we verify its; both refuse a changed manifest.
 #[test]
 fn openssl_signs_and_verifies_the_same() {
     if !have(

@@ -45,7 +45,7 @@ fn no_cut_bricks_a_repair() {
     no_bricks(CutScenario::LostEnvironment);
 }
 
-/// U-5: the sweep finds what it looks for. With one slot, or one bank, there are bricks.
+/// U-5: the sweep finds bricks if there is only one slot or only one bank.
 #[test]
 fn a_loader_with_one_slot_or_one_bank_bricks() {
     assert!(

@@ -1,4 +1,4 @@
-//! How long a download takes on a 500 kbit/s bus, against the least that its frames take.
+//! Compares the time of a download on a 500 kbit/s bus with the minimum for its frames.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -10,11 +10,11 @@ use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{FileSender, SimulatedFlash, ToDo, bits, records};
 
 const BIT_NS: u64 = 2_000;
-/// Assumed times of the flash: a page of 32 bytes, and each 16 KiB of a sector, so that one of
-/// 256 KiB takes a second.
+/// Assumed times of the flash: for a page of 32 bytes, and for each 16 KiB of a sector. A sector of
+/// 256 KiB takes one second.
 const PROGRAM_NS: u64 = 60_000;
 const ERASE_NS_PER_16_KIB: u64 = 62_500_000;
-/// What a host on a PC takes from an answer to its next frame.
+/// The time that a PC needs between an answer and its next frame.
 const HOST_NS: u64 = 50_000;
 
 struct Measured {
@@ -74,7 +74,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
                 let span = erase_ns + (programmed - done.1) * program_ns;
                 done = (erased, programmed);
                 measured.flash_ns += span;
-                // With a window the bus and the flash work at the same time, but for erasing.
+                // With a window the bus works while the flash programs, but not while it erases.
                 now = Instant::from_ns(now.as_ns() + if window > 0 { erase_ns } else { span });
             }
             ToDo::Done => break,
@@ -86,9 +86,9 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     measured
 }
 
-/// T-BOOT-3: the protocol takes what its frames take, to the bit, within 5 %. The limit is computed
-/// from the file alone: every record's frames and one acknowledgement each. What a flash that
-/// erases 256 KiB in a second adds is printed beside it.
+/// T-BOOT-3: a download without a window takes at most 5 % longer than its frames. The limit is
+/// computed to the bit from the file alone: every record's frames and one acknowledgement each. The
+/// additional time of a flash that erases 256 KiB in a second is printed.
 #[test]
 fn stop_and_wait_is_within_5_percent_of_the_bus() {
     let [measured, slow] = [false, true].map(|flash| measure(0, 0, flash));
@@ -112,8 +112,8 @@ fn stop_and_wait_is_within_5_percent_of_the_bus() {
     assert!(measured.bus_ns >= limit_ns);
 }
 
-/// T-BOOT-3: what a window of 16 gains over stop-and-wait, with a host that needs 50 µs and with
-/// one behind a USB adapter of 1 ms.
+/// T-BOOT-3: how much faster a window of 16 is than stop-and-wait, with a host that needs 50 µs
+/// between frames and with one that needs 1 ms because of its USB adapter.
 #[test]
 fn a_window_saves_time() {
     for (host_ns, at_least) in [(HOST_NS, 1.10), (1_000_000, 1.4)] {

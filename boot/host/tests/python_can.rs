@@ -1,4 +1,4 @@
-//! A host on python-can, written from docs/boot.md alone, downloads to a bootloader on a wire.
+//! A host on python-can, written from docs/boot.md alone, downloads over UDP multicast.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -14,7 +14,7 @@ use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::udp_bus::{GROUP, PORT, UdpBus};
 use tandem_boot_host::{FileSender, FlashFile, TransferError, records, send_file, serve};
 
-/// Runs `test` of this binary in a network of its own, whose loopback carries multicast.
+/// Runs `test` of this binary in a separate network namespace, whose loopback carries multicast.
 fn in_a_network(test: &str, needs: &str) {
     let works = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).output();
@@ -46,7 +46,7 @@ fn in_a_network(test: &str, needs: &str) {
     assert!(status.success());
 }
 
-/// A flash with bootloader and application 1, and what its bootloader does on the wire.
+/// Creates a flash with bootloader and application 1, or opens the existing one.
 fn controller(folder: &tempfile::TempDir) -> FlashFile {
     let path = folder.path().join("flash");
     let is_new = !path.exists();
@@ -113,7 +113,7 @@ fn python_can_inside() {
     }
 }
 
-/// T-BOOT-3: the host of this project, with a window, broken off half-way and resumed.
+/// T-BOOT-3: this project's host, with a window, is interrupted half-way and resumes.
 #[test]
 fn a_broken_connection_is_resumed() {
     in_a_network("resume_inside", "");
@@ -133,7 +133,7 @@ fn resume_inside() {
     });
     let wire = UdpBus::join(GROUP, PORT).unwrap();
     let within = Duration::from_ms(60_000);
-    // This file has no end: its sender is satisfied when all of it is accepted.
+    // This file has no entry record: its sender is done when all records are accepted.
     send_file(
         &wire,
         FileSender::new(half.clone(), None, 1),

@@ -1,9 +1,9 @@
-//! A loader that decides by flags loses its rollback to a torn write, which a sweep that cuts power
-//! only between operations does not find; the same rollback by Tandem's loader.
+//! A torn write destroys the rollback of a loader that decides by flags; a sweep that cuts power
+//! only between operations does not find it. Tandem's loader survives the same cuts.
 //!
-//! The loader here is a small model of a swap by flags: each slot has a trailer with a magic
-//! number and two flags, and a table says which combination does what. A combination that the
-//! table does not list leaves everything as it is. mcu-tools/mcuboot, issue 1966, is about this.
+//! The loader here is a small model of a swap by flags. Each slot has a trailer with a magic number
+//! and two flags, and a table maps combinations to actions. A combination that the table does not
+//! list changes nothing. mcu-tools/mcuboot, issue 1966, describes this.
 #![allow(clippy::unwrap_used)]
 
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
@@ -17,13 +17,13 @@ const MAGIC: Page = [0x5A; PAGE_BYTES];
 const SET: Page = [0x01; PAGE_BYTES];
 const UNSET: Page = [0xFF; PAGE_BYTES];
 
-/// The trailers of both slots: each a sector with magic number, "copied" and "approved"; and where
-/// the swap notes that the old image is back in the first slot.
+/// The trailers of both slots, each a sector with magic number, "copied" and "approved"; and the
+/// sector where the swap records that the old image is back in the first slot.
 const FIRST: u32 = 0x04_0000;
 const SECOND: u32 = 0x04_8000;
 const RESTORED: u32 = 0x05_0000;
 
-/// After an update whose image crashes: the first slot holds it, swapped in and not approved.
+/// The state after an update whose image crashes: the first slot holds it, not approved.
 fn crashed_update() -> SimulatedFlash {
     let mut flash = SimulatedFlash::new();
     flash.load(FIRST, &MAGIC);
@@ -37,7 +37,7 @@ fn page(flash: &mut SimulatedFlash, at: u32) -> Result<Page, ModelError> {
     Ok(page)
 }
 
-/// One start of the loader; whether the old image runs.
+/// One start of the loader. Returns whether the old image runs.
 fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
     let trailer = |flash: &mut SimulatedFlash, at| -> Result<[Page; 3], ModelError> {
         Ok([
@@ -48,7 +48,7 @@ fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
     };
     let (first, second) = (trailer(flash, FIRST)?, trailer(flash, SECOND)?);
     if first == [MAGIC, SET, UNSET] && second[0] == UNSET {
-        // Revert: make it look like a wanted update with the old image.
+        // Revert: set the trailer as for an update to the old image.
         flash.erase(SECOND, SECOND + 0x8000)?;
         flash.write(SECOND + 64, &SET)?;
         flash.write(SECOND, &MAGIC)?;
@@ -63,7 +63,7 @@ fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
     Ok(page(flash, RESTORED)? == SET)
 }
 
-/// Whether a controller that lost power at this tick never gets its old image back.
+/// Whether a controller that lost power at this tick never runs its old image again.
 fn bricks(tick: u64, tear: Tear) -> bool {
     let mut flash = crashed_update();
     flash.power_on(tick, Some((tick, tear)));
@@ -81,7 +81,7 @@ fn torn_flags_brick_a_loader_that_believes_them_and_not_this_one() {
     flash.power_on(0, None);
     assert!(start(&mut flash).unwrap());
     let ticks = flash.ticks();
-    // Each operation has as many moments: the first is between two operations.
+    // All operations have the same number of moments; the first lies between two operations.
     let between = (0..ticks).step_by(PROGRAM_TICKS as usize);
     assert!(between.clone().count() > 4);
     assert!(

@@ -1,4 +1,4 @@
-//! Updates from end to end: download, trial, approval, rollback, downgrade, the loader itself.
+//! Updates from end to end: download, trial, approval, rollback, downgrade, and the loader itself.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -15,7 +15,7 @@ fn running(end: End) -> (Slot, u32) {
     }
 }
 
-/// T-BOOT-1, T-BOOT-3, U-3: a download with each protocol is put on trial, approves itself, stays.
+/// T-BOOT-1, T-BOOT-3, U-3: with each protocol, a download is on trial, approves itself and stays.
 #[test]
 fn a_download_boots_and_stays() {
     for window in [0, 1, 16] {
@@ -72,7 +72,7 @@ fn what_comes_together_goes_together() {
     }
 }
 
-/// U-3: what is older than an approved image is refused; the same version may come again.
+/// U-3: a version older than an approved image is refused; the same version is accepted again.
 #[test]
 fn a_downgrade_is_refused() {
     let mut flash = factory();
@@ -88,8 +88,7 @@ fn a_downgrade_is_refused() {
     }
 }
 
-/// E-4: key rotation. The new key retires the old one when its image has approved itself, not
-/// before.
+/// E-4: key rotation. The new key retires the old one only after its image has approved itself.
 #[test]
 fn a_retired_key_signs_nothing_any_more() {
     let mut flash = factory();
@@ -138,7 +137,7 @@ fn a_retired_key_signs_nothing_any_more() {
     );
 }
 
-/// E-4: strict mode refuses what is not authentic, monitor mode takes it and writes it down.
+/// E-4: strict mode refuses an image that is not authentic; monitor mode accepts and logs it.
 #[test]
 fn strict_refuses_and_monitor_notes() {
     for monitor in [false, true] {
@@ -158,7 +157,7 @@ fn strict_refuses_and_monitor_notes() {
     }
 }
 
-/// T-BOOT-6: no address outside the free slots is written, and each refusal says why.
+/// T-BOOT-6: no address outside the free slots is written, and the refusal names the reason.
 #[test]
 fn addresses_that_are_not_free_are_refused() {
     let at = |address: u32| vec![tandem_boot_host::line(3, &address.to_be_bytes(), &[1; 16])];
@@ -187,7 +186,7 @@ fn addresses_that_are_not_free_are_refused() {
     }
 }
 
-/// What does not lie in the log is the same.
+/// Asserts that nothing outside the log has changed.
 fn unchanged_but_for_the_log(before: &[u8], after: &[u8]) {
     const CELL: usize = 69;
     let outside = |bytes: &[u8]| -> Vec<Vec<u8>> {
@@ -200,8 +199,8 @@ fn unchanged_but_for_the_log(before: &[u8], after: &[u8]) {
     assert_eq!(outside(before), outside(after));
 }
 
-/// T-BOOT-4, U-5: files that are wrong in one way each get the refusal that says so, and the old
-/// image boots.
+/// T-BOOT-4, U-5: each file is wrong in one way and gets the refusal for it, and the old image
+/// boots.
 #[test]
 fn wrong_files_are_refused_with_the_reason() {
     let new = image(Slot::B, 2, 200);
@@ -306,8 +305,8 @@ fn wrong_files_are_refused_with_the_reason() {
     }
 }
 
-/// U-4: a new bootloader is installed, tried, approves itself and is sealed; the application
-/// stays.
+/// U-4: a new bootloader is installed, tried, approves itself and is sealed; the application is
+/// unchanged.
 #[test]
 fn a_new_bootloader_is_installed() {
     let mut flash = factory();
@@ -353,7 +352,7 @@ fn a_damaged_bootloader_is_restored() {
 }
 
 /// U-2: a controller that lost both copies of its environment boots, and the older of two images
-/// stays the fallback of the newer.
+/// remains the fallback of the newer.
 #[test]
 fn a_lost_environment_is_rebuilt() {
     let Images { mut flash, .. } = Images::updated();
@@ -373,13 +372,13 @@ fn a_damaged_image_falls_back() {
     flash.load(new.place() + 300, &[0; 4]);
     assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
     assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
-    // The damaged slot is now the free one.
+    // The damaged slot is now free.
     let lines = records("again", &[&image(Slot::B, 2, 77)]);
     let outcome = Life::with_file(&lines, 0).live(&mut flash);
     assert_eq!(running(outcome.end), (Slot::B, 2));
 }
 
-/// T-BOOT-1: a controller without any image waits for a download, and takes it.
+/// T-BOOT-1: a controller without an image waits for a download and accepts it.
 #[test]
 fn an_empty_controller_waits() {
     let mut flash = tandem_boot_host::SimulatedFlash::new();
@@ -392,7 +391,7 @@ fn an_empty_controller_waits() {
     assert_eq!(running(outcome.end), (Slot::A, 1));
 }
 
-/// T-BOOT-4: an unsigned file becomes a signed one, with its entry.
+/// T-BOOT-4: an unsigned file is converted to a signed one, with its entry.
 #[test]
 fn a_plain_file_is_signed() {
     let lines = [

@@ -24,7 +24,7 @@ pub(crate) fn example() -> Manifest {
     }
 }
 
-/// U-5: each kind, read as it was written; its first page is what the ROM needs.
+/// U-5: each kind decodes to what was encoded, and its first page seals it for the ROM.
 #[test]
 fn what_is_encoded_is_decoded() {
     for kind in (0..).map_while(ImageKind::from_repr) {
@@ -60,7 +60,7 @@ fn a_layout_that_cannot_be_is_refused() {
 }
 
 proptest! {
-    /// One encoding for each manifest: any change of a byte is refused, or is another manifest.
+    /// A manifest has one encoding: a changed byte is refused or encodes another manifest.
     #[test]
     fn no_two_byte_strings_mean_the_same(place in 0..SIGNED_BYTES, value: u8) {
         let mut bytes = example().encode();
