@@ -1,5 +1,5 @@
-//! Tries sequences of one group until one is violated, and shrinks it: what `cargo xtask broken`
-//! runs on a broken variant. Arguments: the group, and how many sequences. Fails if it finds none.
+//! Runs sequences of one group until one violates a rule, and shrinks it. `cargo xtask broken` runs
+//! this on a broken variant. Arguments: group, number of sequences. Fails if no rule is violated.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::process::ExitCode;
@@ -7,7 +7,7 @@ use tandem_faults::{Group, known};
 use tandem_redundancy::Config;
 use tandem_sim::Profile;
 
-/// A violation counts as explained if it has no more faults than this.
+/// The program fails if the shrunk sequence has more faults than this.
 const FAULTS: usize = 3;
 
 fn main() -> ExitCode {
@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     let seeds = arguments.next().and_then(|seeds| seeds.parse().ok());
     let seeds: u64 = seeds.unwrap_or(1_000);
     let profile = Profile::from(Config::rt());
-    // A finite group is covered evenly.
+    // The sequences are spread evenly over a finite group.
     let step = group.count().map_or(1, |count| count.div_ceil(seeds));
     // A panic of a broken variant counts as a violation.
     std::panic::set_hook(Box::new(|_| {}));

@@ -1,4 +1,4 @@
-//! Both systems and a vehicle in virtual time, and faults that they suffer.
+//! Both systems and a vehicle in virtual time, with faults applied to them.
 
 use crate::outside::{OutsideVehicle, POISON, another_command};
 use crate::timing::Time;
@@ -23,10 +23,10 @@ use tandem_record::{Entry, RunLog, description};
 use tandem_vehicle::LoggedFrame;
 use tandem_vehicle::gate::Acceptance;
 
-/// Which cores are the real ones, and what is around them.
+/// Which cores run the real software, and what surrounds them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Around {
-    /// Core 0. Cores 1 and 2 only count cycles, and no vehicle moves.
+    /// Core 0 only. Cores 1 and 2 only count cycles, and no vehicle moves.
     #[default]
     Core0,
     /// All cores, and a vehicle in its lane.
@@ -38,9 +38,9 @@ pub enum Around {
 pub struct Profile {
     /// Limits of the redundancy.
     pub limits: tandem_redundancy::Config,
-    /// How long things take.
+    /// How long jobs, wires and frames take.
     pub time: Time,
-    /// What is around core 0.
+    /// Which cores run the real software, and what surrounds them.
     pub around: Around,
 }
 
@@ -55,16 +55,16 @@ impl From<tandem_redundancy::Config> for Profile {
 }
 
 impl Profile {
-    /// What the requirement permits with these limits.
+    /// The limits of the requirement for this configuration.
     #[must_use]
     pub fn bounds(&self) -> Limits {
         Limits::of_profile(&self.limits)
     }
 
-    /// The limits of both systems, with short waits at the start.
+    /// The limits of both systems, with short waiting times at the start.
     fn config(&self) -> Config {
         let boot_limit = match self.around {
-            // There are no sensors to wait for.
+            // The cores need not wait for sensors.
             Around::Core0 => Duration::from_ms(60),
             Around::ClosedLoop => Config::rt().boot_limit,
         };
@@ -79,9 +79,9 @@ impl Profile {
     }
 }
 
-/// The core of this board. Core 1 dies of poison.
+/// Creates the software of the core of this board. A [`POISON`] frame ends core 1.
 fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Poller {
-    // A reset ends the core but not this process: a few boards are leaked.
+    // A reset ends the core but not this process, so each incarnation leaks one board.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match (board.identity().core, around) {
         (CoreId::CONTROL, _) if time != Time::Ideal => timed::core_0(board, config, time),
@@ -99,7 +99,7 @@ fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Polle
     }
 }
 
-/// A core that only counts cycles.
+/// Creates a core that only counts cycles.
 fn counter(board: &'static SimBoard) -> Poller {
     let core = board.identity().core;
     let (mut map, mut dead) = (None, false);
@@ -119,24 +119,24 @@ fn counter(board: &'static SimBoard) -> Poller {
     })
 }
 
-/// While a bench heals, the roles are looked at this often.
+/// While a bench heals, the roles are checked at this interval.
 const HEAL_STEP: Duration = Duration::from_ms(25);
-/// Master and standby for this long are healed. Longer than the time for which the end is judged.
+/// A bench is healed if master and standby are stable for this long; longer than `STEADY`.
 const HEALED: Duration = Duration::from_ms(300);
 
 /// The state of a system that a fault hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SequenceState {
-    /// Without power.
+    /// It has no power.
     Off,
     /// The supply holds it in reset.
     Reset,
-    /// It shows this role.
+    /// Its lamp shows this role.
     Shows(RoleLamp),
 }
 
 impl SequenceState {
-    /// All. A supply that holds its system for good counts as [`RoleLamp::Suspended`].
+    /// All states. A system that its supply has suspended counts as [`RoleLamp::Suspended`].
     pub const ALL: [Self; 7] = [
         Self::Off,
         Self::Reset,
@@ -161,29 +161,29 @@ impl SequenceState {
 pub struct Bench {
     /// The machine.
     pub pair: SimPair,
-    /// The vehicle's log until now.
+    /// The vehicle's log so far.
     pub vehicle: Rc<RefCell<OutsideVehicle>>,
     /// The limits of both systems.
     pub config: Config,
-    /// What they are made of.
+    /// The profile from which the bench was made.
     pub profile: Profile,
-    /// What its faults hit: a kind, by its label, and the state of the system.
+    /// Each kind of fault that was applied, with the state of the system that it hit.
     pub(crate) covered: Vec<(Kind, SequenceState)>,
-    /// The trace records that were read.
+    /// The trace records read so far.
     traced: Vec<Traced>,
     bus: BusFaults,
-    /// When the run began.
+    /// The time at which the run began.
     pub(crate) born: Instant,
 }
 
 impl Bench {
-    /// Two systems without power. `seed`: of what the machine draws. `keeps_events`: whether the
-    /// events of the cores are kept.
+    /// Creates two systems without power. `seed` seeds the machine's random numbers.
+    /// `keeps_events`: whether to keep the events of the cores.
     #[must_use]
     pub fn new(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
         let profile = profile.into();
         let (config, Profile { time, around, .. }) = (profile.config(), profile);
-        // Far from zero, so that a clock may slow down.
+        // Start far from zero, so that a clock can run behind.
         let clock = |offset_s: u64, of| Clock {
             offset_ns: offset_s * 1_000_000_000,
             drift_ppb: time.drift_ppb(of),
@@ -215,10 +215,10 @@ impl Bench {
         }
     }
 
-    /// Both in dual operation, A driving.
+    /// Creates a bench in dual operation, in which A drives.
     ///
     /// # Panics
-    /// If they do not begin.
+    /// If the systems do not reach dual operation.
     #[must_use]
     pub fn dual(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
         let mut bench = Self::new(profile, seed, keeps_events);
@@ -233,17 +233,17 @@ impl Bench {
         bench
     }
 
-    /// Switches both systems on.
+    /// Powers both systems on.
     pub fn power_on(&mut self) {
         let mut on = |system| self.pair.power_on(system);
         SystemId::ALL.into_iter().for_each(&mut on);
     }
 
-    /// Runs for `span` while these faults, whose times count from now, begin and end; then
-    /// everything is restored and has power.
+    /// Runs for `span`. The faults, whose times count from now, begin and end during that time.
+    /// Then everything is restored and has power.
     ///
     /// # Panics
-    /// If the simulator cannot suffer one of them.
+    /// If the simulator cannot apply one of the faults.
     pub fn suffer(&mut self, faults: &[Fault], span: Duration) {
         let begin = self.pair.now();
         let mut hits: Vec<&Fault> = faults.iter().collect();
@@ -265,8 +265,8 @@ impl Bench {
         self.restore();
     }
 
-    /// Runs until master and standby have driven for a while, and at most for the time within which
-    /// a system must drive. `whole`: for all of that time.
+    /// Runs until master and standby were stable for [`HEALED`], at most for
+    /// [`settles_within`](Self::settles_within). `whole`: always run for that time.
     pub(crate) fn heal(&mut self, whole: bool) {
         let until = self.pair.now() + self.settles_within();
         let mut sound_since = self.pair.now();
@@ -285,7 +285,7 @@ impl Bench {
         }
     }
 
-    /// How long after everything was restored a system must drive: longer than a start of both.
+    /// The time after restoring within which a system must drive: longer than a start of both.
     #[must_use]
     pub fn settles_within(&self) -> Duration {
         let limits = &self.config.redundancy;
@@ -296,13 +296,13 @@ impl Bench {
             + Duration::from_ms(300)
     }
 
-    /// How many systems have suspended themselves.
+    /// Returns how many systems have suspended themselves.
     pub(crate) fn suspended(&self) -> usize {
         let suspended = |system: &SystemId| self.pair.power(*system) == Power::Suspended;
         SystemId::ALL.into_iter().filter(suspended).count()
     }
 
-    /// Every frame so far, if the cores' events are kept.
+    /// Returns every frame so far, if the cores' events are kept.
     #[must_use]
     pub fn frames(&self) -> Vec<LoggedFrame> {
         self.vehicle.borrow().frames()
@@ -313,7 +313,7 @@ impl Bench {
         &self.traced
     }
 
-    /// The recording so far, as of a run; its world does not move.
+    /// Returns the recording so far, without the motion of the vehicle.
     #[must_use]
     pub fn recording(&mut self) -> RunLog {
         let mut log = RunLog::default();
@@ -349,7 +349,7 @@ impl Bench {
         log
     }
 
-    /// What happened so far, a line each: what the cores keeps_events, and what the supplies did.
+    /// Returns one line for each notable event so far, of the cores, the supplies and the vehicle.
     #[must_use]
     pub fn story(&mut self) -> Vec<String> {
         let mut lines: Vec<(Instant, String)> = Vec::new();
@@ -423,10 +423,10 @@ impl Suffer for Bench {
             Kind::ResetBySoftware => pair.reset(of, ResetCause::Software),
             Kind::ResetByTrap => pair.reset(of, ResetCause::Trap),
             Kind::Hang(amount) if on => pair.freeze(of, amount.ms()),
-            // It has ended, or a later one holds the cores.
+            // The fault has ended by its own time-out, or a later one holds the cores.
             Kind::Hang(_) => {}
             Kind::CoreHangs(amount) => {
-                // Longer than any sequence: until the change that ends it.
+                // Longer than any sequence: another change ends it.
                 let span = if on {
                     Duration::from_ms(3_600_000)
                 } else {

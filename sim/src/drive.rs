@@ -22,9 +22,9 @@ use tandem_vehicle::{Scenario, World};
 pub struct Observation {
     /// The vehicle, its traffic and its gate for control frames.
     pub world: World,
-    /// The recording until now.
+    /// The recording so far.
     pub log: RunLog,
-    /// Frames that another node sends in the next period.
+    /// Frames that a node other than the systems sends in the next period.
     pub forged: Vec<CanFrame>,
 }
 
@@ -32,13 +32,13 @@ pub struct Observation {
 pub struct Drive {
     /// The machine.
     pub pair: SimPair,
-    /// The vehicle's log until now.
+    /// The vehicle's log so far.
     pub seen: Rc<RefCell<Observation>>,
-    /// The trace events of the cores until now, in order.
+    /// The trace events of the cores so far, in order.
     pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
-/// What a controller that starts finds in this flash.
+/// Loads the state from a flash as a starting controller does.
 pub(crate) fn newest_record(flash: &[u8]) -> Loaded {
     let read = |offset: u32, into: &mut [u8]| {
         let from = flash.get(offset as usize..);
@@ -52,10 +52,10 @@ pub(crate) fn newest_record(flash: &[u8]) -> Loaded {
 /// Size of a sector of the simulated flash.
 pub(crate) const FLASH_SECTOR_BYTES: u32 = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
 
-/// A new incarnation of the core that this board belongs to.
+/// Creates a new incarnation of this board's core.
 #[must_use]
 pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
-    // A reset ends the core but not this process: a few boards are leaked.
+    // A reset ends the core but not this process, so each incarnation leaks one board.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match board.identity().core {
         CoreId::CONTROL => {
@@ -84,7 +84,7 @@ fn tick(seen: &mut Observation, tick: &mut WorldTick) {
 }
 
 impl Drive {
-    /// Both systems are switched on and a vehicle waits in the named scenario.
+    /// Powers both systems on; a vehicle waits in the named scenario.
     ///
     /// # Panics
     /// If there is no embedded scenario of this name.
@@ -94,7 +94,7 @@ impl Drive {
         Self::with(scenario, seed, move |board| poller(board, config))
     }
 
-    /// As [`Drive::new`], with cores that `core` makes: one for each incarnation.
+    /// As [`Drive::new`]; `core` creates each incarnation of a core.
     ///
     /// # Panics
     /// If there is no embedded scenario of this name.
@@ -127,14 +127,14 @@ impl Drive {
         }
     }
 
-    /// Drives for `span` more, and keeps what the cores traced.
+    /// Drives for another `span`, and keeps the trace of the cores.
     ///
     /// # Panics
-    /// If the cores trace more than the machine keeps for a second.
+    /// If the cores trace more in one second than the machine keeps.
     pub fn run_for(&mut self, span: Duration) {
         let until = self.pair.now() + span;
         while self.pair.now() < until {
-            // In steps, so that the trace does not run over.
+            // Run in steps of at most 1 s, so that the trace does not overflow.
             let step = until.since(self.pair.now());
             self.pair.run_for(step.min(Duration::from_ms(1000)));
             let (entries, lost) = self.pair.take_trace();
@@ -151,10 +151,10 @@ impl Drive {
         }
     }
 
-    /// All takeovers, as the report has them.
+    /// Returns all takeovers, as the report lists them.
     ///
     /// # Panics
-    /// If one of them was from a master that had not failed.
+    /// If a system took over from a master that had not failed.
     #[must_use]
     pub fn takeovers(&self) -> Vec<Takeover> {
         let takeovers = takeovers(&self.seen.borrow().log);
@@ -163,7 +163,7 @@ impl Drive {
         takeovers
     }
 
-    /// The largest time between two accepted control frames.
+    /// Returns the largest time between two accepted control frames.
     #[must_use]
     pub fn gap_max(&self) -> Duration {
         let seen = self.seen.borrow();
@@ -171,7 +171,7 @@ impl Drive {
         Duration::from_ns(seen.log.mastership().gap_max_ns(last_ns))
     }
 
-    /// The content of a system's data flash.
+    /// Returns the state in a system's data flash.
     ///
     /// # Panics
     /// If it holds no valid record.
@@ -183,34 +183,34 @@ impl Drive {
         }
     }
 
-    /// The gaps beyond the bounds of their causes, of a board whose timers are never late.
+    /// Returns the gaps longer than their causes permit on a board whose timers are never late.
     #[must_use]
     pub fn gaps_beyond(&self) -> Vec<Gap> {
-        // The vehicle hears what was on the bus once a millisecond.
+        // The vehicle receives frames once a millisecond.
         let bounds = Bounds::new(Limits::RT, Duration::from_ms(1), Duration::ZERO);
         gaps(&self.seen.borrow().log, &self.takeovers(), &bounds, &[])
     }
 
-    /// Time in which both systems transmitted as master, whether the vehicle obeyed them or not,
-    /// ms.
+    /// Returns the time in which both systems transmitted as master, whether the vehicle obeyed
+    /// them or not, ms.
     #[must_use]
     pub fn both_transmitted_ms(&self) -> f64 {
         both_transmitted_ms(&self.seen.borrow().log)
     }
 
-    /// Time in which both systems drove, ns.
+    /// Returns the time in which both systems drove, ns.
     #[must_use]
     pub fn two_masters_ns(&self) -> u64 {
         self.seen.borrow().log.mastership().two_masters_ns()
     }
 
-    /// Systems in the order in which they drove, without repetition.
+    /// Returns the systems in the order in which they drove, without repetition.
     #[must_use]
     pub fn masters(&self) -> Vec<SystemId> {
         self.seen.borrow().log.masters()
     }
 
-    /// How often the vehicle has hit another.
+    /// Returns how many times the vehicle has hit another one.
     #[must_use]
     pub fn collisions(&self) -> u32 {
         self.seen.borrow().world.metrics().collisions

@@ -1,6 +1,6 @@
-//! Both systems and a vehicle in virtual time, and the sequences of faults that they suffer.
+//! Both systems and a vehicle in virtual time, and sequences of faults applied to them.
 //!
-//! Core 0, its state store and the vehicle's gate are the real ones. Cores 1 and 2 only count
+//! Core 0, its state store and the vehicle's gate are the real software. Cores 1 and 2 only count
 //! cycles, or drive a vehicle ([`Around::ClosedLoop`]). Wires, bus, flash, supplies and clocks are
 //! those of the simulated board.
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! The world outside the systems: a gate alone, or a whole vehicle in its lane.
+//! The world outside the systems: a gate without a vehicle, or a whole vehicle in its lane.
 
 use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, VehicleBus as _};
@@ -7,25 +7,25 @@ use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
 use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
-/// Ends core 1 of each system that hears it. No frame of the DBC.
+/// Ends core 1 of each system that receives it. It is not a frame of the DBC.
 pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
 
-/// The scenario of the closed loop: the leader begins to brake to a stop after three seconds. The
-/// road is straight for as long as a sequence lasts.
+/// The scenario of the closed loop: after three seconds the leader brakes to a stop. The road is
+/// straight for the length of any sequence.
 const SCENARIO: &str = "stop-and-go";
 
-/// The world outside the systems, and what it received from them.
+/// The world outside the systems, and the frames that it received from them.
 pub struct OutsideVehicle {
     outside: Outside,
-    /// Control frames that acted.
+    /// Control frames that the gate accepted.
     pub accepted: Vec<Acceptance>,
-    /// Control frames of an old term.
+    /// Control frames of an old term, which the gate refused.
     pub fenced: Vec<Acceptance>,
-    /// A system that is not master has sent a control frame.
+    /// A system that is not master sent a control frame.
     pub(crate) chatters: bool,
-    /// The shortest time, s, in which the vehicle would have reached the place of the one in front.
+    /// The shortest headway so far: gap to the vehicle in front divided by speed, s.
     pub(crate) headway_s: f64,
-    /// The last frame that acted.
+    /// The last accepted control frame.
     last: Option<CanFrame>,
     ticks: u64,
     pub(crate) silent: bool,
@@ -34,7 +34,7 @@ pub struct OutsideVehicle {
     frames: Option<Vec<LoggedFrame>>,
 }
 
-/// The receiver of the control frames, and the sender of what the systems need.
+/// The receiver of the control frames, which also sends the frames that the systems need.
 enum Outside {
     Gate(Box<Alone>),
     World(Box<World>),
@@ -49,8 +49,8 @@ struct Alone {
 }
 
 impl OutsideVehicle {
-    /// In a lane of the embedded scenario if `moves`, else a gate alone. `keeps_frames`:
-    /// whether each frame is kept.
+    /// Creates a vehicle in a lane of the embedded scenario if `moves`, otherwise only a gate.
+    /// `keeps_frames`: whether to keep each frame.
     pub(crate) fn new(moves: bool, keeps_frames: bool) -> Self {
         static LOADED: OnceLock<Scenario> = OnceLock::new();
         let outside = if moves {
@@ -78,7 +78,7 @@ impl OutsideVehicle {
         }
     }
 
-    /// The vehicle with its traffic; `None` if there is a gate alone.
+    /// Returns the vehicle with its traffic; `None` if there is only a gate.
     #[must_use]
     pub fn world(&self) -> Option<&World> {
         match &self.outside {
@@ -87,7 +87,7 @@ impl OutsideVehicle {
         }
     }
 
-    /// Whether the last frame that acted stops the vehicle, because its sender has a fault.
+    /// Whether the last accepted frame stops the vehicle because its sender has a fault.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         let message = self.last.and_then(|frame| match frame.id() {
@@ -100,12 +100,12 @@ impl OutsideVehicle {
         control.mode == ModeCode::SafeStop
     }
 
-    /// Every frame so far, if the cores' events are kept.
+    /// Returns every frame so far, if they are kept.
     pub(crate) fn frames(&self) -> Vec<LoggedFrame> {
         self.frames.clone().unwrap_or_default()
     }
 
-    /// One millisecond: what was on the bus is judged, then what the vehicle sends is sent.
+    /// Runs one millisecond: judges the received frames, then sends the vehicle's frames.
     pub(crate) fn tick(&mut self, tick: &mut WorldTick) {
         for on_bus in &tick.heard {
             let (at, frame) = (on_bus.at, on_bus.frame);
@@ -187,7 +187,7 @@ fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
     CanFrame::new(id, true, data).expect("a frame of at most 64 bytes")
 }
 
-/// A control frame as it is, but for the steering angle. No receiver can tell.
+/// Returns the same control frame with another steering angle. No receiver can detect the change.
 pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
     let CanId::Standard(id) = frame.id() else {
         return *frame;
@@ -199,7 +199,7 @@ pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
     else {
         return *frame;
     };
-    // Plausible for the gate: it does not jump.
+    // A small change is plausible for the gate.
     control.steering_angle += 0.001;
     let encoded = FrameTransmitter::new().encode(&Message::Control { system, control });
     let mut data = encoded.data().to_vec();

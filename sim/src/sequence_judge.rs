@@ -1,4 +1,4 @@
-//! The judge of a simulated sequence: the rules of every campaign, and those for which only the
+//! The judge of a simulated sequence: the rules of every campaign, and rules for which only the
 //! simulator has evidence.
 
 use crate::bench::{Bench, SequenceState};
@@ -17,15 +17,15 @@ use tandem_vehicle::gate::Acceptance;
 pub struct Tried {
     /// The longest time without control, from the first fault until everything is restored.
     pub gap: Duration,
-    /// How often the driver changed.
+    /// How many times the driving system changed.
     pub changes: usize,
-    /// Systems that suspended themselves.
+    /// Number of systems that suspended themselves.
     pub suspended: usize,
-    /// Virtual time of the whole run, with its start and the time to settle.
+    /// Virtual time of the whole run, including the start and the time to settle.
     pub simulated: Duration,
-    /// Every frame on the bus and every event of a system, as one number.
+    /// A digest of every frame on the bus and every event of a system.
     pub digest: u64,
-    /// The states that the faults hit.
+    /// Each kind of fault that was applied, with the state of the system that it hit.
     pub covered: Vec<(Kind, SequenceState)>,
     /// The rules that were broken.
     pub violations: Vec<Rule>,
@@ -42,12 +42,12 @@ impl fmt::Display for Tried {
     }
 }
 
-/// Programs of the flash that one fault explains, in each system.
+/// How many writes to the flash of one system are plausible for one fault.
 const PROGRAMS_OF_A_FAULT: usize = 12;
 
 impl Bench {
-    /// Judges a run whose faults began at `begin`, and in which everything was restored at
-    /// `restored`. `bound`: the longest permitted gap in between.
+    /// Judges a run whose faults began at `begin` and whose last fault was restored at `restored`.
+    /// `bound`: the longest permitted gap between these times.
     #[must_use]
     pub fn judge(
         &self,
@@ -102,7 +102,7 @@ impl Bench {
         }
     }
 
-    /// The rule that the end of the run breaks, long after everything was restored.
+    /// Returns the rule that the end of the run violates, long after everything was restored.
     fn judge_end(&self) -> Option<Rule> {
         let now = self.pair.now();
         let from = Instant::from_ns(now.as_ns().saturating_sub(STEADY.as_ns()));
@@ -128,7 +128,7 @@ impl Bench {
             .iter()
             .rev()
             .take_while(|frame| frame.at_ns >= from.as_ns());
-        // One handover is no violation: a system with a fault gives way when the hold-down is over.
+        // One handover is permitted: a system with a fault hands over when the hold-down has ended.
         let frames: Vec<&Acceptance> = since.collect();
         let changed = frames.chunk_by(|a, b| a.system == b.system).count() > 2;
         let fenced = vehicle
@@ -143,7 +143,7 @@ impl Bench {
         }
     }
 
-    /// The newest record in the flash of a system, and the number of used slots.
+    /// Returns the newest record in the flash of a system, and the number of used slots.
     fn record_of(&self, system: SystemId) -> (Loaded, usize) {
         let bytes = self.pair.flash(system);
         let loaded = newest_record(&bytes);
@@ -153,10 +153,10 @@ impl Bench {
     }
 }
 
-/// For this long at the end a system must have driven without a pause.
+/// One system must have driven for this long at the end, without a pause.
 const STEADY: Duration = Duration::from_ms(200);
 
-/// The longest time without a control frame that acted, within these times.
+/// Returns the longest time without an accepted control frame between these times.
 fn longest_gap(accepted: &[Acceptance], from: Instant, until: Instant) -> Duration {
     let (from_ns, until_ns) = (from.as_ns(), until.as_ns());
     let before = accepted.iter().rev().find(|frame| frame.at_ns <= from_ns);

@@ -1,15 +1,14 @@
-//! Cores in virtual time. On core 0 the more urgent task pre-empts; a cycle of core 1 or 2 runs to
-//! its end.
+//! Cores in virtual time. On core 0 a more urgent task pre-empts a less urgent one; a cycle of core
+//! 1 or 2 is never interrupted.
 //!
-//! Core 0 has an executor over the task table, as FreeRTOS schedules it: fixed priorities, a tick
-//! of 1 ms, a doorbell whose interrupts keep their distance. The body of a job runs when the job
-//! gets the processor for the first time, and what it sends leaves when the job ends. So a job uses
-//! the oldest inputs and gives the latest outputs that its execution permits. Locks cost nothing.
+//! Core 0 has an executor over the task table that schedules as FreeRTOS does: fixed priorities, a
+//! tick of 1 ms, a doorbell whose interrupts have a minimum distance. The body of a job runs when
+//! the job first gets the processor, and its messages leave when the job ends. So a job uses the
+//! oldest inputs and produces the latest outputs that its execution permits. Locks take no time.
 //!
-//! Cores 1 and 2 have no kernel. What a cycle publishes is in shared memory, where others see it at
-//! once; so its body runs when its execution ends. Core 1 takes its frames when the cycle begins.
-//! Core 2 reads the scene when its execution ends: it is the same one, because scenes are further
-//! apart than planning takes.
+//! Cores 1 and 2 have no kernel. Other cores see at once what a cycle writes to shared memory, so
+//! its body runs when its execution ends. Core 1 takes its frames when the cycle begins. Core 2
+//! reads the scene at the end: it is still the same, as planning ends before the next scene.
 
 use crate::timing::{DOORBELL, TICK, Time};
 use std::cell::{Cell, RefCell};
@@ -34,7 +33,7 @@ struct Flow {
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     doorbell: DoorbellThrottle,
-    /// The body that runs has reported the begin of a job.
+    /// The running body has reported the begin of a job.
     has_begun: Cell<bool>,
 }
 
@@ -60,7 +59,7 @@ impl Executor<'static, SimBoard> for Flow {
         trace_in(self.board, task.info().code, begin);
     }
 
-    /// The job ends when its execution is over.
+    /// Does nothing: the job ends when its execution time has passed.
     fn ends(&self, _: Core0Task) {}
 }
 
@@ -75,11 +74,11 @@ fn trace_out(board: &SimBoard, task: TaskCode, leaves: Leaves) {
 /// The scheduler's state of a task.
 #[derive(Clone, Copy)]
 struct State {
-    /// When it is released next.
+    /// The time of its next release.
     due: Instant,
-    /// It has been released, and its job has not begun.
+    /// It was released, and its job has not begun.
     ready: bool,
-    /// The rest of its job, ns.
+    /// The remaining execution time of its job, ns.
     left_ns: Option<u64>,
 }
 
@@ -89,14 +88,14 @@ struct TimedCore0 {
     tasks: Tasks<'static, SimBoard>,
     ticks: TickGrid,
     states: [State; TASKS],
-    /// The rest of the handlers of interrupts, ns.
+    /// The remaining execution time of the interrupt handlers, ns.
     handlers_ns: u64,
     running: Option<Core0Task>,
     last: Instant,
     next_tick: Instant,
 }
 
-/// Core 0 of this board, whose jobs take `time`.
+/// Creates core 0 of this board, whose jobs take `time`.
 #[must_use]
 pub fn core_0(board: &'static SimBoard, config: Config, time: Time) -> Poller {
     let Parts {
@@ -151,7 +150,7 @@ impl TimedCore0 {
         self.next(now)
     }
 
-    /// Gives the time since the last call to the handlers, then to the job that runs.
+    /// Subtracts the time since the last call from the handlers, then from the running job.
     fn spend(&mut self, now: Instant) {
         let passed_ns = now.since(core::mem::replace(&mut self.last, now)).as_ns();
         let handled_ns = passed_ns.min(self.handlers_ns);
@@ -173,7 +172,7 @@ impl TimedCore0 {
         trace_out(self.flow.board, task.info().code, Leaves::Done);
     }
 
-    /// The tick and the doorbell.
+    /// Processes the tick and the doorbell.
     fn interrupts(&mut self, now: Instant) {
         let (board, time) = (self.flow.board, self.time);
         let draw = |limit| board.draw_below(limit);
@@ -200,7 +199,7 @@ impl TimedCore0 {
         self.ticks.origin + Duration::from_ns(number * self.ticks.period.as_ns())
     }
 
-    /// Gives the processor to the most urgent task that has something to do.
+    /// Runs the most urgent task that is ready or has a job.
     fn dispatch(&mut self, now: Instant) {
         if self.handlers_ns > 0 {
             return;
@@ -254,7 +253,7 @@ impl TimedCore0 {
         }
     }
 
-    /// The tick at which the kernel wakes a task for its deadline: as in `tandem-runtime`.
+    /// Returns the tick at which the kernel wakes a task for its deadline, as in `tandem-runtime`.
     fn wakes(&self, task: Core0Task, deadline: Instant, now: Instant) -> Instant {
         if deadline == Instant::NEVER {
             return deadline;
@@ -267,7 +266,7 @@ impl TimedCore0 {
         self.tick(number)
     }
 
-    /// When something happens next.
+    /// Returns the time of the next event.
     fn next(&self, now: Instant) -> Instant {
         let mut next = self.next_tick.min(self.flow.doorbell.due().max(now));
         let left_ns = self
@@ -286,7 +285,7 @@ impl TimedCore0 {
     }
 }
 
-/// Core 1 of this board, whose cycles take `time`.
+/// Creates core 1 of this board, whose cycles take `time`.
 #[must_use]
 pub fn core_1(board: &'static SimBoard, time: Time) -> Poller {
     let mut core = Core1::new(board);
@@ -297,7 +296,7 @@ pub fn core_1(board: &'static SimBoard, time: Time) -> Poller {
     })
 }
 
-/// Core 2 of this board, whose cycles take `time`. Core 1's signal releases them.
+/// Creates core 2 of this board, whose cycles take `time`. A signal of core 1 releases each cycle.
 #[must_use]
 pub fn core_2(board: &'static SimBoard, time: Time) -> Poller {
     let mut core = Core2::new(board);
@@ -306,7 +305,7 @@ pub fn core_2(board: &'static SimBoard, time: Time) -> Poller {
         let was_busy = job.ends.is_some();
         let ends = job.ends(|| board.is_interrupted());
         match (was_busy, ends) {
-            // The body traces the same job once more, when it runs.
+            // The body traces the same job again when it runs.
             (false, Some(_)) => trace_in(board, TaskCode::PLANNING, Begin::Goes),
             (true, None) => trace_out(board, TaskCode::PLANNING, Leaves::Blocked),
             _ => {}
@@ -315,7 +314,7 @@ pub fn core_2(board: &'static SimBoard, time: Time) -> Poller {
     })
 }
 
-/// The job of a core without a kernel. Nothing interrupts it.
+/// A job of a core without a kernel. It is not interrupted.
 struct Job {
     board: &'static SimBoard,
     time: Time,
@@ -334,8 +333,8 @@ impl Job {
         }
     }
 
-    /// When the execution of the job ends; `None` if it has, or there is none. `begins`: whether a
-    /// job begins now.
+    /// Returns when the execution of the job ends; `None` if it has ended or there is no job.
+    /// `begins` returns whether a job begins now.
     fn ends(&mut self, begins: impl FnOnce() -> bool) -> Option<Instant> {
         let now = self.board.now();
         let ends = self.ends.or_else(|| {

@@ -4,26 +4,26 @@ use tandem_board::{Duration, SystemId};
 use tandem_board_sim::{BitRates, Bits, WireTimes};
 use tandem_cores::task_table::TaskCode;
 
-/// How long things take.
+/// How long jobs, wires and frames take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Time {
-    /// Nothing takes time: core 0 polls in no time, the bus and the lines deliver at once.
+    /// Nothing takes time: core 0 polls in no time; bus and lines deliver at once.
     #[default]
     Ideal,
-    /// Jobs take a quarter to the whole of the 99th percentile that was measured; the mode lies in
-    /// the middle. Connections are those of a sound vehicle.
+    /// Jobs take between a quarter and the whole of the measured 99th percentile, most often 5/8 of
+    /// it. Connections have the times of a sound vehicle.
     Typical,
-    /// Each job takes the longest time that was measured; connections are at their limits.
+    /// Each job takes the longest measured time; connections are at their limits.
     Worst,
 }
 
-/// What was measured of a task or a handler, ns: 99th percentile and maximum.
+/// A pair of figures, typical and worst. Of a task or handler: measured p99 and maximum, ns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured(u64, u64);
 
 /// Executions on the host: the columns "p99" and "max" of the table of response times in
-/// `docs/rtos-tasks.md`. The maxima are 2 to 20 times the percentiles, which also covers a
-/// processor that is slower than the host's by that factor.
+/// `docs/rtos-tasks.md`. The maxima are 2 to 20 times the percentiles, so they also cover a
+/// processor that is slower than the host by that factor.
 const CORE_0: [(TaskCode, Measured); 6] = [
     (TaskCode::ROLES, Measured(9_000, 169_700)),
     (TaskCode::MONITORING, Measured(2_700, 63_300)),
@@ -32,49 +32,49 @@ const CORE_0: [(TaskCode, Measured); 6] = [
     (TaskCode::TRAJECTORY_INPUT, Measured(30_700, 38_500)),
     (TaskCode::STATUS, Measured(4_400, 11_300)),
 ];
-/// Executions of cores 1 and 2. Percentiles are those of the host, release build: `tandem run` of
-/// `cut-in` and `stop-and-go`, 30 s each, SCHED_FIFO, cores pinned to two CPUs; the worst of both
-/// systems and runs. Medians are 21 to 32 µs and 90 to 112 µs, maxima 222 and 387 µs. The maxima
-/// here are those of the firmware: `tandem run --board qemu` of the same, 20 s each. An instruction
-/// takes 1 ns there, and riscv32imac computes floating point in software; medians are 1.6 to 1.8 ms
-/// and 9.0 to 11.2 ms, 99th percentiles 2.2 and 13.8 ms. All are from before both were made faster:
-/// then the firmware's medians are 1.2 to 1.4 ms and 3.9 to 4.4 ms, its maxima 1.8 and 9.9 ms.
+/// Executions of cores 1 and 2. Percentiles were measured on the host, release build: `tandem run`
+/// of `cut-in` and `stop-and-go`, 30 s each, SCHED_FIFO, cores pinned to two CPUs; worst of both
+/// systems and runs. Medians were 21 to 32 µs and 90 to 112 µs, maxima 222 and 387 µs. The maxima
+/// here are of the firmware: `tandem run --board qemu`, same scenarios, 20 s each. An instruction
+/// takes 1 ns there, and riscv32imac computes floating point in software; medians were 1.6 to 1.8
+/// and 9.0 to 11.2 ms, p99 2.2 and 13.8 ms. Both programs were made faster later: the firmware's
+/// medians are now 1.2 to 1.4 ms and 3.9 to 4.4 ms, its maxima 1.8 and 9.9 ms.
 const CORES_1_AND_2: [(TaskCode, Measured); 2] = [
     (TaskCode::PERCEPTION, Measured(117_200, 2_322_900)),
     (TaskCode::PLANNING, Measured(202_000, 14_645_200)),
 ];
-/// Handlers, with the entry of an interrupt and a switch of 0.6 µs each, from the same table.
+/// Handlers, from the same table. Includes 0.6 µs each for the interrupt's entry and a switch.
 pub(crate) const TICK: Measured = Measured(2_700, 32_400);
 pub(crate) const DOORBELL: Measured = Measured(9_600, 30_100);
-/// Responses of the roles and of control, from the same table.
+/// Response times of the tasks for roles and for control, from the same table.
 const RESPONSE_OF_ROLES: Measured = Measured(55_000, 313_000);
 const RESPONSE_OF_CONTROL: Measured = Measured(119_000, 709_000);
 
-/// A line between the systems: an isolator and the edge filter of the input; assumed.
+/// A line between the systems, with an isolator and the edge filter of the input; assumed.
 const LINE: Measured = Measured(1_000, 10_000);
-/// 16 words on a link of 10 Mbit/s, and of 3 Mbit/s; assumed.
+/// 16 words on a link, at 10 Mbit/s and at 3 Mbit/s; assumed.
 const LINK: Measured = Measured(51_200, 170_700);
-/// Wrong bits of a billion: 3.1e-9 in a factory, 2.6e-7 two metres from a welder (Ferreira,
+/// Wrong bits per 10^9: 3.1e-9 per bit in a factory, 2.6e-7 two metres from a welder (Ferreira,
 /// Oliveira, Fonseca, Fonseca: An experiment to assess bit error rate in CAN, 2004).
 const WRONG_BITS: Measured = Measured(3, 260);
-/// How much a crystal is wrong at most, parts per billion: at 25 °C, and from -40 to 125 °C.
+/// The largest error of a crystal, parts per billion: at 25 °C, and from -40 to 125 °C.
 const DRIFT: Measured = Measured(20_000, 100_000);
-/// The longest frame of the bus: 64 bytes, with a stuff bit after each four bits.
+/// The longest frame of the bus: 64 bytes, with a stuff bit after every four bits.
 const LONGEST_FRAME: Bits = Bits {
     nominal: 30,
     data: 679,
 };
-/// The echo of the gate and a control frame have 16 bytes at most.
+/// The longest echo of the gate or control frame: 16 bytes.
 const SHORT_FRAME: Bits = Bits {
     nominal: 30,
     data: 189,
 };
 
 impl Time {
-    /// All.
+    /// All settings.
     pub const ALL: [Self; 3] = [Self::Ideal, Self::Typical, Self::Worst];
 
-    /// Its name on a command line.
+    /// Returns the setting's name on a command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -84,17 +84,17 @@ impl Time {
         }
     }
 
-    /// The time of one job. `draw` returns a number below its argument.
+    /// Returns the time of one job. `draw` returns a random number below its argument.
     pub(crate) fn of(self, Measured(p99, max): Measured, mut draw: impl FnMut(u64) -> u64) -> u64 {
         match self {
             Self::Ideal => 0,
-            // The sum of two even draws has its mode in the middle.
+            // The sum of two uniform random numbers has its mode in the middle.
             Self::Typical => p99 / 4 + draw(p99 * 3 / 8 + 1) + draw(p99 * 3 / 8 + 1),
             Self::Worst => max,
         }
     }
 
-    /// The execution of a job of this task, ns.
+    /// Returns the execution time of a job of this task, ns.
     pub(crate) fn execution(self, task: TaskCode, draw: impl FnMut(u64) -> u64) -> u64 {
         let mut measured = CORE_0.iter().chain(&CORES_1_AND_2);
         let measured = measured.find(|(code, _)| *code == task);
@@ -109,7 +109,7 @@ impl Time {
         }
     }
 
-    /// The connections.
+    /// Returns the times of the connections.
     #[must_use]
     pub fn wires(self) -> WireTimes {
         WireTimes {
@@ -120,8 +120,8 @@ impl Time {
         }
     }
 
-    /// How much faster the clock of a system runs than virtual time, parts per billion: A's and B's
-    /// differ in sign.
+    /// Returns how much faster the clock of a system runs than virtual time, parts per billion. B's
+    /// drift is the negative of A's.
     #[must_use]
     pub const fn drift_ppb(self, of: SystemId) -> i32 {
         let drift = self.pick(DRIFT) as i32;
@@ -131,10 +131,10 @@ impl Time {
         }
     }
 
-    /// What the bounds of `docs/redundancy.md` lack: they are times between polls and frames that
-    /// take no time. From a fault to the first frame of the successor on the bus, that is the
-    /// roles' response, that of control, an edge on a line, and two frames on the bus, the echo and
-    /// the control frame. Each may find the longest frame before it, and be destroyed once.
+    /// Returns the time to add to the bounds of `docs/redundancy.md`, which assume that polls and
+    /// frames take no time. It covers the first frame of the successor after a fault: the response
+    /// times of the roles and of control, an edge on a line, and two frames, the echo and the
+    /// control frame. Each may wait for the longest frame, and be destroyed once.
     #[must_use]
     pub fn allowance(self) -> Duration {
         if self == Self::Ideal {

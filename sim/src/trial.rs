@@ -7,12 +7,12 @@ use tandem_board::{RoleLamp, SystemId};
 use tandem_faults::Sequence;
 use tandem_record::verdict::Rule;
 
-/// Each sequence whose number this divides is watched for the whole time within which a system must
-/// drive, even if master and standby are there earlier.
+/// A sequence whose number is a multiple of this runs for the whole time within which a system must
+/// drive, even if master and standby are stable earlier.
 const HEALS_WHOLLY: u64 = 16;
 
 impl Profile {
-    /// Runs a sequence. `keeps_events`: whether the events of the cores are kept.
+    /// Runs a sequence. `keeps_events`: whether to keep the events of the cores.
     #[must_use]
     pub fn run(self, sequence: &Sequence, keeps_events: bool) -> (Tried, Bench) {
         let mut bench = if sequence.from_power_on {
@@ -35,8 +35,8 @@ impl Profile {
             !SystemId::ALL.iter().any(stands_by)
         };
         if trial.suspended == 0 && is_alone(&bench) {
-            // A long hold-down may have let the other start only now, to stand by or to suspend
-            // itself.
+            // After a long hold-down the other system may have started only now. It may still
+            // become standby or suspend itself.
             bench.pair.run_for(bench.settles_within());
             if bench.suspended() == 0 && is_alone(&bench) {
                 trial.violations.push(Rule::NoStandby);
@@ -48,7 +48,7 @@ impl Profile {
         (trial, bench)
     }
 
-    /// The same sequence with as few faults as still break this rule.
+    /// Removes faults from a sequence until each one left is needed to violate this rule.
     #[must_use]
     pub fn shrunk(self, sequence: &Sequence, rule: Rule) -> Sequence {
         let mut least = sequence.clone();
@@ -63,7 +63,7 @@ impl Profile {
         least
     }
 
-    /// Runs a sequence; a panic is a violation.
+    /// Runs a sequence. A panic counts as a violation.
     #[must_use]
     pub fn try_run(self, sequence: &Sequence) -> Tried {
         let run = AssertUnwindSafe(|| self.run(sequence, false).0);
