@@ -49,7 +49,7 @@ pub enum LoaderUpdate {
     Staged,
     /// The backup is complete. Next: write the new bootloader to the primary bank, not sealed.
     Installing,
-    /// The primary bank holds the new bootloader, not sealed. The backup boots and starts the new.
+    /// The primary bank holds the new bootloader, not sealed. The backup boots and starts it.
     Trial,
     /// The new bootloader was started. If the backup boots again, the new one has failed.
     TrialExecuted,

@@ -41,7 +41,7 @@ pub struct Setup<'k> {
 enum Entry {
     /// Never: the loader boots.
     Never,
-    /// Until this moment; then the loader boots.
+    /// Until this time; then the loader boots.
     Until(Instant),
     /// At any time: nothing can boot.
     Always,

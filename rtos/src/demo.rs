@@ -36,7 +36,7 @@ impl Output {
     }
 }
 
-/// A task of a test, from the tick `wake` to the test's end: calls `change` when its output
+/// Runs a test's task from the tick `wake` to the test's end. Calls `change` when its output
 /// changes.
 pub fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl Fn()) {
     for _ in 0..output.rounds() {

@@ -52,7 +52,7 @@ pub mod riscv32 {
     pub use crate::sys::after_reset;
 }
 
-/// The time-out passed before the wait was over.
+/// The time-out passed before the wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the time-out has passed")]
 pub struct TimedOut;

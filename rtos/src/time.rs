@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(Ticks(2).since(Ticks(u32::MAX)), Ticks(3));
     }
 
-    /// A task that is delayed between two reads of the time does not wait for a passed point.
+    /// A task that is delayed between two reads of the time does not wait for a past point.
     #[test]
     fn a_point_that_has_passed_is_not_waited_for() {
         for due in [0, 7, u32::MAX] {

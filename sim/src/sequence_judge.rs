@@ -15,7 +15,7 @@ use tandem_vehicle::gate::Acceptance;
 /// The outcome of one sequence.
 #[derive(Clone, Debug, Default)]
 pub struct Tried {
-    /// The longest time without control, from the first fault until everything is restored.
+    /// The longest time without an accepted control frame, from the first fault to restoring all.
     pub gap: Duration,
     /// How many times the driving system changed.
     pub changes: usize,

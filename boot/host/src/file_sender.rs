@@ -17,7 +17,7 @@ const MAX_ATTEMPTS: u32 = 16;
 pub enum ToDo {
     /// Send this frame, then call again.
     Send(CanFrame),
-    /// Wait for an answer until this moment.
+    /// Wait for an answer until this time.
     Wait(Instant),
     /// The loader has accepted the file and puts it on trial.
     Done,

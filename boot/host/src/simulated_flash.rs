@@ -167,7 +167,7 @@ impl SimulatedFlash {
         (self.erased_bytes, self.programmed_pages)
     }
 
-    /// Returns the offsets of pages that were programmed although not erased, or weak.
+    /// Returns the offsets of pages that were programmed while not erased or weak.
     #[must_use]
     pub fn overwrites(&self) -> &[u32] {
         &self.overwrites

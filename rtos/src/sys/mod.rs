@@ -28,7 +28,7 @@ pub(crate) fn release() {
     TAKEN.store(false, Ordering::Release);
 }
 
-/// Records an event of a task, whose kind is a number of `FreeRTOSConfig.h`.
+/// Records an event of a task. `FreeRTOSConfig.h` numbers the kinds.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_trace(kind: u32, task: u32) {
     let kind = match kind {

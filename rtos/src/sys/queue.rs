@@ -24,7 +24,7 @@ const BACK: ffi::Base = 0;
 pub(crate) struct Raw {
     block: UnsafeCell<[usize; ffi::QUEUE_WORDS]>,
     life: Life,
-    /// Keeps alive the set that this is a member of: the kernel points to it.
+    /// The set that contains this. It is kept alive because the kernel points to it.
     set: UnsafeCell<Option<Arc<Members>>>,
 }
 

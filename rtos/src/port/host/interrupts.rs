@@ -42,8 +42,8 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// Address of the context to which the last handler that ended with signals unblocked returns. The
-/// handler's variables are below it, and those of the interrupted code above.
+/// Address of a context: the last handler that ended with signals unblocked returns to it. The
+/// handler's variables are below this address, and those of the interrupted code above.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
 /// If a stack pointer is less than this many bytes below [`LEAVING`], the interrupted code may be
 /// the end of that handler.

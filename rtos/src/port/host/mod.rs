@@ -39,9 +39,9 @@ const THREAD_STACK_BYTES: usize = 64 << 10;
 /// Runs the scheduler on a separate thread, until all tasks have returned or one stops it;
 /// `none_left` returns whether all have returned.
 ///
-/// An abandoned task may have lent a thread-local of that thread to another thread, until a call
-/// returns that will never return. Therefore the thread never ends after a stop, and its
-/// thread-locals stay.
+/// An abandoned task may have lent a thread-local of that thread to another thread. The loan ends
+/// when the lending call returns, which it never does. Therefore the thread never ends after a
+/// stop, and its thread-locals are never dropped.
 pub(crate) fn start(clock: TickSource, none_left: fn() -> bool) -> Result<(), StartError> {
     #[cfg(target_env = "gnu")]
     malloc::keep();

@@ -15,10 +15,10 @@ const TICK: u32 = 63;
 /// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. Both are in
 /// one word, so that a thread that sets the bit knows to which core it belongs.
 static CORE: AtomicU64 = AtomicU64::new(0);
-/// A signal to that thread is under way, or has arrived while `PENDING` was not yet read.
+/// A signal to that thread is under way, or `PENDING` was not read since it arrived.
 const SIGNALLED: u64 = 1 << 32;
 
-/// The signal has arrived and `PENDING` was not yet read. Used only by the core's thread.
+/// The signal arrived, and `PENDING` was not read since. Used only by the core's thread.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
 /// The signal for interrupts of other threads.
@@ -143,7 +143,7 @@ fn set_up(handler: Action) -> Result<(), i32> {
     Ok(())
 }
 
-/// Ends the core on this thread. The handler stays and ignores signals still under way.
+/// Ends the core on this thread. The handler remains set and ignores signals still under way.
 pub(super) fn end() {
     // Release pairs with the Acquire of a raising thread: the core has finished everything before.
     CORE.store(0, Ordering::Release);
