@@ -6,6 +6,7 @@ use rustix::process::Signal;
 
 use crate::deaths::{POWER, RESIGNS, SILENT, UNHEARD, dual_master};
 use crate::fixture::{Fixture, Run, kill, send, sound, takeovers};
+use crate::observers::disturb;
 
 /// A longer stall of the machine makes a sound master fall silent: docs/redundancy.md, profile rt.
 const TOLERATED_STALL_MS: f64 = 5.0;
@@ -19,10 +20,15 @@ struct Drive {
     signs: &'static [&'static str],
 }
 
-const DRIVES: [Drive; 6] = [
+const DRIVES: [Drive; 7] = [
     Drive {
         name: "no fault",
         fault: |_, _| (),
+        signs: &[],
+    },
+    Drive {
+        name: "observers freeze and die",
+        fault: |run, _| disturb(run),
         signs: &[],
     },
     Drive {

@@ -76,6 +76,20 @@ fn observes_until_it_is_killed() {
     }
 }
 
+/// Freezes one observer, kills another, and stops the publisher, for a second and a half.
+pub(crate) fn disturb(run: &Run) {
+    let mut both = [observing(run), observing(run)];
+    until_driven_for(run, 1.0);
+    send(both[0].id() as i32, Signal::STOP);
+    kill(both[1].id() as i32);
+    send(publisher_of(run).expect("a publisher"), Signal::STOP);
+    std::thread::sleep(Duration::from_millis(1_500));
+    for observer in &mut both {
+        let _ = observer.kill();
+        observer.wait().unwrap();
+    }
+}
+
 /// Whether the newest news tells of a system that drives, another that stands by, and living cores.
 fn sees_both(observer: &Observer) -> Option<()> {
     let mut both = false;
