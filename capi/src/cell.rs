@@ -3,6 +3,8 @@
 //! All unsafe code that follows a pointer from C is here. The numbers in the `SAFETY` comments are
 //! those of the caller's contract at the head of the crate.
 
+#![deny(unsafe_op_in_unsafe_fn)]
+
 use crate::status::{TandemStatus, status};
 use core::mem::MaybeUninit;
 use core::sync::atomic::AtomicU32;

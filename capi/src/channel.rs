@@ -137,8 +137,7 @@ where
     O::Inner: From<E>,
 {
     let made = |words, _| Ok(end(words, shape(slots, slot_words)?)?.into());
-    // SAFETY: the caller's contract is passed on.
-    unsafe { map::attach(object, map, region, made) }
+    map::attach(object, map, region, made)
 }
 
 /// Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
@@ -160,8 +159,7 @@ pub unsafe extern "C" fn tandem_fifo_producer_attach(
     slot_words: usize,
 ) -> TandemStatus {
     let place = (map, region, slots, slot_words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(producer, place, bare::fifo_producer::<()>) }
+    attach(producer, place, bare::fifo_producer::<()>)
 }
 
 /// Lends the next slot, to be filled in place; its words hold an old value. Nothing is sent before
@@ -173,14 +171,11 @@ pub unsafe extern "C" fn tandem_fifo_loan(
     producer: *mut TandemFifoProducer,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(producer, words, |producer| {
-            let slot = producer.end.loan()?.words().as_slice();
-            producer.lent = true;
-            Ok(slot)
-        })
-    }
+    cell::lend(producer, words, |producer| {
+        let slot = producer.end.loan()?.words().as_slice();
+        producer.lent = true;
+        Ok(slot)
+    })
 }
 
 /// Sends the value in the slot that was lent. Does not block. Ring the receiver's doorbell, or
@@ -189,13 +184,10 @@ pub unsafe extern "C" fn tandem_fifo_loan(
 /// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(producer, |producer| {
-            // The same slot as was lent: only sending moves to the next.
-            Ok(producer.take_back()?.loan().map(Loan::send)?)
-        })
-    }
+    cell::with(producer, |producer| {
+        // The same slot as was lent: only sending moves to the next.
+        Ok(producer.take_back()?.loan().map(Loan::send)?)
+    })
 }
 
 /// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
@@ -209,8 +201,7 @@ pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     slot_words: usize,
 ) -> TandemStatus {
     let place = (map, region, slots, slot_words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(consumer, place, bare::fifo_consumer::<()>) }
+    attach(consumer, place, bare::fifo_consumer::<()>)
 }
 
 /// The next value, to be read in place; it stays the next one until `tandem_fifo_release`.
@@ -222,14 +213,11 @@ pub unsafe extern "C" fn tandem_fifo_receive(
     consumer: *mut TandemFifoConsumer,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(consumer, words, |consumer| {
-            let slot = consumer.end.item().ok_or(S::Empty)?.words().as_slice();
-            consumer.lent = true;
-            Ok(slot)
-        })
-    }
+    cell::lend(consumer, words, |consumer| {
+        let slot = consumer.end.item().ok_or(S::Empty)?.words().as_slice();
+        consumer.lent = true;
+        Ok(slot)
+    })
 }
 
 /// Frees the slot of the value that was received, for the producer. Does not block.
@@ -237,13 +225,10 @@ pub unsafe extern "C" fn tandem_fifo_receive(
 /// `TANDEM_STATUS_NOTHING_TO_END` if none was received.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(consumer, |consumer| {
-            let item = consumer.take_back()?.item();
-            item.map(Incoming::release).ok_or(S::Empty)
-        })
-    }
+    cell::with(consumer, |consumer| {
+        let item = consumer.take_back()?.item();
+        item.map(Incoming::release).ok_or(S::Empty)
+    })
 }
 
 /// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
@@ -264,8 +249,7 @@ pub unsafe extern "C" fn tandem_newest_writer_attach(
     slot_words: usize,
 ) -> TandemStatus {
     let place = (map, region, slots, slot_words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(writer, place, bare::newest_writer::<()>) }
+    attach(writer, place, bare::newest_writer::<()>)
 }
 
 /// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
@@ -275,13 +259,10 @@ pub unsafe extern "C" fn tandem_newest_loan(
     writer: *mut TandemNewestWriter,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(writer, words, |writer| {
-            writer.lent = true;
-            Ok(writer.end.loan().words().as_slice())
-        })
-    }
+    cell::lend(writer, words, |writer| {
+        writer.lent = true;
+        Ok(writer.end.loan().words().as_slice())
+    })
 }
 
 /// Publishes the value in the slot that was lent. Does not block.
@@ -289,8 +270,7 @@ pub unsafe extern "C" fn tandem_newest_loan(
 /// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_publish(writer: *mut TandemNewestWriter) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(writer, publish) }
+    cell::with(writer, publish)
 }
 
 fn publish(writer: &mut End<Writer<'static>>) -> Result<(), S> {
@@ -309,8 +289,7 @@ pub unsafe extern "C" fn tandem_newest_reader_attach(
     slot_words: usize,
 ) -> TandemStatus {
     let place = (map, region, slots, slot_words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(reader, place, bare::newest_reader::<()>) }
+    attach(reader, place, bare::newest_reader::<()>)
 }
 
 /// The newest value, to be read in place. What is read counts only if `tandem_newest_finish`
@@ -323,13 +302,10 @@ pub unsafe extern "C" fn tandem_newest_view(
     reader: *mut TandemNewestReader,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(reader, words, |reading| {
-            let view = reading.reader.view()?;
-            Ok(reading.view.insert(view).words().as_slice())
-        })
-    }
+    cell::lend(reader, words, |reading| {
+        let view = reading.reader.view()?;
+        Ok(reading.view.insert(view).words().as_slice())
+    })
 }
 
 /// Whether all that was read through the last view was one value; its number, counted over all
@@ -341,13 +317,10 @@ pub unsafe extern "C" fn tandem_newest_finish(
     reader: *mut TandemNewestReader,
     number: *mut u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(reader, |reading| {
-            let stamp = reading.view.take().ok_or(S::NothingToEnd)?.finish()?;
-            cell::write_if_wanted(number, stamp.0)
-        })
-    }
+    cell::with(reader, |reading| {
+        let stamp = reading.view.take().ok_or(S::NothingToEnd)?.finish()?;
+        cell::write_if_wanted(number, stamp.0)
+    })
 }
 
 /// Copies the newest value to `into`, as many words as both have, and its number to `number` (may
@@ -364,18 +337,15 @@ pub unsafe extern "C" fn tandem_newest_read(
     count: usize,
     number: *mut u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(reader, |reading| {
-            let into = cell::words_mut(into, count)?;
-            let (stamp, ()) = reading.reader.read_by(|words| {
-                into.iter_mut()
-                    .zip(words.iter())
-                    .for_each(|(to, word)| *to = word);
-            })?;
-            cell::write_if_wanted(number, stamp.0)
-        })
-    }
+    cell::with(reader, |reading| {
+        let into = cell::words_mut(into, count)?;
+        let (stamp, ()) = reading.reader.read_by(|words| {
+            into.iter_mut()
+                .zip(words.iter())
+                .for_each(|(to, word)| *to = word);
+        })?;
+        cell::write_if_wanted(number, stamp.0)
+    })
 }
 
 /// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
@@ -396,8 +366,7 @@ pub unsafe extern "C" fn tandem_broadcast_sender_attach(
     slot_words: usize,
 ) -> TandemStatus {
     let place = (map, region, slots, slot_words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(sender, place, bare::broadcast_writer::<()>) }
+    attach(sender, place, bare::broadcast_writer::<()>)
 }
 
 /// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
@@ -407,13 +376,10 @@ pub unsafe extern "C" fn tandem_broadcast_loan(
     sender: *mut TandemBroadcastSender,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(sender, words, |sender| {
-            sender.lent = true;
-            Ok(sender.end.loan().words().as_slice())
-        })
-    }
+    cell::lend(sender, words, |sender| {
+        sender.lent = true;
+        Ok(sender.end.loan().words().as_slice())
+    })
 }
 
 /// Sends the value in the slot that was lent. Does not block.
@@ -421,8 +387,7 @@ pub unsafe extern "C" fn tandem_broadcast_loan(
 /// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_send(sender: *mut TandemBroadcastSender) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(sender, publish) }
+    cell::with(sender, publish)
 }
 
 /// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
@@ -440,8 +405,7 @@ pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
         let end = bare::broadcast_receiver::<()>(words, shape)?;
         Ok(if oldest == 0 { end } else { end.from_oldest() })
     };
-    // SAFETY: the caller's contract is passed on.
-    unsafe { attach(receiver, (map, region, slots, slot_words), end) }
+    attach(receiver, (map, region, slots, slot_words), end)
 }
 
 /// Writes how many values are lost.
@@ -467,16 +431,13 @@ pub unsafe extern "C" fn tandem_broadcast_receive(
     words: *mut TandemWords,
     lost: *mut u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::lend(receiver, words, |receiver| {
-            receiver.lent = false;
-            let found = receiver.end.item().map_err(|error| overrun(lost, error))?;
-            let slot = found.ok_or(S::Empty)?.words().as_slice();
-            receiver.lent = true;
-            Ok(slot)
-        })
-    }
+    cell::lend(receiver, words, |receiver| {
+        receiver.lent = false;
+        let found = receiver.end.item().map_err(|error| overrun(lost, error))?;
+        let slot = found.ok_or(S::Empty)?.words().as_slice();
+        receiver.lent = true;
+        Ok(slot)
+    })
 }
 
 /// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
@@ -490,17 +451,14 @@ pub unsafe extern "C" fn tandem_broadcast_finish(
     number: *mut u32,
     lost: *mut u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(receiver, |receiver| {
-            // The same value again, or it was overwritten.
-            let finished = match receiver.take_back()?.item() {
-                Ok(Some(item)) => item.finish(),
-                Ok(None) => return Err(S::NothingToEnd),
-                Err(error) => Err(error),
-            };
-            let stamp = finished.map_err(|error| overrun(lost, error))?;
-            cell::write_if_wanted(number, stamp.0)
-        })
-    }
+    cell::with(receiver, |receiver| {
+        // The same value again, or it was overwritten.
+        let finished = match receiver.take_back()?.item() {
+            Ok(Some(item)) => item.finish(),
+            Ok(None) => return Err(S::NothingToEnd),
+            Err(error) => Err(error),
+        };
+        let stamp = finished.map_err(|error| overrun(lost, error))?;
+        cell::write_if_wanted(number, stamp.0)
+    })
 }

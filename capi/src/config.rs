@@ -128,20 +128,17 @@ impl TandemConfig {
 /// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_chip(config: *mut TandemConfig) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::write(config, Config::chip().into()) })
+    status(|| cell::write(config, Config::chip().into()))
 }
 
 /// The profile for firmware: systems whose timers are late by far less than a millisecond.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::write(config, Config::rt().into()) })
+    status(|| cell::write(config, Config::rt().into()))
 }
 
 /// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_check(config: *const TandemConfig) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::read(config) }?.checked().map(drop))
+    status(|| cell::read(config)?.checked().map(drop))
 }

@@ -16,13 +16,19 @@
 //!
 //! # The caller's contract
 //!
-//! It is the safety section of every function; `SAFETY` comments name its numbers.
+//! It is the safety section of every function, which passes it on to what it calls; `SAFETY`
+//! comments name its numbers.
 //!
 //! 1. A pointer is null or points to memory of its type that stays where it is.
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is
 //!    used.
 //! 3. One object is used by one context of one core at a time.
 #![no_std]
+#![allow(
+    unsafe_op_in_unsafe_fn,
+    reason = "each function passes its caller's contract on; in `cell`, which follows the pointers, \
+              each unsafe step has a block"
+)]
 #![allow(
     clippy::missing_safety_doc,
     reason = "the contract is the same for all functions, and stands above and in the header once"

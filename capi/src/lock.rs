@@ -42,14 +42,11 @@ pub unsafe extern "C" fn tandem_lock_attach(
     core: u32,
     generation: u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(lock, map, region, |words, incarnations| {
-            let incarnation = map::incarnation(core, generation)?;
-            let lock = bare::lock(words, incarnation, incarnations)?;
-            Ok(End { lock, held: None })
-        })
-    }
+    map::attach(lock, map, region, |words, incarnations| {
+        let incarnation = map::incarnation(core, generation)?;
+        let lock = bare::lock(words, incarnation, incarnations)?;
+        Ok(End { lock, held: None })
+    })
 }
 
 /// Takes the lock, after at most `looks` polls of it (at least 1). `relax` waits between two polls;
@@ -79,8 +76,7 @@ pub unsafe extern "C" fn tandem_lock_acquire(
                 .map_err(|_| S::TimedOut)
         }
     };
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::occupy(lock, take) }?)
+    status(|| cell::occupy(lock, take)?)
 }
 
 fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S {
@@ -95,16 +91,13 @@ fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S 
 /// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if another core holds it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(lock, |end| {
-            if end.held.is_some() {
-                return Err(S::Busy);
-            }
-            let acquired = end.lock.try_lock().ok_or(S::Busy)?;
-            Ok(keep(&mut end.held, acquired))
-        })
-    }
+    cell::with(lock, |end| {
+        if end.held.is_some() {
+            return Err(S::Busy);
+        }
+        let acquired = end.lock.try_lock().ok_or(S::Busy)?;
+        Ok(keep(&mut end.held, acquired))
+    })
 }
 
 /// Gives the lock back. Any context; does not block.
@@ -112,6 +105,5 @@ pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> Tande
 /// `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_release(lock: *mut TandemLock) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(lock, |end| end.held.take().map(drop).ok_or(S::NothingToEnd)) }
+    cell::with(lock, |end| end.held.take().map(drop).ok_or(S::NothingToEnd))
 }

@@ -66,12 +66,9 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     map: *const TandemMap,
     region: usize,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(sender, map, region, |words, _| {
-            Ok(bare::mailbox_sender(words)?)
-        })
-    }
+    map::attach(sender, map, region, |words, _| {
+        Ok(bare::mailbox_sender(words)?)
+    })
 }
 
 /// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
@@ -84,8 +81,7 @@ pub unsafe extern "C" fn tandem_mailbox_signal(
     sender: *mut TandemMailboxSender,
     task: u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(sender, |sender| Ok(sender.signal(task_id(task)?))) }
+    cell::with(sender, |sender| Ok(sender.signal(task_id(task)?)))
 }
 
 /// Signals a task and passes it a value; of several values it gets the newest. Otherwise as
@@ -96,12 +92,9 @@ pub unsafe extern "C" fn tandem_mailbox_signal_with(
     task: u32,
     value: u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(sender, |sender| {
-            Ok(sender.signal_with(task_id(task)?, value))
-        })
-    }
+    cell::with(sender, |sender| {
+        Ok(sender.signal_with(task_id(task)?, value))
+    })
 }
 
 impl From<Ring> for S {
@@ -117,8 +110,7 @@ impl From<Ring> for S {
 /// does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    let sender = unsafe { cell::get(sender) };
+    let sender = cell::get(sender);
     match (sender, task_id(task)) {
         (Ok(sender), Ok(task)) => sender.open(task),
         _ => 0,
@@ -138,16 +130,13 @@ pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
         run: None,
         context: core::ptr::null_mut(),
     };
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(receiver, map, region, |words, _| {
-            Ok(Table {
-                receiver: bare::mailbox_receiver(words)?,
-                tasks: [NONE; TANDEM_MAX_TASK as usize + 1],
-                unknown: 0,
-            })
+    map::attach(receiver, map, region, |words, _| {
+        Ok(Table {
+            receiver: bare::mailbox_receiver(words)?,
+            tasks: [NONE; TANDEM_MAX_TASK as usize + 1],
+            unknown: 0,
         })
-    }
+    })
 }
 
 /// Gives task `task` (1 ..= 15) a handler, which is called with `context`. Task; does not block.
@@ -164,20 +153,17 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
     run: TandemTask,
     context: *mut c_void,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(receiver, |table| {
-            let entry = &mut table.tasks[task_id(task)?.index()];
-            match (run, entry.run) {
-                (None, _) => Err(S::BadPointer),
-                (_, Some(_)) => Err(S::Taken),
-                _ => {
-                    *entry = Entry { run, context };
-                    Ok(())
-                }
+    cell::with(receiver, |table| {
+        let entry = &mut table.tasks[task_id(task)?.index()];
+        match (run, entry.run) {
+            (None, _) => Err(S::BadPointer),
+            (_, Some(_)) => Err(S::Taken),
+            _ => {
+                *entry = Entry { run, context };
+                Ok(())
             }
-        })
-    }
+        }
+    })
 }
 
 /// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
@@ -210,8 +196,7 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
         })
     };
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let count = unsafe { cell::occupy(receiver, poll) }?;
+        let count = cell::occupy(receiver, poll)?;
         // SAFETY: 1 of the caller's contract.
         unsafe { cell::write_if_wanted(signals, count) }?;
         if count == 0 { Err(S::Empty) } else { Ok(S::Ok) }
@@ -221,8 +206,7 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
 /// How many signals named a task without a handler; they count as handled. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxReceiver) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(receiver) }.map_or(0, |table| table.unknown)
+    cell::get(receiver).map_or(0, |table| table.unknown)
 }
 
 /// Announces that this core is going to sleep: from now on signals need the doorbell. Disable
@@ -234,13 +218,10 @@ pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxRece
 pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     receiver: *mut TandemMailboxReceiver,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(receiver, |table| match table.receiver.prepare_sleep() {
-            true => Ok(()),
-            false => Err(S::DoNotSleep),
-        })
-    }
+    cell::with(receiver, |table| match table.receiver.prepare_sleep() {
+        true => Ok(()),
+        false => Err(S::DoNotSleep),
+    })
 }
 
 /// Announces that this core is awake: signals need no doorbell. Does not block.
@@ -248,6 +229,5 @@ pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
 pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::get(receiver) }.map(|table| table.receiver.awake()))
+    status(|| cell::get(receiver).map(|table| table.receiver.awake()))
 }

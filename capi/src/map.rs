@@ -131,8 +131,7 @@ pub unsafe extern "C" fn tandem_map_format(
     bytes: usize,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let (regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let (regions, words) = parts(layout, base, bytes)?;
         let (object, map) = (map, Map::format(words, regions.layout)?);
         // SAFETY: 1 and 3 of the caller's contract.
         unsafe { cell::put(object, Attached { map, regions }) }
@@ -154,8 +153,7 @@ pub unsafe extern "C" fn tandem_map_attach(
     bytes: usize,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let (regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let (regions, words) = parts(layout, base, bytes)?;
         let (object, map) = (map, Map::attach(words, regions.layout)?);
         // SAFETY: 1 and 3 of the caller's contract.
         unsafe { cell::put(object, Attached { map, regions }) }
@@ -225,8 +223,7 @@ pub(crate) unsafe fn attach<O: Opaque>(
     index: usize,
     end: impl FnOnce(&'static [AtomicU32], Incarnations<'static>) -> Result<O::Inner, S>,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::put(object, end(region(map, index)?, incarnations(map)?)?) })
+    status(|| cell::put(object, end(region(map, index)?, incarnations(map)?)?))
 }
 
 /// The incarnation table.
@@ -252,8 +249,7 @@ pub unsafe extern "C" fn tandem_map_region(
     index: usize,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::write(words, TandemWords::of(region(map, index)?)) })
+    status(|| cell::write(words, TandemWords::of(region(map, index)?)))
 }
 
 /// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
@@ -269,8 +265,7 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
     generation: u32,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let announced = unsafe { incarnations(map) }?.announce(incarnation(core, generation)?);
+        let announced = incarnations(map)?.announce(incarnation(core, generation)?);
         announced.map_err(|_| S::Outdated)
     })
 }
@@ -285,21 +280,19 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     core: u32,
     generation: u32,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        match unsafe { incarnations(map) }?.mark_dead(incarnation(core, generation)?) {
+    status(
+        || match incarnations(map)?.mark_dead(incarnation(core, generation)?) {
             true => Ok(()),
             false => Err(S::Outdated),
-        }
-    })
+        },
+    )
 }
 
 /// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or an
 /// argument is not valid. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_current(map: *const TandemMap, core: u32) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    let incarnations = unsafe { incarnations(map) };
+    let incarnations = incarnations(map);
     match (incarnations, core as usize) {
         (Ok(incarnations), core) if core < TANDEM_CORES => incarnations
             .current(core)

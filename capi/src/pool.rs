@@ -84,16 +84,13 @@ pub unsafe extern "C" fn tandem_pool_attach(
     core: u32,
     generation: u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        map::attach(pool, map, region, |words, incarnations| {
-            if tandem_pool_words(blocks) == 0 {
-                return Err(S::OutOfRange);
-            }
-            let incarnation = map::incarnation(core, generation)?;
-            Ok(bare::pool(words, blocks, incarnation, incarnations)?)
-        })
-    }
+    map::attach(pool, map, region, |words, incarnations| {
+        if tandem_pool_words(blocks) == 0 {
+            return Err(S::OutOfRange);
+        }
+        let incarnation = map::incarnation(core, generation)?;
+        Ok(bare::pool(words, blocks, incarnation, incarnations)?)
+    })
 }
 
 /// Borrows `count` words; they hold what an earlier owner left. Any context; does not block.
@@ -106,14 +103,11 @@ pub unsafe extern "C" fn tandem_pool_get(
     count: usize,
     handle: *mut TandemHandle,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(pool, |pool| {
-            cell::writable(handle)?;
-            let words = pool.get(count)?.to_words();
-            cell::write(handle, TandemHandle { words })
-        })
-    }
+    cell::with(pool, |pool| {
+        cell::writable(handle)?;
+        let words = pool.get(count)?.to_words();
+        cell::write(handle, TandemHandle { words })
+    })
 }
 
 /// The words that a handle names, if this incarnation owns them; it owns them until they are given
@@ -127,8 +121,7 @@ pub unsafe extern "C" fn tandem_pool_open(
     words: *mut TandemWords,
 ) -> TandemStatus {
     let handle = Handle::from_words(handle.words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::lend(pool, words, |pool| Ok(pool.open(handle)?)) }
+    cell::lend(pool, words, |pool| Ok(pool.open(handle)?))
 }
 
 /// Gives words back. Any context; does not block.
@@ -141,8 +134,7 @@ pub unsafe extern "C" fn tandem_pool_give_back(
     handle: TandemHandle,
 ) -> TandemStatus {
     let handle = Handle::from_words(handle.words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::with(pool, |pool| Ok(pool.give_back(handle)?)) }
+    cell::with(pool, |pool| Ok(pool.give_back(handle)?))
 }
 
 /// Makes core `to` the owner. What this core wrote is visible to it when it opens the same handle;
@@ -156,28 +148,23 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
     to: u32,
 ) -> TandemStatus {
     let handle = Handle::from_words(handle.words);
-    // SAFETY: the caller's contract is passed on.
-    unsafe {
-        cell::with(pool, |pool| {
-            if to as usize >= TANDEM_CORES {
-                return Err(S::OutOfRange);
-            }
-            Ok(pool.hand_over(handle, to as usize)?)
-        })
-    }
+    cell::with(pool, |pool| {
+        if to as usize >= TANDEM_CORES {
+            return Err(S::OutOfRange);
+        }
+        Ok(pool.hand_over(handle, to as usize)?)
+    })
 }
 
 /// Frees what incarnations that are not alive own, and returns how many words that were.
 /// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_reclaim_dead(pool: *mut TandemPool) -> usize {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(pool) }.map_or(0, |pool| pool.reclaim_dead())
+    cell::get(pool).map_or(0, |pool| pool.reclaim_dead())
 }
 
 /// How many words are free, in whole blocks, at some moment during the call. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_free_words(pool: *mut TandemPool) -> usize {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(pool) }.map_or(0, |pool| pool.free_words())
+    cell::get(pool).map_or(0, |pool| pool.free_words())
 }

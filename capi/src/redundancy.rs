@@ -283,8 +283,7 @@ pub unsafe extern "C" fn tandem_redundancy_init(
     now_ns: u64,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let (config, loaded) = unsafe { (cell::read(config)?, cell::read(loaded)?) };
+        let (config, loaded) = (cell::read(config)?, cell::read(loaded)?);
         let cause = match cause {
             TANDEM_CAUSE_POWER_ON => ResetCause::PowerOn,
             TANDEM_CAUSE_SOFTWARE => ResetCause::Software,
@@ -317,8 +316,7 @@ unsafe fn pass(
     status(|| {
         let input = input()?;
         cell::writable(actions)?;
-        // SAFETY: the caller's contract is passed on.
-        let answer = unsafe { cell::get(machine) }?.on(Instant::from_ns(now_ns), input);
+        let answer = cell::get(machine)?.on(Instant::from_ns(now_ns), input);
         // SAFETY: 1 of the caller's contract.
         unsafe { cell::write(actions, answer.into()) }
     })
@@ -335,8 +333,7 @@ unsafe fn pass_read<C: Copy>(
     from: *const C,
     input: impl FnOnce(C) -> Result<Input, S>,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass(machine, now_ns, actions, || input(cell::read(from)?)) }
+    pass(machine, now_ns, actions, || input(cell::read(from)?))
 }
 
 /// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
@@ -358,8 +355,7 @@ pub unsafe extern "C" fn tandem_redundancy_poll(
             can_frames: seen.can_frames,
         }))
     };
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass_read(machine, now_ns, actions, snapshot, input) }
+    pass_read(machine, now_ns, actions, snapshot, input)
 }
 
 /// A control frame was received on CAN. Any context; does not block.
@@ -371,8 +367,7 @@ pub unsafe extern "C" fn tandem_redundancy_control_frame(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = |frame: TandemControlFrame| Ok(Input::ControlFrame(frame.checked()?));
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass_read(machine, now_ns, actions, frame, input) }
+    pass_read(machine, now_ns, actions, frame, input)
 }
 
 /// A status frame of the other system was received on CAN. Any context; does not block.
@@ -384,8 +379,7 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = |report: TandemReport| Ok(Input::StatusFrame(report.checked()?));
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass_read(machine, now_ns, actions, report, input) }
+    pass_read(machine, now_ns, actions, report, input)
 }
 
 /// A datagram of the other system arrived over the link: `words` of `count` words. Any context;
@@ -404,12 +398,10 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = || {
-        // SAFETY: the caller's contract is passed on.
-        let report = LinkReport::from_words(unsafe { cell::words(words, count) }?);
+        let report = LinkReport::from_words(cell::words(words, count)?);
         Ok(Input::LinkReport(report.ok_or(S::Invalid)?))
     };
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass(machine, now_ns, actions, input) }
+    pass(machine, now_ns, actions, input)
 }
 
 /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
@@ -423,8 +415,7 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = |frame: TandemControlFrame| Ok(Input::StaleFrame(frame.checked()?));
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass_read(machine, now_ns, actions, frame, input) }
+    pass_read(machine, now_ns, actions, frame, input)
 }
 
 /// The vehicle reported which term it obeys: that of the last control frame that it accepted,
@@ -447,8 +438,7 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
         age: Duration::from_ns(age_ns),
         sent: has_time.then_some((sent_ms as u8, Duration::from_ns(on_the_way_ns))),
     });
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass(machine, now_ns, actions, || Ok(input)) }
+    pass(machine, now_ns, actions, || Ok(input))
 }
 
 /// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
@@ -461,8 +451,7 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
     actions: *mut TandemActions,
 ) -> TandemStatus {
     let input = || Ok(Input::OwnFault(failure_mode(failure)?));
-    // SAFETY: the caller's contract is passed on.
-    unsafe { pass(machine, now_ns, actions, input) }
+    pass(machine, now_ns, actions, input)
 }
 
 /// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
@@ -473,29 +462,25 @@ pub unsafe extern "C" fn tandem_redundancy_may_transmit(
     now_ns: u64,
 ) -> u32 {
     let now = Instant::from_ns(now_ns);
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }.map_or(0, |machine| machine.may_transmit(now).into())
+    cell::get(machine).map_or(0, |machine| machine.may_transmit(now).into())
 }
 
 /// The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }.map_or(TANDEM_ROLE_STARTING, |machine| machine.role() as u32)
+    cell::get(machine).map_or(TANDEM_ROLE_STARTING, |machine| machine.role() as u32)
 }
 
 /// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }.map_or(TANDEM_MODE_NONE, |machine| machine.mode() as u32)
+    cell::get(machine).map_or(TANDEM_MODE_NONE, |machine| machine.mode() as u32)
 }
 
 /// The term for control frames; meaningful while the system drives. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(machine) }.map_or(0, |machine| machine.term().bits())
+    cell::get(machine).map_or(0, |machine| machine.term().bits())
 }
 
 /// What to report to the other system now: the datagram for the link goes to `words`
@@ -512,11 +497,8 @@ pub unsafe extern "C" fn tandem_redundancy_report(
     report: *mut TandemReport,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let said = cell::get(machine)?.link_report(Instant::from_ns(now_ns));
-            cell::write_if_wanted(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
-            cell::write_if_wanted(report, said.report.into())
-        }
+        let said = cell::get(machine)?.link_report(Instant::from_ns(now_ns));
+        cell::write_if_wanted(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
+        cell::write_if_wanted(report, said.report.into())
     })
 }

@@ -211,8 +211,7 @@ pub unsafe extern "C" fn tandem_state_factory(
     state: *mut TandemState,
     system: u32,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::write(state, TandemState::factory(system_id(system)?)) })
+    status(|| cell::write(state, TandemState::factory(system_id(system)?)))
 }
 
 /// Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
@@ -259,11 +258,8 @@ pub unsafe extern "C" fn tandem_store_load(
             Loaded::Lost => (TANDEM_LOADED_LOST, blank),
         };
         let state = state.into();
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            cell::write(loaded, TandemLoaded { kind, state })?;
-            cell::put(store, found)
-        }
+        cell::write(loaded, TandemLoaded { kind, state })?;
+        cell::put(store, found)
     })
 }
 
@@ -274,8 +270,7 @@ pub unsafe extern "C" fn tandem_store_request(
     state: *const TandemState,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let (store, state) = unsafe { (cell::get(store)?, cell::read(state)?) };
+        let (store, state) = (cell::get(store)?, cell::read(state)?);
         state.checked().map(|state| store.request(state))
     })
 }
@@ -302,8 +297,7 @@ pub unsafe extern "C" fn tandem_store_poll(
             offset: 0,
             data: [0; TANDEM_RECORD_BYTES],
         };
-        // SAFETY: the caller's contract is passed on.
-        match unsafe { cell::get(store) }?.poll(flash) {
+        match cell::get(store)?.poll(flash) {
             None => {}
             Some(FlashOp::Erase { sector }) => {
                 next.kind = TANDEM_FLASH_ERASE;
@@ -323,13 +317,11 @@ pub unsafe extern "C" fn tandem_store_poll(
 /// The operation of the last poll was not started; the next poll returns it again. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::get(store) }.map(StateStore::refused))
+    status(|| cell::get(store).map(StateStore::refused))
 }
 
 /// 1 if all that was requested is durable, or never will be; else 0. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_is_settled(store: *mut TandemStore) -> u32 {
-    // SAFETY: the caller's contract is passed on.
-    unsafe { cell::get(store) }.map_or(0, |store| store.is_settled().into())
+    cell::get(store).map_or(0, |store| store.is_settled().into())
 }
