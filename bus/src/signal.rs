@@ -228,6 +228,74 @@ impl<T: ValueTable> Field for T {
     }
 }
 
+/// The enums of the DBC's value tables; the first value is the default.
+macro_rules! value_tables {
+    ($($(#[$doc:meta])* $name:ident[$count:literal] {
+        $first:ident = $first_raw:literal $(, $value:ident = $raw:literal)*
+    })+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub enum $name {
+            #[doc = concat!("Coded as ", $first_raw, ".")]
+            #[default]
+            $first = $first_raw,
+            $(#[doc = concat!("Coded as ", $raw, ".")] $value = $raw,)*
+        }
+
+        impl $name {
+            /// Every value, in the order of the DBC.
+            pub const ALL: [Self; $count] = [Self::$first $(, Self::$value)*];
+        }
+
+        impl $crate::signal::ValueTable for $name {
+            const VALUES: &'static [Self] = &Self::ALL;
+
+            fn raw(self) -> u8 {
+                self as u8
+            }
+        }
+    )+};
+}
+pub(crate) use value_tables;
+
+/// The structs of the DBC's messages, each with its ids, its signals and the walk over them. A
+/// signal has a name, a first bit, bits, a range of raw values, and the physical value of one step.
+macro_rules! layouts {
+    ($($(#[$doc:meta])* $name:ident $ids:tt {$(
+        $(#[$about:meta])*
+        $field:ident: $type:ident = $signal:ident($($place:expr),+ $(; $step:literal)?),
+    )+})+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct $name {
+            $($(#[$about])* pub $field: $type,)+
+        }
+
+        impl $name {
+            layouts!(@ids $ids);
+            $(pub(crate) const $signal: Signal = Signal::new($($place),+)$(.in_steps_of($step))?;)+
+
+            fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
+                $(walk.field(&Self::$signal, &mut self.$field)?;)+
+                Ok(())
+            }
+        }
+    )+};
+    (@ids [$id:literal]) => {
+        /// Id of the frame.
+        pub const ID: u16 = $id;
+        layouts!(@all [$id]);
+    };
+    (@ids $ids:tt) => {
+        layouts!(@all $ids);
+    };
+    (@all $ids:tt) => {
+        /// Ids of the frames with this layout, in the order of the DBC.
+        pub const IDS: [u16; $ids.len()] = $ids;
+    };
+}
+pub(crate) use layouts;
+
 /// An operation on each signal of a frame in turn.
 pub(crate) trait Walk {
     /// A signal that is a field of the message.

@@ -61,11 +61,9 @@ fn one_more_message_needs_only_the_dbc() -> Result<()> {
     let code = formatted(&generated(&text)?)?;
     let frames = tandem_bus::FRAMES.len();
     for line in [
-        "pub enum RainCode {",
-        "pub struct Weather {",
-        "    pub rain: RainCode,",
-        "    pub outside_temperature: f32,",
-        "        walk.field(&Self::RAIN, &mut self.rain)?;",
+        "    RainCode[2] { Dry = 0, Wet = 1 }",
+        "    Weather[0x320] {",
+        "        rain: RainCode = RAIN(\"Rain\", 24, 2, 0..=3),",
         "    /// The weather.\n    Weather(Weather),",
         &format!("            Self::Weather(_) => {frames},"),
         "            0x320 => Self::Weather(Weather::default()),",
@@ -103,13 +101,15 @@ fn generated(text: &str) -> Result<String> {
     let mut out =
         "//! Enums, structs, messages and frames of `dbc/tandem.dbc`. Made by `cargo xtask \
                    dbc`: not to be edited.\n\nuse crate::signal::{FrameError, FrameInfo, Signal, \
-                   ValueTable, Walk};\n\n"
+                   Walk, layouts, value_tables};\n\n"
             .to_owned();
     write_sensors(&dbc, &sensors, &mut out)?;
     write_value_tables(&dbc, &mut out)?;
+    out += "layouts! {\n";
     for layout in &layouts {
         write_layout(&dbc, layout, &mut out)?;
     }
+    out += "}\n\n";
     write_messages(&dbc, &layouts, &sensors, &mut out)?;
     write_frames(&dbc, &mut out)?;
     Ok(out)
@@ -305,42 +305,19 @@ fn write_value_tables(dbc: &Dbc, out: &mut String) -> Result<()> {
             }
         }
     }
+    *out += "value_tables! {\n";
     for (signal, table) in tables {
-        let name = code_name(signal);
-        let mut variants = String::new();
-        let mut all = String::new();
-        for (index, ValDescription { id, description }) in table.iter().enumerate() {
-            let default = if index == 0 { "#[default] " } else { "" };
-            writeln!(
-                variants,
-                "    /// Coded as {id}.\n    {default}{description} = {id},"
-            )?;
-            write!(all, "Self::{description}, ")?;
-        }
-        let count = table.len();
-        write!(
+        let values = table
+            .iter()
+            .map(|ValDescription { id, description }| format!("{description} = {id}"));
+        let values: Vec<String> = values.collect();
+        let (name, count, values) = (code_name(signal), table.len(), values.join(", "));
+        writeln!(
             out,
-            r"/// Values of the signal `{signal}`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum {name} {{
-{variants}}}
-
-impl {name} {{
-    /// Every value, in the order of the DBC.
-    pub const ALL: [Self; {count}] = [{all}];
-}}
-
-impl ValueTable for {name} {{
-    const VALUES: &'static [Self] = &Self::ALL;
-
-    fn raw(self) -> u8 {{
-        self as u8
-    }}
-}}
-
-"
+            "    /// Values of the signal `{signal}`.\n    {name}[{count}] {{ {values} }}"
         )?;
     }
+    *out += "}\n\n";
     Ok(())
 }
 
@@ -358,50 +335,26 @@ fn write_layout(dbc: &Dbc, layout: &Layout<'_>, out: &mut String) -> Result<()> 
         .filter(|signal| !PROTECTION.contains(&&*signal.name) && signal.name != SYSTEM)
         .map(|signal| Field::of(dbc, message, signal))
         .collect::<Result<_>>()?;
-    let lines = |line: &dyn Fn(&Field) -> String| -> String {
-        fields.iter().map(|field| line(field) + "\n").collect()
-    };
-    let comment = comment(dbc, message).map(|comment| format!("/// {comment}.\n///\n"));
+    let comment = comment(dbc, message).map(|comment| format!("    /// {comment}.\n    ///\n"));
+    let comment = comment.unwrap_or_default();
     let names: Vec<String> = messages.iter().map(|m| format!("`{}`", m.name)).collect();
-    let ids: Vec<String> = messages
-        .iter()
-        .map(|m| standard_id(m))
-        .collect::<Result<_>>()?;
-    let only_id = match ids.as_slice() {
-        [id] => format!("    /// Id of the frame.\n    pub const ID: u16 = {id};\n"),
-        _ => String::new(),
-    };
-    write!(
+    let names = names.join(", ");
+    let ids: Result<Vec<String>> = messages.iter().map(|m| standard_id(m)).collect();
+    let ids = ids?.join(", ");
+    writeln!(
         out,
-        r"{comment}/// Layout of {names}.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct {name} {{
-{members}}}
-
-impl {name} {{
-    /// Ids of the frames with this layout, in the order of the DBC.
-    pub const IDS: [u16; {count}] = [{ids}];
-{only_id}
-{signals}
-    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {{
-{steps}        Ok(())
-    }}
-}}
-
-",
-        comment = comment.unwrap_or_default(),
-        names = names.join(", "),
-        members = lines(&|field| {
-            let (doc, name) = (&field.doc, &field.name);
-            format!("    /// {doc}\n    pub {name}: {},", field.rust)
-        }),
-        count = ids.len(),
-        ids = ids.join(", "),
-        signals = signal_consts(message)?,
-        steps = lines(&|Field { signal, name, .. }| {
-            format!("        walk.field(&Self::{signal}, &mut self.{name})?;")
-        }),
+        "{comment}    /// Layout of {names}.\n    {name}[{ids}] {{"
     )?;
+    for Field {
+        name,
+        doc,
+        rust,
+        signal,
+    } in &fields
+    {
+        writeln!(out, "        /// {doc}\n        {name}: {rust} = {signal},")?;
+    }
+    *out += "    }\n";
     Ok(())
 }
 
@@ -471,10 +424,13 @@ fn write_messages(
         let sender = if layout.has_system() { "system" } else { "_" };
         let pattern = layout.pattern(sender, &snake(name));
         let walk = format!("{}.walk(walk)", snake(name));
-        let walk = if layout.has_system() {
-            format!("{{ walk.implied(&{name}::SYSTEM, *system)?; {walk} }}")
-        } else {
-            walk
+        let implied = messages[0].signals.iter().find(|it| it.name == SYSTEM);
+        let walk = match implied {
+            Some(signal) => {
+                let place = signal_place(messages[0], signal)?;
+                format!("{{ walk.implied(&const {{ Signal::new({place}) }}, *system)?; {walk} }}")
+            }
+            None => walk,
         };
         writeln!(walks, "            Self::{pattern} => {walk},")?;
     }
@@ -536,7 +492,7 @@ struct Field {
     doc: String,
     /// Its type.
     rust: String,
-    /// Its constant.
+    /// Its constant, with the place and range of the signal.
     signal: String,
 }
 
@@ -579,23 +535,13 @@ impl Field {
             name: snake(name),
             doc,
             rust,
-            signal: shouted(name),
+            signal: format!("{}({})", shouted(name), signal_place(message, signal)?),
         })
     }
 }
 
-/// The constants of all signals that are coded.
-fn signal_consts(message: &Message) -> Result<String> {
-    let coded = |signal: &&Signal| !PROTECTION.contains(&&*signal.name);
-    let line = |signal| {
-        let constant = signal_const(message, signal)?;
-        Ok(format!("    pub(crate) const {constant}\n"))
-    };
-    message.signals.iter().filter(coded).map(line).collect()
-}
-
-/// The constant that describes a signal to `src/signal.rs`.
-fn signal_const(message: &Message, signal: &Signal) -> Result<String> {
+/// What `src/signal.rs` needs to know of a signal.
+fn signal_place(message: &Message, signal: &Signal) -> Result<String> {
     let Signal {
         name,
         start_bit,
@@ -623,14 +569,12 @@ fn signal_const(message: &Message, signal: &Signal) -> Result<String> {
     if !held.contains(&min) || !held.contains(&max) || min > max {
         return Err(format!("{name}: {size} bits do not hold its range").into());
     }
-    let name_of_constant = shouted(name);
     let steps = match *factor {
         1.0 => String::new(),
-        factor => format!(".in_steps_of({factor:?})"),
+        factor => format!("; {factor:?}"),
     };
     Ok(format!(
-        "{name_of_constant}: Signal = Signal::new(\"{name}\", {start_bit}, {size}, \
-         {min}..={max}){steps};"
+        "\"{name}\", {start_bit}, {size}, {min}..={max}{steps}"
     ))
 }
 
