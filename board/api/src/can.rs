@@ -11,7 +11,7 @@ pub enum CanId {
     Extended(u32),
 }
 
-/// A classic CAN or CAN FD data frame. Construction checks it, so a `CanFrame` is always sendable.
+/// A classic CAN or CAN FD data frame. `new` checks it, so the bus can carry every `CanFrame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CanFrame {
     id: CanId,
@@ -20,16 +20,16 @@ pub struct CanFrame {
     data: [u8; 64],
 }
 
-/// The id is out of range, or the length is not one of CAN (0..=8) or CAN FD (0..=8, 12, 16, 20,
+/// The id is out of range, or the length is not valid for CAN (0..=8) or CAN FD (0..=8, 12, 16, 20,
 /// 24, 32, 48, 64).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidFrame;
 
 impl CanFrame {
-    /// A frame with these data; CAN FD if `fd`.
+    /// Makes a frame with these data; a CAN FD frame if `fd`.
     ///
     /// # Errors
-    /// [`InvalidFrame`] if the id or the length is not one that the bus can carry.
+    /// [`InvalidFrame`] if the bus cannot carry the id or the length.
     pub fn new(id: CanId, fd: bool, data: &[u8]) -> Result<Self, InvalidFrame> {
         let id_ok = match id {
             CanId::Standard(id) => id <= 0x7FF,
@@ -53,26 +53,26 @@ impl CanFrame {
         })
     }
 
-    /// The identifier.
+    /// Returns the identifier.
     #[must_use]
     pub const fn id(&self) -> CanId {
         self.id
     }
 
-    /// Whether it is a CAN FD frame.
+    /// Returns whether this is a CAN FD frame.
     #[must_use]
     pub const fn is_fd(&self) -> bool {
         self.fd
     }
 
-    /// The data bytes.
+    /// Returns the data bytes.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.data[..self.len as usize]
     }
 }
 
-/// The transmit buffer is full; the frame was not taken.
+/// The transmit buffer is full; the frame was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TransmitFull;
 
@@ -81,19 +81,19 @@ pub struct TransmitFull;
 pub struct Received {
     /// The frame.
     pub frame: CanFrame,
-    /// When it was on the bus, on the receiver's clock.
+    /// When the frame was on the bus, by the receiver's clock.
     pub at: Instant,
 }
 
-/// How far a CAN controller takes part in the bus. ISO 11898-1, fault confinement.
+/// Error state of a CAN controller (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CanState {
     /// Both error counters are below 128.
     ErrorActive,
     /// An error counter is 128 or more.
     ErrorPassive,
-    /// The transmit counter has exceeded 255: the controller sends nothing until 11 recessive bits
-    /// have been on the bus 128 times.
+    /// The transmit counter has exceeded 255: the controller sends nothing until the bus has
+    /// carried 128 sequences of 11 recessive bits.
     BusOff,
 }
 
@@ -104,7 +104,7 @@ pub struct CanErrors {
     pub transmit: u16,
     /// Receive error counter.
     pub receive: u8,
-    /// How often the controller became bus-off; wraps around.
+    /// How many times the controller became bus-off; wraps around.
     pub bus_offs: u8,
 }
 
@@ -114,7 +114,7 @@ impl CanErrors {
     /// A controller with a counter of this or more is error-passive.
     pub const PASSIVE: u16 = 128;
 
-    /// The state that the counters mean.
+    /// Returns the state that follows from the counters.
     #[must_use]
     pub const fn state(self) -> CanState {
         if self.transmit >= Self::BUS_OFF {
@@ -126,7 +126,7 @@ impl CanErrors {
         }
     }
 
-    /// The counters in one word, so that they are read together.
+    /// Packs the counters into one word, so that they are read together.
     #[must_use]
     pub const fn to_word(self) -> u32 {
         self.transmit as u32 | (self.receive as u32) << 16 | (self.bus_offs as u32) << 24
@@ -147,32 +147,32 @@ impl CanErrors {
 /// A CAN controller with its own receive FIFO. Frames arrive in bus order; a core does not receive
 /// its own frames.
 pub trait Can {
-    /// Hands a frame to the transmit buffer. One at a time. Frames of one core leave in order.
+    /// Puts a frame into the transmit buffer. One at a time. Frames of one core are sent in order.
     ///
     /// # Errors
     /// [`TransmitFull`] if the buffer is full.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
 
-    /// Discards this core's frames that wait in the transmit buffer. One at a time.
+    /// Discards the frames of this core that wait in the transmit buffer. One at a time.
     ///
-    /// A frame that is already on its way to the bus is still sent. So of the frames handed over
-    /// before this call, the first few may be sent, and the others never. A frame handed over after
-    /// this call is sent as usual.
+    /// A frame that is already on its way to the bus is still sent. So of the frames given to
+    /// `try_send` before this call, the first few may be sent, and the others never are. A frame
+    /// given to it after this call is sent as usual.
     fn discard_unsent(&self);
 
-    /// The next received frame. One at a time.
+    /// Returns the next received frame. One at a time.
     fn try_receive(&self) -> Option<Received>;
 
-    /// Whether a received frame ends [`Board::wait`](crate::Board::wait); off at start. Any
+    /// Sets whether a received frame ends [`Board::wait`](crate::Board::wait); off at start. Any
     /// context.
     fn wake_on_receive(&self, on: bool);
 
-    /// How many frames were lost because this core did not fetch them in time; wraps around. Any
-    /// context.
+    /// Returns how many frames were lost because this core did not fetch them in time; wraps
+    /// around. Any context.
     fn overruns(&self) -> u32;
 
-    /// The error counters. Any context. A controller that is bus-off recovers by itself; a reset of
-    /// the system clears its counters.
+    /// Returns the error counters. Any context. A controller that is bus-off recovers by itself; a
+    /// reset of the system clears its counters.
     fn errors(&self) -> CanErrors;
 }
 

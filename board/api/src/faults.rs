@@ -2,10 +2,10 @@
 
 use crate::{Board, SystemId};
 
-/// A fault of a system's hardware. It lasts until it is repaired, also over resets and power loss.
+/// A hardware fault of a system. It lasts until it is repaired, even across resets and power loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum HardwareFault {
-    /// The load of a switch of the output driver, or its wire, is gone.
+    /// The load of an output driver's switch, or the wire to it, is disconnected.
     OpenLoad,
     /// A switch of the output driver carries too much current.
     ShortCircuit,
@@ -13,16 +13,16 @@ pub enum HardwareFault {
     CanTransmit,
     /// The system's CAN receiver finds an error in each frame on the bus.
     CanReceive,
-    /// The chip's safety unit shows an error on the error pin to the supply.
+    /// The chip's safety unit signals an error to the supply on the error pin.
     ErrorPin,
-    /// A rail of the supply has too little voltage.
+    /// A supply rail's voltage is too low.
     Undervoltage,
-    /// A rail of the supply has too much voltage.
+    /// A supply rail's voltage is too high.
     Overvoltage,
 }
 
 impl HardwareFault {
-    /// All of them.
+    /// All faults.
     pub const ALL: [Self; 7] = [
         Self::OpenLoad,
         Self::ShortCircuit,
@@ -34,24 +34,24 @@ impl HardwareFault {
     ];
 }
 
-/// Which faults a system has, one bit for each: a register.
+/// The faults of a system as a register, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HardwareFaults(pub u32);
 
 impl HardwareFaults {
-    /// The bit of a fault.
+    /// Returns the bit of a fault.
     #[must_use]
     pub const fn bit(fault: HardwareFault) -> u32 {
         1 << fault as u32
     }
 
-    /// Whether the system has this fault.
+    /// Returns whether the system has this fault.
     #[must_use]
     pub const fn has(self, fault: HardwareFault) -> bool {
         self.0 & Self::bit(fault) != 0
     }
 
-    /// Makes a fault or repairs it.
+    /// Sets or clears a fault.
     pub const fn set(&mut self, fault: HardwareFault, present: bool) {
         if present {
             self.0 |= Self::bit(fault);
@@ -60,7 +60,7 @@ impl HardwareFaults {
         }
     }
 
-    /// What the diagnosis register of the output driver says. A short circuit hides an open load.
+    /// Reads the output driver's diagnosis register. A short circuit hides an open load.
     #[must_use]
     pub const fn outputs(self) -> OutputDiagnosis {
         if self.has(HardwareFault::ShortCircuit) {
@@ -73,21 +73,21 @@ impl HardwareFaults {
     }
 }
 
-/// What the diagnosis register of the output driver says.
+/// Content of the output driver's diagnosis register.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OutputDiagnosis {
     /// No fault.
     #[default]
     Good,
-    /// A switch is closed and no current flows: the load or its wire is gone.
+    /// A switch is closed and no current flows: the load or its wire is disconnected.
     OpenLoad,
     /// A switch is closed and too much current flows.
     ShortCircuit,
 }
 
-/// A board whose hardware can be made to fail, for tests. Product code has no use for it.
+/// A board whose hardware can be made to fail, for tests. Product code does not use it.
 pub trait FaultSource: Board {
-    /// Makes a fault of a system's hardware, or repairs it. Any context; also from the other
-    /// system. The effect may be a few milliseconds late.
+    /// Injects or repairs a hardware fault of a system. Any context; also from the other system.
+    /// The effect may be a few milliseconds late.
     fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool);
 }

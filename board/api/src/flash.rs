@@ -3,7 +3,7 @@
 /// Why a flash operation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
-    /// An operation is under way; ask again when [`DataFlash::status`] says idle.
+    /// An operation is in progress; try again when [`DataFlash::status`] returns `Idle`.
     Busy,
     /// The range is outside the flash or not aligned.
     OutOfRange,
@@ -16,16 +16,16 @@ pub enum FlashError {
 pub enum FlashStatus {
     /// Ready; the last operation, if any, is durable.
     Idle,
-    /// An operation is under way.
+    /// An operation is in progress.
     Busy,
-    /// The last operation failed; its range has undefined content. The next operation may be
-    /// started.
+    /// The last operation failed, and the content of its range is undefined. The next operation may
+    /// be started.
     Failed,
 }
 
-/// NOR data flash: erase sets a sector to ones, program writes aligned pages that were erased.
-/// Power loss during an operation leaves any mixture of old and new bytes in its range; no other
-/// byte changes.
+/// NOR data flash: erasing sets a sector to ones; programming writes aligned pages that were
+/// erased. Power loss during an operation leaves any mixture of old and new bytes in its range; no
+/// other byte changes.
 ///
 /// Programming takes time and must not stop the control core, so operations are started and then
 /// run in the background, one at a time.
@@ -57,6 +57,6 @@ pub trait DataFlash {
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`] (also when not aligned to pages).
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError>;
 
-    /// The state of the flash now. Any context.
+    /// Returns the present state of the flash. Any context.
     fn status(&self) -> FlashStatus;
 }

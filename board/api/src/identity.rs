@@ -15,7 +15,7 @@ impl SystemId {
     /// Both systems, A first.
     pub const ALL: [Self; 2] = [Self::A, Self::B];
 
-    /// The other system of the pair.
+    /// Returns the other system of the pair.
     #[must_use]
     pub const fn peer(self) -> Self {
         match self {
@@ -24,7 +24,7 @@ impl SystemId {
         }
     }
 
-    /// 0 for A, 1 for B.
+    /// Returns 0 for A, 1 for B.
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
@@ -55,7 +55,7 @@ impl fmt::Display for SystemId {
 pub struct CoreId(u8);
 
 impl CoreId {
-    /// How many cores a system has.
+    /// Number of cores in a system.
     pub const COUNT: usize = 3;
     /// The boot and control core.
     pub const CONTROL: Self = Self(0);
@@ -66,7 +66,7 @@ impl CoreId {
     /// All cores of a system, in order.
     pub const ALL: [Self; Self::COUNT] = [Self::CONTROL, Self::PERCEPTION, Self::PLANNING];
 
-    /// The core with this number; `None` if a system has no such core.
+    /// Returns the core with this number; `None` if a system has no such core.
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {
         if (number as usize) < Self::COUNT {
@@ -76,7 +76,7 @@ impl CoreId {
         }
     }
 
-    /// 0, 1 or 2.
+    /// Returns 0, 1 or 2.
     #[must_use]
     pub const fn index(self) -> usize {
         self.0 as usize
@@ -89,7 +89,7 @@ impl fmt::Display for CoreId {
     }
 }
 
-/// A core of the controller: which core of which system. Shown as in `A0`.
+/// A core of the controller: its system and its number. Displayed as, for example, `A0`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CoreAddress {
     /// The system that the core belongs to.
@@ -111,19 +111,19 @@ impl CoreAddress {
     pub const B1: Self = Self::new(SystemId::B, CoreId::PERCEPTION);
     /// Planning core of system B.
     pub const B2: Self = Self::new(SystemId::B, CoreId::PLANNING);
-    /// How many cores both systems have.
+    /// Number of cores in both systems together.
     pub const COUNT: usize = SystemId::ALL.len() * CoreId::COUNT;
     /// All cores in the order of [`CoreAddress::index`].
     pub const ALL: [Self; Self::COUNT] =
         [Self::A0, Self::A1, Self::A2, Self::B0, Self::B1, Self::B2];
 
-    /// Core `core` of system `system`.
+    /// Returns core `core` of system `system`.
     #[must_use]
     pub const fn new(system: SystemId, core: CoreId) -> Self {
         Self { system, core }
     }
 
-    /// 0 ..= 5: the place in [`CoreAddress::ALL`].
+    /// Returns 0 ..= 5: the index in [`CoreAddress::ALL`].
     #[must_use]
     pub const fn index(self) -> usize {
         self.system.index() * CoreId::COUNT + self.core.index()
@@ -146,24 +146,24 @@ impl fmt::Display for CoreAddress {
     }
 }
 
-/// Number of a core's incarnation: 1 after power-on, one more after each reset of the core.
-/// 0 stands for no core.
+/// Number of a core's incarnation: 1 after power-on, then one more after each reset of the core. 0
+/// means no core.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Generation(pub u32);
 
-/// A core, in one of its incarnations.
+/// A core and one of its incarnations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// The system that the core belongs to.
     pub system: SystemId,
     /// The core's number within the system.
     pub core: CoreId,
-    /// Which of its incarnations.
+    /// The incarnation.
     pub generation: Generation,
 }
 
 impl Identity {
-    /// The core, without its incarnation.
+    /// Returns the core, without its incarnation.
     #[must_use]
     pub const fn address(self) -> CoreAddress {
         CoreAddress::new(self.system, self.core)

@@ -1,4 +1,4 @@
-//! The boundary between portable code and a machine: the interface of a board to a core.
+//! The boundary between portable code and a machine: the interface between a board and a core.
 //!
 //! A board offers what a TC297 with its carrier offers: a monotonic clock, the LMU, doorbells to
 //! the other cores of the system, lines and a link to the other system, CAN, data flash, the supply
@@ -40,8 +40,8 @@ pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
 pub use vehicle::{Carried, Pass, VehicleBus, VehiclePort};
 
-/// A word of the LMU: the machine's atomic. In a build with `--cfg stepped` it is one at which a
-/// test can stop a core, before each access.
+/// A word of the LMU: the machine's atomic. In a build with `--cfg stepped`, a test can stop a core
+/// before each access to it.
 #[cfg(not(stepped))]
 pub use core::sync::atomic::AtomicU32 as LmuWord;
 #[cfg(stepped)]
@@ -57,7 +57,7 @@ pub enum Wake {
     Deadline,
 }
 
-/// One core's view of its machine.
+/// One core's interface to its machine.
 ///
 /// All methods take `&self`: a board is shared between the tasks and handlers of one core, never
 /// between cores. No method panics because of another core or the other system.
@@ -73,64 +73,64 @@ pub trait Board {
     /// The supply (TLF35584): watchdogs, reset, reset cause.
     type Supply: Supply;
 
-    /// Which core of which system this is, and which of its incarnations. Any context.
+    /// Returns which core of which system this is, and in which incarnation. Any context.
     fn identity(&self) -> Identity;
 
-    /// The monotonic clock of this system. Any context. Never goes back; the two systems' clocks
-    /// are not synchronised and may have different origins.
+    /// Reads the monotonic clock of this system. Any context. It never goes back; the clocks of the
+    /// two systems are not synchronised and may have different origins.
     fn now(&self) -> Instant;
 
-    /// The LMU: the memory that all cores of this system reach, as words from a boundary of 64
-    /// bytes on. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero at power-on,
-    /// and keeps its content over the reset of single cores. Any core may write any word at any
-    /// time.
+    /// Returns the LMU, the memory that all cores of this system can access, as words; it starts at
+    /// a multiple of 64 bytes. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero
+    /// at power-on, and keeps its content when single cores are reset. Any core may write any word
+    /// at any time.
     fn lmu(&self) -> &[LmuWord];
 
-    /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's
-    /// own. Any context.
+    /// Rings the doorbell (the inter-core interrupt) of a core of this system, which may be this
+    /// core. Any context.
     ///
     /// Writes to the LMU before the call are visible to the receiver after its `wait` returns.
     /// Rings that arrive before the receiver waits are merged into one. Ringing a dead core has no
     /// effect.
     fn ring(&self, to: CoreId);
 
-    /// Releases another core of this system from reset. One at a time; core 0 only.
+    /// Releases another core of this system from reset. One at a time; only core 0 may call it.
     ///
-    /// At each start of the system only core 0 runs; the others do not run until core 0 releases
-    /// them. The core begins the incarnation of its system and sees everything that core 0 wrote to
-    /// the LMU before the release. No effect on a core that was released in this incarnation.
+    /// At each start of the system only core 0 runs; the others start when core 0 releases them.
+    /// The core begins the incarnation of its system and sees everything that core 0 wrote to the
+    /// LMU before the release. No effect on a core that was already released in this incarnation.
     fn release_core(&self, core: CoreId);
 
-    /// Sleeps until an interrupt is pending or `deadline` has passed, and consumes the pending
+    /// Sleeps until an interrupt is pending or `deadline` has passed, and clears the pending
     /// interrupt. Task; blocks.
     ///
-    /// Race-free: an interrupt raised before the call ends it at once. Interrupts are: this core's
-    /// doorbell, an edge on [`Line::Start`], a change of [`Lines::peer_powered`] (both on core 0
-    /// only), and a CAN frame if the core asked for it ([`Can::wake_on_receive`]). The caller polls
-    /// all sources; `Wake::Interrupt` may be spurious.
+    /// Race-free: an interrupt raised before the call ends it at once. The interrupts are this
+    /// core's doorbell, an edge on [`Line::Start`], a change of [`Lines::peer_powered`] (both on
+    /// core 0 only), and a CAN frame if the core enabled that ([`Can::wake_on_receive`]). The
+    /// caller polls all sources; `Wake::Interrupt` may be spurious.
     fn wait(&self, deadline: Instant) -> Wake;
 
-    /// The CAN controller of this core. Any context.
+    /// Returns the CAN controller of this core. Any context.
     fn can(&self) -> &Self::Can;
 
-    /// The lines to and from the other system. Any context.
+    /// Returns the lines to and from the other system. Any context.
     fn lines(&self) -> &Self::Lines;
 
-    /// The data link to and from the other system. Any context.
+    /// Returns the data link to and from the other system. Any context.
     fn link(&self) -> &Self::Link;
 
-    /// The data flash of this system. Any context.
+    /// Returns the data flash of this system. Any context.
     fn flash(&self) -> &Self::Flash;
 
-    /// The supply of this system. Any context.
+    /// Returns the supply of this system. Any context.
     fn supply(&self) -> &Self::Supply;
 
-    /// The diagnosis of this system's output driver. Any context. A fault stays until it is
+    /// Reads the diagnosis of this system's output driver. Any context. A fault stays until it is
     /// repaired. A board whose driver has no diagnosis reports no fault.
     fn output_diagnosis(&self) -> OutputDiagnosis {
         OutputDiagnosis::Good
     }
 
-    /// Writes one record to the trace. Any context. A full trace loses the record and counts it.
+    /// Writes one record to the trace. Any context. A full trace loses and counts the record.
     fn trace(&self, record: TraceRecord);
 }

@@ -16,13 +16,13 @@ impl Line {
     /// All lines.
     pub const ALL: [Self; 3] = [Self::Start, Self::Heartbeat1, Self::Heartbeat2];
 
-    /// Whether an edge interrupts core 0 of the system that it reaches.
+    /// Returns whether an edge interrupts core 0 of the receiving system.
     #[must_use]
     pub const fn interrupts(self) -> bool {
         matches!(self, Self::Start)
     }
 
-    /// 0, 1 or 2.
+    /// Returns 0, 1 or 2.
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
@@ -40,26 +40,26 @@ pub enum Edge {
 
 /// This system's ends of the lines.
 pub trait Lines {
-    /// Sends one edge. Any context. Orders no memory: the systems share none.
+    /// Sends one edge. Any context. It orders no memory accesses: the systems share no memory.
     fn send(&self, line: Line, edge: Edge);
 
-    /// How many edges of this type arrived on this line since this system was powered on. Any
-    /// context. Wraps around; survives the reset of a core, so take differences.
+    /// Returns how many edges of this type this line has received since this system's power-on. Any
+    /// context. The count wraps around and survives the reset of a core, so take differences.
     fn received(&self, line: Line, edge: Edge) -> u32;
 
-    /// The level line of the other system's supply. Any context. High while that supply is on and
-    /// holds its system out of reset. Falls when that system loses power or its safety chip holds
-    /// it in reset. A low level means that the other system cannot transmit; a high level says
-    /// nothing about its software. A cut line reads as high.
+    /// Reads the level line of the other system's supply. Any context. High while that supply is on
+    /// and its system is out of reset. Falls when that system loses power or its safety chip holds
+    /// it in reset. Low means that the other system cannot transmit; high does not mean that its
+    /// software works. A cut line reads as high.
     fn peer_powered(&self) -> bool;
 }
 
-/// The transmit buffer of the link is full; nothing was taken.
+/// The transmit buffer of the link is full; no part of the datagram was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkFull;
 
-/// The bulk data link to the other system (HSSL; SPI has the same shape): datagrams, in order, not
-/// acknowledged. The receiver must check the content.
+/// The bulk data link to the other system (HSSL; SPI would work the same way): datagrams, in order,
+/// not acknowledged. The receiver must check the content.
 pub trait Link {
     /// The largest datagram in words.
     const MAX_WORDS: usize;

@@ -4,10 +4,10 @@
 macro_rules! coded {
     ($name:ident: $($variant:ident),+) => {
         impl $name {
-            /// All of them, in the order of their codes.
+            /// All variants, in the order of their codes.
             pub const ALL: [Self; [$(Self::$variant),+].len()] = [$(Self::$variant),+];
 
-            /// The number that encodes the value.
+            /// Returns the number that encodes the variant.
             #[must_use]
             pub const fn code(self) -> u32 {
                 self as u32
@@ -27,22 +27,22 @@ macro_rules! coded {
 pub enum ResetCause {
     /// Power was switched on.
     PowerOn,
-    /// The software requested it.
+    /// The software requested a reset.
     Software,
     /// A watchdog service was missing, late, early, or had a wrong answer.
     Watchdog,
     /// A core trapped, died, or was reset by the supply because another core reported it dead.
     Trap,
-    /// The software requested it, to receive a download.
+    /// The software requested a reset in order to receive a download.
     Download,
-    /// The chip's safety unit showed an error on the error pin.
+    /// The chip's safety unit signalled an error on the error pin.
     ErrorPin,
-    /// A rail of the supply had too little voltage.
+    /// The voltage of a supply rail was too low.
     Undervoltage,
 }
 
 impl ResetCause {
-    /// Every cause but power-on and the resets that the software requested. T-RED-5
+    /// Returns true for every cause except power-on and resets that the software requested. T-RED-5
     #[must_use]
     pub const fn is_abnormal(self) -> bool {
         matches!(
@@ -54,26 +54,26 @@ impl ResetCause {
 
 coded!(ResetCause: PowerOn, Software, Watchdog, Trap, Download, ErrorPin, Undervoltage);
 
-/// A request of a core to the reset generator. A request resets the whole system: all three cores.
+/// A core's request to the reset generator. Each request resets all three cores of the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetRequest {
     /// An orderly restart; the next reset cause is [`ResetCause::Software`].
     Software,
     /// A core of this system does not answer; the next reset cause is [`ResetCause::Trap`].
     CoreDead,
-    /// Hold the system in reset until the next power-on: it has failed and suspends (T-RED-5).
+    /// Hold the system in reset until the next power-on: it has failed and is suspended (T-RED-5).
     Suspend,
-    /// An orderly restart after which the bootloader waits for a host; the next reset cause is
+    /// An orderly restart after which the bootloader waits for a download; the next reset cause is
     /// [`ResetCause::Download`].
     Download,
 }
 
 coded!(ResetRequest: Software, CoreDead, Suspend, Download);
 
-/// The system's role, shown on its digital outputs for a person or an oscilloscope.
+/// The system's role, shown on its digital outputs for people and oscilloscopes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoleLamp {
-    /// Not yet in a role.
+    /// Has no role yet.
     Starting,
     /// Drives the vehicle.
     Master,
@@ -81,16 +81,16 @@ pub enum RoleLamp {
     DegradedMaster,
     /// Computes silently.
     Standby,
-    /// Has failed and stays silent.
+    /// Has failed and keeps silent.
     Suspended,
 }
 
 coded!(RoleLamp: Starting, Master, DegradedMaster, Standby, Suspended);
 
-/// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte
-/// permutation.
+/// Returns the answer that the functional watchdog expects to a question (0 ..= 15): a fixed
+/// permutation of bytes.
 ///
-/// A core that only repeats a store to the watchdog register cannot give it.
+/// A core that only repeats one store to the watchdog register cannot answer correctly.
 #[must_use]
 pub const fn watchdog_answer(question: u8) -> u8 {
     let q = question & 0xF;
@@ -98,17 +98,17 @@ pub const fn watchdog_answer(question: u8) -> u8 {
     q.wrapping_mul(0x1D).rotate_left(3) ^ 0xA5
 }
 
-/// The supply, seen from core 0 of its system.
+/// The supply, as core 0 of its system sees it.
 pub trait Supply {
-    /// Why this incarnation of the system began. Any context.
+    /// Returns why this incarnation of the system began. Any context.
     fn reset_cause(&self) -> ResetCause;
 
-    /// The current question of the functional watchdog, 0 ..= 15. One at a time. A new one follows
-    /// each service.
+    /// Reads the current question of the functional watchdog, 0 ..= 15. One at a time. The question
+    /// changes with each service.
     fn watchdog_question(&self) -> u8;
 
-    /// Services window and functional watchdog with the answer to the current question. One at a
-    /// time, core 0 only.
+    /// Services the window watchdog and the functional watchdog with the answer to the current
+    /// question. One at a time, core 0 only.
     ///
     /// The call must be within the open window: not before [`Supply::WINDOW_OPENS_US`] and not
     /// after [`Supply::WINDOW_CLOSES_US`] since the last service. The first service may be
@@ -123,8 +123,8 @@ pub trait Supply {
     /// Latest first service after a start, in microseconds.
     const FIRST_SERVICE_US: u32;
 
-    /// Requests a reset. Any context. Returns before the reset; after this call the caller must not
-    /// act.
+    /// Requests a reset. Any context. The call returns before the reset happens; the caller must
+    /// then do nothing more.
     fn request_reset(&self, request: ResetRequest);
 
     /// Shows the role on the system's digital outputs. Any context.

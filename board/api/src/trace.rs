@@ -1,15 +1,15 @@
-//! Records for people, kept by the board: those of its cores, and those of the supplies that start
-//! and end them.
+//! Trace records for people, kept by the board: those of its cores, and those of the supplies,
+//! which start and stop the cores.
 //!
-//! Driving never reads a trace. The portable code that writes a core's records defines their
-//! meaning.
+//! Driving never reads a trace. The portable code that writes a core's records defines what they
+//! mean.
 
 use crate::{CoreId, Generation, Instant, ResetCause, SystemId};
 
 /// One record: four words. The board adds the time and the core.
 pub type TraceRecord = [u32; 4];
 
-/// A record of a core, as read from the board.
+/// A core's record, as read from the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Traced {
     /// When the core wrote it.
@@ -22,7 +22,7 @@ pub struct Traced {
     pub record: TraceRecord,
 }
 
-/// An event of a supply: deaths and resets that no core can report itself.
+/// An event of a supply: a start, a death or a reset, which a core cannot report itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SupplyEvent {
     /// The supply started a core.
@@ -36,18 +36,18 @@ pub enum SupplyEvent {
     CoreDied {
         /// The core.
         core: CoreId,
-        /// The signal; 0 if the core ended by itself, or the signal is not known.
+        /// The signal; 0 if the core ended by itself or the signal is unknown.
         signal: u8,
     },
     /// The supply stopped the system and will restart it.
     Reset(ResetCause),
-    /// The supply stopped the system until the next power-on: the system requested it, or a rail
-    /// had too much voltage.
+    /// The supply stopped the system until the next power-on: the system requested it, or a rail's
+    /// voltage was too high.
     Suspended,
 }
 
 impl SupplyEvent {
-    /// The event as a record.
+    /// Encodes the event as a record.
     #[must_use]
     pub fn encode(self) -> TraceRecord {
         match self {
@@ -58,7 +58,7 @@ impl SupplyEvent {
         }
     }
 
-    /// The event in a record; `None` if the record is not one of a supply.
+    /// Decodes a record; `None` if it is not a record of a supply.
     #[must_use]
     pub fn decode([kind, x, y, _]: TraceRecord) -> Option<Self> {
         let core = || CoreId::new(u8::try_from(x).ok()?);
