@@ -1,28 +1,28 @@
-//! Barriers: how the roles of a case wait for each other.
+//! Barriers: the roles of a case wait for each other with these.
 
 use crate::case::{CaseFailure, check};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 
-/// Time limit for everything that must happen. No board needs this much, even on a busy machine:
-/// the limit only decides how late a failure is seen.
+/// Time limit for everything that must happen. It is longer than any board needs, even on a busy
+/// machine; it only decides how late a failure is reported.
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
 /// First polling interval of a role that sleeps between polls.
 const LOOK: Duration = Duration::from_ms(1);
-/// After this time, a thing that must *not* happen would have happened.
+/// A fault that must *not* happen would have happened within this time.
 pub(crate) const SETTLE: Duration = Duration::from_ms(20);
-/// How many interrupts without a cause a board may see in one wait.
+/// How many interrupts without a cause are allowed in one wait.
 const SPURIOUS: u32 = 1_000;
 
-/// Word `index` of those that a case may use.
+/// Returns word `index` of the words that a case may use.
 pub(crate) fn word<B: Board>(board: &B, index: usize) -> &AtomicU32 {
     &board.lmu()[FREE_WORDS + index]
 }
 
-/// The first words of the LMU are the barrier.
+/// The barrier uses the words of the LMU below this index.
 pub(crate) const FREE_WORDS: usize = 8;
 
-/// Sleeps in small steps until `holds`. Consumes interrupts.
+/// Sleeps in small steps until `holds` returns true. Consumes interrupts.
 #[track_caller]
 pub(crate) fn sleep_until<B: Board>(
     board: &B,
@@ -40,7 +40,7 @@ pub(crate) fn sleep_until<B: Board>(
     Ok(())
 }
 
-/// Polls until `holds`, without a `wait`: interrupts stay pending.
+/// Polls until `holds` returns true, without a `wait`: interrupts stay pending.
 #[track_caller]
 pub(crate) fn spin_until<B: Board>(
     board: &B,
@@ -55,7 +55,7 @@ pub(crate) fn spin_until<B: Board>(
     Ok(())
 }
 
-/// Sleeps until `holds`. Only interrupts may wake it: a deadline is a failure.
+/// Sleeps until `holds` returns true. Only interrupts may end the sleep: a deadline is a failure.
 #[track_caller]
 pub(crate) fn woken_until<B: Board>(
     board: &B,
@@ -85,7 +85,7 @@ pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), CaseFailu
     Ok(())
 }
 
-/// Waits until all of `cores` of this system have reached `step`. Steps count from 1.
+/// Waits until all `cores` of this system have reached `step`. Steps count from 1.
 #[track_caller]
 pub(crate) fn wait_for_cores<B: Board>(
     board: &B,
@@ -93,7 +93,7 @@ pub(crate) fn wait_for_cores<B: Board>(
     step: u32,
 ) -> Result<(), CaseFailure> {
     let at = |core: CoreId| &board.lmu()[core.index()];
-    // Release pairs with Acquire below: what a core did before a meeting is visible after it.
+    // Release pairs with Acquire below: what a core did before a step is visible after it.
     at(board.identity().core).store(step, Ordering::Release);
     sleep_until(board, "the cores of a system meet through the LMU", || {
         cores
@@ -102,7 +102,7 @@ pub(crate) fn wait_for_cores<B: Board>(
     })
 }
 
-/// Edge number `number`, from 0 on, of a line that starts low: rising and falling in turn.
+/// Returns edge `number`, from 0 on, of a line that starts low: rising and falling alternate.
 pub(crate) const fn alternating(number: u32) -> Edge {
     if number.is_multiple_of(2) {
         Edge::Rising
@@ -111,8 +111,8 @@ pub(crate) const fn alternating(number: u32) -> Edge {
     }
 }
 
-/// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line,
-/// rising and falling in turn. Steps count from 1.
+/// Core 0 of each system waits for core 0 of the other: each sends an edge on the second heartbeat
+/// line, rising and falling alternately. Steps count from 1.
 #[track_caller]
 pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), CaseFailure> {
     const LINE: Line = Line::Heartbeat2;
@@ -124,8 +124,8 @@ pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), CaseFa
     })
 }
 
-/// All of `cores` in both systems wait for each other; core 0 must be among them. Takes two steps:
-/// the next one of [`wait_for_cores`] is `2 × step + 1`.
+/// All `cores` of both systems wait for each other; core 0 must be one of them. Uses two steps: the
+/// next step of [`wait_for_cores`] is `2 × step + 1`.
 #[track_caller]
 pub(crate) fn wait_for_all<B: Board>(
     board: &B,

@@ -4,7 +4,7 @@ use core::fmt;
 use core::panic::Location;
 use tandem_board::CoreAddress;
 
-/// The function of one core in a case. Its argument says which core it is meant to be.
+/// The function of one core in a case. Its argument is the core that should run it.
 pub type CaseRole<B> = fn(&B, CoreAddress) -> Result<(), CaseFailure>;
 
 /// A role and the core that runs it.
@@ -19,31 +19,30 @@ pub struct CasePart<B: 'static> {
 /// What a case needs in addition to two systems with power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Setting {
-    /// Nothing; the watchdogs reset no system.
+    /// Nothing more; the watchdogs reset no system.
     Plain,
-    /// The watchdogs are active. A reset of a system that has a role is a failure; the other
-    /// system's state does not matter.
+    /// The watchdogs are active. A reset of a system that has a role is a failure; the state of a
+    /// system without a role does not matter.
     Watchdog,
     /// The watchdogs are active, and after a reset the rig runs the roles of that system again, in
-    /// the next generation. The case has passed when every role has returned `Ok` in some
-    /// incarnation.
+    /// the next generation. The case passes when every role has returned `Ok` in some incarnation.
     Restarts,
-    /// As [`Setting::Restarts`], and the role of core 0 releases the other cores itself. In every
+    /// Like [`Setting::Restarts`], but the role of core 0 releases the other cores itself. In every
     /// other setting they are released before that role begins.
     Releases,
-    /// System A requests to be held in reset: its roles need not end. Those of system B must return
-    /// `Ok`. The watchdogs reset no system.
+    /// System A requests to be held in reset: its roles need not end. The roles of system B must
+    /// return `Ok`. The watchdogs reset no system.
     Suspends,
 }
 
 impl Setting {
-    /// Whether the watchdogs are active.
+    /// Returns whether the watchdogs are active.
     #[must_use]
     pub const fn watches(self) -> bool {
         matches!(self, Self::Watchdog | Self::Restarts | Self::Releases)
     }
 
-    /// Whether a system with a role may be reset, and its roles then run again.
+    /// Returns whether a system with a role may be reset and its roles then run again.
     #[must_use]
     pub const fn restarts(self) -> bool {
         matches!(self, Self::Restarts | Self::Releases)
@@ -53,7 +52,7 @@ impl Setting {
 /// One case of the suite.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<B: 'static> {
-    /// Unique, in words joined by hyphens; the first word is the part of the board.
+    /// Unique name of words joined by hyphens; the first word is the part of the board.
     pub name: &'static str,
     /// What the case needs.
     pub setting: Setting,
@@ -61,12 +60,12 @@ pub struct Case<B: 'static> {
     pub parts: &'static [CasePart<B>],
 }
 
-/// A broken contract, as one role saw it.
+/// A broken contract, as one role observed it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CaseFailure {
     /// The contract.
     pub what: &'static str,
-    /// The observed and the expected value, if it is a number.
+    /// The observed and the expected value, if they are numbers.
     pub numbers: Option<(u64, u64)>,
     /// The check that failed.
     pub at: &'static Location<'static>,
@@ -87,7 +86,7 @@ impl fmt::Display for CaseFailure {
 
 impl core::error::Error for CaseFailure {}
 
-/// Fails with `what`.
+/// Returns a failure with `what`.
 #[track_caller]
 pub(crate) fn fail<T>(what: &'static str) -> Result<T, CaseFailure> {
     Err(CaseFailure {
@@ -97,13 +96,13 @@ pub(crate) fn fail<T>(what: &'static str) -> Result<T, CaseFailure> {
     })
 }
 
-/// Fails with `what` unless `holds`.
+/// Returns a failure with `what` unless `holds` is true.
 #[track_caller]
 pub(crate) fn check(holds: bool, what: &'static str) -> Result<(), CaseFailure> {
     if holds { Ok(()) } else { fail(what) }
 }
 
-/// Fails with `what` unless both numbers are the same.
+/// Returns a failure with `what` unless both numbers are equal.
 #[track_caller]
 pub(crate) fn equal(
     seen: impl Into<u64>,

@@ -1,4 +1,4 @@
-//! From which context a method may be called.
+//! The contexts from which each method may be called.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -8,9 +8,9 @@ use tandem_board::{
 
 use crate::case::{CaseFailure, check};
 
-/// First word of the trace records of a handler; the second word counts them from 0.
+/// First word of the trace records of a handler; the second word is their number, from 0.
 const FROM_HANDLER: u32 = 0xC0_0001;
-/// The same for a task.
+/// First word of the trace records of a task.
 const FROM_TASK: u32 = 0xC0_0002;
 
 /// A handler for tests: it calls each method that may be called from any context.
@@ -20,12 +20,12 @@ pub struct Handler {
 }
 
 impl Handler {
-    /// First word of its trace records.
+    /// First word of the handler's trace records.
     pub const TRACE_CODE: u32 = FROM_HANDLER;
     /// First word of the trace records of [`in_task`].
     pub const TASK_TRACE_CODE: u32 = FROM_TASK;
 
-    /// A handler that has not run.
+    /// Makes a handler that has not run.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -33,14 +33,14 @@ impl Handler {
         }
     }
 
-    /// How often it has run to its end.
+    /// Returns how many times the handler has run to its end.
     #[must_use]
     pub fn runs(&self) -> u32 {
         self.runs.load(Ordering::Relaxed)
     }
 
-    /// Runs the handler once. It leaves out only `request_reset`, which would end the test. It
-    /// asserts nothing: an error is seen by the task, in the trace, or as a deadlock.
+    /// Runs the handler once. It calls everything except `request_reset`, which would end the test.
+    /// It asserts nothing: an error shows in the task, in the trace, or as a deadlock.
     pub fn run<B: Board>(&self, board: &B) {
         let run = self.runs.load(Ordering::Relaxed);
         let identity = board.identity();
@@ -61,11 +61,11 @@ impl Handler {
     }
 }
 
-/// The task that the handler interrupts. It calls each method except `request_reset` and those that
-/// would reset the system or wear out its flash. `round` counts from 0.
+/// The task that the handler interrupts. It calls every method except `request_reset` and those
+/// that would reset the system or wear out its flash. `round` counts from 0.
 ///
 /// # Errors
-/// [`CaseFailure`] if a call of the handler has disturbed one of the task.
+/// [`CaseFailure`] if a call of the handler disturbed a call of the task.
 pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     board.trace([FROM_TASK, round, 0, 0]);
     let before = board.now();
@@ -74,7 +74,7 @@ pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     check(board.now() >= before, "the clock never goes back")?;
     let frame = CanFrame::new(CanId::Standard(0x7F0), false, &round.to_le_bytes());
     if let Ok(frame) = frame {
-        // Fails when full: the bus may be slower than this loop.
+        // Fails if the buffer is full: the bus may be slower than this loop.
         let _ = board.can().try_send(&frame);
     }
     board.can().discard_unsent();

@@ -1,18 +1,18 @@
-//! One suite that every board must pass: tests of the contracts of `tandem-board`.
+//! One suite of tests that every board must pass: they test the contracts of `tandem-board`.
 //!
-//! A [`Case`] has one role for each core that takes part, and a role is a plain function over a
-//! [`Board`](tandem_board::Board): a rig can run it on a thread, in a process started for it, or on
-//! a hart. The roles of a case wait for each other through LMU words and lines, with time limits on
+//! A [`Case`] has one role for each core that takes part. A role is a plain function of a
+//! [`Board`](tandem_board::Board): a rig can run it on a thread, in a separate process, or on a
+//! hart. The roles of a case wait for each other through LMU words and lines, with time limits on
 //! the board's clock.
 //!
-//! A rig gives each case: both systems freshly powered on (LMU zero, no edges counted, generation
-//! 1, no fault), all boards of the case made before or while its roles start, no other node on the
-//! bus, and no watchdog unless [`Case::setting`] says so. Cores without a role in the case are
-//! absent.
+//! A rig prepares each case: both systems are freshly powered on (LMU zero, no edges counted,
+//! generation 1, no fault), all boards of the case exist before its roles start or are made while
+//! they start, the bus has no other node, and no watchdog is active unless [`Case::setting`] says
+//! so. Cores without a role in the case do not run.
 //!
 //! Calls from handlers are tested outside the cases, because a portable role cannot be interrupted
-//! on purpose: a rig whose board has handlers runs [`in_task`] in a loop, and [`Handler::run`] from
-//! an interrupt.
+//! at will: a rig whose board has handlers runs [`in_task`] in a loop, and [`Handler::run`] from an
+//! interrupt.
 //!
 //! ```text
 //! for each case in cases::<B>():        run_all(&mut rig, report)

@@ -1,4 +1,4 @@
-//! How a rig runs the suite on a board.
+//! Runs the suite on a board.
 
 use crate::case::{Case, CaseFailure, CasePart, Setting, fail};
 use crate::cases::cases;
@@ -9,13 +9,13 @@ use tandem_board::{CoreId, FaultSource};
 pub trait Rig {
     /// The board.
     type Board: FaultSource + 'static;
-    /// Why a case failed: which role failed, hung or died.
+    /// Why a case failed: the role that failed, hung or died.
     type Fault: Display;
 
-    /// Whether this rig supports the case's setting.
+    /// Returns whether this rig supports the case's setting.
     fn takes(&self, case: &Case<Self::Board>) -> bool;
 
-    /// Powers both systems on, runs all parts of the case at the same time, and switches off.
+    /// Powers on both systems, runs all parts of the case at the same time, and switches off.
     /// `index` is the case's index in [`cases`], for [`run_role`].
     ///
     /// # Errors
@@ -30,11 +30,11 @@ pub enum CaseOutcome<F> {
     Passed,
     /// The rig does not support the case's setting.
     Skipped,
-    /// A role did not pass.
+    /// A role failed, hung or died.
     Failed(F),
 }
 
-/// How many cases ended in each way.
+/// How many cases passed, were skipped, or failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Passed.
@@ -69,11 +69,11 @@ pub fn run_all<R: Rig>(
     summary
 }
 
-/// Runs part `part` of case `case` of [`cases`], for a process or a hart that was started for one
-/// role. On core 0 it releases the other cores first, unless the case tests the release.
+/// Runs part `part` of case `case` of [`cases`], for a process or a hart that runs a single role.
+/// On core 0 it releases the other cores first, unless the case tests the release.
 ///
 /// # Errors
-/// The [`CaseFailure`] that the role saw, also if there is no such case or part.
+/// The [`CaseFailure`] that the role returned, or one for a case or part that does not exist.
 pub fn run_role<B: FaultSource + 'static>(
     case: usize,
     part: usize,

@@ -10,7 +10,7 @@ use tandem_board::{Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, R
 const HERE: &[CoreId] = &[CoreId::CONTROL, CoreId::PERCEPTION];
 const PAUSE: Duration = Duration::from_ms(1);
 
-/// A frame that carries a number; its id, kind and length vary with it.
+/// Makes a frame that contains a number; its id, kind and length depend on the number.
 #[track_caller]
 fn numbered(sender: u8, number: u32) -> Result<CanFrame, CaseFailure> {
     let id = match number % 3 {
@@ -24,7 +24,7 @@ fn numbered(sender: u8, number: u32) -> Result<CanFrame, CaseFailure> {
     CanFrame::new(id, fd, &data[..len]).or_else(|_| fail("the suite makes valid frames"))
 }
 
-/// Sender and number of a numbered frame.
+/// Returns the sender and the number of a numbered frame.
 fn number_of(frame: &CanFrame) -> Option<(u8, u32)> {
     let number = frame.data().first_chunk()?;
     Some((*frame.data().get(4)?, u32::from_le_bytes(*number)))
@@ -62,7 +62,7 @@ pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Ca
     wait_for_all(board, HERE, 2)
 }
 
-/// Every other core, in both systems, receives the frames in order, each with its time.
+/// Every other core of both systems receives the frames in order, each with its time.
 pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let begin = board.now();
     wait_for_all(board, HERE, 1)?;
@@ -97,12 +97,12 @@ pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Cas
         send(board, &numbered(place.system.index() as u8, number)?)?;
         sleep(board, Duration::from_us(300))?;
     }
-    // At the end of both, so that no core sends while the listeners compare.
+    // Wait for both systems, so that no core sends while the listeners compare.
     wait_for_all(board, HERE, 2)?;
     wait_for_all(board, HERE, 3)
 }
 
-/// Core 1 of both systems receives both senders' frames in the same order: they compare the orders.
+/// Core 1 of both systems receives the frames of both senders; the two cores must see one order.
 pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];
@@ -142,7 +142,7 @@ pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), C
     )
 }
 
-/// Proves to the sender that its frames have been on the bus.
+/// Receives all frames, which proves to the sender that they were on the bus.
 pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for _ in 0..5 {
@@ -154,8 +154,8 @@ pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFai
 /// Every payload length of CAN and CAN FD.
 const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
-/// The frames of the payload cases: each length, FD and classic, with ids at the ends of their
-/// ranges.
+/// Returns the frames of the payload cases: each length, FD and classic, with the smallest and the
+/// largest ids.
 fn payloads() -> impl Iterator<Item = CanFrame> {
     const IDS: [CanId; 4] = [
         CanId::Standard(0),
@@ -202,12 +202,12 @@ pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<()
     Ok(())
 }
 
-/// Number of discarded bursts. Each has fewer frames than a receiver holds.
+/// Number of discarded bursts. Each is shorter than a receive FIFO.
 const BURSTS: u8 = 10;
 const BURST: u32 = 12;
 
-/// Fills the transmit buffer, discards its content, and sends one frame with the number of frames
-/// before it.
+/// Fills the transmit buffer, discards its content, and sends one frame that contains the number of
+/// frames before the discard.
 pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
@@ -223,8 +223,8 @@ pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(
     wait_for_cores(board, HERE, 2)
 }
 
-/// Receives the first frames of each burst (their number is not determined), then the frame sent
-/// after the discard.
+/// Receives the first frames of each burst (any number of them), then the frame sent after the
+/// discard.
 pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
@@ -249,7 +249,7 @@ pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(),
 
 const WAKES: u32 = 10;
 
-/// Sends when the receiver sleeps.
+/// Sends while the receiver sleeps.
 pub(super) fn paced_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for number in 1..=WAKES {
         let ready = || word(board, 0).load(Ordering::Acquire) >= number;
@@ -291,7 +291,7 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), C
     Ok(())
 }
 
-/// Interrupts may be spurious, but not in every one of these waits.
+/// Interrupts may be spurious, but not in every wait.
 pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, HERE, 1)?;
     let mut quiet = 0_u32;
@@ -306,9 +306,9 @@ pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Ca
     )
 }
 
-/// After this time without a frame, no more frames arrive.
+/// If no frame arrives for this long, no further frame will.
 const QUIET: Duration = Duration::from_ms(1_000);
-/// More than any receive FIFO holds.
+/// More frames than any receive FIFO holds.
 const FLOOD: u32 = 6_000;
 
 pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
@@ -321,7 +321,7 @@ pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailu
     wait_for_cores(board, HERE, 2)
 }
 
-/// Waits until all frames have been sent; received and lost frames must then add up to all.
+/// Waits until all frames have been sent; each of them must then be received or counted as lost.
 pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let before = board.can().overruns();
     wait_for_cores(board, HERE, 1)?;

@@ -46,7 +46,7 @@ pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), C
     Ok(())
 }
 
-/// Two cores pass a time back and forth; each sees it in the past.
+/// Two cores send each other the time in turn; a received time must not be in the future.
 pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let own_turn = place.core.index() as u32;

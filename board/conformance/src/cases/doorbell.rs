@@ -1,4 +1,4 @@
-//! The doorbells: rings wake, are merged, and are never lost.
+//! The doorbells: a ring wakes a core, rings are merged, and no ring is lost.
 
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, spin_until, wait_for_cores, woken_until, word,
@@ -15,17 +15,16 @@ pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Ca
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core gets ready for a ring", ready)?;
         board.ring(CoreId::PERCEPTION);
-        // Release pairs with Acquire in `late_waiter`: a waiter that sees this waits after the
-        // ring.
+        // Release pairs with Acquire in `late_waiter`: the waiter waits only after the ring.
         word(board, 1).store(round, Ordering::Release);
     }
     Ok(())
 }
 
-/// Waits only after the ring.
+/// Waits only after the other core has rung.
 pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
-        // Consumes all pending interrupts, so that the next interrupt can only be the ring.
+        // Consume all pending interrupts, so that the next interrupt can only be the ring.
         sleep(board, Duration::from_ms(2))?;
         word(board, 0).store(round, Ordering::Release);
         let rung = || word(board, 1).load(Ordering::Acquire) >= round;
@@ -36,7 +35,7 @@ pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Cas
     sleep(board, SETTLE)
 }
 
-/// Writes, then rings a sleeping core.
+/// Writes a value, then rings a sleeping core.
 pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
@@ -63,7 +62,7 @@ pub(super) fn sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFai
 
 const HASTY_ROUNDS: u32 = 1_000;
 
-/// Writes and rings without a pause.
+/// Writes and rings again and again without a pause.
 pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     for value in 1..=HASTY_ROUNDS {
@@ -90,7 +89,7 @@ pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Case
     sleep(board, SETTLE)
 }
 
-/// T-SYNC-1: a token circulates in both directions: every core rings every other one.
+/// T-SYNC-1: a token circulates in both directions, so every core rings every other one.
 pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const LAPS: u32 = 4;
     let token = word(board, 0);

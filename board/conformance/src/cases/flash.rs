@@ -4,7 +4,7 @@ use crate::barrier::{PATIENCE, sleep, sleep_until};
 use crate::case::{CaseFailure, check, equal, fail};
 use tandem_board::{Board, CoreAddress, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
 
-/// Room for the largest page that the suite programs.
+/// The largest page, in bytes, that the suite can program.
 const PAGE: usize = 64;
 
 fn page<F: DataFlash>() -> usize {
@@ -30,7 +30,7 @@ fn erase<B: Board>(board: &B, sector: u32) -> Result<(), CaseFailure> {
     idle(board)
 }
 
-/// Every byte of `sector` except those of `pages` is 0xFF.
+/// Checks that every byte of `sector` outside `pages` is 0xFF.
 #[track_caller]
 fn erased_but<B: Board>(board: &B, sector: u32, pages: &[u32]) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
@@ -152,7 +152,7 @@ pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFail
     erased_but(board, 0, &[])
 }
 
-/// Starts a page while the one before may still be under way: in the end both are programmed.
+/// Starts a page while the previous one may still be in progress: both must end up programmed.
 pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     erase(board, 0)?;
@@ -180,7 +180,7 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), C
     Ok(())
 }
 
-/// A page that is programmed twice without an erase holds the bits that were set both times.
+/// A page programmed twice without an erase holds the bits that were set both times.
 pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES as usize;
     erase(board, 0)?;
@@ -197,8 +197,8 @@ pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFa
     erased_but(board, 0, &[0])
 }
 
-/// First incarnation: is reset while a page is programmed. Second: the adjacent pages are whole,
-/// and the sector can be used again.
+/// First incarnation: is reset while a page is programmed. Second incarnation: the adjacent pages
+/// are intact, and the sector can be used again.
 pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     let page = |number| (number * page_bytes, data(number));
@@ -230,7 +230,7 @@ pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), Cas
     erased_but(board, 0, &[])
 }
 
-/// First incarnation: programs a page and asks for a reset. Second incarnation: reads it.
+/// First incarnation: programs a page and requests a reset. Second incarnation: reads the page.
 pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     let page = &data(7)[..B::Flash::PAGE_BYTES as usize];
     let offset = B::Flash::SECTOR_BYTES;

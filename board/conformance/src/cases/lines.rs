@@ -4,12 +4,12 @@ use crate::barrier::{SETTLE, alternating, sleep, sleep_until, wait_for_peer, wok
 use crate::case::{CaseFailure, equal};
 use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
-/// How many rising edges a system sends on a line.
+/// Returns how many rising edges a system sends on a line.
 fn rising(system: SystemId, line: Line) -> u32 {
     3 + 2 * line.index() as u32 + 7 * system.index() as u32
 }
 
-/// The same number of falling edges, or one less: the line ends low or high.
+/// Returns how many falling edges: as many, or one fewer. So the line ends low or high.
 fn falling(system: SystemId, line: Line) -> u32 {
     rising(system, line) - u32::from(line != Line::Heartbeat1)
 }
@@ -48,7 +48,7 @@ pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Cas
 
 const STARTS: u32 = 6;
 
-/// Sends an edge on the start line whenever the other system reports that it sleeps.
+/// Sends an edge on the start line each time the other system reports that it will sleep.
 pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for round in 0..STARTS {
         wait_for_peer(board, round + 1)?;

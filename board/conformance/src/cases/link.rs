@@ -4,17 +4,17 @@ use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer};
 use crate::case::{CaseFailure, check, equal};
 use tandem_board::{Board, CoreAddress, Link};
 
-/// More words than any board's link carries at once; enough for all cases.
+/// More words than one datagram of any board's link; enough for all cases.
 const WORDS: usize = 256;
 
-/// Word `index` of datagram `number` from system `from`.
+/// Returns word `index` of datagram `number` from system `from`.
 fn content(from: usize, number: u32, index: usize) -> u32 {
     (number ^ (from as u32) << 31)
         .wrapping_mul(0x9E37_79B1)
         .wrapping_add(index as u32)
 }
 
-/// Lengths from one word to the largest, in an order that mixes them.
+/// Returns the length of datagram `number`, from one word to the maximum, in mixed order.
 fn length<L: Link>(number: u32) -> usize {
     let most = L::MAX_WORDS.min(WORDS);
     1 + (number as usize * 7) % most
@@ -29,7 +29,7 @@ fn send<B: Board>(board: &B, from: usize, number: u32) -> bool {
         .is_ok()
 }
 
-/// Receives datagram `number` if it has arrived; returns whether it has.
+/// Receives datagram `number` if it has arrived; returns whether it had.
 #[track_caller]
 fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, CaseFailure> {
     let mut words = [0; WORDS];
@@ -85,7 +85,7 @@ pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseF
     wait_for_peer(board, 2)
 }
 
-/// Sends until there is no room, while the other system receives nothing.
+/// Sends until the link is full, while the other system receives nothing.
 pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     const MANY: u32 = 100_000;
     wait_for_peer(board, 1)?;

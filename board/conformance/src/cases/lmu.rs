@@ -36,7 +36,7 @@ fn pattern(index: usize, writer: usize) -> u32 {
     (index as u32 ^ (writer as u32) << 28).wrapping_mul(0x9E37_79B1) | 1
 }
 
-/// T-CHIP-1: each core in turn writes every word; the other two read it.
+/// T-CHIP-1: each core in turn writes every word; the other two cores read them.
 pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     let words = &board.lmu()[FREE_WORDS..];
     for writer in CoreId::ALL {
@@ -63,7 +63,7 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Case
     }
 }
 
-/// The other system does the same at the same time.
+/// The other system runs `shared`; this system's LMU must stay zero.
 pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let untouched = board

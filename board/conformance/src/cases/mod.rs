@@ -17,10 +17,10 @@ use tandem_board::{CoreAddress, FaultSource};
 
 use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
-/// How many cases the suite has.
+/// Number of cases in the suite.
 const COUNT: usize = 53;
 
-/// Makes the parts of a case live as long as the program.
+/// Makes a case whose parts have static lifetime.
 macro_rules! case {
     ($name:literal, $setting:ident, $($place:ident: $role:path),+ $(,)?) => {
         Case {
@@ -31,7 +31,7 @@ macro_rules! case {
     };
 }
 
-/// All cases, in a sensible order: a case relies on properties that earlier cases proved.
+/// Returns all cases, ordered so that a case relies only on properties that earlier cases tested.
 #[must_use]
 #[rustfmt::skip]
 pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {

@@ -1,4 +1,4 @@
-//! Core 0 starts alone and releases the others. T-BOOT-2
+//! Core 0 starts alone and releases the other cores. T-BOOT-2
 
 use crate::barrier::{PATIENCE, SETTLE, word};
 use crate::case::{CaseFailure, check, equal};
@@ -6,24 +6,24 @@ use crate::cases::supply::{expect_reset, is_first_incarnation, middle, serve};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, ResetRequest, Supply};
 
-/// Steps of a released core: it counts them while it runs.
+/// Counter that a released core increments while it runs.
 fn steps<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, core.index())
 }
 
-/// How often a core has started.
+/// Counts the starts of a core.
 fn begins<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, CoreId::COUNT + core.index())
 }
 
-/// Core 0 that services the watchdog while it waits.
+/// Core 0, which services the watchdog while it waits.
 struct Servant<'b, B> {
     board: &'b B,
     next_service: Instant,
 }
 
 impl<B: Board> Servant<'_, B> {
-    /// Returns whether `holds` within `span`.
+    /// Waits for `holds` for at most `span`, and returns whether it became true.
     fn until(&mut self, span: Duration, mut holds: impl FnMut() -> bool) -> bool {
         let limit = self.board.now() + span;
         while !holds() {
@@ -42,12 +42,12 @@ impl<B: Board> Servant<'_, B> {
     }
 }
 
-/// Core 0 of a case about another core: that core is already released.
+/// Role of core 0 in a case about another core: that core is already released.
 pub(super) fn nothing_more<B: Board>(_: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     Ok(())
 }
 
-/// T-CHIP-2: in each of two incarnations: core 0 alone, then with core 2, then with core 1.
+/// T-CHIP-2: in each of two incarnations, core 0 runs alone, then with core 2, then with all.
 pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const OTHERS: [CoreId; 2] = [CoreId::PLANNING, CoreId::PERCEPTION];
     let ran = |core: CoreId| steps(board, core).load(Ordering::Acquire) != 0;
@@ -91,7 +91,7 @@ pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFa
     Ok(())
 }
 
-/// Counts its start, and steps until a reset; in the second incarnation only a few.
+/// Counts its start, then steps until a reset; in the second incarnation it makes only a few steps.
 pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     equal(
         board.identity().generation.0,
@@ -101,7 +101,7 @@ pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), Ca
     begins(board, place.core).fetch_add(1, Ordering::Relaxed);
     let limit = board.now() + PATIENCE;
     while board.now() < limit {
-        // Release pairs with the Acquire of core 0: with the first step it also sees the start.
+        // Release pairs with Acquire on core 0: with the first step, core 0 also sees the start.
         let count = steps(board, place.core).fetch_add(1, Ordering::Release);
         if count > 20 && !is_first_incarnation(board) {
             break;

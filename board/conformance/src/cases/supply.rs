@@ -7,7 +7,7 @@ use tandem_board::{
     watchdog_answer,
 };
 
-/// The middle of the window, counted from a service.
+/// Returns the time from a service to the middle of the window.
 pub(super) fn middle<S: Supply>() -> Duration {
     Duration::from_us(u64::from(S::WINDOW_OPENS_US / 2 + S::WINDOW_CLOSES_US / 2))
 }
@@ -18,7 +18,7 @@ pub(super) fn serve<B: Board>(board: &B) {
         .service_watchdog(watchdog_answer(board.supply().watchdog_question()));
 }
 
-/// Every service is in the middle of the window and has the right answer: no reset.
+/// Every service is in the middle of the window and has the right answer: no reset follows.
 pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const ROUNDS: u32 = 20;
     let cause = board.supply().reset_cause();
@@ -45,10 +45,10 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Ca
     )
 }
 
-/// Every service is just after the window opens: no reset.
+/// Every service is just after the window opens: no reset follows.
 pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     const ROUNDS: u32 = 10;
-    // Half a millisecond for differences between the clocks.
+    // Half a millisecond of margin for differences between the clocks.
     let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 500);
     for _ in 0..ROUNDS {
         serve(board);
@@ -65,7 +65,7 @@ pub(super) fn is_first_incarnation<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
 
-/// Services the watchdog correctly, so that a reset can only have an earlier cause.
+/// Services the watchdog correctly, so that any reset has an earlier cause.
 fn serve_on<B: Board>(board: &B) -> Result<(), CaseFailure> {
     for _ in 0..5 {
         sleep(board, middle::<B::Supply>())?;
@@ -74,14 +74,14 @@ fn serve_on<B: Board>(board: &B) -> Result<(), CaseFailure> {
     Ok(())
 }
 
-/// The first incarnation ends here, by the expected reset.
+/// Waits for the reset that must end the first incarnation; fails if there is none.
 #[track_caller]
 pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), CaseFailure> {
     sleep(board, PATIENCE)?;
     fail(what)
 }
 
-/// This is the second incarnation; `cause` was its reset cause.
+/// Checks that this is the second incarnation and that `cause` is its reset cause.
 #[track_caller]
 pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), CaseFailure> {
     equal(
@@ -97,7 +97,7 @@ pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Ca
     )
 }
 
-/// T-CHIP-6: first incarnation: a wrong answer. Second incarnation: reads that as the cause.
+/// T-CHIP-6. First incarnation: gives a wrong answer. Second: reads that as the reset cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -110,7 +110,7 @@ pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Ca
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: a right answer before the window opens.
+/// First incarnation: gives a right answer before the window opens.
 pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         check(
@@ -125,7 +125,7 @@ pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailu
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// T-CHIP-6: first incarnation: one service, and no second.
+/// T-CHIP-6. First incarnation: services the watchdog once only.
 pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -134,7 +134,7 @@ pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailur
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// T-CHIP-6: first incarnation: no service at all.
+/// T-CHIP-6. First incarnation: never services the watchdog.
 pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "no first service resets the system");
@@ -142,7 +142,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailu
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: makes a request. Second incarnation: reads that as the cause.
+/// First incarnation: makes a request. Second incarnation: reads that as the reset cause.
 fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         board.supply().request_reset(request);
@@ -159,12 +159,12 @@ pub(super) fn download_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     asks(board, ResetRequest::Download, ResetCause::Download)
 }
 
-/// The request reports a dead core of its system.
+/// Requests a reset because another core of its system is dead.
 pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     asks(board, ResetRequest::CoreDead, ResetCause::Trap)
 }
 
-/// A core whose system is reset by another core.
+/// A core whose system is reset at the request of another core.
 pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
@@ -184,7 +184,7 @@ pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFa
     expect_reset(board, "a system that suspends is held in reset")
 }
 
-/// Is woken by the level line of the other system.
+/// Waits for an interrupt by the level line of the other system.
 pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let lines = board.lines();
@@ -207,7 +207,7 @@ pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<
     software_reset(board, place)
 }
 
-/// The other system is reset: its level line falls, and rises when its next incarnation begins.
+/// The other system is reset: its level line falls, then rises when its next incarnation begins.
 pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         // After this role has ended, no role services this system's watchdog.
@@ -230,7 +230,7 @@ pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Case
     Ok(())
 }
 
-/// More records than a trace may hold, and every lamp: no call blocks.
+/// Writes more records than a trace may hold and shows every lamp: no call may block.
 pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for number in 0..100_000 {
         board.trace([number, 0, 0, u32::MAX]);
