@@ -1,4 +1,4 @@
-//! The command line that people use.
+//! The arguments of the `tandem` command.
 
 use std::path::PathBuf;
 
@@ -44,7 +44,7 @@ pub struct Cli {
     pub command: Command,
 }
 
-/// The jobs.
+/// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Drive a scenario with both systems, and write a report
@@ -138,7 +138,7 @@ pub struct RunArgs {
           allow_hyphen_values = true)]
     pub duration: f64,
 
-    /// Time limits: those of real time, those of a desktop, or by what the machine grants
+    /// Time limits: for real time, for a desktop, or chosen by what the machine grants
     #[arg(long, value_enum, default_value_t = Timing::Auto)]
     pub timing: Timing,
 
@@ -213,7 +213,7 @@ pub struct RunChoice {
     pub name: Option<String>,
 }
 
-/// Wires between the systems and to the bus.
+/// The wires between the systems and to the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum WireName {
     /// The first heartbeat line
@@ -248,7 +248,7 @@ pub struct PowerArgs {
     pub run: RunChoice,
 }
 
-/// Off or on.
+/// Values of the switch argument of `tandem power`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Switch {
     /// Restart a system that was switched off or whose supply was killed
@@ -272,7 +272,7 @@ pub struct FaultArgs {
     #[arg(long)]
     pub mend: bool,
 
-    /// Seed of the words that `lmu` writes
+    /// Seed of the random words that `lmu` writes
     #[arg(long, default_value_t = 1)]
     pub seed: u32,
 
@@ -281,7 +281,7 @@ pub struct FaultArgs {
     pub run: RunChoice,
 }
 
-/// Faults that no signal to a process can cause.
+/// Faults that signals to a process cannot cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum FaultKind {
     /// A core overwrites the whole shared memory of its system
@@ -319,7 +319,7 @@ pub struct DflashArgs {
     pub folder: PathBuf,
 }
 
-/// What `tandem dflash` does.
+/// The subcommands of `tandem dflash`.
 #[derive(Clone, Copy, Debug, Subcommand)]
 pub enum DflashCommand {
     /// Print the state of both systems
@@ -357,7 +357,7 @@ pub enum Timing {
     Desktop,
 }
 
-/// At least one CPU number, none of them twice.
+/// A list of at least one CPU number, without duplicates.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CpuList(pub Vec<usize>);
 
@@ -367,7 +367,7 @@ const DURATION_MAX_S: f64 = 3600.0;
 /// Parses a time such as 20, 20s, 500ms or 1.5m. Returns seconds.
 ///
 /// # Errors
-/// If the text is no time, or the time is longer than a run may be.
+/// If the text is not a time, or the time is longer than [`DURATION_MAX_S`].
 pub fn parse_duration(text: &str) -> Result<f64, String> {
     let text = text.trim();
     let unit_at = text
@@ -412,7 +412,7 @@ fn parse_sensor_fault(text: &str) -> Result<String, NoSensorFault> {
 /// Parses the name of a system, A or B, in either case.
 ///
 /// # Errors
-/// If the text is neither.
+/// If the text is not one of the two names.
 pub fn parse_system(text: &str) -> Result<SystemId, String> {
     let named = |system: &SystemId| system.to_string().eq_ignore_ascii_case(text);
     let found = SystemId::ALL.into_iter().find(named);

@@ -1,5 +1,5 @@
-//! Programs beside this one: commands with dependencies that no drive needs. Each is built when it
-//! is first used.
+//! Starts the programs that implement the commands whose dependencies a drive does not need. Each
+//! program is built at its first use.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::CommandExt as _;
@@ -11,14 +11,14 @@ use anyhow::{Context as _, anyhow};
 
 use crate::failure::Failure;
 
-/// Cargo finds in less time than this that everything is up to date.
+/// Cargo takes less time than this if everything is up to date.
 const UP_TO_DATE_WITHIN: Duration = Duration::from_millis(500);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// A program that shares the command line and implements some of the commands.
+/// A separate program that implements some of the commands of `tandem`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Program {
-    /// The benchmark, with the libraries that it compares.
+    /// The benchmarks, with the libraries that they compare.
     Bench,
     /// Virtual time, emulators, campaigns and experiments.
     Lab,
@@ -58,8 +58,8 @@ pub struct PassedArguments {
 
 /// Replaces this process by the program, with these arguments. Returns only on failure.
 ///
-/// If this program runs from cargo's target folder and its sources exist, cargo first brings the
-/// other program up to date. If cargo fails, the existing program runs, with a warning on stderr.
+/// If this program runs from cargo's target folder and its sources exist, cargo first rebuilds the
+/// other program if needed. If cargo fails, the existing program runs, with a warning on stderr.
 ///
 /// # Errors
 /// [`Failure::Usage`] if the program is missing.
@@ -92,12 +92,12 @@ fn build(program: Program, folder: &Path) -> anyhow::Result<()> {
     };
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    // Name both packages: cargo then unifies features as it did for this program, and reuses that
-    // build.
+    // Name both packages, so that cargo selects the same features as for this program and reuses
+    // its build.
     command.args(["build", "--quiet", "-p", "tandem", "-p", program.package()]);
     command.args(["--bin", program.name(), "--profile", profile]);
     command.arg("--target-dir").arg(target);
-    // Use cargo's configuration of the source folder, not that of the caller's folder.
+    // Use cargo's configuration in the source folder, not the one in the caller's folder.
     command.current_dir(sources);
     let mut cargo = command.spawn().with_context(|| format!("{command:?}"))?;
     let deadline = Instant::now() + UP_TO_DATE_WITHIN;

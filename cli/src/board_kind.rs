@@ -1,4 +1,4 @@
-//! The board that the controller runs on, as an argument.
+//! The command-line argument that selects the controller's board.
 
 use clap::ValueEnum;
 

@@ -24,7 +24,7 @@ pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// Name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
-/// An application on trial approves its image after this time with a role.
+/// An application on trial approves its image when it has had a role for this long.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes receive them.
@@ -37,7 +37,7 @@ pub struct ProgramFlashes {
 }
 
 impl ProgramFlashes {
-    /// Opens the flashes in these files. Creates a missing one as a factory would: with release 1
+    /// Opens the flashes in these files. Creates each missing file with factory content: release 1
     /// of the controller, signed with this key.
     ///
     /// # Errors
@@ -52,7 +52,7 @@ impl ProgramFlashes {
         Self::empty(files, key)
     }
 
-    /// Opens the flashes in these files. Creates a missing one erased.
+    /// Opens the flashes in these files. Creates each missing file as an erased flash.
     ///
     /// # Errors
     /// If a file cannot be read or created, or is not a flash.
@@ -69,8 +69,8 @@ impl ProgramFlashes {
         FlashFile::open(path).with_context(|| path.display().to_string())
     }
 
-    /// Returns the records that update a system to this release of the controller, for the slot
-    /// that does not boot.
+    /// Returns the records that update a system to this release of the controller. They are for
+    /// the slot that does not boot.
     ///
     /// # Errors
     /// If the flash cannot be read.
@@ -104,7 +104,7 @@ impl ProgramFlashes {
     }
 }
 
-/// Returns the image of an application of this executable, for a slot.
+/// Builds and signs the image that starts an application of this executable from a slot.
 pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
     let release = ReleaseInfo {
         version,
@@ -120,10 +120,10 @@ pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Im
     )
 }
 
-/// Reads the key in this file; creates one if the file is missing.
+/// Reads the key in this file. Creates the file with a new key if it is missing.
 ///
 /// # Errors
-/// If the file cannot be read or written, or holds no key.
+/// If the file cannot be read or written, or does not hold a key.
 pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     if !path.exists() {
         let key = new_key()?;
@@ -144,7 +144,7 @@ pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
 /// Reads the 32 bytes of a key from a DER file that begins with `prefix`.
 ///
 /// # Errors
-/// If the file cannot be read, or holds no such key.
+/// If the file cannot be read, or does not hold such a key.
 pub fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let key = bytes
@@ -156,7 +156,7 @@ pub fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
 /// Generates a key.
 ///
 /// # Errors
-/// If the operating system gives no random numbers.
+/// If the operating system does not provide random numbers.
 pub fn new_key() -> anyhow::Result<SigningKey> {
     let mut seed = [0; 32];
     let mut random = File::open("/dev/urandom").context("/dev/urandom")?;
@@ -168,7 +168,7 @@ pub fn new_key() -> anyhow::Result<SigningKey> {
 /// Returns only on failure.
 ///
 /// # Errors
-/// If the run is over, or the slot cannot be read or executed.
+/// If the run has ended, or the slot cannot be read or executed.
 pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
     let system = args.identity.system;
     let mut file = flash.open(system)?;
@@ -185,7 +185,7 @@ pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
     Err(jump::jump(&program, args)).with_context(|| format!("executing slot {slot:?}"))
 }
 
-/// Runs the bootloader until core 0 leaves it.
+/// Runs the bootloader until core 0 starts an application. Returns the slot of that application.
 fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow::Result<Slot> {
     let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
     let trust = Trust {
@@ -193,7 +193,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
         mode: TrustMode::Strict,
     };
     let keeper = BetweenSteps::new(&board);
-    // A file without a bootloader: this program takes its place.
+    // If the file contains no bootloader, this program acts as the primary one.
     let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
     loop {
         match start(&board, &mut *file, trust, bank, &keeper) {
@@ -203,7 +203,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
     }
 }
 
-/// Returns what a slot holds for a core: the bytes from its entry to the end of that part.
+/// Returns the program of a core in a slot: the bytes from its entry to the end of that part.
 fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec<u8>> {
     let place = FlashRegion::Target(ImageTarget::Application(slot))
         .range()
@@ -222,7 +222,7 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     Ok(program)
 }
 
-/// Spawns a thread that approves the running image once it has had a role for long enough.
+/// Spawns a thread that approves the running image after it has had a role for long enough.
 ///
 /// # Errors
 /// If the thread cannot be started.

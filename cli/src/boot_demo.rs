@@ -1,5 +1,5 @@
-//! `tandem boot-demo`: a download over CAN to an empty controller, its start, and the frames of its
-//! three cores. T-BOOT-8
+//! `tandem boot-demo`: downloads an application over CAN to an empty controller, starts it, and
+//! shows a frame of each of its three cores. T-BOOT-8
 
 use std::fmt;
 use std::fs;
@@ -18,16 +18,16 @@ use crate::run::this_program;
 use crate::run_config::{RunConfig, write_lines};
 pub use crate::three_frames::NAME;
 
-/// The system under test. The other one has an empty flash and waits.
+/// The system that receives the download. The other system has an empty flash and waits.
 pub const SYSTEM: SystemId = SystemId::A;
-/// Records that may be unacknowledged.
+/// Largest number of unacknowledged records.
 const WINDOW: u8 = 16;
-/// Frames per millisecond that a bus of 500 kbit/s carries.
+/// Frames per millisecond on a bus of 500 kbit/s.
 const FRAMES_PER_MS: usize = 3;
-/// The longest time for download and start, which take seconds.
+/// The longest time for download and start. Both together take seconds.
 const PATIENCE: Duration = Duration::from_ms(120_000);
 
-/// A download to an empty controller, and the first frames of its three cores.
+/// The result of a download to an empty controller, with the first frames of its three cores.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Downloaded {
     /// Number of S-records in the file.
@@ -45,7 +45,7 @@ pub struct FirstFrame {
     pub after_ms: f64,
     /// Identifier on CAN.
     pub id: u16,
-    /// Its one byte: the number of the core.
+    /// The only data byte: the number of the core.
     pub core: u8,
 }
 
@@ -97,10 +97,10 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
     Ok(serde_json::from_str(&result)?)
 }
 
-/// Runs the vehicle's part on the host: `lines` are the records, `result` is the file to write.
+/// Runs the vehicle's part on the host. Reads the records from `lines`, and writes `result`.
 ///
 /// # Errors
-/// As [`download`], or if the run is over.
+/// See [`download`]; also if the run has ended.
 pub(crate) fn play(args: &VehicleArgs, [lines, result]: &[PathBuf; 2]) -> anyhow::Result<()> {
     let mut port =
         HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;

@@ -1,4 +1,4 @@
-//! The recording of a run on its way into the folder of a report.
+//! Collects the recording of a run, and writes it to the folder of a report.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write as _};
@@ -14,7 +14,7 @@ use crate::percentiles::Spans;
 use crate::report;
 use crate::timeline::{self, Timeline};
 
-/// The data of a run, copied from its shared memory before that is wiped.
+/// The data of a run, copied from its shared memory before that memory is erased.
 pub struct Collected {
     pub(crate) log: RunLog,
     timeline: Timeline,
@@ -43,7 +43,7 @@ impl Collected {
         })
     }
 
-    /// Collects a run that is not in a file: its recording, and its frames as lines.
+    /// Collects a run whose recording is in memory: its log, and its frames as lines of text.
     ///
     /// # Errors
     /// If the folder cannot be written.
@@ -85,7 +85,7 @@ impl Collected {
     }
 }
 
-/// Reads the recording, and writes its frames as the CAN log.
+/// Reads the recording, and writes its frames to the CAN log.
 ///
 /// # Errors
 /// If the recording cannot be read or the log cannot be written.

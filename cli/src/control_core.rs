@@ -13,17 +13,17 @@ use tandem_cores::doorbell::{DoorbellThrottle, RingOutcome};
 use tandem_rtos::{Interrupt, Kernel, host};
 use tandem_runtime::RuntimeOptions;
 
-/// Bytes of a task's stack.
+/// Size of a task's stack, bytes.
 const STACK_BYTES: usize = 64 << 10;
-/// How many times the doorbell's thread has merged rings into one.
+/// Number of times the doorbell's thread has merged several rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// How long the thread sleeps that watches this CPU for stalls; each end of a sleep is a wake-up.
-/// Two ticks of core 0: the timer that core 0 postpones is then never the next one of its CPU,
-/// which the kernel would have to reprogram at each tick.
+/// Sleep time of the thread that watches this CPU for stalls. It is two ticks of core 0: the timer
+/// that core 0 postpones is then never the CPU's next timer, which the kernel would have to
+/// reprogram at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
-/// Postpones the end of that sleep at each tick from now on. Only the first call has an effect.
+/// From now on, postpones the end of that sleep at each tick. Only the first call has an effect.
 pub(crate) fn postpone_at_ticks(alarm: Alarm) {
     static ALARM: OnceLock<Alarm> = OnceLock::new();
     if ALARM.set(alarm).is_ok() {
@@ -35,7 +35,7 @@ pub(crate) fn postpone_at_ticks(alarm: Alarm) {
     }
 }
 
-/// Runs core 0 until its supply ends it.
+/// Runs core 0 until its supply ends the process.
 ///
 /// # Errors
 /// If the kernel cannot start.
@@ -56,11 +56,11 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
 /// Raises the core's interrupt when its doorbell rings, at most once in
 /// [`DOORBELL_DISTANCE`](tandem_cores::doorbell::DOORBELL_DISTANCE).
 ///
-/// This thread is more urgent than the core. A ring that follows the last one too early makes it
-/// sleep until the distance is over, so a doorbell that rings without a pause cannot take the CPU
-/// from the core. Rings in that time are merged into one.
+/// This thread has a higher priority than the core. If a ring follows the last one too early, the
+/// thread sleeps until the distance has passed, so a doorbell that rings without pause cannot take
+/// the CPU from the core. Rings in that time are merged into one.
 fn listen(board: &HostBoard, grant: Grant) -> ! {
-    // More urgent than the core, because this thread interrupts it. The CPU is inherited.
+    // A higher priority than the core, because this thread interrupts it. The CPU is inherited.
     let _ = realtime::claim(Claim {
         priority: grant.fifo.map(|priority| priority.saturating_add(1)),
         cpu: None,
@@ -71,7 +71,7 @@ fn listen(board: &HostBoard, grant: Grant) -> ! {
         board.wait(Instant::NEVER);
         if throttle.ring(board.now()) == RingOutcome::HeldBack {
             clock::sleep_until(throttle.due());
-            // Does not wait: the deadline has passed.
+            // This call does not wait, because the deadline has passed.
             board.wait(Instant::ORIGIN);
             throttle.pass_if_due(board.now());
             HELD_BACK.store(throttle.held_back(), Relaxed);

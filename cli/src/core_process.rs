@@ -11,11 +11,11 @@ use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 
-/// Runs the core until its supply ends it: first the bootloader, then the application in the slot.
-/// Returns only if the core cannot start.
+/// Runs the core until its supply ends the process: first the bootloader, then the application in
+/// the slot. Returns only if the core cannot start.
 ///
 /// # Errors
-/// If the core's run is over, or its arguments are not this program's.
+/// If the run has ended, or the arguments are not from this program.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let run = RunConfig::from_extra(&args.common.extra)?;
     let grant = args.claim();
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Returns the limits of a run.
+/// Returns the time limits of the cores in a run.
 pub(crate) fn config(run: &RunConfig) -> Config {
     let mut config = match run.profile {
         LimitProfile::Rt => Config::rt(),

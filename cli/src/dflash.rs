@@ -1,5 +1,5 @@
-//! `tandem dflash`: shows and initialises the data flashes of a controller. This is the thesis's
-//! initialisation tool. T-RED-1
+//! `tandem dflash`: shows and initialises the data flashes of a controller, as the thesis's
+//! initialisation tool does. T-RED-1
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -152,7 +152,7 @@ mod tests {
         load(&HostFlash::open(&path(folder, system)).unwrap()).1
     }
 
-    /// T-RED-1: one system is initialised as master, the other as slave, the rest as zero.
+    /// T-RED-1: `init` makes one system master and the other slave, and sets the rest to zero.
     #[test]
     fn a_suspended_system_is_revived() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,25 +1,25 @@
-//! The ways in which a command fails, and their exit statuses.
+//! The ways in which a command can fail, and their exit statuses.
 
 use std::process::ExitCode;
 
-/// Why the command ends with an exit status other than 0.
+/// The reason why a command ends with an exit status other than 0.
 #[derive(Debug)]
 pub enum Failure {
-    /// The command line, an input or the machine does not permit the command; nothing was started.
+    /// The command line, an input or the machine does not permit the command. Nothing was started.
     Usage(anyhow::Error),
     /// The run failed.
     Run(anyhow::Error),
     /// The run ended, but broke these rules. The report has the details.
     Objections(Vec<String>),
-    /// The user ended it before anything was driven.
+    /// The user ended the command before anything was driven.
     Interrupted,
     /// The user ended the drive after this scenario time, s; the report shows the drive until then.
     DrivenUntil(f64),
-    /// The user ended it; the figures until then are shown.
+    /// The user ended the command; the figures until then are shown.
     CutShort,
 }
 
-/// An error without another word is one of the run.
+/// Errors that are not classified otherwise are errors of the run.
 impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
         Self::Run(error.into())
@@ -27,12 +27,12 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
 }
 
 impl Failure {
-    /// An error before anything was started.
+    /// Makes a [`Failure::Usage`] from an error that occurred before anything was started.
     pub fn usage(error: impl Into<anyhow::Error>) -> Self {
         Self::Usage(error.into())
     }
 
-    /// Prints on stderr what was wrong.
+    /// Prints the reason on stderr.
     pub fn say(&self) {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),

@@ -1,5 +1,5 @@
-//! Paths of the working files of a run: in the run's shared memory, which vanishes with its last
-//! process, or in a folder.
+//! Paths of the working files of a run. They are in the run's shared memory, which is removed with
+//! the run's last process, or in a folder.
 
 use std::path::{Path, PathBuf};
 
@@ -9,12 +9,12 @@ use tandem_board_host::RunName;
 /// The files of a run.
 #[derive(Clone, Debug)]
 pub struct RunFiles {
-    /// The common prefix of their paths.
+    /// The common prefix of all paths.
     prefix: String,
 }
 
 impl RunFiles {
-    /// The files of this run.
+    /// Returns the paths in the shared memory of this run.
     pub fn of(run: &RunName) -> Self {
         // The board removes files whose name begins with the run's name.
         Self {
@@ -22,44 +22,44 @@ impl RunFiles {
         }
     }
 
-    /// The files of a run with its own folder.
+    /// Returns the paths in this folder.
     pub fn within(folder: &Path) -> Self {
         Self {
             prefix: format!("{}/", folder.display()),
         }
     }
 
-    /// The recording that the vehicle writes.
+    /// Returns the path of the recording that the vehicle writes.
     pub fn recording(&self) -> PathBuf {
         self.path("recording")
     }
 
-    /// The current state of the run, for display.
+    /// Returns the path of the current state of the run, for display.
     pub fn live(&self) -> PathBuf {
         self.path("live.json")
     }
 
-    /// Error messages of processes.
+    /// Returns the path of the error messages of processes.
     pub fn errors(&self) -> PathBuf {
         self.path("errors.txt")
     }
 
-    /// Data flash of a system, unless the user keeps it in a folder.
+    /// Returns the path of a system's data flash, unless the user keeps it in a folder.
     pub fn flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.dflash"))
     }
 
-    /// Program flash of a system, unless the user keeps it in a folder.
+    /// Returns the path of a system's program flash, unless the user keeps it in a folder.
     pub fn program_flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.pflash"))
     }
 
-    /// The records that update a system.
+    /// Returns the path of the records that update a system.
     pub fn update(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.update"))
     }
 
-    /// The results of the updates, one line each.
+    /// Returns the path of the results of the updates, one line each.
     pub fn updated(&self) -> PathBuf {
         self.path("updated.txt")
     }

@@ -1,4 +1,4 @@
-//! `tandem cut`, `mend`, `power` and `fault`: fault injection on a run while it drives.
+//! `tandem cut`, `mend`, `power` and `fault`: inject faults into a run while it drives.
 
 use anyhow::{Context as _, bail};
 use tandem_board::{Edge, HardwareFault, Line, SystemId};
@@ -37,7 +37,7 @@ pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
 /// Injects or ends a hardware fault.
 ///
 /// # Errors
-/// If the run cannot be reached, or the fault does not last and so cannot be ended.
+/// If the run cannot be reached, or the fault is momentary, so that it cannot be ended.
 pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
     let injection = Injection::on(args.run.name.as_deref())?;
     let hardware = match args.fault {

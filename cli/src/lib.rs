@@ -1,5 +1,5 @@
-//! Shared by `tandem` and the programs beside it: a run with its processes, its recording and its
-//! report.
+//! The code that `tandem` shares with its separate programs: a run with its processes, its
+//! recording and its report.
 #![forbid(unsafe_code)]
 
 pub mod args;
@@ -43,13 +43,13 @@ use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 use failure::Failure;
 use tandem_rtos::host::TaskAllocator;
 
-/// The tasks of a core share its thread, and with it the allocator.
+/// The tasks of a core share its thread, and therefore also its allocator.
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
-/// Runs a process of a run if the arguments ask for one; otherwise runs `command`. Every program
-/// that starts runs uses this, because the processes of a run are this program with hidden
-/// arguments.
+/// Runs a process of a run if the arguments request one, otherwise `command`. Every program that
+/// starts runs must call this, because it starts itself with hidden arguments for each process of
+/// a run.
 pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
     if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
         return match process(args) {

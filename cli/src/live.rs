@@ -1,4 +1,4 @@
-//! The current state of a run: written by the vehicle ten times a second, shown by `tandem run`.
+//! The current state of a run. The vehicle writes it every 100 ms, and `tandem run` shows it.
 
 use std::fs;
 use std::io::{IsTerminal as _, stderr};
@@ -18,7 +18,7 @@ const REFRESH: Duration = Duration::from_millis(100);
 pub struct Live {
     /// Scenario time, s.
     pub time_s: f64,
-    /// m/s
+    /// Speed, m/s.
     pub speed: f64,
     /// Distance from bumper to bumper to the vehicle ahead in the lane, m.
     pub lead_gap: Option<f64>,
@@ -31,7 +31,7 @@ pub struct Live {
 }
 
 impl Live {
-    /// Replaces the file atomically: a reader sees the old or the new state, never a part.
+    /// Replaces the file atomically, so that a reader never sees a partly written state.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -63,14 +63,14 @@ impl Live {
     }
 }
 
-/// A line on the terminal that follows the run. Without a terminal it shows nothing.
+/// Shows the state of a run in one line of the terminal. Shows nothing without a terminal.
 pub struct Progress {
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Progress {
-    /// Shows the run whose state is at `path`.
+    /// Starts to show the run whose state is in the file `path`.
     pub fn show(path: PathBuf, duration_s: f64) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let thread = stderr().is_terminal().then(|| {
@@ -84,7 +84,7 @@ impl Progress {
     pub fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // The thread only displays: a panic in it does not affect the run.
+            // The thread only displays, so a panic in it does not affect the run.
             let _ = thread.join();
         }
     }
@@ -97,7 +97,7 @@ fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
     eprint!("starting");
     while !over.load(Ordering::Relaxed) {
         if let Some(live) = Live::read(path) {
-            // A longer line would wrap, and could not be cleared.
+            // Cut the line at the terminal's width: a wrapped line could not be cleared.
             let columns = tcgetwinsize(stderr()).map_or(80, |size| usize::from(size.ws_col));
             eprint!("{CLEAR}{:.columns$}", live.line(duration_s));
         }
@@ -110,7 +110,7 @@ fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
 mod tests {
     use super::*;
 
-    /// The columns do not move while the values change, and the line fits on a terminal of 80
+    /// The columns stay in place while the values change, and the line fits on a terminal of 80
     /// columns.
     #[test]
     fn the_line_keeps_its_columns() {

@@ -1,4 +1,4 @@
-//! The tandem command.
+//! The `tandem` command.
 #![forbid(unsafe_code)]
 
 use std::ffi::OsString;

@@ -1,4 +1,4 @@
-//! The figures of one run, as `metrics.json` has them.
+//! Computes the figures of one run, which `metrics.json` contains.
 
 use serde::Serialize;
 use tandem_cores::trace::Event;
@@ -14,21 +14,21 @@ use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`], by which a report folder is recognised.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
-/// Jerk is the change of acceleration over this span, s. Shorter spans show the log's resolution.
+/// Jerk is the change of acceleration over this span, s. A shorter span adds quantisation noise.
 const JERK_SPAN_S: f64 = 0.1;
 
-/// The knowledge of the run beside the vehicle's log.
+/// Facts about a run that the vehicle's log does not contain.
 #[derive(Clone, Debug, Default)]
 pub struct Surroundings {
-    /// The permissions that were granted, in a line: scheduling, pinning, memory.
+    /// The permissions that the machine granted, in one line: scheduling, pinning, memory.
     pub granted: String,
-    /// The timing profile that followed: `rt` or `desktop`.
+    /// The timing profile that was chosen: `rt` or `desktop`.
     pub timing: String,
-    /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
+    /// Upper bound of the time until a silent master is detected, by the configured periods, ms.
     pub detection_bound_ms: Option<f64>,
-    /// What the rules of a good run need.
+    /// Inputs of the rules of the verdict.
     pub beside: Beside,
-    /// How the threads that watched for stalls were scheduled, in words; empty if there were none.
+    /// Scheduling of the threads that watched for stalls, in words; empty if there were none.
     pub watched_by: String,
 }
 
@@ -43,97 +43,97 @@ pub struct Metrics {
     pub(crate) seed: u64,
     /// Scenario time that was driven, s.
     pub(crate) duration_s: f64,
-    /// Scenario time that was asked for, s.
+    /// Scenario time that was requested, s.
     pub(crate) duration_asked_s: f64,
-    /// How the run is judged, and the rules that it broke.
+    /// The verdict on the run, with the rules that it broke.
     pub(crate) verdict: Verdict,
-    /// What the rules read.
+    /// The figures that the rules read.
     #[serde(flatten)]
     pub(crate) figures: Figures,
-    /// The vehicle's own figures.
+    /// The figures that the vehicle itself measured.
     #[serde(flatten)]
     pub(crate) drive: DriveFigures,
-    /// Control frames that came with an outdated term and were ignored.
+    /// Control frames with an outdated term, which the vehicle ignored.
     pub(crate) fenced_frames: usize,
-    /// Control frames whose protection or content was wrong.
+    /// Control frames with wrong protection or content.
     pub(crate) invalid_frames: usize,
-    /// From the first system's power-on to the first accepted control frame, ms.
+    /// Time from the first system's power-on to the first accepted control frame, ms.
     pub(crate) first_control_ms: Option<f64>,
-    /// Longest time between two accepted control frames, over takeovers and to the end, ms.
+    /// Longest time without an accepted control frame, including takeovers and the run's end, ms.
     pub(crate) control_gap_max_ms: Option<f64>,
-    /// Time between two control frames of one mastership, by the sender's clock: 99 of 100 are not
-    /// longer, ms.
+    /// Time between two control frames of one mastership, by the sender's clock: 99th percentile,
+    /// ms.
     pub(crate) control_period_p99_ms: Option<f64>,
-    /// 999 of 1000 are not longer, ms.
+    /// 99.9th percentile of the same, ms.
     pub(crate) control_period_p99_9_ms: Option<f64>,
-    /// The longest, ms.
+    /// Maximum of the same, ms.
     pub(crate) control_period_max_ms: Option<f64>,
     /// Median of the time from a measurement to the first control frame that reflects it, ms.
     #[serde(default)]
     pub(crate) reaction_p50_ms: Option<f64>,
-    /// 99 of 100 are not longer, ms.
+    /// 99th percentile of the same, ms.
     #[serde(default)]
     pub(crate) reaction_p99_ms: Option<f64>,
-    /// The longest, ms.
+    /// Maximum of the same, ms.
     #[serde(default)]
     pub(crate) reaction_max_ms: Option<f64>,
     /// Median of the age of the oldest measurement behind a control frame that acts, ms.
     #[serde(default)]
     pub(crate) sensor_age_p50_ms: Option<f64>,
-    /// 99 of 100 are not older, ms.
+    /// 99th percentile of the same, ms.
     #[serde(default)]
     pub(crate) sensor_age_p99_ms: Option<f64>,
-    /// The oldest, ms.
+    /// Maximum of the same, ms.
     #[serde(default)]
     pub(crate) sensor_age_max_ms: Option<f64>,
     /// Median of the time from a measurement over cores 1 and 2 to core 0's command, ms.
     pub(crate) chain_p50_ms: Option<f64>,
-    /// 99 of 100 are not longer, ms.
+    /// 99th percentile of the same, ms.
     pub(crate) chain_p99_ms: Option<f64>,
-    /// 999 of 1000 are not longer, ms.
+    /// 99.9th percentile of the same, ms.
     pub(crate) chain_p99_9_ms: Option<f64>,
-    /// The longest, ms.
+    /// Maximum of the same, ms.
     pub(crate) chain_max_ms: Option<f64>,
-    /// How often, and how long at most, the machine stood still.
+    /// Number and longest duration of the machine's stalls.
     pub(crate) stalls: StallMetrics,
-    /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
+    /// Upper bound of the time until a silent master is detected, by the configured periods, ms.
     pub(crate) detection_bound_ms: Option<f64>,
-    /// How long the vehicle can be without control at most when a master falls silent, ms.
+    /// Upper bound of the time without control after a master falls silent, ms.
     pub(crate) gap_bound_ms: Option<f64>,
-    /// How far apart the two systems left the start protocol, µs, if they left it together.
+    /// Time between the ends of the start protocol in both systems, µs, if they left it together.
     pub(crate) start_skew_us: Option<f64>,
-    /// Control cycles that a core reported as late.
+    /// Number of control cycles that a core reported as late.
     pub(crate) deadline_misses: u64,
-    /// How often and how long each task of each core ran, and whether in time.
+    /// Number, duration and punctuality of the jobs of each task of each core.
     pub(crate) tasks: Vec<TaskMetrics>,
-    /// How often and how long each handler of an interrupt ran.
+    /// Number and duration of the runs of each interrupt handler.
     pub(crate) interrupts: Vec<InterruptMetrics>,
-    /// How long signals from core to core took.
+    /// Latency of the signals between cores.
     pub(crate) wakes: Vec<WakeMetrics>,
     /// The timing profile: `rt` or `desktop`.
     pub(crate) timing: String,
-    /// The permissions that were granted, in a line.
+    /// The permissions that the machine granted, in one line.
     pub(crate) granted: String,
     /// Trace records that were lost because the trace was full.
     pub(crate) lost_trace: u64,
-    /// How long the world stood still because the vehicle's process was stopped, ms.
+    /// Time for which the world stood still because the vehicle's process was stopped, ms.
     pub(crate) stalled_ms: f64,
 }
 
-/// [`Metrics::stalls`].
+/// The type of [`Metrics::stalls`].
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct StallMetrics {
-    /// How the watching threads were scheduled, in words. Empty on a board in virtual time.
+    /// Scheduling of the watching threads, in words. Empty on a board in virtual time.
     pub(crate) watched_by: String,
-    /// How often it woke late.
+    /// Number of late wake-ups of these threads.
     pub(crate) count: usize,
     /// The longest stall, ms; 0 if there was none.
     pub(crate) longest_ms: f64,
-    /// How often the vehicle's process, which is the bus, was held up.
+    /// Number of delays of the vehicle's process, which is the bus.
     pub(crate) bus_count: usize,
 }
 
-/// Times between two control frames that follow each other in one mastership, by the sender's
+/// Returns the times between two consecutive control frames of one mastership, by the sender's
 /// clock, ms.
 pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
     let accepted: Vec<_> = log.accepted().collect();
@@ -144,7 +144,7 @@ pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
         .collect()
 }
 
-/// Latencies of the chain core 1 → 2 → 0, ms.
+/// Returns the latencies of the chain core 1 → 2 → 0, ms.
 pub(crate) fn chain_ms(log: &RunLog) -> Vec<f64> {
     let latency = |event: Event| match event {
         Event::Chain { latency_ns, .. } => Some(f64::from(latency_ns) * 1e-6),
@@ -156,13 +156,13 @@ pub(crate) fn chain_ms(log: &RunLog) -> Vec<f64> {
         .collect()
 }
 
-/// Longitudinal jerk over time: (scenario time s, m/s³).
+/// Returns the longitudinal jerk over time: (scenario time s, m/s³).
 pub(crate) fn jerk(log: &RunLog) -> Vec<(f64, f64)> {
     let mut points = Vec::with_capacity(log.samples.len());
     let mut earlier = log.samples.iter().peekable();
     for sample in &log.samples {
         let span_s = |from: &Sample| (sample.at_ns - from.at_ns) as f64 * 1e-9;
-        // The latest sample that is a whole span older.
+        // Take the latest sample that is at least one span older.
         let mut from = None;
         while let Some(candidate) = earlier.next_if(|s| span_s(s) >= JERK_SPAN_S - 1e-6) {
             from = Some(candidate);
@@ -184,8 +184,8 @@ fn first_control_ms(log: &RunLog) -> Option<f64> {
     Some(first_ns.saturating_sub(on.at_ns) as f64 * 1e-6)
 }
 
-/// Longest time without an accepted control frame, ms: between two of them, or from the last one to
-/// the end of the run.
+/// Returns the longest time without an accepted control frame, ms: between two of them, or from
+/// the last one to the end of the run.
 fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
     let last_ns = log.accepted().last()?.at_ns;
     let until_ns = log.until_ns().unwrap_or(last_ns);
@@ -203,7 +203,7 @@ fn deadline_misses(log: &RunLog) -> u64 {
         .sum()
 }
 
-/// Milliseconds of a stall.
+/// Returns the duration of a stall, ms.
 fn stall_ms(stall: &Stall) -> f64 {
     ms_between(stall.from_ns, stall.to_ns)
 }

@@ -1,4 +1,4 @@
-//! The folder of a report. It is replaced as a whole, and only if it holds nothing but a report.
+//! The folder of a report. It is replaced as a whole, and only if it contains just a report.
 
 use std::fs;
 use std::io;
@@ -11,27 +11,27 @@ use tempfile::TempDir;
 
 use crate::metrics::SCHEMA;
 
-/// The report's page.
+/// File name of the report's page.
 pub const REPORT: &str = "report.html";
-/// The figures. Its content identifies a folder as a report.
+/// File name of the figures. The content of this file identifies a folder as a report.
 pub const METRICS: &str = "metrics.json";
-/// The CAN log.
+/// File name of the CAN log.
 pub const CANDUMP: &str = "candump.log";
-/// Distribution of the control period.
+/// File name of the distribution of the control period.
 pub const CONTROL_PERIOD: &str = "control-period.hgrm";
-/// Distribution of the chain's latency.
+/// File name of the distribution of the chain's latency.
 pub const CHAIN: &str = "chain.hgrm";
-/// The timeline of all cores, for <https://ui.perfetto.dev>.
+/// File name of the timeline of all cores, for <https://ui.perfetto.dev>.
 pub const TRACE: &str = "trace.perfetto-trace";
 
 const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE];
 
-/// A place where a report can be put.
+/// A folder that a report can replace or create.
 #[derive(Debug)]
 pub struct ReportFolder {
     /// Path of the folder, with symbolic links resolved.
     path: PathBuf,
-    /// Its parent.
+    /// Its parent folder.
     parent: PathBuf,
 }
 
@@ -39,7 +39,7 @@ impl ReportFolder {
     /// Checks that a report can be written at `path`. Changes nothing.
     ///
     /// # Errors
-    /// Names the obstacle and the remedy.
+    /// If a report cannot be written. The message names the obstacle and the remedy.
     pub fn check(path: &Path) -> anyhow::Result<Self> {
         // Replace the target of a symbolic link, so that the link stays.
         let path = match fs::canonicalize(path) {
@@ -64,7 +64,7 @@ impl ReportFolder {
         if path.exists() {
             check_replaceable(&path)?;
         }
-        // Only an attempt shows missing permissions, a read-only file system or a full disk.
+        // Try to write: missing permissions or a full disk cannot be detected in another way.
         TempDir::new_in(parent)
             .with_context(|| format!("--out: cannot write in {}", parent.display()))?;
         Ok(Self {
@@ -73,30 +73,30 @@ impl ReportFolder {
         })
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Creates a temporary folder beside it, to be filled and passed to [`ReportFolder::put`].
+    /// Creates a temporary folder in the same parent, to be filled and passed to `put`.
     ///
     /// # Errors
-    /// If it cannot be created.
+    /// If the temporary folder cannot be created.
     pub fn stage(&self) -> anyhow::Result<TempDir> {
         tempfile::Builder::new()
             .prefix(".tandem-report-")
-            // The mode of any new folder of this user: the umask applies.
+            // Use the mode of an ordinary new folder: the umask applies.
             .permissions(fs::Permissions::from_mode(0o777))
             .tempdir_in(&self.parent)
             .with_context(|| format!("cannot write in {}", self.parent.display()))
     }
 
-    /// Puts the filled folder in place of the old one.
+    /// Replaces the old folder by the filled one.
     ///
     /// # Errors
-    /// If the old one is no longer a report, or cannot be replaced.
+    /// If the old folder is no longer a report, or cannot be replaced.
     pub fn put(&self, stage: TempDir) -> anyhow::Result<()> {
-        // Another run may write its report there at the same time: the later one wins.
+        // Another run may write its report here at the same time. The later one then replaces it.
         for _ in 0..10 {
             if self.path.exists() {
                 check_replaceable(&self.path)?;
@@ -111,7 +111,7 @@ impl ReportFolder {
             }
             match fs::rename(stage.path(), &self.path) {
                 Ok(()) => {
-                    // The folder has moved: it must not be deleted.
+                    // The folder has been moved, so its guard must not delete it.
                     let _ = stage.keep();
                     return Ok(());
                 }

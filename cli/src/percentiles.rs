@@ -1,16 +1,16 @@
-//! Distributions of spans of time, and the `.hgrm` files that HdrHistogram's tools read.
+//! Distributions of time spans, and the `.hgrm` files that HdrHistogram's tools read.
 
 use hdrhistogram::Histogram;
 
-/// A distribution of spans, kept in nanoseconds with four significant digits.
+/// A distribution of time spans, stored in nanoseconds with four significant digits.
 pub struct Spans {
     histogram: Histogram<u64>,
 }
 
 impl Spans {
-    /// The distribution of these spans, in milliseconds; negative ones count as zero.
+    /// Makes the distribution of these spans, in milliseconds. Negative spans count as zero.
     pub fn from_ms(spans_ms: impl IntoIterator<Item = f64>) -> Self {
-        // The bounds are constants that the type accepts; the fallback is never taken.
+        // The constant bounds are valid, so the fallback is never reached.
         let mut histogram = Histogram::new_with_bounds(1, 3_600_000_000_000, 4)
             .unwrap_or_else(|_| unreachable!("constant bounds"));
         for span_ms in spans_ms {
@@ -19,23 +19,23 @@ impl Spans {
         Self { histogram }
     }
 
-    /// Number of spans.
+    /// Returns the number of spans.
     pub fn count(&self) -> u64 {
         self.histogram.len()
     }
 
-    /// The span in ms that `percent` of all spans do not exceed; `None` if there is none.
+    /// Returns the span in ms that `percent` of all spans do not exceed; `None` without spans.
     pub fn percentile_ms(&self, percent: f64) -> Option<f64> {
         (self.count() > 0).then(|| self.histogram.value_at_percentile(percent) as f64 * 1e-6)
     }
 
-    /// The largest span, ms.
+    /// Returns the largest span, ms.
     pub fn max_ms(&self) -> Option<f64> {
         self.percentile_ms(100.0)
     }
 
-    /// Points of the curve over percentiles: (1 / (1 − p), ms). The last one is the maximum, drawn
-    /// at the percentile of one in all.
+    /// Returns the points of the curve over percentiles: (1 / (1 − p), ms). The last point is the
+    /// maximum, drawn at the percentile of one span among all.
     pub fn curve(&self) -> Vec<(f64, f64)> {
         if self.count() == 0 {
             return Vec::new();
@@ -49,7 +49,7 @@ impl Spans {
         points
     }
 
-    /// The text of a `.hgrm` file, values in milliseconds.
+    /// Returns the text of a `.hgrm` file, with values in milliseconds.
     pub fn to_hgrm(&self) -> String {
         tandem_page::hgrm::text(&self.histogram, 1e-6)
     }

@@ -1,4 +1,4 @@
-//! `tandem ps`: the processes of all runs.
+//! `tandem ps`: lists the processes of all runs.
 
 use anyhow::Context as _;
 use serde::Serialize;
@@ -18,7 +18,7 @@ struct Row {
     cpu: Option<u32>,
 }
 
-/// The board's name for the role of a master that drives alone.
+/// The board's name for the role of a master without a standby.
 const DEGRADED: &str = "degraded";
 
 fn row(process: &Process) -> Row {

@@ -1,8 +1,9 @@
-//! Publishing of a run: a thread of `tandem run` reads the recording as it grows, and a separate
-//! process publishes it.
+//! Publishes a run. A thread of `tandem run` reads the recording as it grows, and a separate
+//! process publishes the entries.
 //!
-//! The run depends on neither. The thread never waits: it drops what does not fit into the socket.
-//! The process must share `/dev/shm` with the observers, so it starts before the run gets its own.
+//! The run does not depend on either. The thread never waits: entries that do not fit into the
+//! socket are lost. The process shares `/dev/shm` with observers, so it starts before the run gets
+//! its own.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -29,20 +30,20 @@ use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
 use tandem_vehicle::LoggedFrame;
 
-/// Time to the next read after one that found nothing, or only part of an entry.
+/// Delay of the next read after a read that found nothing, or only part of an entry.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
-/// Time to the next read after one that found entries. The vehicle writes every 100 ms; a little
-/// less than that keeps each read just behind a write.
+/// Delay of the next read after a read that found entries. The vehicle writes every 100 ms; with a
+/// slightly shorter interval each read follows closely after a write.
 const READ_INTERVAL: Duration = Duration::from_millis(99);
 /// The largest message to the publisher, bytes. A longer entry is dropped.
 const MESSAGE_MAX: usize = 48 << 10;
 /// The largest read, bytes.
 const READ_MAX: usize = 4 << 20;
-/// How long the publisher may take to end.
+/// Time within which the publisher must end.
 const ENDS_WITHIN: Duration = Duration::from_secs(1);
-/// How often the publisher checks that `tandem run` still lives.
+/// Interval at which the publisher checks whether `tandem run` still exists.
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);
-/// After this many checks without a message, the publisher takes `tandem run` for dead.
+/// After this many checks without a message, the publisher assumes that `tandem run` has died.
 const SILENT_CHECKS: u32 = 300;
 /// A core that has written no trace record for this long is shown as dead, ns.
 const ALIVE_NS: u64 = 300_000_000;
@@ -54,7 +55,7 @@ struct Begin {
     duration_s: f64,
 }
 
-/// The publisher's process, on the side of `tandem run`.
+/// The connection of `tandem run` to the publisher's process.
 pub(crate) struct Publishing {
     to: Arc<UnixDatagram>,
     process: Child,
@@ -63,7 +64,7 @@ pub(crate) struct Publishing {
 }
 
 impl Publishing {
-    /// Starts the process, before the run gets its own `/dev/shm`. Returns `None` if it does not
+    /// Starts the publisher before the run gets its own `/dev/shm`. Returns `None` if it does not
     /// start; the run is then not published.
     pub(crate) fn prepare() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
@@ -74,7 +75,7 @@ impl Publishing {
             .stdin(Stdio::from(OwnedFd::from(from)))
             .stdout(Stdio::null())
             .stderr(Stdio::null())
-            // Ctrl-C in the terminal must not reach it: the run ends it.
+            // Ctrl-C in the terminal must not reach the publisher, because the run ends it.
             .process_group(0)
             .spawn()
             .ok()?;
@@ -112,7 +113,7 @@ impl Publishing {
         }
         let begin = Instant::now();
         while matches!(self.process.try_wait(), Ok(None)) {
-            // An empty message means the end. It does not fit if the process is stopped.
+            // An empty message means the end. It cannot be sent if the socket is full.
             let _ = self.to.send(&[]);
             if begin.elapsed() > ENDS_WITHIN {
                 let _ = self.process.kill();
@@ -133,7 +134,7 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
             .and_then(|from: &mut File| from.take(READ_MAX as u64).read_to_end(&mut left).ok());
         while let Some(end) = file::whole_entries(&left, MESSAGE_MAX) {
             if end <= MESSAGE_MAX {
-                // A publisher that is too slow loses these; without a publisher the error is
+                // A publisher that is too slow loses these entries. If it has ended, the error is
                 // harmless.
                 let _ = to.send(&left[..end]);
             }
@@ -147,12 +148,12 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
     }
 }
 
-/// Runs the publisher's process: publishes what `tandem run` sends, until that ends.
+/// Runs the publisher's process: publishes the entries from `tandem run` until it ends.
 ///
 /// # Errors
-/// If `tandem run` did not start it, or iceoryx2 fails.
+/// If `tandem run` did not start this process, or iceoryx2 fails.
 pub fn run() -> anyhow::Result<()> {
-    // On a machine without real time, let everything else run first.
+    // On a machine without real time, give all other processes precedence.
     let _ = rustix::process::nice(10);
     let parent = getppid();
     let stdin = std::io::stdin().as_fd().try_clone_to_owned();
@@ -187,7 +188,7 @@ pub fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Turns the entries of a recording into messages to observers.
+/// Converts the entries of a recording to messages for observers.
 struct News {
     roles: Roles,
     /// Time, ns, and system of the last accepted control frame.
@@ -282,9 +283,9 @@ impl News {
                 let Some(system) = SystemId::from_index(system.into()) else {
                     return;
                 };
-                // The states are in the order of the numbers.
+                // The enum lists the states in the order of their published numbers.
                 self.roles.state[system.index()] = RoleState::of(status.role, status.mode) as u8;
-                // A system reports the lines that it receives: those from its peer.
+                // A system reports the heartbeat lines that it receives, which its peer drives.
                 let heard =
                     [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));
                 self.roles.beats[system.peer().index()] = heard[0] | heard[1] << 1;

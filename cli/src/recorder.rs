@@ -1,4 +1,4 @@
-//! Writing a run's recording without disturbing the thread that has the data.
+//! Writes a run's recording without disturbing the thread that produces the data.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -16,31 +16,31 @@ use tandem_record::file::TRACE_BYTES;
 use crate::files::RunFiles;
 use crate::live::Live;
 
-/// The recording lies in shared memory. Beyond this many bytes of trace records the events of the
-/// schedulers are left out: after about six minutes of a run.
+/// The recording is in shared memory. After this many bytes of trace records, the events of the
+/// schedulers are omitted. A run reaches it after about six minutes.
 const TRACE_LIMIT_BYTES: u64 = 64 << 20;
 
-/// Returns how many bytes of trace records a recording may have, from the free space at the start.
-/// Half of it is for the rest of the recording, which grows more slowly and is needed for a report.
+/// Returns the largest size of the trace records in a recording, bytes: at most half of the free
+/// space. The rest of the recording, which a report needs, grows more slowly.
 fn trace_limit_bytes(free_bytes: u64) -> u64 {
     TRACE_LIMIT_BYTES.min(free_bytes / 2)
 }
 
-/// The most that is handed over at once.
+/// The entries and the live state that are sent to the writer at once.
 #[derive(Debug, Default)]
 struct Batch {
     entries: Vec<Entry>,
     live: Option<Live>,
 }
 
-/// Collects entries on the thread that has the data, and hands them to the writer at times.
-/// Only [`Recorder::hand_over`] makes a system call, which wakes the writer. Nothing blocks.
+/// Collects entries on the producing thread, and sends them to the writer thread in batches. Only
+/// [`Recorder::hand_over`] makes a system call, to wake the writer. Only `close` blocks.
 #[derive(Debug)]
 pub struct Recorder {
     batch: Batch,
     /// Bytes of trace records in the recording.
     trace_bytes: u64,
-    /// How many it may have. Records that the analysis needs are written beyond that.
+    /// The largest such number. Records that the analysis needs are also written beyond it.
     trace_limit_bytes: u64,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
@@ -70,12 +70,12 @@ impl Recorder {
         })
     }
 
-    /// Takes an entry.
+    /// Adds an entry to the batch.
     pub fn record(&mut self, entry: impl Into<Entry>) {
         self.batch.entries.push(entry.into());
     }
 
-    /// Takes a record of a core's trace; `false` if the recording has no room for it.
+    /// Adds a record of a core's trace. Returns `false` if the recording has no room for it.
     pub fn trace(&mut self, traced: Traced) -> bool {
         let is_full = self.trace_bytes >= self.trace_limit_bytes;
         if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {
@@ -86,16 +86,16 @@ impl Recorder {
         true
     }
 
-    /// Takes the live state of the run.
+    /// Sets the live state of the run.
     pub fn live(&mut self, live: Live) {
         self.batch.live = Some(live);
     }
 
-    /// Hands everything to the writer. If the writer has failed, the entries are dropped;
-    /// [`Recorder::close`] reports the error.
+    /// Sends the batch to the writer thread. If the writer has failed, the entries are dropped,
+    /// and [`Recorder::close`] returns the error.
     pub fn hand_over(&mut self) {
         let count = self.batch.entries.len();
-        // The next batch will be about as large.
+        // The next batch will have about the same size.
         let next = Batch {
             entries: Vec::with_capacity(count + count / 4),
             live: None,
@@ -105,10 +105,10 @@ impl Recorder {
             .send(std::mem::replace(&mut self.batch, next));
     }
 
-    /// Waits until everything is written.
+    /// Sends the rest, and waits until the writer has written everything.
     ///
     /// # Errors
-    /// If something could not be written.
+    /// If the writer could not write an entry.
     pub fn close(mut self) -> anyhow::Result<()> {
         self.hand_over();
         drop(self.to_writer);
@@ -128,7 +128,7 @@ fn write_all(
             .entries
             .iter()
             .try_for_each(|entry| entry.write(&mut recording))
-            // Flushes whole entries, for a run that is cut short.
+            // Flush whole entries, in case the run is killed.
             .and_then(|()| recording.flush())
             .and_then(|()| batch.live.map_or(Ok(()), |state| state.write(live)));
         written.context("the run's recording (is /dev/shm full?)")?;
@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(trace_limit_bytes(u64::MAX), TRACE_LIMIT_BYTES);
     }
 
-    /// A long run loses the events of schedulers, and nothing that the analysis needs.
+    /// In a long run the recording omits scheduler events, but keeps all that the analysis needs.
     #[test]
     fn a_full_recording_omits_only_the_events_of_schedulers() {
         let folder = tempfile::tempdir().unwrap();

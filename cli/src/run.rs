@@ -1,4 +1,4 @@
-//! `tandem run`: checks, starts both systems and the vehicle, waits, writes the report.
+//! `tandem run`: checks the arguments, runs both systems and the vehicle, and writes the report.
 
 use std::fs;
 use std::os::unix::process::CommandExt as _;
@@ -32,15 +32,15 @@ use crate::run_config::{LimitProfile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::{core_process, summary, vehicle};
 
-/// For how long `--timing auto` measures the stalls of the machine.
+/// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
-/// The timers of processes are late by up to this much.
+/// Largest delay of the timers of processes.
 const TIMERS_LATE: Duration = Duration::from_ms(2);
 
 /// Drives the scenario and writes the report.
 ///
 /// # Errors
-/// [`Failure`] with the exit status that the command documents.
+/// Returns the [`Failure`] whose exit status the command documents.
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
     let publishing = Publishing::prepare();
@@ -80,16 +80,16 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub struct Recorded<T> {
     /// The recording.
     pub log: RunLog,
-    /// The knowledge about the run beside it.
+    /// Facts about the run that the recording does not contain.
     pub around: Surroundings,
     /// The return value of `inject`.
     pub done: T,
 }
 
-/// Drives as [`run`] does, while `inject` acts on a thread of its own, and writes no report.
+/// Runs the same drive as [`run`] while a separate thread calls `inject`. Writes no report.
 ///
 /// # Errors
-/// If the run does not start, `inject` fails, or there is no recording.
+/// If the run does not start, `inject` fails, or the run leaves no recording.
 pub fn recorded<T: Send>(
     args: &RunArgs,
     inject: impl FnOnce(Injection, &RunFiles) -> anyhow::Result<T> + Send,
@@ -125,11 +125,11 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// As [`run`], with a controller on another board: `drive` drives it, and returns how the time
-/// went. That time is virtual, and never late.
+/// Runs [`run`] with a controller on another board. `drive` drives it, and returns a line on its
+/// time. That time is virtual, so timers are never late.
 ///
 /// # Errors
-/// [`Failure`] with the exit status that the command documents.
+/// Returns the [`Failure`] whose exit status the command documents.
 pub fn run_elsewhere(
     args: &RunArgs,
     drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<(String, vehicle::DriveEnd), Failure>,
@@ -155,7 +155,7 @@ fn print_updates(args: &RunArgs, files: &RunFiles) {
     }
 }
 
-/// The run with its program flashes and its update.
+/// Adds the program flashes and the update to the configuration of a run.
 fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Result<RunConfig> {
     if args.no_bootloader {
         return Ok(run);
@@ -188,12 +188,12 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
     })
 }
 
-/// The knowledge about a run beside its recording, before it is driven.
+/// Returns the facts about a run that are known before the drive and that its recording lacks.
 #[must_use]
 pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let product = core_process::config(config).redundancy;
     // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
-    // one after it may each be late by half a millisecond more: that is no stall yet.
+    // one after it may each be late by another half a millisecond, which is not yet a stall.
     let on_bus = Duration::from_ms(1) + stall_watch::LATE.times(2);
     Surroundings {
         granted,
@@ -209,7 +209,7 @@ pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
 }
 
 impl Surroundings {
-    /// Adds what is known after a run of processes.
+    /// Adds the facts that are known after a run of processes.
     fn after(self, machine: Seen, left: &Leftovers) -> Self {
         Self {
             beside: Beside {
@@ -224,8 +224,8 @@ impl Surroundings {
     }
 }
 
-/// Writes the report, prints its summary, and judges the run. A run that was ended by hand has a
-/// report of what was driven, if anything was.
+/// Writes the report, prints its summary, and judges the run. If the user ended the run, the
+/// report shows the part that was driven, if any.
 fn conclude(
     args: &RunArgs,
     checked: &Checked,
@@ -248,18 +248,18 @@ fn conclude(
     }
 }
 
-/// The arguments and the machine, checked before anything is started.
+/// The checked arguments and the properties of the machine, before anything is started.
 struct Checked {
     out: ReportFolder,
     pinning: Pinning,
     cpus: Vec<usize>,
-    /// The same, with their places among those that this process may use.
+    /// The same CPUs, each with its index among those that this process may use.
     places: Vec<(usize, usize)>,
     dflash: Option<PathBuf>,
 }
 
 impl Checked {
-    /// The CPU of each core, in the order A0, A1, … B2.
+    /// Returns the CPU of each core, in the order A0, A1, … B2.
     fn cores(&self) -> Vec<usize> {
         let cpus = self.cpus.iter().cycle();
         cpus.take(CoreAddress::ALL.len()).copied().collect()
@@ -293,10 +293,10 @@ impl Checked {
     }
 }
 
-/// Refuses options that only a board of processes has.
+/// Rejects options that only apply to the board of processes.
 ///
 /// # Errors
-/// If such an option is there, and another board.
+/// If such an option is given for another board.
 pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
     let of_host = [
         ("--cpus", args.cpus.is_some()),
@@ -312,10 +312,10 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Checks that the vehicle's process will be able to read the scenario.
+/// Checks that the vehicle's process can read the scenario.
 fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     let path = Path::new(scenario);
-    // A pipe can only be read once, and not by another process.
+    // A pipe can only be read once, and only by this process.
     let is_special = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
     if is_special && !Scenario::names().any(|name| name == scenario) {
         bail!("--scenario {scenario}: it is no regular file; save it as one first");
@@ -333,7 +333,7 @@ fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
 }
 
-/// Refuses a path in the machine's `/dev/shm`, because a run has a `/dev/shm` of its own.
+/// Rejects a path in the machine's `/dev/shm`, because a run has its own `/dev/shm`.
 fn outside_shared_memory(option: &str, path: &Path) -> anyhow::Result<()> {
     if path.starts_with("/dev/shm") {
         bail!(
@@ -350,7 +350,7 @@ fn available_cpus() -> anyhow::Result<Vec<usize>> {
     Ok(ids.into_iter().map(|id| id.id).collect())
 }
 
-/// Places of the CPUs that were asked for among those that there are.
+/// Returns the index of each requested CPU among the available ones.
 fn indices(asked: &[usize], available: &[usize]) -> anyhow::Result<Vec<usize>> {
     asked
         .iter()
@@ -378,7 +378,7 @@ fn check_dflash(folder: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
-/// The limits of time that this run keeps, in a line.
+/// Returns the time limits of this run, in one line.
 fn limits(budget: &Budget, longest: Option<Duration>) -> String {
     let config = budget.config();
     let ms = |time: Duration| format!("{} ms", time.as_ms_f64());
@@ -399,7 +399,7 @@ fn limits(budget: &Budget, longest: Option<Duration>) -> String {
     )
 }
 
-/// Determines what the machine grants, with a line that says so.
+/// Determines which permissions the machine grants. Also returns a line that reports them.
 fn grant(
     args: &RunArgs,
     checked: &Checked,
@@ -408,7 +408,7 @@ fn grant(
     let granted = if args.timing == Timing::Desktop {
         Grant::default()
     } else {
-        // In a separate thread, because a claim changes its thread.
+        // Use a separate thread, because a claim changes the thread that makes it.
         let probe = || {
             claim(Claim {
                 priority: Some(1),
@@ -450,7 +450,7 @@ fn grant(
     Ok((profile, line))
 }
 
-/// Starts everything and waits for the end.
+/// Starts all processes and waits for the end of the run.
 fn drive(
     args: &RunArgs,
     checked: &Checked,
@@ -501,7 +501,7 @@ fn drive(
     Ok(ended)
 }
 
-/// The command that starts this program again, even if its file was replaced.
+/// Returns the command that starts this program again, even if its file has been replaced.
 pub fn this_program(args: &ProcessArgs) -> Command {
     let mut command = Command::new("/proc/self/exe");
     command.arg0("tandem").args(args.to_argv());
@@ -510,7 +510,7 @@ pub fn this_program(args: &ProcessArgs) -> Command {
     command
 }
 
-/// The command by which a supply starts a core.
+/// Returns the command with which a supply starts a core.
 pub fn core_command(args: &CoreArgs) -> Command {
     this_program(&ProcessArgs::Core(args.clone()))
 }
@@ -523,7 +523,7 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
     processes.chain(found.files.iter().cloned()).collect()
 }
 
-/// Prints the end of the run on the terminal.
+/// Prints the summary of the run on the terminal.
 fn print_summary(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
     if args.json {
@@ -540,8 +540,8 @@ fn print_summary(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyho
 mod tests {
     use super::*;
 
-    /// T-RED-8: the limits are printed with the stall that they follow from. A calm machine has
-    /// shorter limits. The goal limits those of a machine that stalls.
+    /// T-RED-8: the limits are printed with the stall that they follow from. On a machine with
+    /// short stalls the limits are shorter. On others the requirement bounds them.
     #[test]
     fn limits_are_printed_with_the_stall_that_they_follow_from() {
         let line = |us| {

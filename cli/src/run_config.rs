@@ -21,15 +21,15 @@ use crate::files::RunFiles;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LimitProfile {
-    /// Real-time priority was granted: tight limits.
+    /// Tight limits, for a machine that granted real-time priority.
     Rt,
-    /// Real-time priority was not granted: limits that a desktop's scheduler can keep.
+    /// Limits that a desktop's scheduler can keep, for a machine without real-time priority.
     #[default]
     Desktop,
 }
 
 impl LimitProfile {
-    /// Its name on the command line and in `metrics.json`.
+    /// Returns its name on the command line and in `metrics.json`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rt => "rt",
@@ -38,18 +38,18 @@ impl LimitProfile {
     }
 }
 
-/// The configuration of all processes of a run, as one argument.
+/// The configuration of all processes of a run. It is passed as one argument.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunConfig {
     /// Name or path of the scenario.
     pub scenario: String,
     /// Seed of the sensors' noise.
     pub seed: u64,
-    /// Seconds of scenario time.
+    /// Scenario time to drive, s.
     pub duration_s: f64,
     /// The profile of time limits.
     pub profile: LimitProfile,
-    /// The longest measured stall, µs; `None` for the profile's own.
+    /// The longest measured stall, µs; `None` selects the profile's own value.
     pub stall_us: Option<u32>,
     /// Whether a restarted system may rejoin as standby.
     pub reintegrate: bool,
@@ -57,30 +57,30 @@ pub struct RunConfig {
     pub overrides_s: Option<(f64, f64)>,
     /// The driver answers a takeover request after this time, s.
     pub answers_after_s: Option<f64>,
-    /// Sensors that fail, as on the command line.
+    /// Failures of sensors, in the form of the command line.
     pub sensor_faults: Vec<String>,
-    /// The program flashes that the systems boot from; `None` on a board that has its own.
+    /// The program flashes that the systems boot from; `None` on a board with its own flashes.
     pub program_flash: Option<ProgramFlashes>,
     /// The update that each system receives while the other drives.
     pub update: Option<UpdateFiles>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
-    /// The CPU of each core, in the order A0, A1, … B2; empty on another board.
+    /// The CPU of each core, in the order A0, A1, … B2; empty on other boards.
     pub cpus: Vec<usize>,
-    /// Timers of the threads that watch for stalls; each core 0 postpones that of its CPU.
+    /// Timers of the threads that watch for stalls. Each core 0 postpones the timer of its CPU.
     pub stall_timers: Vec<StallTimer>,
 }
 
-/// An inherited [`Alarm`].
+/// An [`Alarm`] that the processes inherit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StallTimer {
     /// The watched CPU.
     pub cpu: usize,
-    /// The number of the descriptor.
+    /// Number of the file descriptor.
     pub descriptor: i32,
 }
 
-/// The update of a run.
+/// The files of the updates in a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UpdateFiles {
     /// The records for each system.
@@ -124,7 +124,7 @@ pub fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 }
 
 impl RunConfig {
-    /// The configuration of the command line, without program flashes.
+    /// Returns the configuration that the command line describes, without program flashes.
     pub fn of(args: &RunArgs, profile: LimitProfile) -> Self {
         Self {
             scenario: args.scenario.clone(),
@@ -139,7 +139,7 @@ impl RunConfig {
         }
     }
 
-    /// Returns the budget that the time limits follow from.
+    /// Returns the budget from which the time limits follow.
     pub fn budget(&self) -> Budget {
         let budget = match self.profile {
             LimitProfile::Rt => Budget::RT,
@@ -151,7 +151,7 @@ impl RunConfig {
         }
     }
 
-    /// Returns the limits that the requirement sets to a run with this profile, on this machine.
+    /// Returns the limits that the requirement sets for a run with this profile on this machine.
     pub fn required(&self) -> Limits {
         let limits = match self.profile {
             LimitProfile::Rt => Limits::RT,
@@ -160,9 +160,9 @@ impl RunConfig {
         limits.with_stall(self.budget().stall)
     }
 
-    /// Returns the timer that a core 0 pinned to this CPU postpones. Core 0 is less urgent than the
-    /// thread that waits for the timer, so it cannot hide a stall from that thread. Without a timer
-    /// the thread wakes more often.
+    /// Returns the timer that a core 0 pinned to this CPU postpones. The thread that waits for the
+    /// timer has priority over core 0, so core 0 cannot hide a stall from it. Without a timer the
+    /// thread wakes more often.
     pub(crate) fn stall_alarm(&self, cpu: Option<usize>) -> Option<Alarm> {
         let mut timers = self.stall_timers.iter();
         let own = timers.find(|timer| Some(timer.cpu) == cpu)?;
@@ -172,7 +172,7 @@ impl RunConfig {
     /// Encodes the configuration as a process's argument.
     ///
     /// # Errors
-    /// Never in practice: JSON can hold all of it.
+    /// Never in practice: JSON can represent the whole configuration.
     pub fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
         Ok(vec![
             serde_json::to_string(self)

@@ -1,14 +1,14 @@
-//! Evidence of what the machine did during a run: a bare thread on each CPU that sleeps for two
-//! milliseconds again and again, and notes when it woke late. A stall is noted from the end of the
-//! sleep, so up to two milliseconds too short, never too long.
+//! Records stalls of the machine during a run. A thread on each CPU sleeps for 2 ms at a time and
+//! records late wake-ups. A recorded stall begins at the end of the sleep, so it may be up to 2 ms
+//! too short, but is never too long.
 //!
-//! Where real time is permitted, the threads have priority over the whole run (SCHED_FIFO above the
-//! supplies), so only the machine below Tandem can hold them up. They do no work, and run in
-//! `tandem run`, which the systems do not need.
+//! Where real time is permitted, the threads have priority over the whole run (SCHED_FIFO above
+//! the supplies), so only the machine itself can delay them. They do no work, and belong to the
+//! process `tandem run`, which the systems do not need.
 //!
-//! Each core 0 postpones the end of the sleep on its CPU at each of its ticks, so a thread sleeps
-//! while core 0 runs. If core 0 gets no CPU, is stopped or dead, the thread wakes when it is due.
-//! Only the thread's own lateness is evidence.
+//! At each tick, core 0 of a system postpones the end of the sleep on its CPU, so a thread sleeps
+//! while core 0 runs. If core 0 gets no CPU, is stopped or has died, the thread wakes in time. A
+//! stall is recorded only if the thread itself was late.
 
 use std::io::Read as _;
 use std::os::unix::net::UnixStream;
@@ -28,29 +28,29 @@ use tandem_record::verdict::Watch;
 use crate::control_core::WATCH_PERIOD;
 use crate::run_config::StallTimer;
 
-/// The period of the threads before a run, when its limits are chosen.
+/// Period of the threads before a run, while its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);
-/// A thread that wakes later than this was held up. Without a stall p99.9 is 0.2 ms.
+/// A thread that wakes later than this was stalled. Without a stall, p99.9 is 0.2 ms.
 pub const LATE: Duration = Duration::from_us(500);
-/// Above the supplies, which have 80, or equal to them where no more is permitted.
+/// Priorities to claim, in this order: above the supplies, which have 80, or equal to them.
 const PRIORITIES: [u8; 2] = [90, 80];
-/// The handler of SIGCONT may run this much later than a thread that it continues.
+/// Upper bound of the delay of the SIGCONT handler after a continued thread runs.
 const CONTINUED_WITHIN: Duration = Duration::from_ms(50);
-/// More stalls than this are not kept: a machine in this state explains no run.
+/// Largest number of stored stalls. A machine with more of them explains no run.
 const MOST: usize = 100_000;
 
-/// The observations of the threads.
+/// The result of the watch.
 #[derive(Clone, Debug, Default)]
 pub struct Seen {
-    /// The times in which a CPU was gone, in order of each CPU.
+    /// The times in which a CPU was stalled, in order of time for each CPU.
     pub stalls: Vec<Stall>,
-    /// Whether the threads were more urgent than the run, so that their lateness is evidence.
+    /// Whether the threads had priority over the run, so that their lateness is evidence.
     pub watch: Watch,
-    /// How they were scheduled, in words.
+    /// The scheduling of the threads, in words.
     pub watched_by: String,
 }
 
-/// The threads, from the start to the end of a run.
+/// The watching threads, from the start to the end of a run.
 pub struct StallWatch {
     over: Arc<AtomicBool>,
     threads: Vec<Watcher>,
@@ -61,14 +61,14 @@ pub struct StallWatch {
 struct Watcher {
     cpu: usize,
     alarm: Arc<Alarm>,
-    /// Its priority, if it has one.
+    /// Its granted real-time priority, if any.
     fifo: Option<u8>,
     thread: JoinHandle<Vec<Stall>>,
 }
 
 impl StallWatch {
-    /// Starts a thread on each of these CPUs, given by number and by place among those that this
-    /// process may use.
+    /// Starts a thread on each of these CPUs. Each CPU is given by its number and by its index
+    /// among those that this process may use.
     pub fn start(cpus: &[(usize, usize)], realtime: bool) -> Self {
         Self::with_period(cpus, realtime, WATCH_PERIOD)
     }
@@ -78,7 +78,7 @@ impl StallWatch {
         let (mut threads, mut signals) = (vec![], vec![]);
         for &(number, place) in cpus {
             let priority = move || realtime.then(|| claim_cpu(place)).flatten();
-            // Without room for a thread there is no evidence, and the run continues.
+            // If a thread cannot be started, the run continues without its evidence.
             let Some((continued, signal)) = continuations() else {
                 continue;
             };
@@ -92,8 +92,8 @@ impl StallWatch {
         }
     }
 
-    /// Returns the timers that a core 0 may postpone, for processes that are started from now on. A
-    /// thread without priority over core 0 has none: after a stall core 0 would run first.
+    /// Returns the timers that each core 0 may postpone, for processes that are started from now
+    /// on. A thread without priority over core 0 has none: after a stall core 0 would run first.
     pub(crate) fn timers(&self) -> Vec<StallTimer> {
         let urgent = self.threads.iter().filter(|watcher| watcher.fifo.is_some());
         urgent
@@ -104,14 +104,14 @@ impl StallWatch {
             .collect()
     }
 
-    /// Ends the threads and returns what they saw.
+    /// Ends the threads and returns their observations.
     pub fn end(self) -> Seen {
         self.over.store(true, Ordering::Relaxed);
         let mut stalls = vec![];
         let priorities = self.threads.iter().map(|watcher| watcher.fifo);
         let least = priorities.min().flatten();
         for Watcher { alarm, thread, .. } in self.threads {
-            // Repeated, because a remaining core 0 may postpone the timer.
+            // Repeat, because a core 0 that still runs may postpone the timer again.
             while !thread.is_finished() {
                 alarm.postpone(Duration::ZERO);
                 clock::sleep_until(clock::now() + FINE_PERIOD);
@@ -139,7 +139,7 @@ impl StallWatch {
     }
 }
 
-/// Returns the longest stall of these CPUs within `span`, at least [`LATE`]. Blocks for that long.
+/// Measures the longest stall of these CPUs within `span`, at least [`LATE`]. Blocks for `span`.
 pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
     let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
@@ -148,7 +148,7 @@ pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Durat
     longest.max().unwrap_or(LATE)
 }
 
-/// Claims the CPU and returns the priority that was granted.
+/// Pins the thread to the CPU, and returns the priority that was granted.
 fn claim_cpu(place: usize) -> Option<u8> {
     PRIORITIES.into_iter().find_map(|priority| {
         let grant = claim(Claim {
@@ -186,7 +186,7 @@ impl Watcher {
     }
 }
 
-/// Returns a stream that is readable after this process was stopped and continued.
+/// Returns a stream that becomes readable after this process was stopped and continued.
 fn continuations() -> Option<(UnixStream, SigId)> {
     let (read, write) = UnixStream::pair().ok()?;
     read.set_nonblocking(true).ok()?;
@@ -204,11 +204,11 @@ fn look(
     loop {
         alarm.postpone(period);
         let expired = alarm.wait(continued);
-        // `end` sets the timer as well.
+        // `end` also lets the timer expire.
         if over.load(Ordering::Relaxed) {
             return stalls;
         }
-        // A stop of this process is no stall, nor is a stall noted just before its signal arrived.
+        // A stop of this process is no stall. Remove one recorded just before the signal arrived.
         if continued.read(&mut [0; 16]).is_ok() {
             let since_ns = clock::now()
                 .as_ns()
@@ -248,8 +248,8 @@ mod tests {
         }
     }
 
-    /// A timer that core 0 no longer postpones, because another part of the run or a signal holds
-    /// it up, ends the sleep in time: that is no stall.
+    /// If another part of the run or a signal delays core 0, core 0 stops postponing the timer.
+    /// The sleep then ends in time, and no stall is recorded.
     #[test]
     fn a_core_0_that_is_held_up_is_no_stall() {
         let watch = StallWatch::start(&[(0, 0)], false);
@@ -262,7 +262,7 @@ mod tests {
         };
         let held_up = Duration::from_ms(30);
         let mut spans = vec![];
-        // The machine may stall in one of them, but not in all.
+        // The machine may stall in some of the spans, but not in all.
         for _ in 0..10 {
             core_0(40);
             let from = clock::now();

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::metrics::Metrics;
 
-/// The most important figures, and the path of the report.
+/// Returns the most important figures, and the path of the report.
 pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| {

@@ -4,15 +4,15 @@ use anyhow::Context as _;
 use tandem_board::{Duration, Supply};
 use tandem_board_host::{CoreArgs, HostBoard, HostSupply};
 
-/// Its name in a slot.
+/// Name of the application in a slot.
 pub const NAME: &str = "three-frames";
-/// Period at which each core sends, and core 0 services the watchdog.
+/// Period at which each core sends a frame, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(20);
 
 /// Runs a core of the application until its supply ends it.
 ///
 /// # Errors
-/// If the run is over.
+/// If the run has ended.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     const { assert!(HostSupply::WINDOW_CLOSES_US as u64 * 1_000 > PERIOD.as_ns()) };
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;

@@ -1,4 +1,4 @@
-//! The programming host of a vehicle: updates both systems, one after the other, each while the
+//! The programming host of a vehicle. It updates both systems one after the other, each while the
 //! other drives. U-3, U-5
 
 use std::fs::{self, File};
@@ -11,23 +11,23 @@ use tandem_boot_host::{FileSender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
-/// How long the roles must be stable before an update begins. By then a system that was just
-/// updated has approved its image: it does so one to two seconds after it has a role, and dual
-/// operation resumes after two seconds.
+/// How long the roles must be stable before an update begins. A system that was just updated has
+/// then approved its image: it approves one to two seconds after it has a role, and dual operation
+/// resumes only after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
-/// Frames of a download per millisecond that a bus of 500 kbit/s carries.
+/// Frames of a download per millisecond on a bus of 500 kbit/s.
 const FRAMES_PER_MS: usize = 3;
-/// Records that may be unacknowledged.
+/// Largest number of unacknowledged records.
 const WINDOW: u8 = 8;
 
 /// The updates of both systems.
 pub(crate) struct Update {
     /// The file for the results.
     ended: PathBuf,
-    /// The records for each system; taken when its update begins.
+    /// The records for each system. They are taken when its update begins.
     lines: [Option<Vec<String>>; 2],
     under_way: Option<(SystemId, FileSender)>,
-    /// Since when each system could be updated.
+    /// Time since which each system could be updated.
     ready_since: [Option<Instant>; 2],
 }
 
@@ -52,14 +52,14 @@ impl Update {
         })
     }
 
-    /// Takes a frame from the bus.
+    /// Processes a frame from the bus.
     pub(crate) fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if let Some((_, sender)) = &mut self.under_way {
             sender.on_frame(now, frame);
         }
     }
 
-    /// Sends the frames of this millisecond. `roles` are the roles that the systems show.
+    /// Sends the frames of this millisecond. `roles` are the roles that the systems display.
     pub(crate) fn poll(
         &mut self,
         now: Instant,
@@ -90,7 +90,7 @@ impl Update {
     }
 
     /// Begins an update if one is due: first that of the standby; then, in dual operation with the
-    /// updated system, that of the master, which hands over when it hears the request.
+    /// updated system, that of the master, which hands over when it receives the request.
     fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
             let peer = system.peer();
@@ -113,7 +113,7 @@ impl Update {
     }
 }
 
-/// Appends a line. The end of the run reports an update whose line is missing.
+/// Appends a line to the results. If that fails, the end of the run reports the missing update.
 fn note(path: &Path, line: &str) {
     let file = File::options().create(true).append(true).open(path);
     let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));

@@ -1,4 +1,4 @@
-//! The vehicle's process: the world in steps of 1 ms, the CAN bus, and the recording of the run.
+//! The vehicle's process: simulates the world in steps of 1 ms, and records the bus and the run.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -23,15 +23,15 @@ const OTHERS_TICKS: u64 = 100;
 const ROAD_TICKS: u64 = 5_000;
 /// Ticks between two hand-overs of collected records to the recorder.
 const HAND_OVER_TICKS: u64 = 100;
-/// A period that begins later than this counts as held up, ns.
+/// A period that begins later than this counts as delayed, ns.
 const HELD_UP_NS: u64 = 2_000_000;
-/// Ticks of 1 ms after which a run without an accepted control frame ends.
+/// The run ends if no control frame was accepted within this many ticks of 1 ms.
 const GIVE_UP_TICKS: u64 = 15_000;
 
 /// Drives the scenario to its end.
 ///
 /// # Errors
-/// If the scenario cannot be loaded, the run is over, or its recording cannot be written.
+/// If the scenario cannot be loaded, the run has ended, or its recording cannot be written.
 pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
@@ -64,9 +64,9 @@ where
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEnd {
-    /// After its whole duration, or because no controller drove. The recording is complete.
+    /// It ran for its whole duration, or no controller drove. The recording is complete.
     ByItself,
-    /// On the user's request.
+    /// The user requested the end.
     Stopped,
 }
 
@@ -82,7 +82,7 @@ struct Drive<'p, P> {
     collides: bool,
     powered: [bool; 2],
     lost_trace: u64,
-    /// End of the last time in which the bus was held up, ns.
+    /// End of the last delay of the bus, ns.
     held_up_ns: u64,
 }
 
@@ -174,7 +174,7 @@ where
                         sent_ns = sent_ns.min(logged.sent.as_ns());
                         seen(logged);
                     });
-                    // Each frame wakes the bus, so the bus was held up while a frame waited.
+                    // Each frame wakes the bus, so the bus was held up if a frame had to wait.
                     self.note_lateness(sent_ns);
                     continue;
                 }
@@ -192,11 +192,11 @@ where
         }
     }
 
-    /// Records a period that begins late: the bus carried nothing in that time.
+    /// Records a delay of the bus if this period begins late. No frame moved in that time.
     fn note_lateness(&mut self, due_ns: u64) {
         let to_ns = self.port.now().as_ns();
         let from_ns = due_ns.max(self.held_up_ns);
-        // The periods that follow at once, to catch up, belong to the same delay.
+        // Periods that follow at once, to catch up, belong to the same delay.
         if to_ns.saturating_sub(from_ns) > HELD_UP_NS {
             self.held_up_ns = to_ns;
             self.recorder
@@ -204,7 +204,7 @@ where
         }
     }
 
-    /// Lets the programming host send.
+    /// Lets the programming host send its frames.
     fn update(&mut self) {
         let Some(update) = self.update.as_mut().filter(|_| self.running) else {
             return;
@@ -342,8 +342,8 @@ where
         self.port.set_ignition(false);
         self.drain_traces();
         if ended == DriveEnd::Stopped {
-            // The drive ends here, not at its last regular sample: one frame that was obeyed is a
-            // drive.
+            // The drive ends here, not at its last regular sample: even one accepted control frame
+            // counts as a drive.
             self.note_start(at_ns);
             if self.running {
                 let last = self.state(at_ns, self.world.snapshot());

@@ -1,18 +1,18 @@
-//! The world as a recording has it.
+//! Converts the state of the world to entries of a recording.
 
 use tandem_record::log::{Comfort, DriveFigures, Lane, Other};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
 use tandem_vehicle::{VehicleSnapshot, WorldMetrics};
 
-/// The road is recorded from this far behind to this far ahead of the vehicle, m.
+/// The recorded road extends from this far behind the vehicle to this far ahead of it, m.
 const ROAD_BACK_M: f64 = 100.0;
 const ROAD_AHEAD_M: f64 = 400.0;
 const ROAD_STEP_M: f64 = 4.0;
-/// Lanes further to the side belong to other roads, m.
+/// Lanes farther to the side belong to other roads, m.
 const ROAD_ASIDE_M: f64 = 30.0;
 
-/// The vehicle's own figures.
+/// Converts the vehicle's own figures.
 #[must_use]
 pub fn figures(metrics: &WorldMetrics) -> DriveFigures {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
@@ -45,7 +45,7 @@ pub fn figures(metrics: &WorldMetrics) -> DriveFigures {
     }
 }
 
-/// Another vehicle.
+/// Converts the state of another vehicle.
 pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
     Other {
         x: vehicle.pose.position.x,
@@ -56,7 +56,7 @@ pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
     }
 }
 
-/// The lanes around a point.
+/// Returns the lanes around a point.
 pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
     let count = ((ROAD_BACK_M + ROAD_AHEAD_M) / ROAD_STEP_M) as u32;
     let around = |lane: &tandem_vehicle::road::RoadLane| {
@@ -68,7 +68,7 @@ pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
             let half = lane.at(s).width / 2.0;
             let at = |d: f64| {
                 let point = lane.point(Frenet { s, d });
-                // A tenth of a metre is finer than any screen.
+                // Round to a tenth of a metre, which is finer than any screen shows.
                 [
                     (point.x * 10.0).round() / 10.0,
                     (point.y * 10.0).round() / 10.0,

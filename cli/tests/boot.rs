@@ -1,4 +1,4 @@
-//! Systems that start through their bootloaders, as processes on this machine.
+//! Tests of systems that start through their bootloaders, as processes on this machine.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,14 +13,14 @@ use std::time::{Duration, Instant};
 use tandem_boot::{EnvironmentStore, Slot};
 use tandem_boot_host::FlashFile;
 
-/// Longer than any run here takes on a busy machine.
+/// Longer than any run of these tests takes on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(180);
 
 fn tandem() -> Command {
     Command::new(env!("CARGO_BIN_EXE_tandem"))
 }
 
-/// A run that does not outlive its test.
+/// A run that is killed when its test ends.
 struct Run(Child);
 
 impl Drop for Run {
@@ -48,7 +48,7 @@ impl Run {
     }
 }
 
-/// The process of core 0 of a system of the run that this process started.
+/// Returns the process of core 0 of a system, in the run that `launcher` started.
 fn core_0(system: &str, launcher: u32) -> Option<String> {
     let listed = tandem().arg("ps").output().unwrap();
     let listed = String::from_utf8(listed.stdout).unwrap();
@@ -63,7 +63,7 @@ fn core_0(system: &str, launcher: u32) -> Option<String> {
     listed.lines().find_map(process)
 }
 
-/// T-BOOT-8: what was downloaded to an empty controller is started, and its three cores send.
+/// T-BOOT-8: an application downloaded to an empty controller starts, and its three cores send.
 #[test]
 fn three_cores_send_what_was_downloaded() {
     let output = tandem().arg("boot-demo").output().unwrap();
@@ -74,8 +74,8 @@ fn three_cores_send_what_was_downloaded() {
     }
 }
 
-/// The active slot of a controller, its version, and whether something is on trial; `None` before
-/// its first start.
+/// Returns the active slot of a controller, its version, and whether an image is on trial; `None`
+/// before the first start.
 fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
     let mut flash = FlashFile::open(flash).unwrap();
     let environment = *EnvironmentStore::load(&mut flash).unwrap()?.get();
@@ -83,18 +83,18 @@ fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
     Some((slot, environment.versions[0], environment.trial.is_some()))
 }
 
-/// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its new
-/// image: first the standby, then the master, which hands over.
+/// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its
+/// new image: first the standby, then the master, which hands over.
 #[test]
 fn both_systems_are_updated_while_they_drive() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = tandem();
     command
         .args(["run", "--scenario", "free-lane", "--reintegrate", "--quiet"])
-        // As long as the test waits: a machine that stands still delays dual operation.
+        // As long as the test waits, because a stalled machine delays dual operation.
         .args(["--duration", &WATCHDOG.as_secs().to_string()])
         .args(["--update", "2", "--program-flash"])
-        // A folder that is not there yet.
+        // A folder that does not exist yet.
         .arg(folder.path().join("flash"))
         .arg("--out")
         .arg(folder.path().join("report"))
@@ -106,7 +106,7 @@ fn both_systems_are_updated_while_they_drive() {
         let flash = folder.path().join(format!("flash/{system}.pflash"));
         boots(&flash) == Some((Some(Slot::B), 2, false))
     };
-    // From then on the files of the flashes are whole.
+    // From then on the files of the flashes are complete.
     run.until("core 0 of A starts", || core_0("A", launcher));
     // The standby is updated first. On a busy machine either system may be the standby.
     let first = run.until("the standby approves its image", || {

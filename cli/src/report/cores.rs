@@ -1,4 +1,4 @@
-//! The cores in the report: a timeline around the moment that matters, and the tasks' figures.
+//! The cores in the report: a timeline around one important moment, and the figures of the tasks.
 
 use maud::{Markup, html};
 use tandem_board::{CoreId, SupplyEvent, SystemId};
@@ -15,7 +15,7 @@ use super::sections::system_color;
 use crate::metrics::Metrics;
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
-/// The span of the timeline before and after its moment, ms: a period of perception and more.
+/// The span of the timeline before and after its moment, ms: more than one perception period.
 const WIDE_MS: (f64, f64) = (-40.0, 20.0);
 /// The span before and after a takeover, ms.
 const CLOSE_MS: (f64, f64) = (-2.5, 0.5);
@@ -26,9 +26,9 @@ const RIGHT: f64 = 14.0;
 const TOP: f64 = 42.0;
 const ROW: f64 = 34.0;
 const BAR: f64 = 22.0;
-/// Space between the two systems, and before the vehicle.
+/// Space between the two systems, and above the vehicle's row.
 const GAP: f64 = 12.0;
-/// A shorter slice is drawn this wide, so that it can be seen.
+/// The smallest width of a slice in the drawing, so that short slices are visible.
 const NARROWEST: f64 = 1.2;
 
 /// The legend: what the colours of slices mean.
@@ -43,10 +43,10 @@ const LEGEND: [(TaskCode, Color); 8] = [
     (TaskCode::PLANNING, Color::B),
 ];
 
-/// The timeline around the first takeover from a master that failed, or of some moment of a run
-/// without a takeover; nothing if no core has left a trace.
+/// Draws the timeline around the first takeover from a failed master, or around some moment of a
+/// run without a takeover. Draws nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
-    // A takeover from a master that was held up shows the machine, not the controller.
+    // Prefer a failed master: a takeover from one that was held up shows the machine, not Tandem.
     let failed = takeovers.iter().find(|takeover| !takeover.held_up);
     let takeover = failed.or(takeovers.first());
     let Some(zero_ns) = takeover.map(|t| t.at_ns).or_else(|| quiet_moment(timeline)) else {
@@ -93,8 +93,8 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
     }
 }
 
-/// System, begin of perception and the arrival on core 0, ns, of the pass whose signals took the
-/// median time.
+/// Returns the pass through the chain whose signals took the median time: its system, and the
+/// times of the begin of perception and of the arrival on core 0, ns.
 fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
     let mut passes: Vec<(SystemId, u64, u64)> = Vec::new();
     for second in &timeline.flows {
@@ -108,7 +108,7 @@ fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
     }
     passes.sort_by_key(|(_, from_ns, to_ns)| to_ns - from_ns);
     let (system, from_ns, to_ns) = *passes.get(passes.len() / 2)?;
-    // The signal stands at the end of its task.
+    // The task sends the signal at its end, so take the slice around the signal.
     let perception = timeline
         .cores
         .iter()
@@ -120,7 +120,7 @@ fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
     Some((system, begin_ns, to_ns))
 }
 
-/// Just before a signal of core 1 in the middle of the run.
+/// Returns a moment between two signals of core 1 of the first system, well within the run.
 fn quiet_moment(timeline: &Timeline) -> Option<u64> {
     let first = |flow: &&crate::timeline::Flow| flow.from.0 == CoreId::PERCEPTION;
     let chain: Vec<u64> = timeline
@@ -129,7 +129,7 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
         .filter(first)
         .map(|flow| flow.from.1)
         .collect();
-    // Two fifths of the signals are those of the first system's first half or so.
+    // The first system's signals come first. Two fifths of all are well within its run.
     let moment = chain.get(2 * chain.len() / 5)?;
     Some(moment + 10_000_000)
 }
@@ -143,7 +143,7 @@ fn task_color(work: Work) -> Color {
 }
 
 struct Drawing {
-    /// Draws only this system, without the vehicle.
+    /// If set, draw only this system, without the vehicle.
     only: Option<SystemId>,
     zero_ns: u64,
     from_ms: f64,
@@ -158,7 +158,7 @@ impl Drawing {
             zero_ns,
             from_ms,
             to_ms,
-            // Its height is set when the rows are known.
+            // The height is set later, when the rows are known.
             svg: Svg::new(WIDTH, 0.0),
         }
     }
@@ -185,13 +185,13 @@ impl Drawing {
         TOP + above * (3.0 * ROW + GAP) + core.index() as f64 * ROW
     }
 
-    /// The row below those of the cores.
+    /// Returns the top of the vehicle's row, below those of the cores.
     fn vehicle_row(&self) -> f64 {
         let systems = if self.only.is_some() { 1.0 } else { 2.0 };
         TOP + systems * (3.0 * ROW + GAP)
     }
 
-    /// The lower end of all rows.
+    /// Returns the lower end of all rows.
     fn bottom(&self) -> f64 {
         self.vehicle_row() + if self.only.is_some() { 0.0 } else { ROW }
     }
@@ -286,7 +286,7 @@ impl Drawing {
                 continue;
             }
             let down = self.row(flow.system, to) > self.row(flow.system, from);
-            // From the edge of the bar that is nearer to the other one.
+            // Begin and end at the edges of the two bars that face each other.
             let edge =
                 |core, lower: bool| self.row(flow.system, core) + if lower { BAR } else { 0.0 };
             let begin = (self.x(from_ns), edge(from, down));
@@ -347,7 +347,7 @@ impl Drawing {
             lanes_used += 1;
             let thin = Stroke::new(Color::BAD, 0.7);
             self.svg.line((x, y + 3.0), (x, top), thin);
-            // The second one to the right, so that it does not cross the line of the first.
+            // Draw the second label on the right, so that it does not cross the line of the first.
             let (x, anchor) = match second && x < WIDTH - 120.0 {
                 true => (x + 4.0, Anchor::Start),
                 false => (x - 4.0, Anchor::End),
@@ -360,7 +360,7 @@ impl Drawing {
     }
 }
 
-/// The table of all tasks and of the signals between cores.
+/// Returns the table of all tasks and of the signals between cores.
 pub(super) fn tasks(metrics: &Metrics) -> Markup {
     if metrics.tasks.is_empty() {
         return html! {};
@@ -444,12 +444,12 @@ fn task_row(task: &TaskMetrics, stacks: bool) -> Markup {
     }
 }
 
-/// A span with its unit.
+/// Formats a time span with its unit.
 fn short(ms: Option<f64>) -> String {
     ms.map_or("–".to_owned(), |ms| format::time(ms * 1e6))
 }
 
-/// Response times on a logarithmic line of six decades.
+/// Draws response times on a logarithmic axis of six decades.
 fn spark(task: &TaskMetrics) -> Markup {
     const LENGTH: f64 = 180.0;
     let place = |ms: f64| ((ms.max(1e-3).log10() + 3.0) / 6.0 * LENGTH).clamp(0.0, LENGTH);

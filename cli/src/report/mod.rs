@@ -1,4 +1,4 @@
-//! The report of a run: one HTML file that needs nothing else.
+//! The report of a run: one HTML file that loads no other file.
 
 mod cores;
 mod sections;
@@ -14,10 +14,10 @@ use tandem_record::{RunLog, Takeover, description, takeovers};
 use crate::metrics::Metrics;
 use crate::timeline::Timeline;
 
-/// Rows of the event log. More would hide the important ones.
+/// Rows of the event log. With more rows the important ones would be hard to find.
 const EVENT_ROWS: usize = 200;
 
-/// The whole page.
+/// Returns the whole page.
 pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> String {
     let takeovers = takeovers(log);
     let content = html! {
@@ -56,7 +56,7 @@ fn header(metrics: &Metrics) -> Markup {
     }
 }
 
-/// The class of a part's colour.
+/// Returns the CSS class of a grade's colour.
 const fn class(grade: Grade) -> &'static str {
     match grade {
         Grade::Good => "good",
@@ -106,7 +106,7 @@ fn tiles(metrics: &Metrics) -> Markup {
     }
 }
 
-/// A section with a chart and a legend of its series.
+/// Returns a section with a chart and a legend of its series.
 fn card(title: &str, note: &str, chart: &Chart) -> Markup {
     let named = chart.series.iter().filter(|series| !series.name.is_empty());
     let entries: Vec<_> = named
@@ -304,7 +304,7 @@ fn stalls(metrics: &Metrics) -> String {
     )
 }
 
-/// One row of the event log: scenario time, who, what.
+/// One row of the event log: scenario time, source, event.
 type EventRow = (f64, String, String);
 
 fn events(log: &RunLog) -> Markup {
@@ -357,7 +357,7 @@ fn events(log: &RunLog) -> Markup {
     }
 }
 
-/// Merges equal events that follow each other into one row that counts them.
+/// Merges consecutive equal events into one row that counts them.
 fn merged(rows: Vec<EventRow>) -> Vec<EventRow> {
     let mut merged: Vec<(EventRow, u32)> = Vec::new();
     for row in rows {

@@ -1,4 +1,4 @@
-//! The charts of a report: which data of the run each one shows.
+//! The charts of a report, with the data of the run that each one shows.
 
 use crate::metrics::{chain_ms, control_periods_ms, jerk};
 use crate::percentiles::Spans;
@@ -10,15 +10,15 @@ use tandem_record::log::Sample;
 use tandem_record::roles::{RoleState, timeline};
 use tandem_record::{RunLog, Takeover, ms_between};
 
-/// More points than this in a line cannot be distinguished.
+/// Largest number of points in a line. More could not be distinguished.
 const LINE_POINTS: usize = 1_500;
-/// More dots than this only make the file large.
+/// Largest number of dots. More would only enlarge the file.
 const DOTS: usize = 3_000;
 
-/// Spans below this are drawn at this: a logarithmic axis has no zero, ms.
+/// Shorter spans are drawn with this length, ms, because a logarithmic axis has no zero.
 const SHORTEST_MS: f64 = 0.001;
 
-/// The colour of a system.
+/// Returns the colour of a system.
 pub(super) const fn system_color(system: SystemId) -> Color {
     match system {
         SystemId::A => Color::A,
@@ -26,7 +26,7 @@ pub(super) const fn system_color(system: SystemId) -> Color {
     }
 }
 
-/// The colour of a state.
+/// Returns the colour of a state.
 pub(super) const fn state_color(state: RoleState) -> Option<Color> {
     match state {
         RoleState::Master => Some(Color::GOOD),
@@ -47,7 +47,7 @@ fn over_time(log: &RunLog, value: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
 }
 
 fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
-    // Thinning sorts values. A line with gaps is kept whole, because its pieces must stay apart.
+    // Thinning sorts values. Do not thin a line with gaps, because its pieces must stay apart.
     let whole = points.iter().any(|point| !point.1.is_finite());
     let points = if whole {
         points.to_vec()
@@ -57,7 +57,7 @@ fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
     series(name, color, Style::Line(2.0), points)
 }
 
-/// A series without a tooltip.
+/// Returns a series without a tooltip.
 pub(super) fn series(
     name: impl Into<String>,
     color: Color,
@@ -98,7 +98,7 @@ fn marks(log: &RunLog, takeovers: &[Takeover]) -> Vec<f64> {
         .collect()
 }
 
-/// Bars of the roles of both systems.
+/// Draws the roles of both systems as bars.
 pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let name = |value: f64| {
         if value < 1.0 {
@@ -129,8 +129,8 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     chart
 }
 
-/// Distance from the centre of the lane. The chart's line is broken where the vehicle crosses into
-/// another lane, because the distance jumps.
+/// Draws the distance from the centre of the lane. The line is broken where the vehicle crosses
+/// into another lane, because the distance jumps.
 pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let mut points: Vec<(f64, f64)> = Vec::with_capacity(log.samples.len());
     let mut lane = None;
@@ -147,12 +147,12 @@ pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let series = vec![line("lateral error", Color::A, &points)];
     let mut chart = time_chart(log, takeovers, 230.0, "m, left +", series);
     let (low, high) = chart.y.range;
-    // The axis is wide enough that noise of a centimetre does not look like a swerve.
+    // Make the axis wide enough that noise of a centimetre does not look like a swerve.
     chart.y = Axis::linear("m, left +", (low.min(-0.3), high.max(0.3)), 5);
     chart
 }
 
-/// Speed and what was asked for.
+/// Draws the speed and the requested speed.
 pub(super) fn speed(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let set = thin(
         &over_time(log, |s| s.set_speed.unwrap_or(f64::NAN)),
@@ -170,7 +170,7 @@ pub(super) fn speed(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     time_chart(log, takeovers, 230.0, "m/s", series)
 }
 
-/// Distance to the vehicle ahead; `None` if there never was one.
+/// Draws the distance to the vehicle ahead; `None` if no vehicle was ever ahead.
 pub(super) fn lead_gap(log: &RunLog, takeovers: &[Takeover]) -> Option<Chart> {
     log.samples
         .iter()
@@ -189,7 +189,7 @@ pub(super) fn lead_gap(log: &RunLog, takeovers: &[Takeover]) -> Option<Chart> {
         })
 }
 
-/// Accelerations, and jerk.
+/// Draws the accelerations, and the jerk.
 pub(super) fn comfort(log: &RunLog, takeovers: &[Takeover]) -> [Chart; 2] {
     let accelerations = vec![
         line("lateral", Color::OTHER, &over_time(log, |s| s.lat_accel)),
@@ -202,7 +202,7 @@ pub(super) fn comfort(log: &RunLog, takeovers: &[Takeover]) -> [Chart; 2] {
     ]
 }
 
-/// Every gap between two accepted control frames, by the system that ended it.
+/// Draws every gap between two accepted control frames, by the system that ended it.
 pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let accepted: Vec<_> = log.accepted().collect();
     let gaps: Vec<_> = accepted
@@ -234,7 +234,7 @@ pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     chart
 }
 
-/// Distributions of the control period and of the chain, over percentiles.
+/// Draws the distributions of the control period and of the chain over percentiles.
 pub(super) fn percentiles(log: &RunLog) -> Chart {
     let curves = [
         (

@@ -1,4 +1,4 @@
-//! The report of a made-up run.
+//! Tests of the report of a synthetic run.
 
 use super::*;
 use crate::metrics::Surroundings;
@@ -36,7 +36,7 @@ fn synthetic_page() -> String {
     page(&log, &timeline, &metrics)
 }
 
-/// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for inspection.
+/// The page loads no other file. If `TANDEM_REPORT_SAMPLE` is set, writes the page to that path.
 #[test]
 fn the_page_needs_nothing_from_outside() {
     let page = synthetic_page();
@@ -95,7 +95,7 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
     assert!(!page.contains("<script>"));
 }
 
-/// A run in which both systems lose power in the middle, and what its report says.
+/// Returns the figures and the report of a run in which both systems lose power in the middle.
 fn no_system_drives(watch: Watch, stalls: Vec<Stall>) -> (metrics::Metrics, String) {
     let mut log = synthetic::with_takeover(8.0);
     let middle_ns = log.start_ns.unwrap() + 4_000_000_000;
@@ -132,12 +132,12 @@ fn a_run_in_which_no_system_drives_fails() {
     assert!(page.contains(&objections[0]) && !page.contains("under control from start"));
 }
 
-/// A stall of the machine is no fault of the product, and not "all well" either. One that a thread
-/// of ordinary priority saw is no evidence.
+/// A gap that a stall of the machine explains is not a fault of the product, but it is reported. A
+/// stall that a thread of ordinary priority recorded is not evidence.
 #[test]
 fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
     let start_ns = synthetic::with_takeover(8.0).start_ns.unwrap();
-    // The bus, or the CPU of the standby's core 0.
+    // The stall is on the bus, or on the CPU of the standby's core 0.
     let stall = |of, to_ms: u64| Stall {
         of,
         from_ns: start_ns + 4_000 * 1_000_000,
@@ -165,9 +165,8 @@ fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
     assert!(page.contains("not judged: no real time"));
 }
 
-/// A stall longer than the tolerated one costs a takeover that was not needed: the run does not
-/// fail by it, and does not say that all was well. The stall must have hit the old master or the
-/// bus.
+/// A stall longer than the tolerated one causes an unnecessary takeover. The run does not fail by
+/// it, but it is reported. The stall must have been on the bus or in the old master.
 #[test]
 fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
     let mut log = synthetic::with_takeover(8.0);
@@ -175,7 +174,7 @@ fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
         let takeover = takeovers(&log)[0];
         (takeover.at_ns, takeover.from_ns)
     };
-    // The old master continues to send, so it had not failed.
+    // The old master continues to send, so it has not failed.
     let of_old = log.control.iter().position(|frame| frame.at_ns == last);
     let sent_on = ControlFrame {
         at_ns: last + 10_000_000,
@@ -221,7 +220,7 @@ fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
     }
 }
 
-/// B loses its power and does not come back: the verdict says so, and the run does not fail.
+/// B loses its power and does not return: the verdict reports it, and the run does not fail.
 #[test]
 fn redundancy_that_is_lost_to_the_end_is_reported() {
     let log = synthetic::with_takeover(8.0);
@@ -233,7 +232,7 @@ fn redundancy_that_is_lost_to_the_end_is_reported() {
     assert_eq!(metrics.verdict.outcome, Outcome::UnderControl);
 }
 
-/// Each figure that a rule reads fails the run, or is reported, by its own word.
+/// Each figure beyond its bound is a finding of its rule, which fails the run or is reported.
 #[test]
 fn each_figure_beyond_its_bound_is_a_finding() {
     let found = |change: &dyn Fn(&mut RunLog)| {
@@ -298,7 +297,7 @@ fn each_figure_beyond_its_bound_is_a_finding() {
     );
 }
 
-/// A product whose own limits permit more than the requirement fails, whatever the drive was like.
+/// The run fails if the product's own limits permit more than the requirement, whatever the drive.
 #[test]
 fn a_product_with_a_longer_control_margin_fails() {
     let log = synthetic::with_takeover(4.0);

@@ -1,4 +1,4 @@
-//! The road from above at one moment: lanes, the own path, the vehicles.
+//! The road from above at one moment: lanes, the vehicle's own path, and the vehicles.
 
 use tandem_page::chart::{Axis, Chart, Polygon, Style};
 use tandem_page::svg::Color;
@@ -9,14 +9,14 @@ use super::sections::series;
 
 /// Height of the chart in its own units.
 const HEIGHT: f64 = 230.0;
-/// How far to look ahead, m; how far back follows from the width.
+/// Distance of the view ahead, m. The distance behind follows from the width.
 const AHEAD_M: f64 = 85.0;
 /// Half the height of the view, m.
 const ASIDE_M: f64 = 13.0;
-/// The own vehicle, as it is drawn, m.
+/// Length and width of the own vehicle in the drawing, m.
 const OWN: (f64, f64) = (4.6, 1.9);
 
-/// The view in which the own vehicle stands at the origin and looks along x.
+/// A view with the own vehicle at the origin, heading along x.
 struct View {
     x: f64,
     y: f64,
@@ -49,7 +49,7 @@ impl View {
         (-self.back_m..=AHEAD_M).contains(&x) && (-ASIDE_M..=ASIDE_M).contains(&y)
     }
 
-    /// The part of a polyline that is in view, in pieces between points that are not a number.
+    /// Returns the visible part of a polyline, split at points that are not a number.
     fn polyline(&self, points: impl Iterator<Item = [f64; 2]>) -> Vec<(f64, f64)> {
         let mut local: Vec<(f64, f64)> = Vec::new();
         for point in points.map(|point| self.local(point)) {
@@ -57,7 +57,7 @@ impl View {
                 local.push(point);
                 continue;
             };
-            // Fine steps, so that a line that leaves the view is cut at its edge.
+            // Use fine steps, so that a line that leaves the view is cut at its edge.
             let steps = ((point.0 - last.0).hypot(point.1 - last.1) / 0.5)
                 .ceil()
                 .clamp(1.0, 400.0);
@@ -75,7 +75,7 @@ impl View {
             .collect()
     }
 
-    /// The corners of a vehicle, if it is wholly in view.
+    /// Returns the corners of a vehicle, if all of it is visible.
     fn rectangle(&self, vehicle: &Other) -> Option<Vec<(f64, f64)>> {
         let (cx, cy) = self.local([vehicle.x, vehicle.y]);
         let (sin, cos) = (vehicle.heading - self.heading).sin_cos();
@@ -95,7 +95,7 @@ impl View {
             .then_some(corners)
     }
 
-    /// The surface of a lane, cut to what is in view.
+    /// Returns the visible part of a lane's surface.
     fn surface(&self, lane: &Lane) -> Vec<Vec<(f64, f64)>> {
         lane.left
             .windows(2)
@@ -116,9 +116,9 @@ impl View {
     }
 }
 
-/// The road at the sample with vehicles that is nearest to `at_ns`; `None` if there is none.
+/// Draws the road at the sample with vehicles that is nearest to `at_ns`; `None` without samples.
 pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
-    // Without traffic no sample has vehicles, and any sample will do.
+    // Without traffic no sample has other vehicles; then any sample serves.
     let with_others = log.samples.iter().any(|sample| !sample.others.is_empty());
     let sample = log
         .samples

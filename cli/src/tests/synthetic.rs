@@ -1,4 +1,4 @@
-//! A synthetic run for the tests of the figures and of the report.
+//! A synthetic run, for tests of the figures and of the report.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::{ModeCode, RoleCode};
@@ -9,14 +9,14 @@ use tandem_record::run_log::{ControlFrame, CoreEvent, StatusFrame};
 use tandem_redundancy::Evidence;
 use tandem_vehicle::Ruling;
 
-/// The clock at the start of the world.
+/// Time on the run's clock at the start of the world, ns.
 const START_NS: u64 = 1_700_000_000;
 
 /// A small deterministic noise generator.
 struct Noise(u64);
 
 impl Noise {
-    /// -1 to 1, with a thin tail.
+    /// Returns a number from -1 to 1. Large values are rare.
     fn next(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -26,7 +26,7 @@ impl Noise {
     }
 }
 
-/// A run of `duration_s` in which A loses power in the middle and B takes over.
+/// Returns a run of `duration_s` in which A loses power in the middle and B takes over.
 pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
     let mut log = RunLog::default();
     push(
@@ -86,7 +86,7 @@ fn push(log: &mut RunLog, record: VehicleRecord) {
     log.push(record.into());
 }
 
-/// Returns the middle of the road at `x`.
+/// Returns the lateral position of the road's middle at `x`.
 fn road(x: f64) -> f64 {
     12.0 * (x / 220.0).sin()
 }
@@ -220,7 +220,7 @@ fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
                 true => (RoleCode::Master, mode),
                 false => (RoleCode::Standby, ModeCode::L3),
             };
-            // A is dead from the middle on.
+            // From the middle of the run on, A sends nothing.
             if system == driving || driving == SystemId::A {
                 log.status.push(StatusFrame {
                     at_ns,

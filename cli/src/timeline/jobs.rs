@@ -1,4 +1,4 @@
-//! Figures of each task: how often it ran, for how long, and whether it met its deadline.
+//! Figures of each task: number of jobs, execution times, and missed deadlines.
 
 use std::collections::BTreeMap;
 
@@ -25,11 +25,11 @@ pub(crate) struct TaskMetrics {
     pub(crate) deadline_ms: Option<f64>,
     /// Number of jobs that have begun.
     pub(crate) jobs: u64,
-    /// Releases without a job, because the task was late by whole periods.
+    /// Releases without a job, because the task was late by one or more whole periods.
     pub(crate) missed_releases: u64,
     /// Jobs that ended after their deadline, plus missed releases of tasks with a deadline.
     pub(crate) deadline_misses: u64,
-    /// Jobs without an end, because the core died or the run ended.
+    /// Jobs whose end was not recorded, because the core died or the run ended.
     pub(crate) cut: u64,
     /// Number of preemptions by more urgent tasks within jobs.
     pub(crate) preemptions: u64,
@@ -41,8 +41,8 @@ pub(crate) struct TaskMetrics {
     pub(crate) response_p99_ms: Option<f64>,
     /// Its maximum, ms.
     pub(crate) response_max_ms: Option<f64>,
-    /// Median time on the CPU, without that of tasks and handlers that ran in between, ms. On the
-    /// host it includes time that the machine's own scheduler took away.
+    /// Median time on the CPU, without the time of tasks and handlers that preempted it, ms. On
+    /// the host it includes time that the machine's own scheduler took away.
     pub(crate) execution_p50_ms: Option<f64>,
     /// Its 99th percentile, ms.
     pub(crate) execution_p99_ms: Option<f64>,
@@ -68,7 +68,7 @@ pub(crate) struct WakeMetrics {
     pub(crate) to: u8,
     /// Number of signals that a task received.
     pub(crate) count: u64,
-    /// Median time from just before the signal until its task runs, ms.
+    /// Median time from just before the sending of the signal until the woken task runs, ms.
     pub(crate) latency_p50_ms: Option<f64>,
     /// Its 99th percentile, ms.
     pub(crate) latency_p99_ms: Option<f64>,
@@ -85,7 +85,7 @@ pub(crate) struct InterruptMetrics {
     pub(crate) core: u8,
     /// Its name.
     pub(crate) interrupt: String,
-    /// How often the handler ran.
+    /// Number of runs of the handler.
     pub(crate) count: u64,
     /// Median time in the handler, ms.
     pub(crate) execution_p50_ms: Option<f64>,
@@ -95,7 +95,7 @@ pub(crate) struct InterruptMetrics {
     pub(crate) execution_max_ms: Option<f64>,
 }
 
-/// Returns the figures of all handlers of a core.
+/// Returns the figures of all interrupt handlers of a core.
 pub(super) fn interrupts(line: &CoreLine) -> Vec<InterruptMetrics> {
     let mut by_code: BTreeMap<IrqCode, Vec<f64>> = BTreeMap::new();
     for slice in line.slices.iter().filter(|slice| !slice.cut) {
@@ -167,7 +167,7 @@ struct Job {
     release_ns: Option<u64>,
     own_ns: u64,
     begun: bool,
-    /// When the task left the CPU, if the kernel did not record why.
+    /// Time at which the task left the CPU, if the kernel did not record the reason.
     gave_ns: Option<u64>,
 }
 
@@ -182,7 +182,7 @@ impl Jobs {
         self.tasks.entry(code).or_default()
     }
 
-    /// Records the release of a job, unless one is under way.
+    /// Records the release of a job, unless an earlier one has not ended.
     pub(super) fn ready(&mut self, code: TaskCode, at_ns: u64) {
         self.done_if_it_gave(code);
         let job = &mut self.task(code).job;
@@ -198,7 +198,7 @@ impl Jobs {
         if let Begin::Released { late_ns, missed } = begin {
             task.missed += u64::from(missed);
             if task.job.is_some_and(|job| job.begun) {
-                // The record of its end was lost.
+                // The end of the earlier job is missing in the records.
                 task.cut += 1;
             }
             task.job = Some(Job {
@@ -224,7 +224,7 @@ impl Jobs {
         }
     }
 
-    /// Adds time on the CPU.
+    /// Adds CPU time to the running job.
     pub(super) fn ran(&mut self, code: TaskCode, own_ns: u64) {
         if let Some(job) = &mut self.task(code).job {
             job.own_ns += own_ns;
@@ -238,8 +238,8 @@ impl Jobs {
         }
     }
 
-    /// Ends the job of a task that left the CPU, and then became ready or did not run again: it had
-    /// finished its job.
+    /// Ends the job of a task that left the CPU for an unrecorded reason. The caller knows that
+    /// the job was finished: the task became ready again or did not run again.
     fn done_if_it_gave(&mut self, code: TaskCode) {
         if let Some(gave_ns) = self.task(code).job.and_then(|job| job.gave_ns) {
             self.done(code, gave_ns);
@@ -258,7 +258,7 @@ impl Jobs {
             .extend(response_ns.map(|response_ns| response_ns as f64 * 1e-6));
     }
 
-    /// Cuts all jobs: the core's incarnation has ended.
+    /// Cuts all jobs, because the core's incarnation has ended.
     pub(super) fn cut(&mut self) {
         let codes: Vec<TaskCode> = self.tasks.keys().copied().collect();
         codes

@@ -1,8 +1,8 @@
 //! The timeline of a run, from its trace records: which task ran when on which core.
 //!
 //! The records of each core are processed in their own order. A slice is the time from when a task
-//! or handler gets the CPU to when it leaves it. Slices of a core nest and never cross, even if
-//! records are missing: a slice without a recorded end ends with its core.
+//! or handler gets the CPU until it leaves the CPU. Slices of a core nest and never cross, even if
+//! records are missing: a slice without a recorded end ends when its core ends.
 
 mod jobs;
 mod perfetto;
@@ -31,7 +31,7 @@ pub(crate) enum Work {
 }
 
 impl Work {
-    /// Returns its name on this core.
+    /// Returns the name of the work on this core.
     pub(crate) fn name(self, core: CoreId) -> String {
         match self {
             Self::Task(code) => task_name(core, code),
@@ -66,51 +66,51 @@ pub(crate) struct Slice {
     /// Number of enclosing slices.
     pub(crate) depth: usize,
     /// Number of the job that the slice belongs to; `None` for a handler. A job has one slice for
-    /// each time that its task had the CPU.
+    /// each time in which its task had the CPU.
     pub(crate) job: Option<u64>,
     /// Delay after the release, ns, if the slice began a job with a known release.
     pub(crate) late_ns: Option<u32>,
-    /// Releases before it without a job.
+    /// Number of releases without a job just before this slice.
     pub(crate) missed: u32,
-    /// No end was recorded: the core died, the run ended, or records were lost.
+    /// The end was not recorded: the core died, the run ended, or records were lost.
     pub(crate) cut: bool,
 }
 
-/// A moment on a core.
+/// An event at one moment on a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Mark {
     /// Time, ns.
     pub(crate) at_ns: u64,
-    /// What happened.
+    /// The event.
     pub(crate) event: Event,
-    /// Number of the arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 for
-    /// none.
+    /// Number of the arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) at this mark;
+    /// 0 if there is none.
     pub(crate) flow: u64,
 }
 
-/// One step in the order of events on a core; the number is an index of `slices` or `marks`.
+/// One step in the order of events on a core. The number is an index of `slices` or `marks`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Step {
     /// A slice begins.
     Begin(usize),
     /// A slice ends.
     End(usize),
-    /// Something happens.
+    /// A mark.
     Mark(usize),
 }
 
-/// One core over the run.
+/// The timeline of one core over the run.
 #[derive(Clone, Debug)]
 pub(crate) struct CoreLine {
     /// Its system.
     pub(crate) system: SystemId,
-    /// Which core.
+    /// The core.
     pub(crate) core: CoreId,
-    /// Its slices by their begin.
+    /// Its slices, in order of their begin.
     pub(crate) slices: Vec<Slice>,
-    /// Its moments by time.
+    /// Its marks, in order of time.
     pub(crate) marks: Vec<Mark>,
-    /// Slices and moments in one order, with ascending times.
+    /// Slices and marks in one order, with ascending times.
     pub(crate) steps: Vec<Step>,
 }
 
@@ -125,7 +125,7 @@ impl CoreLine {
     }
 }
 
-/// A signal from core to core that was sent and received.
+/// A signal from core to core that was both sent and received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Flow {
     /// The system.
@@ -136,7 +136,7 @@ pub(crate) struct Flow {
     pub(crate) to: (CoreId, u64),
 }
 
-/// All cores and supplies over the run.
+/// The timeline of all cores and supplies over the run.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Timeline {
     /// The six cores: A0, A1, A2, B0, B1, B2.
@@ -156,7 +156,7 @@ impl Timeline {
         let mut by_core: Vec<Vec<(u64, Event)>> = vec![Vec::new(); 2 * CoreId::COUNT];
         for traced in &log.trace {
             let records = &mut by_core[place(traced.system, traced.core)];
-            // Force ascending times on each core: its records are not trusted.
+            // Force ascending times on each core, because its records are not trusted.
             let last_ns = records.last().map_or(0, |(last_ns, _)| *last_ns);
             let event = Event::decode(traced.record);
             records.extend(event.map(|event| (traced.at.as_ns().max(last_ns), event)));
@@ -197,7 +197,7 @@ impl Timeline {
         jobs::wakes(&self.flows)
     }
 
-    /// Gives the mark of each received signal the number of its arrow.
+    /// Stores the number of the arrow in the mark of each received signal.
     fn mark_wakes(&mut self, wakes: &Wakes) {
         for line in &mut self.cores {
             for mark in &mut line.marks {
@@ -214,7 +214,7 @@ const fn place(system: SystemId, core: CoreId) -> usize {
     system.index() * CoreId::COUNT + core.index()
 }
 
-/// Returns the ends of a core's incarnations, as its supply recorded them, ns.
+/// Returns the times at which a core's incarnations ended, as its supply recorded them, ns.
 fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId) -> Vec<u64> {
     let ends = |event: &SupplyEvent| match event {
         SupplyEvent::CoreDied { core: died, .. } => *died == core,
@@ -228,10 +228,10 @@ fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId
         .collect()
 }
 
-/// System, sending core, receiving core, and number of the signal.
+/// Identifies a signal: system, sending core, receiving core, and number of the signal.
 type SignalKey = (SystemId, CoreId, CoreId, u32);
 
-/// All sent signals: time of sending, and number of the arrow; 0 if not received.
+/// All sent signals, each with its time of sending and the number of its arrow (0: not received).
 struct Wakes {
     sent: HashMap<SignalKey, Vec<(u64, u64)>>,
 }
@@ -252,11 +252,11 @@ impl Wakes {
         Self { sent }
     }
 
-    /// Finds the last such signal before `at_ns`. If it has no arrow yet, gives it this one and
-    /// returns the time at which it was sent.
+    /// Finds the last signal with this key sent before `at_ns`. If it has no arrow yet, assigns
+    /// this one and returns the time at which the signal was sent.
     fn arrive(&mut self, key: SignalKey, at_ns: u64, arrow: u64) -> Option<u64> {
         let sent = self.sent.get_mut(&key)?;
-        // Numbers restart in each incarnation, so several signals may share one.
+        // Numbers restart in each incarnation, so several signals may have the same number.
         let before = sent.partition_point(|(sent_ns, _)| *sent_ns <= at_ns);
         let (sent_ns, given) = sent.get_mut(before.checked_sub(1)?)?;
         (*given == 0).then(|| {
@@ -272,12 +272,12 @@ impl Wakes {
     }
 }
 
-/// Builds the line of one core.
+/// Builds the timeline of one core.
 struct LineBuilder {
     line: CoreLine,
-    /// Ends of incarnations that are still ahead, by time.
+    /// Ends of the current and later incarnations, by time.
     ends: std::iter::Peekable<std::vec::IntoIter<u64>>,
-    /// Open slices, the innermost last, each with the time of its inner slices, ns.
+    /// Open slices, the innermost last, each with the total time of its inner slices, ns.
     open: Vec<(usize, u64)>,
     last_ns: u64,
     jobs: Jobs,
@@ -336,14 +336,14 @@ impl LineBuilder {
             }
             Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
             Event::Held { task, longest_ns } => self.jobs.held(task, longest_ns),
-            // Shown as counters or moments.
+            // Shown as a counter or a moment.
             _ => self.mark(at_ns, event, 0),
         }
         self.last_ns = at_ns;
     }
 
     fn task_in(&mut self, at_ns: u64, task: TaskCode, begin: Begin) {
-        // If it is still open, the record of its end was lost.
+        // If the task's slice is still open, the record of its end was lost.
         self.end(at_ns, Work::Task(task));
         let job = self.jobs.begin(task, at_ns, begin);
         let slice = self.begin(at_ns, Work::Task(task));
@@ -393,7 +393,7 @@ impl LineBuilder {
     }
 
     /// Ends the innermost slice of this work, and the slices within it, whose ends were lost.
-    /// Returns its time without that of inner slices, ns; `None` if it never began.
+    /// Returns its time without that of inner slices, ns; `None` if the slice is not open.
     fn end(&mut self, at_ns: u64, work: Work) -> Option<u64> {
         let is_it = |(slice, _): &(usize, u64)| self.line.slices[*slice].work == work;
         let from = self.open.iter().rposition(is_it)?;
@@ -421,8 +421,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// Ends all slices: the core's incarnation ended before `until_ns`, when its supply recorded
-    /// it, or else at its last record.
+    /// Ends all slices, because the core's incarnation ended before `until_ns`. They end when the
+    /// supply recorded the end, or else at the core's last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

@@ -1,7 +1,7 @@
-//! The timeline as a trace that <https://ui.perfetto.dev> opens.
+//! Encodes the timeline as a trace that <https://ui.perfetto.dev> opens.
 //!
-//! Each system and the vehicle is a process, each core and supply a thread. Times are those of the
-//! run's one clock. All packets form one sequence, which lists its names once, at its beginning.
+//! Each system and the vehicle is a process, and each core and supply a thread. All times are on
+//! the run's clock. All packets form one sequence, whose first packet defines all names.
 
 use std::collections::HashMap;
 
@@ -19,7 +19,7 @@ use tandem_record::{RunLog, description, takeovers};
 use tandem_vehicle::Ruling;
 
 const SEQUENCE: u32 = 1;
-/// Key of a packet in a trace: field 1, with a length.
+/// Key byte of a packet in a trace: field 1, prefixed with its length.
 const PACKET_KEY: u8 = 0x0A;
 const VEHICLE_PID: i32 = 3;
 
@@ -52,7 +52,7 @@ const fn core_name(core: CoreId) -> &'static str {
     }
 }
 
-/// Numbers for names, from 1.
+/// Assigns numbers to names, from 1.
 #[derive(Debug, Default)]
 struct Names {
     numbers: HashMap<String, u64>,
@@ -143,7 +143,7 @@ impl Trace {
         })
     }
 
-    /// Adds an event of this kind, see [`event_type`]. An empty name means none.
+    /// Adds an event of this kind, see [`event_type`]. An empty name means no name.
     fn event(&mut self, track: u64, at_ns: u64, kind: i32, name: &str) -> &mut TrackEvent {
         let place = self.events.len();
         let event = TrackEvent {
@@ -230,8 +230,8 @@ impl Trace {
         }
     }
 
-    /// Adds role and function as slices, from one change to the next or to the end of the core's
-    /// incarnation.
+    /// Adds the roles as slices. Each lasts until the next change, or until the core's incarnation
+    /// ends.
     fn roles(&mut self, log: &RunLog, system: SystemId, process: u64) {
         let track = self.track(Some(process), "role");
         let mine = log
@@ -363,7 +363,7 @@ impl Trace {
         let mut bytes = Vec::new();
         let mut put = |packet: &TracePacket| {
             bytes.push(PACKET_KEY);
-            // Writing to a vector cannot fail.
+            // Encoding into a vector cannot fail.
             let _ = packet.encode_length_delimited(&mut bytes);
         };
         let packet = |flags: u32| TracePacket {
@@ -385,7 +385,7 @@ impl Trace {
                 ..packet(NEEDS_STATE)
             });
         }
-        // A stable sort: events of one track at one time stay in order.
+        // The sort is stable: events of one track with the same time keep their order.
         self.events.sort_by_key(|(at_ns, _)| *at_ns);
         for (at_ns, event) in self.events {
             put(&TracePacket {
@@ -398,7 +398,7 @@ impl Trace {
     }
 }
 
-/// Returns category and name of a moment on a core; `None` if counters show it.
+/// Returns category and name of a mark on a core; `None` if counters show it.
 fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
     Some(match event {
         Event::Interrupted { irq } => ("interrupt", irq_name(irq)),

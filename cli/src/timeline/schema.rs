@@ -1,14 +1,14 @@
 //! The part of Perfetto's trace format that this program writes.
 //!
-//! Numbers and types of the fields are those of `protos/perfetto/trace/perfetto_trace.proto` of the
-//! Perfetto project. The test `perfetto_oracle` reads a trace by Perfetto's own description.
+//! Numbers and types of the fields are those of `protos/perfetto/trace/perfetto_trace.proto` of
+//! the Perfetto project. The test `perfetto_oracle` decodes a trace by Perfetto's description.
 
 use prost::Message;
 
 /// One packet of a trace.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct TracePacket {
-    /// ns
+    /// Time, ns.
     #[prost(uint64, optional, tag = "8")]
     pub(super) timestamp: Option<u64>,
     #[prost(uint32, optional, tag = "10")]
@@ -23,9 +23,9 @@ pub(super) struct TracePacket {
     pub(super) track_descriptor: Option<TrackDescriptor>,
 }
 
-/// Of a sequence: names are defined anew from here on.
+/// Flag of a sequence: from this packet on, names are defined anew.
 pub(super) const STATE_CLEARED: u32 = 1;
-/// Of a packet: it uses names of its sequence.
+/// Flag of a packet: it uses names that its sequence defined.
 pub(super) const NEEDS_STATE: u32 = 2;
 
 /// A row of the view.
@@ -69,7 +69,7 @@ pub(super) struct CounterDescriptor {
     pub(super) unit_name: Option<String>,
 }
 
-/// What happens on a row.
+/// An event on a row.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct TrackEvent {
     #[prost(uint64, repeated, tag = "3")]
@@ -98,7 +98,7 @@ pub(super) mod event_type {
     pub(in super::super) const COUNTER: i32 = 4;
 }
 
-/// A figure beside an event.
+/// A figure attached to an event.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct DebugAnnotation {
     #[prost(uint64, optional, tag = "1")]

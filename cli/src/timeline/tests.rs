@@ -1,4 +1,4 @@
-//! The timeline of made-up records.
+//! Tests of the timeline with synthetic records.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -59,7 +59,7 @@ fn on_core(core: CoreId, events: &[(u64, Event)]) -> Vec<Entry> {
     entries.collect()
 }
 
-/// (name, begin, end, depth, cut) of each slice, times in µs.
+/// Returns (name, begin, end, depth, cut) of each slice, times in µs.
 fn slices(timeline: &Timeline, core: CoreId) -> Vec<(String, u64, u64, usize, bool)> {
     let line = &timeline.cores[place(A, core)];
     line.slices
@@ -82,7 +82,7 @@ fn ms(value: Option<f64>) -> f64 {
     (value.unwrap() * 1e3).round() / 1e3
 }
 
-/// A kernel's switches: a task that is pre-empted, an interrupt within it, a job in two parts.
+/// Switches of a kernel: a preempted task, an interrupt within it, and a job in two parts.
 #[test]
 fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
     let (low, high) = (TaskCode::STATUS, TaskCode::CONTROL);
@@ -115,20 +115,20 @@ fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
         slice("status", 7_100, 8_000, 0),
     ];
     assert_eq!(shown, expected);
-    // Three slices of one job say so.
+    // Three slices have the same job number.
     let jobs: Vec<_> = timeline.cores[0].slices.iter().map(|it| it.job).collect();
     assert_eq!(jobs, [Some(1), None, Some(1), Some(1), Some(1)]);
     let status = figures(&timeline, "status");
     assert_eq!((status.jobs, status.deadline_misses, status.cut), (1, 0, 0));
     assert_eq!(ms(status.response_max_ms), 7.0);
-    // 0.8 less the interrupt's 0.2, then 0.5 and 0.9.
+    // 0.8 ms minus the interrupt's 0.2 ms, then 0.5 and 0.9 ms.
     assert_eq!(ms(status.execution_max_ms), 2.0);
     let control = figures(&timeline, "control");
     assert_eq!(ms(control.response_max_ms), 3.3);
     assert_eq!(ms(control.execution_p50_ms), 3.0);
 }
 
-/// FreeRTOS says that a task is switched out, not why.
+/// FreeRTOS records that a task is switched out, but not the reason.
 #[test]
 fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
     let task = TaskCode::ROLES;
@@ -138,7 +138,7 @@ fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
             (1_000, Event::Ready { task }),
             (1_100, goes(task)),
             (1_300, out(task, Leaves::Gives)),
-            // Pre-empted: it continues without being made ready.
+            // The task was preempted: it continues without becoming ready again.
             (1_500, goes(task)),
             (1_600, out(task, Leaves::Gives)),
             (2_000, Event::Ready { task }),
@@ -184,7 +184,7 @@ fn deadlines_are_missed_by_late_jobs_and_by_releases_without_a_job() {
         &[
             (10_000, released(task, 0, 0)),
             (15_000, done(task)),
-            // Released at 15 ms, done after 5.001 ms.
+            // Released at 15 ms; ends 5.001 ms later.
             (19_000, released(task, 4_000, 0)),
             (20_001, done(task)),
             (40_000, released(task, 0, 3)),
@@ -222,7 +222,7 @@ fn what_a_core_did_when_it_was_killed_ends_when_the_supply_saw_it() {
     let shown = slices(&timeline, CONTROL);
     assert_eq!(shown[1], ("control".into(), 200, 250, 1, true));
     assert_eq!(shown[0], ("heartbeat and roles".into(), 100, 250, 0, true));
-    // The next incarnation is not stretched to an end that it did not have.
+    // The next incarnation has no recorded end, so it ends with its last record.
     assert_eq!((shown[2].1, shown[2].2, shown[2].4), (1_000, 1_000, true));
     assert_eq!(figures(&timeline, "control").cut, 1);
     assert_eq!(figures(&timeline, "heartbeat and roles").cut, 2);
@@ -258,7 +258,7 @@ fn woken(flow: u32) -> Event {
     Event::Woken { core, flow }
 }
 
-/// Numbers of signals begin anew with each incarnation of the sender.
+/// The numbers of signals restart with each incarnation of the sender.
 #[test]
 fn a_signal_is_joined_to_the_last_one_of_its_number_and_only_once() {
     let mut entries = on_core(
@@ -291,7 +291,7 @@ fn a_signal_is_joined_to_the_last_one_of_its_number_and_only_once() {
     let wakes = timeline.wakes();
     assert_eq!((wakes.len(), wakes[0].from, wakes[0].to), (1, 1, 2));
     assert_eq!((wakes[0].count, ms(wakes[0].latency_max_ms)), (2, 0.1));
-    // From core 1's signal to the end of the job.
+    // Measured from core 1's signal to the end of the job.
     let planning = figures(&timeline, "planning");
     assert_eq!(ms(planning.response_max_ms), 0.3);
     assert_eq!((planning.jobs, planning.responses), (2, 2));
@@ -305,7 +305,7 @@ fn the_fullest_stack_counts() {
     assert_eq!(figures(&timeline, "control").stack_free_bytes, Some(700));
 }
 
-/// Random records of all cores, as lost, scribbled and killed as can be.
+/// Returns random records of all cores, with lost and corrupt records and killed cores.
 fn random(seed: u64, count: usize) -> Vec<Entry> {
     let mut state = seed * 2 + 1;
     let mut next = |below: u64| {
@@ -320,7 +320,7 @@ fn random(seed: u64, count: usize) -> Vec<Entry> {
             us += next(40);
             let system = SystemId::ALL[next(2) as usize];
             let core = CoreId::ALL[next(3) as usize];
-            // Back now and then, which no clock does.
+            // Sometimes the time decreases, which a real clock never does.
             let at = Instant::from_ns(us * 1_000 - next(2) * next(60_000));
             let kind = [1, 17, 17, 17, 18, 18, 18, 18, 19, 20, 21, 22, 23, 24][next(14) as usize];
             let fields = (next(4) << 8) | (next(3) << 16);
@@ -338,7 +338,7 @@ fn random(seed: u64, count: usize) -> Vec<Entry> {
         .collect()
 }
 
-/// A timeline of all that there is, some 20 ms around a moment.
+/// Returns a timeline with all kinds of entries, about 20 ms before and after a moment.
 pub(crate) fn around(at_ns: u64) -> Timeline {
     let mut entries = random(7, 2_000);
     for entry in &mut entries {
@@ -350,7 +350,7 @@ pub(crate) fn around(at_ns: u64) -> Timeline {
     timeline_of(&entries)
 }
 
-/// Slices of a track nest and end, time does not go back, arrows have both ends in order.
+/// Checks that slices of a track nest and end, times ascend, and arrows have both ends in order.
 fn check(bytes: &[u8]) {
     let mut rest = bytes;
     let mut depth: HashMap<u64, i32> = HashMap::new();
@@ -410,7 +410,7 @@ fn whatever_the_cores_wrote_the_trace_is_well_formed() {
     check(&encode(&Timeline::default(), &RunLog::default()));
 }
 
-/// Perfetto's own description of the format reads the trace, and finds in it what was meant.
+/// Perfetto's own description of the format decodes the trace to the values that were encoded.
 #[test]
 fn perfetto_oracle_reads_what_was_written() {
     const SCRIPT: &str = concat!(
@@ -429,7 +429,7 @@ fn perfetto_oracle_reads_what_was_written() {
     if !there.is_ok_and(|output| output.status.success()) {
         let required = std::env::var_os("TANDEM_REQUIRE_PERFETTO").is_some_and(|v| v == "1");
         assert!(!required, "pip install perfetto protobuf");
-        // Past the capture of the test runner: a skipped test has to be seen.
+        // Write past the test runner's capture, so that a skipped test is visible.
         let _ = writeln!(
             std::io::stderr(),
             "perfetto_oracle_reads_what_was_written: skipped: pip install perfetto protobuf"

@@ -1,4 +1,4 @@
-//! The keys of `tandem top` that inject faults and repair them: commands of `tandem`, and signals.
+//! The keys of `tandem top` that inject and end faults, by commands of `tandem` and by signals.
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -11,7 +11,7 @@ use tandem_board_host::process_list::{self, ProcessKind};
 /// The keys and their effect on the selected system.
 pub(super) const KEYS: &str =
     "Tab system p/o power off/on 0-2 kill core h hang c CAN b beats l link m mend q";
-/// A hang ends after this time.
+/// Duration of a hang.
 const HANG: Duration = Duration::from_millis(100);
 const WIRES: [&str; 6] = [
     "heartbeat-1",
@@ -22,10 +22,10 @@ const WIRES: [&str; 6] = [
     "can",
 ];
 
-/// Executes the keys that a person presses.
+/// Executes the commands of the keys that the user presses.
 pub(super) struct Keys {
     run: RunName,
-    /// Commands under way.
+    /// Commands that still run.
     commands: Vec<Child>,
     said: String,
 }
@@ -39,14 +39,14 @@ impl Keys {
         }
     }
 
-    /// The last action.
+    /// Returns a description of the last action.
     pub(super) fn said(&mut self) -> String {
         self.commands
             .retain_mut(|command| matches!(command.try_wait(), Ok(None)));
         self.said.clone()
     }
 
-    /// Does what the key means to this system.
+    /// Executes the action of the key on this system.
     pub(super) fn press(&mut self, key: char, system: SystemId) {
         let name = system.to_string();
         match key {
@@ -76,7 +76,7 @@ impl Keys {
                 self.said = format!("core 0 of {name} hangs for 100 ms");
                 std::thread::spawn(move || {
                     std::thread::sleep(HANG);
-                    // Fails if the watchdog has reset it.
+                    // This fails if the watchdog has reset the core.
                     let _ = kill_process(pid, Signal::CONT);
                 });
             }
@@ -84,7 +84,7 @@ impl Keys {
         }
     }
 
-    /// Starts `tandem` with these words, on this run. Entering a run needs a process of its own.
+    /// Starts `tandem` with these arguments on this run. Only a new process can enter a run.
     fn command(&mut self, words: &[&str]) {
         let this = std::env::current_exe().unwrap_or_default();
         let started = Command::new(this.with_file_name("tandem"))

@@ -1,5 +1,5 @@
-//! `tandem-top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend. `tandem top`
-//! becomes it.
+//! `tandem-top`: shows a run live in a terminal of 80 by 24, with keys that inject and end faults.
+//! `tandem top` replaces itself by this program.
 #![forbid(unsafe_code)]
 
 mod keys;
@@ -21,7 +21,7 @@ use tandem::failure::Failure;
 use keys::Keys;
 use picture::Picture;
 
-/// How often the screen is drawn.
+/// Interval at which the screen is drawn.
 const REFRESH: Duration = Duration::from_millis(100);
 
 /// The part of `tandem` that this program implements.
@@ -52,7 +52,7 @@ fn main() -> ExitCode {
 /// Shows the run until the user presses q.
 ///
 /// # Errors
-/// [`Failure::Usage`] if stdout is no terminal, or no run publishes.
+/// [`Failure::Usage`] if stdout is not a terminal, or no run publishes.
 fn run(choice: &RunChoice) -> Result<(), Failure> {
     if !std::io::stdout().is_terminal() {
         let reason = "tandem top needs a terminal; `tandem ps` lists the processes without one";

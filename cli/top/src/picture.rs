@@ -1,4 +1,4 @@
-//! The state that `tandem top` shows, collected from what a run publishes.
+//! The state that `tandem top` shows, collected from the messages that a run publishes.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -6,29 +6,29 @@ use std::time::Duration;
 use tandem_board::SystemId;
 use tandem_board_host::services::{Event, News, Roles, Vehicle};
 
-/// Number of events and gaps kept: as many as the screen can show.
+/// Number of stored events and gaps: as many as the screen can show.
 const EVENTS: usize = 32;
 const GAPS: usize = 76;
 /// The value of [`tandem_board_host::services::Frame::verdict`] for an accepted control frame.
 const ACCEPTED: u8 = 1;
-/// Without news for this long, the run has ended.
+/// A run that publishes nothing for this long has ended.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// The state that is shown.
+/// The state on the screen.
 pub(super) struct Picture {
     pub(super) run: String,
     pub(super) roles: Option<Roles>,
     pub(super) vehicle: Option<Vehicle>,
-    /// The newest last.
+    /// Events, the newest last.
     pub(super) events: VecDeque<Event>,
-    /// The longest time without control in each tenth of a second, ms; the newest last.
+    /// The longest gap in each tenth of a second, ms; the newest last.
     pub(super) gaps_ms: VecDeque<f64>,
     /// Frames on the bus in the last `span_ns`.
     frames: u32,
     span_ns: u64,
     /// The system that keys act on.
     pub(super) selected: SystemId,
-    /// The last action.
+    /// A description of the last action.
     pub(super) said: String,
     /// Time of the last accepted frame, ns.
     accepted_ns: Option<u64>,
@@ -56,7 +56,7 @@ impl Picture {
         }
     }
 
-    /// Whether the run has stopped publishing.
+    /// Returns true if the run has stopped publishing.
     pub(super) fn has_ended(&self) -> bool {
         self.silent >= SILENT
     }
@@ -66,7 +66,7 @@ impl Picture {
         u64::from(self.frames) * 1_000_000_000 / self.span_ns.max(1)
     }
 
-    /// Records that this time has passed without a key press.
+    /// Adds `span`, which passed without a key press, to the time without messages.
     pub(super) fn tick(&mut self, span: Duration) {
         self.silent += span;
     }
@@ -76,7 +76,7 @@ impl Picture {
         match news {
             News::Roles(roles) => {
                 let before_ns = self.roles.replace(*roles).map_or(0, |before| before.at_ns);
-                // Of several that arrive at once, only the first has frames to count.
+                // If several of these arrive at once, only the first has counted frames.
                 if self.counted == 0 {
                     return;
                 }

@@ -1,4 +1,4 @@
-//! The screen of `tandem top`: 80 by 24 characters, or larger if the terminal is.
+//! The screen of `tandem top`: 80 by 24 characters, or larger in a larger terminal.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -21,7 +21,7 @@ const STATES: [(&str, Color); 7] = [
     ("SAFE STOP", Color::Red),
     ("suspended", Color::Red),
 ];
-/// Half of the shown width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
+/// Half of the displayed width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
 const HALF_LANE_M: f64 = 1.85;
 /// Half of the vehicle's width, m.
 const HALF_VEHICLE_M: f64 = 0.9;
@@ -131,7 +131,7 @@ fn draw_lane(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
         frame.render_widget(Paragraph::new("no vehicle yet"), area);
         return;
     };
-    // Left of the centre is left on the screen.
+    // The left side of the lane is on the left of the screen.
     let column = |left_m: f64| {
         let part = (HALF_LANE_M - left_m) / (2.0 * HALF_LANE_M);
         ((part * (width - 1) as f64)
@@ -206,14 +206,14 @@ mod tests {
     use ratatui::buffer::Buffer;
     use tandem_board_host::services::{Frame as BusFrame, News, Vehicle};
 
-    /// A run in which B has taken over from A 12 s after the start.
+    /// Returns the state of a run in which B has taken over from A 12 s after the start.
     fn picture() -> Picture {
         let mut picture = Picture::new("tandem-6796-62fc9754a45");
         let second = 1_000_000_000;
         for tenth in 0..70 {
             let at_ns = tenth * second / 10;
             for step in 0..10 {
-                // One frame is missing.
+                // One control frame is missing.
                 let late = if (tenth, step) == (52, 4) {
                     8_000_000
                 } else {
@@ -299,7 +299,7 @@ mod tests {
         }
     }
 
-    /// No message has arrived yet, and the terminal has any size.
+    /// The screen is drawn before the first message, and on a terminal of any size.
     #[test]
     fn a_run_without_news_and_a_tiny_terminal_are_drawn() {
         let empty = Picture::new("tandem-1-a");
@@ -311,7 +311,7 @@ mod tests {
         }
     }
 
-    /// The picture in the documentation; `UPDATE_DOCS=1` writes it.
+    /// The picture in the documentation matches this screen. `UPDATE_DOCS=1` rewrites it.
     #[test]
     fn the_picture_in_the_docs_is_of_this_screen() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/top.svg");

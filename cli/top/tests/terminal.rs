@@ -1,9 +1,9 @@
-//! `tandem top` without what it needs.
+//! Tests `tandem top` without a terminal.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::process::{Command, Stdio};
 
-/// A terminal is needed, and a run that is there.
+/// Without a terminal the command fails, and reports that it needs one.
 #[test]
 fn top_says_what_it_needs() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-top"));
