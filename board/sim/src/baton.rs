@@ -5,12 +5,12 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use tandem_board::Instant;
 
-/// The panic payload that unwinds a blocking core whose incarnation is over, out of the call in
+/// The panic payload that unwinds a blocking core when its incarnation ends, out of the call in
 /// which it is parked.
 #[derive(Clone, Copy, Debug)]
 pub struct CoreKilled;
 
-/// Message of a core to the pair.
+/// Message from a core to the pair.
 pub(crate) enum Said {
     /// Parked until this time on the core's clock.
     Parked(Instant),
@@ -18,15 +18,15 @@ pub(crate) enum Said {
     Ended,
 }
 
-/// The core's side: it runs between a resume and the next park.
+/// The core's end of the hand-over: the core runs from each resume to the next park.
 pub(crate) struct Baton {
     pub(crate) resumed: Mutex<Receiver<()>>,
     pub(crate) said: Sender<Said>,
 }
 
 impl Baton {
-    /// Lets the others run until `until` on the core's clock, or until the pair resumes this core
-    /// earlier. Unwinds with [`CoreKilled`] when the core's incarnation is over.
+    /// Lets other cores run until `until` on this core's clock, or until the pair resumes this core
+    /// earlier. Unwinds with [`CoreKilled`] if the core's incarnation has ended.
     pub(crate) fn park(&self, until: Instant) {
         if std::thread::panicking() {
             return;

@@ -1,4 +1,4 @@
-//! Makes a poller from a core whose code blocks: a thread that runs only while the pair polls it.
+//! Turns a core whose code blocks into a poller: a thread that runs only while the pair polls it.
 
 use crate::baton::{Baton, Said};
 use crate::board::{Poller, SimBoard};
@@ -9,11 +9,11 @@ use std::thread::JoinHandle;
 use std::time::Duration as WallTime;
 use tandem_board::{Board, Instant};
 
-/// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that
-/// never calls its board. Only a diagnosis: no result depends on it.
+/// How long a core may compute, in wall-clock time, before the pair assumes that it hangs in a loop
+/// without calling its board. No result of a run depends on it.
 const HANGS_AFTER: WallTime = WallTime::from_secs(120);
 
-/// Reports the end of the function, also when it unwinds.
+/// Reports the end of the function, also when the function unwinds.
 struct AtEnd(Arc<Baton>);
 
 impl Drop for AtEnd {
@@ -23,7 +23,7 @@ impl Drop for AtEnd {
     }
 }
 
-/// The pair's side; dropping it ends the thread.
+/// The pair's end of the hand-over; dropping it ends the thread.
 struct CoreThread {
     resume: Option<Sender<()>>,
     said: Receiver<Said>,
@@ -31,7 +31,7 @@ struct CoreThread {
 }
 
 impl CoreThread {
-    /// Runs the core until it parks; returns the time until which it sleeps.
+    /// Runs the core until it parks; returns the time until which the core sleeps.
     fn poll(&mut self) -> Instant {
         let Some(resume) = &self.resume else {
             return Instant::NEVER;
@@ -55,24 +55,24 @@ impl CoreThread {
 impl Drop for CoreThread {
     fn drop(&mut self) {
         self.resume = None;
-        // The thread unwinds; a panic message of a destructor in it has been printed.
+        // The thread unwinds. If a destructor in it panics, the message has been printed.
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
 }
 
-/// Makes a poller of a function that blocks in `Board::wait`, for a factory of
+/// Turns a function that blocks in `Board::wait` into a poller, for a factory of
 /// [`SimPair`](crate::SimPair). When `run` returns, the core sleeps for ever.
 ///
-/// It runs on its own thread, but only while the pair polls it. Each read of the clock, of a line
-/// or of an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in which
-/// the other cores run, so a loop that polls one of these ends. A loop that only reads the LMU does
-/// not.
+/// `run` has its own thread, which runs only while the pair polls it. Each read of the clock, of a
+/// line or of an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in
+/// which the other cores run, so a loop that polls one of these ends. A loop that only reads the
+/// LMU never ends.
 ///
 /// # Panics
-/// A panic in `run` propagates out of the pair's run function. The poller panics when the core
-/// computes for two minutes without a call of its board.
+/// A panic in `run` propagates out of the pair's run function. The poller panics if the core
+/// computes for two minutes without a call to its board.
 pub fn blocking(board: &SimBoard, run: impl FnOnce(&SimBoard) + Send + 'static) -> Poller {
     let (resume, resumed) = channel();
     let (says, said) = channel();

@@ -17,7 +17,7 @@ use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::data_flash;
 use tandem_peripherals::watchdog::Window;
 
-/// A core: called when its interrupt is pending or its deadline has passed. Returns its next
+/// A core's code: called when its interrupt is pending or its deadline has passed. Returns its next
 /// deadline on its system's clock.
 pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
@@ -32,7 +32,7 @@ pub(crate) struct Port {
 }
 
 impl Port {
-    /// Runs `act` if this incarnation of the core is still current: a dead core does not act.
+    /// Runs `act` if this incarnation of the core is still current: a dead core must not act.
     pub(crate) fn alive<R>(
         &self,
         act: impl FnOnce(&mut crate::machine::Machine) -> R,
@@ -43,8 +43,8 @@ impl Port {
         incarnations.then(|| act(&mut machine))
     }
 
-    /// Virtual time that a blocking core pays for reading something that may change: the others run
-    /// in that time.
+    /// Charges a blocking core virtual time for reading something that may change; the other cores
+    /// run in that time.
     #[inline]
     fn look(&self) {
         if let Some(baton) = &self.baton {
@@ -77,7 +77,7 @@ impl Port {
         }
     }
 
-    /// The reason that ends a wait now; without one the core starts to wait for interrupts.
+    /// Returns why a wait must end now. If there is no reason, marks the core as waiting.
     fn woken(&self, deadline: Instant) -> Option<Wake> {
         let mut machine = self.shared.lock();
         let now = machine.local(self.place.system);
@@ -102,10 +102,10 @@ impl Port {
     }
 }
 
-/// The view of one core of a [`SimPair`](crate::SimPair), for one incarnation of that core.
+/// The interface of one core of a [`SimPair`](crate::SimPair), for one incarnation of that core.
 ///
-/// When that incarnation is over (power lost, reset, core killed), a board that was kept sends
-/// nothing.
+/// After that incarnation has ended (power lost, reset, core killed), a board that is still held
+/// sends nothing.
 ///
 /// # Panics
 /// `wait` panics on a core that is polled. Programming the flash and servicing the watchdog panic
@@ -123,7 +123,7 @@ pub struct SimBoard {
 /// The CAN controller of a core.
 #[derive(Clone)]
 pub struct SimCan(Port);
-/// A system's ends of the lines.
+/// A system's end of the lines.
 #[derive(Clone)]
 pub struct SimLines(Port);
 /// A system's end of the data link.
@@ -157,10 +157,10 @@ impl SimBoard {
     }
 }
 
-/// For an executor that models the run time of jobs.
+/// Used by an executor that models the run time of jobs.
 impl SimBoard {
-    /// Assigns later outputs of this core to this job: they leave with [`SimBoard::let_go`].
-    /// `None`: they leave at once.
+    /// Assigns further outputs of this core to this job: they are sent by [`SimBoard::let_go`].
+    /// With `None` they are sent at once.
     pub fn hold(&self, job: Option<u8>) {
         self.port
             .alive(|machine| machine.core(self.port.place).job = job);
@@ -180,7 +180,7 @@ impl SimBoard {
         });
     }
 
-    /// Whether an interrupt has caused the present call of this core.
+    /// Returns whether an interrupt caused the present call of this core.
     #[must_use]
     pub fn is_interrupted(&self) -> bool {
         let called = self
@@ -189,7 +189,7 @@ impl SimBoard {
         called.unwrap_or(false)
     }
 
-    /// Whether a frame with this identifier waits in the receiver of this core.
+    /// Returns whether a frame with this identifier waits in the receiver of this core.
     #[must_use]
     pub fn has_received(&self, id: CanId) -> bool {
         let waits = self.port.alive(|machine| {
@@ -199,7 +199,7 @@ impl SimBoard {
         waits.unwrap_or(false)
     }
 
-    /// A number below `limit`, drawn from the seed of the run; 0 if that is 0.
+    /// Returns a random number below `limit`, drawn from the seed of the run; 0 if `limit` is 0.
     #[must_use]
     pub fn draw_below(&self, limit: u64) -> u64 {
         self.port.shared.lock().draw_below(limit)

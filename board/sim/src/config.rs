@@ -8,10 +8,10 @@ use tandem_peripherals::watchdog::Window;
 /// How a system's clock relates to virtual time: `local = offset + time × (1 + drift / 10⁹)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clock {
-    /// What the clock shows at virtual time zero, in nanoseconds.
+    /// Reading of the clock at virtual time zero, in nanoseconds.
     pub offset_ns: u64,
-    /// How much faster it runs than virtual time, in parts per billion; a crystal is within ± 100
-    /// 000.
+    /// How much faster than virtual time the clock runs, in parts per billion. For a crystal at
+    /// most ± 100,000.
     pub drift_ppb: i32,
 }
 
@@ -22,7 +22,7 @@ impl Clock {
         Self::BILLION + i128::from(self.drift_ppb)
     }
 
-    /// The local time at virtual time `at_ns`.
+    /// Returns the local time at virtual time `at_ns`.
     pub(crate) fn local_ns(self, at_ns: u64) -> u64 {
         if self.drift_ppb == 0 {
             return at_ns.saturating_add(self.offset_ns);
@@ -33,8 +33,8 @@ impl Clock {
             .saturating_add(self.offset_ns)
     }
 
-    /// The first virtual time at which the clock shows `local_ns` or more, so that no deadline is
-    /// early.
+    /// Returns the first virtual time at which the clock shows `local_ns` or more, so that no
+    /// deadline is early.
     pub(crate) fn virtual_ns(self, local_ns: u64) -> u64 {
         if local_ns == u64::MAX {
             return u64::MAX;
@@ -48,10 +48,10 @@ impl Clock {
     }
 }
 
-/// What becomes of a frame.
+/// Changes a frame that a system sends.
 pub type Tamper = fn(&CanFrame) -> CanFrame;
 
-/// The order of cores that are due at the same instant.
+/// The order in which cores run that are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// A0, A1, A2, B0, B1, B2.
@@ -66,26 +66,26 @@ pub enum Order {
 pub struct Config {
     /// Seed of all random choices: the order of cores, torn flash bytes.
     pub seed: u64,
-    /// The clocks of systems A and B. By default with different origins, as two chips have.
+    /// The clocks of systems A and B. By default their origins differ, as those of two chips do.
     pub clocks: [Clock; 2],
-    /// The order of cores that are due at the same instant.
+    /// The order in which cores run that are due at the same instant.
     pub order: Order,
     /// Whether the supplies reset a system whose watchdog is not serviced.
     pub watchdog: bool,
-    /// When a service of the watchdog is in time.
+    /// When a watchdog service is in time.
     pub window: Window,
     /// How long a supply holds its system in reset.
     pub reset_hold: Duration,
-    /// Virtual time that a blocking core pays for reading the clock, a line, an empty receiver, or
-    /// for a wait that ends at once, so that a polling loop ends. Polled cores pay nothing.
+    /// Virtual time that a blocking core pays for reading the clock, a line or an empty receiver,
+    /// or for a wait that ends at once, so that a polling loop ends. Polled cores pay nothing.
     pub look_at_clock: Duration,
-    /// Frames that a core's CAN receive FIFO holds.
+    /// Capacity of a core's CAN receive FIFO, in frames.
     pub can_fifo_frames: usize,
-    /// Datagrams that a direction of the link holds.
+    /// Capacity of each direction of the link, in datagrams.
     pub link_datagrams: usize,
-    /// Records that the trace holds.
+    /// Capacity of the trace, in records.
     pub trace_records: usize,
-    /// What the connections take.
+    /// Transfer times and bit errors of the connections.
     pub wires: WireTimes,
 }
 
@@ -117,7 +117,7 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The configuration of the supplies.
+    /// Returns the configuration of the supplies.
     pub(crate) const fn supply(&self) -> supply::Config {
         supply::Config {
             window: self.window,

@@ -1,11 +1,11 @@
-//! One number for a whole run.
+//! One number that identifies a whole run.
 
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use tandem_board::{CanId, CoreAddress};
 use tandem_peripherals::codec::Sender;
 
-/// A running digest of 64-bit words. Not safe against intent: two runs that differ by chance have
-/// different digests with a probability of 1 - 2^-64.
+/// A running digest of 64-bit words. It is not cryptographic: two different runs have different
+/// digests with a probability of 1 - 2^-64.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Digest(u64);
 
@@ -18,7 +18,7 @@ impl Digest {
         self.0
     }
 
-    /// Mixes in a word by the finalizer of SplitMix64 (Steele, Lea, Flood 2014).
+    /// Mixes in a word with the finalizer of SplitMix64 (Steele, Lea, Flood 2014).
     const fn word(&mut self, word: u64) {
         let mut mixed = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15) ^ word;
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,4 +1,4 @@
-//! What happens on the bus and to a system.
+//! Events on the bus and of a system.
 
 use tandem_board::{CanFrame, CoreId, Instant, ResetCause, ResetRequest, RoleLamp, SystemId};
 use tandem_peripherals::codec::Sender;
@@ -6,7 +6,7 @@ use tandem_peripherals::codec::Sender;
 /// A frame on the CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OnBus {
-    /// When, in virtual time.
+    /// The virtual time.
     pub at: Instant,
     /// Its sender.
     pub sender: Sender,
@@ -17,7 +17,7 @@ pub struct OnBus {
 /// An event of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemEvent {
-    /// When, in virtual time.
+    /// The virtual time.
     pub at: Instant,
     /// The system.
     pub system: SystemId,
@@ -25,7 +25,7 @@ pub struct SystemEvent {
     pub kind: SystemEventKind,
 }
 
-/// What happened to a system.
+/// The kinds of events of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SystemEventKind {
     /// Power was switched on, or the supply released the reset: the cores start.
@@ -36,7 +36,7 @@ pub enum SystemEventKind {
     Requested(CoreId, ResetRequest),
     /// The supply holds the system in reset for this cause.
     Reset(ResetCause),
-    /// The supply holds the system in reset for good.
+    /// The supply holds the system in reset until the next power-on.
     Suspended,
     /// A core died.
     CoreDied(CoreId),

@@ -20,7 +20,7 @@ impl Machine {
         }
     }
 
-    /// An edge arrives.
+    /// Counts an edge that arrives at a system, and interrupts core 0 if the line does so.
     pub(crate) fn count_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         let count = self.glance.edges(to, line, edge);
         count.fetch_add(1, Ordering::Relaxed);
@@ -56,7 +56,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The next datagram.
+    /// Returns the next datagram.
     pub(crate) fn receive_link(&mut self, system: SystemId) -> Option<Vec<u32>> {
         let inbox = &mut self.system(system).inbox;
         let datagram = inbox.pop_front();
@@ -93,7 +93,7 @@ impl Machine {
         self.receive_carried();
     }
 
-    /// Every core that a frame on the bus reaches receives it.
+    /// Puts each frame on the bus into the receive FIFOs of the cores that it reaches.
     fn receive_carried(&mut self) {
         while let Some(carried) = self.network.carried() {
             let Delivery {
@@ -138,14 +138,14 @@ impl Machine {
     pub(crate) fn wake_on_receive(&mut self, place: CoreAddress, on: bool) {
         let core = self.core(place);
         core.can_wakes = on;
-        // Level, not edge: a frame that arrived before the request is also pending.
+        // By level, not by edge: a frame that arrived before this call also counts as pending.
         core.pending |= on && !core.can_fifo.is_empty();
     }
 }
 
-/// Arrivals, and outputs that wait for the end of a core's job.
+/// Arrivals, and outputs that wait until a core's job ends.
 impl Machine {
-    /// Carries out what is due on the bus and the wires.
+    /// Carries out everything that is due on the bus and the wires.
     pub(crate) fn settle_network(&mut self) {
         let now = self.at();
         self.network.settle_bus(now, &mut self.noise);
@@ -162,7 +162,7 @@ impl Machine {
         }
     }
 
-    /// Keeps the output until the core's job ends. Returns `false` if no job runs: the caller then
+    /// Keeps the output until the core's job ends. Returns `false` if no job runs; the caller then
     /// performs the output.
     pub(crate) fn holds(&mut self, from: CoreAddress, output: impl FnOnce() -> Output) -> bool {
         let core = self.core(from);
@@ -172,7 +172,7 @@ impl Machine {
         core.job.is_some()
     }
 
-    /// Performs an output. A full receiver or buffer loses it: the sender no longer waits.
+    /// Performs an output. A full receiver or buffer loses it: the sender no longer waits for room.
     pub(crate) fn put_out(&mut self, from: CoreAddress, output: Output) {
         match output {
             Output::Edge(line, edge) => self.send_edge(from.system, line, edge),

@@ -1,4 +1,4 @@
-//! Faults: power, cores, wires, the bus, the flash, the clock.
+//! Faults of power, cores, wires, bus, flash and clock.
 
 use crate::config::{Clock, Tamper};
 use crate::machine::Machine;
@@ -10,7 +10,7 @@ use tandem_board::{
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::{BusFault, Wire};
 
-/// Faults.
+/// Fault injection.
 impl SimPair {
     /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. No effect if it is on.
     pub fn power_on(&mut self, system: SystemId) {
@@ -18,32 +18,32 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// Takes the power from a system, at once.
+    /// Cuts the power of a system at once.
     pub fn power_off(&mut self, system: SystemId) {
         self.shared.lock().power_off(system);
         self.follow_incarnations();
     }
 
-    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes; with 0,
+    /// Cuts the power of a system as soon as its flash has changed `bytes` more bytes; with 0,
     /// before the next operation changes its first byte.
     pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
         self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
     }
 
-    /// The supply resets a system that is on; it restarts after
+    /// Lets the supply reset a system that is on; the system restarts after
     /// [`Config::reset_hold`](crate::Config::reset_hold).
     pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
         self.shared.lock().reset(system, cause);
         self.follow_incarnations();
     }
 
-    /// A core dies and stays dead; no other core is notified.
+    /// Kills a core; it stays dead, and no other core is notified.
     pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
         self.shared.lock().kill_core(CoreAddress { system, core });
         self.follow_incarnations();
     }
 
-    /// A single core begins its next incarnation; the LMU keeps its content.
+    /// Begins the next incarnation of a single core; the LMU keeps its content.
     pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
         self.shared
             .lock()
@@ -51,14 +51,14 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// A core does nothing for a span of virtual time; its interrupts and frames stay pending.
+    /// Stops a core for a span of virtual time; its interrupts and frames stay pending.
     pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
         let mut machine = self.shared.lock();
         let thaws = (machine.at() + span).as_ns();
         machine.core(CoreAddress { system, core }).frozen_until_ns = thaws;
     }
 
-    /// All cores of a system do nothing for a span of virtual time; the supply keeps running.
+    /// Stops all cores of a system for a span of virtual time; the supply keeps running.
     pub fn freeze(&mut self, system: SystemId, span: Duration) {
         CoreId::ALL
             .into_iter()
@@ -80,12 +80,12 @@ impl SimPair {
         edit(self.shared.lock().system(system).flash.bytes_mut());
     }
 
-    /// The level line of this system reads as low at the other one, though the system is on.
+    /// Makes this system's level line read low at the other system, even while this system is on.
     pub fn hold_level_low(&mut self, system: SystemId, held: bool) {
         self.shared.lock().hold_level_low(system, held);
     }
 
-    /// An edge that no system has sent arrives at `to`.
+    /// Delivers to `to` an edge that no system has sent.
     pub fn stray_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         self.shared.lock().count_edge(to, line, edge);
     }
@@ -95,33 +95,33 @@ impl SimPair {
         self.shared.lock().conditions().bus[system.index()] = fault;
     }
 
-    /// Makes a fault of a system's hardware, or repairs it.
+    /// Injects or repairs a hardware fault of a system.
     pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
         self.shared.lock().set_fault(of, fault, present);
         self.follow_incarnations();
     }
 
-    /// A core is not due for this span after each poll, so that all its deadlines pass late.
+    /// Delays a core after each poll by this span, so that all its deadlines pass late.
     pub fn rest_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
         self.shared.lock().core(CoreAddress { system, core }).rest = span;
     }
 
-    /// Changes each frame that a system sends; `None` ends that.
+    /// Changes each frame that a system sends; `None` stops that.
     pub fn tamper(&mut self, system: SystemId, with: Option<Tamper>) {
         self.shared.lock().system(system).tamper = with;
     }
 
-    /// A core of a system overwrites its LMU.
+    /// Overwrites the LMU of a system, as one of its cores could.
     pub fn scribble(&mut self, system: SystemId, seed: u32) {
         scribble(self.lmu(system), seed);
     }
 
-    /// While `hangs`, no operation of the flash ends: neither the one under way nor a later one.
+    /// While `hangs` is true, no flash operation ends, neither the present one nor a later one.
     pub fn hang_flash(&mut self, system: SystemId, hangs: bool) {
         self.shared.lock().system(system).flash.hang(hangs);
     }
 
-    /// The clock of a system jumps by this many milliseconds; back to zero at most.
+    /// Moves the clock of a system by this many milliseconds, but not below zero.
     pub fn jump_clock(&mut self, system: SystemId, by_ms: i32) {
         let mut machine = self.shared.lock();
         let clock = &mut machine.config.clocks[system.index()];
@@ -131,12 +131,12 @@ impl SimPair {
         let now_ns = machine.now_ns;
         machine.set_now(now_ns);
         for core in &mut machine.system(system).cores {
-            // Its timer compares with the clock: poll it, so that it sees the jump.
+            // The core's timer compares with the clock: poll the core, so that it sees the jump.
             core.deadline_ns = core.deadline_ns.min(now_ns);
         }
     }
 
-    /// The clock of a system continues from its present value, faster than virtual time by
+    /// Lets the clock of a system continue from its present value, faster than virtual time by
     /// `drift_ppb` parts per billion.
     pub fn set_clock_rate(&mut self, system: SystemId, drift_ppb: i32) {
         let mut machine = self.shared.lock();
@@ -164,14 +164,14 @@ impl Machine {
         }
     }
 
-    /// A number below `limit`; 0 if that is 0.
+    /// Returns a random number below `limit`; 0 if `limit` is 0.
     pub(crate) fn draw_below(&mut self, limit: u64) -> u64 {
         self.noise.random_range(0..limit.max(1))
     }
 }
 
 impl Clock {
-    /// This clock, with another rate from virtual time `at_ns` on.
+    /// Returns this clock with another rate from virtual time `at_ns` on.
     fn with_rate(self, at_ns: u64, drift_ppb: i32) -> Self {
         let shows = self.local_ns(at_ns);
         let from_zero = Self {

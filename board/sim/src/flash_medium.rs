@@ -1,19 +1,19 @@
-//! NOR data flash: one operation at a time, torn by a loss of power.
+//! NOR data flash: one operation at a time; a loss of power interrupts it.
 
 use rand::Rng;
 use tandem_board::{FlashError, Instant};
 use tandem_peripherals::data_flash::{ERASED, Operation, SIZE, range};
 
-/// The operation under way.
+/// The operation in progress.
 #[derive(Clone, Debug)]
 struct UnderWay {
     operation: Operation,
-    /// What the range holds when the operation has ended.
+    /// Content of the range after the operation.
     target: Vec<u8>,
     begun: Instant,
 }
 
-/// The medium and the operation under way.
+/// The medium and the operation in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Flash {
     bytes: Vec<u8>,
@@ -22,7 +22,7 @@ pub(crate) struct Flash {
 }
 
 impl Flash {
-    /// As delivered: erased.
+    /// Returns a flash as delivered: erased.
     pub(crate) fn new() -> Self {
         Self {
             bytes: vec![ERASED; SIZE],
@@ -47,7 +47,7 @@ impl Flash {
         self.under_way.is_some()
     }
 
-    /// When the operation under way ends.
+    /// Returns when the operation in progress ends.
     pub(crate) fn ends_ns(&self) -> Option<u64> {
         let UnderWay {
             operation, begun, ..
@@ -55,7 +55,7 @@ impl Flash {
         Some(operation.ends(*begun).as_ns())
     }
 
-    /// When the operation under way has changed `count` bytes; `None` if it changes fewer.
+    /// Returns when the operation will have changed `count` bytes; `None` if it changes fewer.
     pub(crate) fn changed_ns(&self, count: u64) -> Option<u64> {
         let UnderWay {
             operation, begun, ..
@@ -104,7 +104,7 @@ impl Flash {
         Ok(())
     }
 
-    /// Ends the operation under way if it is due; returns how many bytes it changed.
+    /// Ends the operation in progress if it is due; returns how many bytes it changed.
     pub(crate) fn settle(&mut self, now_ns: u64) -> u64 {
         if self.ends_ns().is_none_or(|ends| now_ns < ends) {
             return 0;
@@ -112,7 +112,7 @@ impl Flash {
         self.finish()
     }
 
-    /// Ends the operation under way at once; returns how many bytes it changed.
+    /// Ends the operation in progress at once; returns how many bytes it changed.
     fn finish(&mut self) -> u64 {
         let Some(under_way) = self.under_way.take() else {
             return 0;
@@ -121,8 +121,8 @@ impl Flash {
         under_way.target.len() as u64
     }
 
-    /// Power is lost: the bytes that are done are new, the next one is random, the rest is old.
-    /// Returns how many bytes were done.
+    /// Models a loss of power: the bytes already processed are new, the next one is random, the
+    /// rest is old. Returns how many bytes were processed.
     pub(crate) fn lose_power(&mut self, now: Instant, noise: &mut impl Rng) -> u64 {
         let Some(under_way) = self.under_way.take() else {
             return 0;

@@ -1,13 +1,13 @@
-//! The board in one process, on a clock that the caller advances.
+//! The board in one process, with a clock that the caller advances.
 //!
 //! [`SimPair`] is the machine: two systems of three cores, their LMUs, the wires between them, the
 //! CAN bus, flash and supplies. It runs the cores in virtual time, which advances only in
-//! [`SimPair::run_until`]. The same configuration gives the same run to the bit.
+//! [`SimPair::run_until`]. Two runs with the same configuration are identical, bit for bit.
 //!
 //! A core is a [`Poller`]: called when its interrupt is pending or its deadline has passed, it
-//! reads its [`SimBoard`], acts, and returns its next deadline. [`blocking`] makes a poller from
-//! code that blocks in `Board::wait`: each such core has its own thread, but only one core runs at
-//! a time, so that threads do not affect determinism.
+//! reads its [`SimBoard`], acts, and returns its next deadline. [`blocking`] turns code that blocks
+//! in `Board::wait` into a poller: each such core has its own thread, but only one core runs at a
+//! time, so threads do not affect determinism.
 #![forbid(unsafe_code)]
 
 mod baton;

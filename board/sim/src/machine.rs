@@ -23,7 +23,7 @@ const LMU_WORDS: usize = 8192;
 /// How a core gets its interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Attention {
-    /// It is polled for them.
+    /// The pair polls the core when an interrupt is pending.
     Polled,
     /// It sleeps in `wait`.
     Waits,
@@ -33,7 +33,7 @@ pub(crate) enum Attention {
 
 pub(crate) struct Core {
     pub(crate) alive: bool,
-    /// Core 0 has not released it in this incarnation.
+    /// Core 0 has not yet released this core in this incarnation.
     pub(crate) held: bool,
     pub(crate) generation: u32,
     /// Unique for each incarnation. (The generation restarts at each power-on.)
@@ -42,16 +42,16 @@ pub(crate) struct Core {
     pub(crate) attention: Attention,
     pub(crate) deadline_ns: u64,
     pub(crate) frozen_until_ns: u64,
-    /// Not due for this long after each poll.
+    /// The core is not due for this long after each poll.
     pub(crate) rest: Duration,
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
-    /// An interrupt has caused the present poll.
+    /// An interrupt caused the present poll.
     pub(crate) interrupted: bool,
-    /// Outputs of the core belong to this job.
+    /// The job to which the core's outputs belong.
     pub(crate) job: Option<u8>,
-    /// Outputs that leave when their job ends.
+    /// Outputs that are sent when their job ends.
     pub(crate) outbox: Vec<(u8, Output)>,
 }
 
@@ -89,7 +89,7 @@ impl Core {
         self.alive && now_ns >= self.frozen_until_ns && (interrupted || now_ns >= self.deadline_ns)
     }
 
-    /// When the core is due if nothing happens.
+    /// Returns when the core is next due if nothing happens before.
     pub(crate) fn next_ns(&self) -> u64 {
         let interrupted = self.pending && self.attention != Attention::Runs;
         match (self.alive, interrupted) {
@@ -125,15 +125,15 @@ impl System {
     }
 }
 
-/// State that cores read often, without the lock. Relaxed: one thread runs at a time, and the
-/// transfer of the right to run orders the accesses.
+/// State that cores read often, without the lock. Relaxed: one thread runs at a time, and passing
+/// the right to run orders the accesses.
 #[derive(Default)]
 pub(crate) struct Glance {
-    /// Whether a frame may wait in the receiver of each core: false if certainly none does.
+    /// Whether a frame may wait in the receiver of each core; false if certainly none waits.
     can: [AtomicBool; CoreAddress::ALL.len()],
     /// Whether a datagram may wait at each system.
     link: [AtomicBool; 2],
-    /// Whether an operation of the flash of each system may be under way.
+    /// Whether a flash operation may be in progress in each system.
     flash: [AtomicBool; 2],
     /// The level line of each system, as its peer sees it.
     level: [AtomicBool; 2],
@@ -178,24 +178,24 @@ impl Glance {
 /// All state that changes, behind one lock.
 pub(crate) struct Machine {
     pub(crate) config: Config,
-    /// Changed by [`Machine::set_now`] alone.
+    /// Written only by [`Machine::set_now`].
     pub(crate) now_ns: u64,
     pub(crate) glance: Arc<Glance>,
     pub(crate) systems: [System; 2],
     pub(crate) bus: Vec<OnBus>,
-    /// Frames that the world has not received yet.
+    /// Frames that the world has not yet received.
     pub(crate) unheard: Vec<OnBus>,
     pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
     pub(crate) events: Vec<SystemEvent>,
-    /// Counts each begin and end of an incarnation.
+    /// Counts every begin and end of an incarnation.
     pub(crate) incarnations: u64,
     pub(crate) noise: ChaCha8Rng,
     pub(crate) network: Network,
     pub(crate) digest: Digest,
 }
 
-/// The LMU starts at a multiple of this.
+/// Alignment of the LMU, in bytes.
 const LINE_BYTES: usize = 64;
 
 /// The machine, shared by the pair and its boards.
@@ -209,7 +209,7 @@ pub(crate) struct Shared {
 impl Shared {
     pub(crate) fn new(config: Config) -> Self {
         let lmu = |_| {
-            // One extra line, so that `lmu` can start at a line.
+            // One extra line of words, so that `lmu` can start on a line boundary.
             (0..LMU_WORDS + LINE_BYTES / size_of::<LmuWord>())
                 .map(|_| LmuWord::new(0xDEAD_BEEF))
                 .collect()
@@ -243,7 +243,7 @@ impl Shared {
         }
     }
 
-    /// Ignores poisoning: a core that panicked under test left the machine consistent.
+    /// Ignores poisoning: a core that panicked under test left the machine in a consistent state.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Machine> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -258,7 +258,7 @@ impl Shared {
         if machine.systems[system.index()].supply.power() != Power::Off {
             return;
         }
-        // Relaxed: the lock orders the stores before the start of the cores.
+        // Relaxed: the lock orders these stores before the start of the cores.
         for word in self.lmu(system) {
             word.store(0, Ordering::Relaxed);
         }
@@ -297,8 +297,8 @@ impl Machine {
         }
     }
 
-    /// Moves the clock to the next event of the machine or the world and returns `true`, if that
-    /// event is not after `until`. Otherwise moves the clock to `until` and returns `false`.
+    /// Moves the clock to the next event of the machine or the world and returns `true`, unless
+    /// that event is after `until`. In that case moves the clock to `until` and returns `false`.
     pub(crate) fn advance(&mut self, world: Instant, until: Instant) -> bool {
         let next = Instant::from_ns(self.next_ns()).min(world);
         let goes_on = next <= until && next != Instant::NEVER;
@@ -309,12 +309,12 @@ impl Machine {
         goes_on
     }
 
-    /// The time on a system's clock.
+    /// Returns the time on a system's clock.
     pub(crate) fn local(&self, system: SystemId) -> Instant {
         self.glance.local(system)
     }
 
-    /// Moves the cores that are due to the front of `places`, in their order; returns how many.
+    /// Moves the cores that are due to the front of `places`, in their order; returns their number.
     pub(crate) fn due(&self, places: &mut [CoreAddress]) -> usize {
         let mut count = 0;
         for index in 0..places.len() {

@@ -1,4 +1,4 @@
-//! The outputs of a core's job, which leave the core when the job ends.
+//! The outputs of a core's job, which are sent when the job ends.
 
 use tandem_board::{CanFrame, Edge, Line};
 

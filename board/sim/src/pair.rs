@@ -1,4 +1,4 @@
-//! Both systems, driven in virtual time.
+//! Both systems, run in virtual time.
 
 use crate::board::{Poller, Port, SimBoard};
 use crate::config::{Config, Order};
@@ -19,7 +19,7 @@ type World = Box<dyn FnMut(&mut WorldTick)>;
 
 /// The period of the world.
 const WORLD_PERIOD: Duration = Duration::from_ms(1);
-/// More polls than this at one instant are a livelock: the cores wake each other for ever.
+/// More polls than this at one instant are a livelock: the cores wake each other endlessly.
 const LIVELOCK_POLLS: u32 = 100_000;
 
 struct Running {
@@ -36,13 +36,13 @@ pub struct SimPair {
     world: Option<World>,
     world_next: Instant,
     order: ChaCha8Rng,
-    /// The count of incarnations that `cores` follows.
+    /// The count of incarnations that `cores` corresponds to.
     followed: u64,
 }
 
 impl SimPair {
-    /// Two systems without power. `factory` makes the code of a core at each start of the core: at
-    /// power-on and after each reset. The board's identity says which core, in which incarnation.
+    /// Makes two unpowered systems. `factory` makes the code of a core each time the core starts:
+    /// at power-on and after each reset. The board's identity names the core and the incarnation.
     pub fn new(config: Config, factory: impl FnMut(&SimBoard) -> Poller + 'static) -> Self {
         let order = ChaCha8Rng::seed_from_u64(config.seed ^ 0x5EED);
         Self {
@@ -56,7 +56,7 @@ impl SimPair {
         }
     }
 
-    /// Two powered systems whose cores do nothing, for tests that act through [`SimPair::board`].
+    /// Makes two powered systems with idle cores, for tests that act through [`SimPair::board`].
     #[must_use]
     pub fn idle(config: Config) -> Self {
         let mut pair = Self::new(config, |_| Box::new(|_| Instant::NEVER));
@@ -70,13 +70,13 @@ impl SimPair {
         pair
     }
 
-    /// The virtual time.
+    /// Returns the virtual time.
     #[must_use]
     pub fn now(&self) -> Instant {
         self.shared.lock().at()
     }
 
-    /// The board of a core in its present incarnation.
+    /// Returns the board of a core in its present incarnation.
     #[must_use]
     pub fn board(&self, system: SystemId, core: CoreId) -> SimBoard {
         self.board_at(CoreAddress { system, core })
@@ -97,13 +97,13 @@ impl SimPair {
         })
     }
 
-    /// Restarts the random choices from this seed.
+    /// Restarts the random numbers from this seed.
     pub fn reseed(&mut self, seed: u64) {
         self.order = ChaCha8Rng::seed_from_u64(seed ^ 0x5EED);
         self.shared.lock().noise = ChaCha8Rng::seed_from_u64(seed);
     }
 
-    /// Sets the vehicle's function: called at once and then every millisecond of virtual time.
+    /// Sets the vehicle's function: called at once and then after each millisecond of virtual time.
     pub fn set_world(&mut self, world: impl FnMut(&mut WorldTick) + 'static) {
         self.world = Some(Box::new(world));
         self.world_next = self.now();
@@ -117,7 +117,7 @@ impl SimPair {
         self.run_until(self.now() + span);
     }
 
-    /// Runs everything that happens up to and including the virtual time `until`.
+    /// Runs everything that happens until the virtual time `until`, inclusive.
     ///
     /// # Panics
     /// If a core panics, or if the cores wake each other endlessly at one instant.
@@ -126,7 +126,7 @@ impl SimPair {
         while self.settle(&shared, |machine, world| machine.advance(world, until)) {}
     }
 
-    /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is
+    /// Runs until `until`, inclusive, but stops after the first instant at which `goes_on` returns
     /// false. Returns whether `goes_on` was still true at the end.
     ///
     /// # Panics
@@ -144,11 +144,11 @@ impl SimPair {
         }
     }
 
-    /// Runs everything that happens at this instant. `then` gets the machine, and when the world is
-    /// called next.
+    /// Runs everything that happens at this instant, then calls `then` with the machine and the
+    /// time of the world's next call.
     fn settle<R>(&mut self, shared: &Shared, then: impl FnOnce(&mut Machine, Instant) -> R) -> R {
         let mut polls = 0;
-        // Released only while others act on the machine: a lock costs as much as a small poll.
+        // Released only while other code uses the machine: a lock costs as much as a small poll.
         let mut machine = shared.lock();
         loop {
             machine.settle();
@@ -216,7 +216,7 @@ impl SimPair {
         machine
     }
 
-    /// Drops the code of cores whose incarnation is over, and makes the code of cores that began
+    /// Drops the code of cores whose incarnation has ended, and makes the code of cores that began
     /// one.
     pub(crate) fn follow_incarnations(&mut self) {
         let changes = self.shared.lock().incarnations;
@@ -259,7 +259,7 @@ impl SimPair {
         let Some(running) = slot else { return machine };
         let now_ns = machine.now_ns;
         let core = machine.core(place);
-        // An earlier poll at this instant may have ended this incarnation.
+        // An earlier poll at this instant may have ended the incarnation.
         if core.incarnation != running.incarnation || !core.is_due(now_ns) {
             return machine;
         }
@@ -281,13 +281,13 @@ impl SimPair {
 
 /// Observation by tests.
 impl SimPair {
-    /// The state of a supply.
+    /// Returns the state of a supply.
     #[must_use]
     pub fn power(&self, system: SystemId) -> Power {
         self.shared.lock().systems[system.index()].supply.power()
     }
 
-    /// The role that a system shows, if it runs.
+    /// Returns the role that a system shows; `None` if it does not run.
     #[must_use]
     pub fn lamp(&self, system: SystemId) -> Option<RoleLamp> {
         let machine = self.shared.lock();
@@ -296,13 +296,13 @@ impl SimPair {
             .then_some(machine.systems[system.index()].lamp)
     }
 
-    /// The LMU of a system.
+    /// Returns the LMU of a system.
     #[must_use]
     pub fn lmu(&self, system: SystemId) -> &[LmuWord] {
         self.shared.lmu(system)
     }
 
-    /// The content of a system's flash, without the operation under way.
+    /// Returns the content of a system's flash, without the effect of an operation in progress.
     #[must_use]
     pub fn flash(&self, system: SystemId) -> Vec<u8> {
         self.shared.lock().systems[system.index()]
@@ -311,7 +311,7 @@ impl SimPair {
             .to_vec()
     }
 
-    /// What happened to the systems, oldest first.
+    /// Returns the events of the systems, oldest first.
     #[must_use]
     pub fn events(&self) -> Vec<SystemEvent> {
         self.shared.lock().events.clone()
@@ -322,14 +322,14 @@ impl SimPair {
         core::mem::take(&mut self.shared.lock().bus)
     }
 
-    /// A number that stands for every frame that was on the bus and every event of a system, with
-    /// their times. Two runs with the same number were the same.
+    /// Returns a digest of every frame that was on the bus and every event of a system, with their
+    /// times. Runs with equal digests were the same.
     #[must_use]
     pub fn digest(&self) -> u64 {
         self.shared.lock().digest.value()
     }
 
-    /// Takes the trace, and how many records were lost because it was full.
+    /// Takes the trace and the number of records that were lost because it was full.
     pub fn take_trace(&mut self) -> (Vec<Traced>, u64) {
         let mut machine = self.shared.lock();
         (

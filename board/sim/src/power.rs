@@ -15,13 +15,13 @@ impl Machine {
         self.systems[system.index()].supply.is_on()
     }
 
-    /// The level line of `system`, seen by its peer.
+    /// Returns the level line of `system`, as its peer reads it.
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let is_on = self.is_powered(system);
         self.network.conditions.level(system, is_on)
     }
 
-    /// Runs an action of a supply; a change of the level line interrupts the other system.
+    /// Runs an action of a supply, and interrupts the other system if the level line changes.
     pub(crate) fn with_supply(
         &mut self,
         system: SystemId,
@@ -41,7 +41,7 @@ impl Machine {
         }
     }
 
-    /// Shows the level line as it is now to the cores of the other system, and returns it.
+    /// Publishes the present level line to the cores of the other system, and returns it.
     pub(crate) fn show_level(&self, system: SystemId) -> bool {
         let level = self.level(system);
         self.glance.level(system).store(level, Ordering::Relaxed);
@@ -64,7 +64,7 @@ impl Machine {
         self.with_supply(system, |supply| supply.power_on(now));
     }
 
-    /// Core 0 of a system begins a new incarnation; the others wait for its release.
+    /// Begins a new incarnation of core 0; the other cores wait for their release.
     fn start(&mut self, system: SystemId, cause: ResetCause) {
         let state = self.system(system);
         state.lamp = RoleLamp::Starting;
@@ -84,7 +84,7 @@ impl Machine {
         }
     }
 
-    /// Stops the cores of a system and its operations.
+    /// Stops the cores of a system and its flash operation.
     fn stop(&mut self, system: SystemId, why: SystemEventKind) {
         let now = self.at();
         let state = &mut self.systems[system.index()];
@@ -153,7 +153,7 @@ impl Machine {
         }
     }
 
-    /// When the flash of a system reaches the number of changed bytes at which power fails.
+    /// Returns when the flash of a system has changed so many bytes that power must fail.
     fn flash_dies_ns(&self, system: SystemId) -> Option<u64> {
         let state = &self.systems[system.index()];
         state.flash.changed_ns(state.flash_bytes_to_live?)
@@ -177,7 +177,7 @@ impl Machine {
         state.flash_bytes_to_live = state.flash_bytes_to_live.map(|left| left - changed);
     }
 
-    /// The next virtual time at which a supply or a flash acts by itself.
+    /// Returns the next virtual time at which a supply, a flash, a core or the network acts.
     pub(crate) fn next_ns(&self) -> u64 {
         let of_system = |system: SystemId| {
             let state = &self.systems[system.index()];
@@ -199,7 +199,7 @@ impl Machine {
 
 /// Core 0's flash operations.
 impl Machine {
-    /// Begins the operation of the flash that `start` starts.
+    /// Begins the flash operation that `start` starts.
     pub(crate) fn start_flash(
         &mut self,
         system: SystemId,

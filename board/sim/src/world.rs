@@ -1,4 +1,4 @@
-//! The world outside the two systems, as a function that is called once a millisecond.
+//! The world outside the two systems, as a function that is called every millisecond.
 
 use crate::event::OnBus;
 use tandem_board::{CanFrame, Carried, CoreId, Instant, RoleLamp, SystemId, VehicleBus};

@@ -31,7 +31,7 @@ fn frame(value: u8) -> CanFrame {
     CanFrame::new(CanId::Standard(0x123), false, &[value]).unwrap()
 }
 
-/// Core 0's first action.
+/// Lets core 0 release the other cores.
 fn release_others(board: &SimBoard) {
     if board.identity().core == CoreId::CONTROL {
         board.release_core(CoreId::PERCEPTION);
@@ -39,7 +39,7 @@ fn release_others(board: &SimBoard) {
     }
 }
 
-/// A pair with power in which `make` provides the code of core `core` of system A.
+/// Makes a powered pair in which `make` provides the code of core `core` of system A.
 fn pair_with(
     config: Config,
     core: CoreId,
@@ -58,7 +58,7 @@ fn pair_with(
     pair
 }
 
-/// Services the watchdog every 10 ms, and shows that it is master.
+/// Services the watchdog every 10 ms and shows the role of master.
 fn servant(_: &SimBoard) -> Poller {
     let mut next = Instant::ORIGIN;
     Box::new(move |board| {
@@ -80,7 +80,7 @@ fn kinds(pair: &SimPair, system: SystemId) -> Vec<SystemEventKind> {
     of_system.map(|event| event.kind).collect()
 }
 
-/// Six cores that send, ring and answer each other.
+/// Makes six cores that send, ring and answer each other.
 fn chatter(config: Config) -> SimPair {
     let mut pair = SimPair::new(config, |board| {
         release_others(board);
@@ -124,8 +124,8 @@ fn the_same_seed_gives_the_same_run_and_another_seed_another() {
     assert_ne!(run(1), run(2));
 }
 
-/// T-CHIP-5: a core that sends without a pause gets 8 frames onto the bus per millisecond; the
-/// other cores can still send theirs.
+/// T-CHIP-5: a core that sends without a pause puts 8 frames on the bus per millisecond; the other
+/// cores can still send theirs.
 #[test]
 fn a_core_has_its_share_of_the_bus() {
     let mut pair = SimPair::idle(relaxed());
@@ -149,7 +149,7 @@ fn blocking_cores_are_deterministic_too() {
             release_others(board);
             blocking(board, |board| {
                 for count in 0..50 {
-                    // Rings of the others wake the core more often than the bus takes frames.
+                    // Other cores' rings wake this core more often than the bus accepts frames.
                     while board.can().try_send(&frame(count)).is_err() {
                         board.wait(board.now() + Duration::from_us(300));
                     }
@@ -190,7 +190,7 @@ fn a_poller_runs_at_its_deadlines_on_its_own_clock() {
             next
         })
     });
-    // The clock of A gains 50 µs a second.
+    // The clock of A gains 50 µs per second.
     pair.run_until(Instant::from_ns(10_000_000_000));
     let seen = seen.lock().unwrap();
     assert_eq!(seen.len(), 1001);
@@ -361,7 +361,7 @@ fn a_cut_wire_carries_nothing_until_it_is_restored() {
 }
 
 /// Power fails after every byte of an erase and a program; the flash keeps the bytes that were
-/// done.
+/// already processed.
 #[test]
 fn power_can_fail_at_every_byte_of_the_flash() {
     let erase = u64::from(<SimBoard as Board>::Flash::SECTOR_BYTES);

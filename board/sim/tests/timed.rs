@@ -29,8 +29,8 @@ fn send(pair: &SimPair, from: SystemId, core: CoreId, frame: &CanFrame) {
     pair.board(from, core).can().try_send(frame).unwrap();
 }
 
-/// Of those that wait, the lowest identifier is next; a frame under way is not interrupted, and the
-/// frames of one sender keep their order.
+/// Of the waiting frames the one with the lowest identifier is next; a frame on the bus is not
+/// interrupted, and the frames of one sender keep their order.
 #[test]
 fn frames_take_the_time_of_their_bits_and_the_lowest_identifier_wins() {
     let mut pair = pair();
@@ -52,8 +52,8 @@ fn frames_take_the_time_of_their_bits_and_the_lowest_identifier_wins() {
     assert!(pair.take_bus_log().is_empty());
 }
 
-/// A system that loses power in the middle of a frame destroys it; the others go on behind the
-/// error frame. What it has put on a line arrives, a datagram does not.
+/// A system that loses power in the middle of a frame destroys it; the other nodes continue after
+/// the error frame. An edge that the system has sent still arrives; a datagram does not.
 #[test]
 fn what_a_system_sends_ends_with_its_power() {
     let mut pair = pair();
@@ -78,14 +78,14 @@ fn what_a_system_sends_ends_with_its_power() {
     assert_eq!(only.at, begins + RATES.time(Bits::of(&next)));
 }
 
-/// With wrong bits a frame arrives later, and once.
+/// A frame with wrong bits arrives later, and only once.
 #[test]
 fn a_frame_with_a_wrong_bit_is_sent_again() {
     let mut pair = SimPair::idle(Config {
         watchdog: false,
         wires: WireTimes {
             bus: Some(RATES),
-            // One in a thousand: about every third frame of this length is destroyed.
+            // One bit in a thousand: about every third frame of this length is destroyed.
             wrong_bits: 1_000_000,
             ..WireTimes::default()
         },

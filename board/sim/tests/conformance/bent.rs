@@ -37,19 +37,19 @@ macro_rules! defects {
 defects! {
     /// A ring that arrives while the core is awake is lost.
     LostRing,
-    /// A ring goes to the next core.
+    /// A ring goes to the wrong core.
     MisdirectedRing,
     /// `wait` ends before its deadline.
     EarlyDeadline,
-    /// `wait` says "deadline" for an interrupt.
+    /// `wait` returns `Deadline` for an interrupt.
     WrongWake,
-    /// `wait` says "interrupt" for a deadline.
+    /// `wait` returns `Interrupt` for a deadline.
     SpuriousForEver,
-    /// The clock sometimes goes back.
+    /// The clock sometimes goes backwards.
     ClockGoesBack,
     /// The cores of a system have different clocks.
     SkewedCores,
-    /// Each core has an LMU of its own.
+    /// Each core has a separate LMU.
     PrivateLmu,
     /// The systems share one LMU.
     OneLmu,
@@ -57,7 +57,7 @@ defects! {
     DirtyLmu,
     /// The generation does not begin at 1.
     WrongGeneration,
-    /// All cores start with core 0.
+    /// All cores start together with core 0.
     NoneHeld,
     /// A release has no effect.
     NeverReleased,
@@ -67,25 +67,25 @@ defects! {
     ReleasesAgain,
     /// A core receives the CAN frames that it sends.
     SelfReception,
-    /// The other system does not hear this system's CAN frames.
+    /// The other system does not receive this system's CAN frames.
     NoBroadcast,
-    /// A discard of the frames that wait also discards the next one.
+    /// A discard of the waiting frames also discards the next frame.
     DiscardsLaterFrame,
-    /// Two CAN frames change places.
+    /// Two CAN frames are swapped.
     CanReordered,
-    /// System B hears its own frames before those of system A.
+    /// System B receives its own frames before those of system A.
     CanTwoOrders,
     /// The end of a long CAN FD frame is lost.
     FdTruncated,
     /// Lost CAN frames are not counted.
     OverrunNotCounted,
-    /// A received CAN frame does not wake.
+    /// A received CAN frame does not wake the core.
     NoWakeOnReceive,
-    /// A received CAN frame wakes a core that did not ask for it.
+    /// A received CAN frame wakes a core that did not enable that.
     AlwaysWakeOnReceive,
-    /// Falling edges count as rising ones.
+    /// Falling edges are counted as rising ones.
     WrongEdge,
-    /// Edges return on the sender's own counters.
+    /// Edges are counted at the sender.
     LineLoopback,
     /// An edge on the start line does not interrupt.
     SilentStart,
@@ -107,17 +107,17 @@ defects! {
     EraseToZero,
     /// Programming need not be aligned to pages.
     MisalignedProgram,
-    /// An operation that begins while another is under way is accepted.
+    /// An operation that is started while another one runs is accepted.
     NeverBusy,
     /// Programming sets bits.
     ProgramSets,
-    /// An operation that a reset interrupts destroys its whole sector.
+    /// An operation that a reset interrupts destroys the whole sector.
     ResetDisturbs,
-    /// Programming a page disturbs the page behind it.
+    /// Programming a page disturbs the next page.
     ProgramDisturbs,
     /// A reset erases the flash.
     FlashForgets,
-    /// The watchdog resets the system although it was serviced well.
+    /// The watchdog resets the system although it was serviced correctly.
     WatchdogRefuses,
     /// The watchdog always asks the same question.
     SameQuestion,
@@ -133,12 +133,12 @@ defects! {
     CauseForgotten,
     /// A requested reset does not happen.
     RequestIgnored,
-    /// Core 2 keeps its incarnation over a reset.
+    /// Core 2 keeps its incarnation when the system is reset.
     PartialReset,
 }
 
 impl Defect {
-    /// The configuration of a simulated board whose watchdog has this defect.
+    /// Changes the configuration of the simulated board if the defect is one of the watchdog.
     pub(crate) fn configure(self, config: &mut Config) {
         let window = &mut config.window;
         match self {
@@ -154,15 +154,15 @@ impl Defect {
 #[repr(align(64))]
 struct Lmu([LmuWord; 8192]);
 
-/// What the bent boards of a pair share.
+/// State that the bent boards of a pair share.
 #[derive(Default)]
 pub(crate) struct Common {
     waits: [AtomicBool; CoreAddress::COUNT],
-    /// Released in this incarnation of the system.
+    /// The core was released in this incarnation of the system.
     released: [AtomicBool; CoreAddress::COUNT],
     starts_again: [AtomicBool; CoreAddress::COUNT],
     lmus: Vec<Lmu>,
-    /// Frames that were sent, and by which core.
+    /// Sent frames, each with its core.
     sent: Mutex<Vec<(CoreAddress, CanFrame)>>,
     /// Edges that arrived at each system without an interrupt.
     edges: [[[AtomicU32; 2]; Line::ALL.len()]; 2],
@@ -181,13 +181,13 @@ impl Common {
     }
 }
 
-/// The panic payload that ends a role whose core starts again.
+/// The panic payload that ends a role when its core starts again.
 struct StartsAgain;
 
-/// What a bent flash shows in place of the bytes of the simulated one.
+/// What a bent flash returns instead of the bytes of the simulated one.
 struct Medium {
     shown: Vec<Option<u8>>,
-    /// The operation under way, as far as core 0 knows.
+    /// The operation in progress, as far as core 0 knows.
     under_way: Option<usize>,
 }
 
@@ -200,7 +200,7 @@ impl Default for Medium {
     }
 }
 
-/// The view of one core of a simulated board with a defect, for one incarnation of that core.
+/// The interface of one core of a simulated board with a defect, for one incarnation of that core.
 pub(crate) struct Bent {
     board: SimBoard,
     defect: Option<Defect>,
@@ -277,7 +277,7 @@ impl Bent {
         self.board.release_core(CoreId::PLANNING);
     }
 
-    /// Runs the role of the core, from its begin again each time the core starts again.
+    /// Runs the role of the core, and starts it from the beginning whenever the core starts again.
     pub(crate) fn play<R>(&self, role: impl Fn(&Self) -> R) -> R {
         loop {
             match catch_unwind(AssertUnwindSafe(|| role(self))) {
@@ -292,14 +292,14 @@ impl Bent {
         &self.common.edges[at.index()][line.index()][edge as usize]
     }
 
-    /// The core that sent a frame with this content last.
+    /// Returns the core that last sent a frame with this content.
     fn sender(&self, frame: &CanFrame) -> Option<CoreAddress> {
         let sent = self.common.sent.lock().unwrap();
         let mut same = sent.iter().rev().filter(|(_, other)| other == frame);
         same.next().map(|(from, _)| *from)
     }
 
-    /// Takes the frames out of the receiver, and bends their order.
+    /// Takes the frames out of the receiver, and applies the defects of order and reception.
     fn fetch(&self) {
         let here = self.place();
         let mut frames = self.frames.borrow_mut();
@@ -323,7 +323,7 @@ impl Bent {
         }
     }
 
-    /// Takes the datagrams out of the link, and bends them.
+    /// Takes the datagrams out of the link, and applies the defects of the link.
     fn fetch_datagrams(&self) {
         let mut buffer = [0; <Self as Link>::MAX_WORDS];
         let mut datagrams = self.datagrams.borrow_mut();

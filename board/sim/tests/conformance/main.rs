@@ -14,7 +14,7 @@ use tandem_board_conformance::{
 };
 use tandem_board_sim::{Config, Order, SimPair, SystemEventKind, blocking};
 
-/// Virtual time after which a case counts as hung: longer than a role's patience.
+/// Virtual time after which a case is considered hung: longer than a role's time limits.
 const HANGS_AFTER: Duration = Duration::from_ms(60_000);
 
 /// Runs each case that `takes` accepts on a separate pair, each role as a blocking core.
@@ -24,7 +24,7 @@ struct SimRig<'a> {
     takes: &'a dyn Fn(&str) -> bool,
 }
 
-/// Why a role did not pass.
+/// Why a role failed.
 #[derive(Debug, PartialEq)]
 enum Fault {
     Failed(CoreAddress, CaseFailure),
@@ -146,7 +146,7 @@ fn run_some(
     (summary, failed)
 }
 
-/// T-BOOT-2, among other contracts: core 0 starts alone and releases the others.
+/// T-BOOT-2, among other contracts: core 0 starts alone and releases the other cores.
 #[test]
 fn the_simulated_board_passes() {
     let (summary, failed) = run(config());
@@ -167,12 +167,12 @@ fn the_simulated_board_passes_in_any_order_of_cores() {
     }
 }
 
-/// Cases that no defect makes fail: they prove the absence of a crash, or a property of any board
+/// Cases that no defect makes fail: they prove that nothing crashes, or a property of every board
 /// in safe Rust.
 const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
 
 /// Each defect makes some case fail, and each case fails for some defect. A case that has failed
-/// for one defect runs again only for a defect that no other case finds, or that it must find.
+/// for one defect runs again only for a defect that no other case finds or that it must find.
 #[test]
 fn conformance_catches_defects() {
     let mut fallible = BTreeSet::new();
