@@ -1,4 +1,4 @@
-//! The command line of this program: commands that `tandem` passes on.
+//! The command line of this program. `tandem` passes its arguments on.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ pub(crate) struct Cli {
     pub(crate) command: Command,
 }
 
-/// The jobs.
+/// The commands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Drive a scenario with both systems, and write a report
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
     use clap::CommandFactory as _;
 
-    /// `tandem` describes each command in the same words as this program.
+    /// `tandem` and this program describe each command in the same words.
     #[test]
     fn both_command_lines_say_the_same() {
         Cli::command().debug_assert();

@@ -79,11 +79,11 @@ pub(crate) struct BootloaderArgs {
     #[arg(long, value_name = "SYSTEM", default_value = "A", value_parser = parse_system)]
     pub(crate) system: SystemId,
 
-    /// As if the application had requested a download: wait 10 s for a host, not 20 ms
+    /// Start as if the application had requested a download: wait 10 s for a host, not 20 ms
     #[arg(long)]
     pub(crate) requested: bool,
 
-    /// Accept and start unsigned images, and log it
+    /// Accept and start unsigned images, and log each of them
     #[arg(long)]
     pub(crate) monitor: bool,
 

@@ -1,4 +1,4 @@
-//! `tandem boot-demo` on either board. T-BOOT-8
+//! `tandem boot-demo` on any of its boards. T-BOOT-8
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,8 +12,8 @@ use tandem_boot_host::{FlashFile, SigningKey, records};
 
 use crate::emulated;
 
-/// Runs the experiment. `images` is the folder of the images for the emulated board; `None` means
-/// the output folder of `cargo xtask firmware build`.
+/// Runs the experiment. `images` is the folder of the images for the emulated board; `None`
+/// selects the output folder of `cargo xtask firmware build`.
 ///
 /// # Errors
 /// If the board does not start, the download is refused, or a frame does not arrive.

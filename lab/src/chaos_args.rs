@@ -15,11 +15,11 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "N", default_value_t = 60)]
     pub(crate) count: u64,
 
-    /// Decides which faults
+    /// Seed that selects the faults
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub(crate) seed: u64,
 
-    /// What suffers them: processes of this machine, or emulated machines with firmware
+    /// Where the faults occur: in processes of this machine, or in emulated machines with firmware
     #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
     pub(crate) board: DemoBoard,
 
@@ -31,15 +31,15 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) faults: Option<PathBuf>,
 
-    /// Each fault, of the master and of the standby, at 20 phases of the control cycle
+    /// Try each fault of the master and of the standby at 20 phases of the control cycle
     #[arg(long, conflicts_with_all = ["faults", "count"])]
     pub(crate) matrix: bool,
 
-    /// Of the matrix, every N-th cell only
+    /// Try only every N-th cell of the matrix
     #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN, requires = "matrix")]
     pub(crate) every: NonZero<u64>,
 
-    /// Only the fault of this number
+    /// Try only the fault with this number
     #[arg(long, value_name = "NUMBER", conflicts_with_all = ["from", "count", "every"])]
     pub(crate) only: Option<u64>,
 
@@ -48,7 +48,7 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 
-    /// Inject these faults in one drive and end: what the campaign starts
+    /// Inject these faults in one drive and exit; the campaign starts this
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
     pub(crate) drive: Option<Vec<u64>>,
 }
@@ -71,7 +71,7 @@ Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is
 Ctrl-C, with the report of what was done.";
 
 impl ChaosArgs {
-    /// The arguments by which a drive leaves out the same cells.
+    /// Returns the arguments with which a drive omits the same cells.
     pub(crate) fn every_arguments(&self) -> Vec<String> {
         match self.matrix {
             true => vec!["--every".to_owned(), self.every.to_string()],

@@ -24,10 +24,10 @@ use tandem::vehicle::{self, DriveEnd};
 /// Output folder of `cargo xtask firmware build`, relative to the target folder.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
 
-/// Returns the path of the image to run: `chosen`, or the built one of this name.
+/// Returns the path of the image to run: `chosen`, or the image with this name that was built.
 ///
 /// # Errors
-/// If there is no such file.
+/// If the file does not exist.
 pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf> {
     let image = match chosen {
         Some(image) => image.to_owned(),
@@ -45,7 +45,7 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
          --firmware",
         image.display()
     );
-    // The emulator works in a folder of its own.
+    // The emulator works in another folder, so return an absolute path.
     std::fs::canonicalize(&image).with_context(|| image.display().to_string())
 }
 
@@ -66,7 +66,7 @@ pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Resu
 pub(crate) enum Images {
     /// One image that starts without a bootloader.
     Alone(PathBuf),
-    /// An image in the slot of each system, which the bootloader starts.
+    /// An image in the slot of each system, and the bootloader that starts it.
     Booting {
         bootloader: PathBuf,
         /// By slot: the factory image, and the update.
@@ -75,8 +75,8 @@ pub(crate) enum Images {
 }
 
 impl Images {
-    /// Returns the images of a run: with a bootloader, unless both systems share one machine or the
-    /// arguments say otherwise.
+    /// Returns the images of a run. They include a bootloader, unless both systems share one
+    /// machine or the arguments exclude it.
     ///
     /// # Errors
     /// If an image is missing.
@@ -155,7 +155,7 @@ impl Images {
 /// Runs `tandem run` on this board.
 ///
 /// # Errors
-/// [`Failure`] with the exit status that the command documents.
+/// Returns the [`Failure`] whose exit status the command documents.
 pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     run::run_elsewhere(args, |config, files| {
         let images = Images::of(args).map_err(Failure::Usage)?;
@@ -203,7 +203,7 @@ fn drive(
     }
     let ended = ended?;
     if !args.quiet && args.update.is_some() {
-        // The slot that each system has started, and its approval.
+        // Show the slot that each system has started, and its approval.
         let log = world.log();
         let of_slots = log.lines().filter(|line| line.contains(" slot"));
         of_slots.for_each(|line| eprintln!("{line}"));

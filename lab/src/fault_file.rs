@@ -1,11 +1,11 @@
-//! A file of faults, for a site that must suffer them.
+//! A file of faults, checked for the site that they are for.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use tandem_faults::{CannotSuffer, Sequence, Site};
 
-/// A file of faults. Its text is read once: all processes of a campaign try the same faults.
+/// A file of faults. It is read once, so all processes of a campaign try the same faults.
 pub(crate) struct FaultFile {
     path: PathBuf,
     text: String,
@@ -16,7 +16,7 @@ impl FaultFile {
     /// Reads the file.
     ///
     /// # Errors
-    /// If it cannot be read, or `place` cannot suffer what it says.
+    /// If the file cannot be read, or a fault in it is not possible at `site`.
     pub(crate) fn read(path: &Path, site: Site) -> anyhow::Result<Self> {
         let file = Self {
             text: std::fs::read_to_string(path).with_context(|| path.display().to_string())?,
@@ -27,10 +27,10 @@ impl FaultFile {
         Ok(file)
     }
 
-    /// Its faults, with this number as the seed of what the machine draws.
+    /// Returns the faults of the file. `number` is the seed of their random values.
     ///
     /// # Errors
-    /// As [`FaultFile::read`].
+    /// See [`FaultFile::read`].
     pub(crate) fn sequence(&self, number: u64) -> anyhow::Result<Sequence> {
         let (path, site) = (self.name(), self.site);
         let sequence = Sequence::from_toml(&self.text, number).with_context(|| path.clone())?;
@@ -44,7 +44,7 @@ impl FaultFile {
         Ok(sequence)
     }
 
-    /// Its path, for messages and command lines.
+    /// Returns the path of the file, for messages and command lines.
     pub(crate) fn name(&self) -> String {
         self.path.display().to_string()
     }

@@ -1,5 +1,5 @@
-//! `tandem flash`: signs a file, sends it to a bootloader over CAN, and shows the progress. `tandem
-//! bootloader`: a bootloader on this machine to send it to. `docs/boot.md` describes the protocol.
+//! `tandem flash` signs a file, sends it to a bootloader over CAN, and shows the progress. `tandem
+//! bootloader` runs a bootloader on this machine. `docs/boot.md` describes the protocol.
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
 use anyhow::{Context as _, anyhow, bail};
@@ -20,7 +20,7 @@ use tandem_boot_host::{
 /// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
 
-/// Sends a file, or only signs it.
+/// Sends a file, or only signs it, as the arguments request.
 pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
     let lines = lines(args).map_err(Failure::Usage)?;
     if let Some(path) = &args.sign_only {
@@ -32,7 +32,7 @@ pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
     send(args, lines).map_err(Failure::Run)
 }
 
-/// Returns the records to send: those of a signed file unchanged, otherwise signed ones.
+/// Returns the records to send. Signs them unless the file is already signed.
 fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     let name = args.file.display();
     let text = fs::read_to_string(&args.file).with_context(|| name.to_string())?;
@@ -82,7 +82,7 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
     tandem::print("verified by the bootloader, on trial from its next start\n")
 }
 
-/// Runs a system's bootloader on its flash file, until it has decided what to start.
+/// Runs a system's bootloader on its flash file, until it has decided which image to start.
 pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     let name = args.flash.display();
     let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
@@ -124,8 +124,8 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Returns the bank that the boot ROM starts. In a file without a bootloader this program takes the
-/// place of the primary one.
+/// Returns the bank that the boot ROM starts. If the file contains no bootloader, this program
+/// acts as the primary one.
 fn bank(flash: &mut FlashFile) -> Bank {
     rom_choice(flash).unwrap_or(Bank::Primary)
 }

@@ -1,5 +1,5 @@
-//! `tandem-lab`: the commands of `tandem` with dependencies that no drive needs. `tandem` lets
-//! cargo build it, and then replaces itself by it.
+//! `tandem-lab`: the commands of `tandem` whose dependencies no drive needs. `tandem` lets cargo
+//! build this program, and then replaces itself by it.
 #![forbid(unsafe_code)]
 
 mod args;

@@ -1,8 +1,8 @@
-//! `tandem rtos-demo`: two tests of the kernel as pictures of digital outputs. T-RTOS-3, T-RTOS-4
+//! `tandem rtos-demo`: draws digital outputs in two tests of the kernel. T-RTOS-3, T-RTOS-4
 //!
-//! Each of three tasks toggles an output, which the thesis watches with an oscilloscope. The tasks
-//! record the time of each change, in this process or as firmware in an emulated machine. The
-//! picture is drawn from these records.
+//! Each of three tasks toggles an output; the thesis shows these outputs on an oscilloscope. The
+//! tasks record the time of each change, in this process or as firmware in an emulated machine.
+//! The picture is drawn from these records.
 
 use anyhow::{Context as _, Result, ensure};
 use std::fmt::Write as _;
@@ -18,7 +18,7 @@ use crate::emulated;
 use crate::square_waves::{self, SquareWaves, Trace};
 use tandem::board_kind::DemoBoard;
 
-/// Columns of a trace in the terminal.
+/// Number of columns of a trace in the terminal.
 const COLUMNS: usize = 90;
 /// Colours of the outputs.
 const COLORS: [Color; 3] = [Color::A, Color::B, Color::GOOD];
@@ -36,13 +36,13 @@ type Changes = Vec<Vec<f64>>;
 /// One picture.
 pub(crate) struct Picture {
     test: &'static Test,
-    /// The clock of the times, in words.
+    /// The clock that measured the times, in words.
     clock: &'static str,
     changes: Changes,
 }
 
-/// Runs both tests and returns the text to show. Also writes the pictures to a file if one is
-/// named.
+/// Runs both tests and returns the text to show. Also writes the pictures to the file of `--svg`,
+/// if given.
 pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
     let pictures = pictures(args.board, args.firmware.as_deref())?;
     if let Some(path) = &args.svg {
@@ -108,7 +108,7 @@ fn here(test: &'static Test, clock: TickSource) -> Result<Picture> {
         let options = TaskOptions::new(output.name, Priority::new(output.priority));
         let note = move || {
             let at_ms = elapsed_ns() as f64 * 1e-6;
-            // A lock of the standard library: no other task may run while it is held.
+            // The mutex is the standard library's, so no other task may run while it is held.
             deferred(|| {
                 notes.lock().unwrap_or_else(PoisonError::into_inner)[number].push(at_ms);
             });
@@ -131,7 +131,7 @@ fn here(test: &'static Test, clock: TickSource) -> Result<Picture> {
 }
 
 impl Picture {
-    /// Whether an output is high at this time.
+    /// Returns true if an output is high at this time.
     fn is_up(&self, channel: usize, at_ms: f64) -> bool {
         self.changes[channel]
             .iter()
@@ -161,7 +161,7 @@ impl Picture {
         })
     }
 
-    /// Returns the largest deviation of an output's mean period from that of its task, ms; NaN if
+    /// Returns the largest deviation of an output's mean period from its task's period, ms; NaN if
     /// an output never changed.
     pub(crate) fn off_ms(&self) -> f64 {
         let off = (0..self.test.outputs.len()).map(|channel| {
@@ -172,10 +172,10 @@ impl Picture {
         off.fold(0.0, |worst, off| if off <= worst { worst } else { off })
     }
 
-    /// Counts the changes of the outputs of lower tasks while the highest task worked.
+    /// Counts the changes of the lower tasks' outputs while the highest task worked.
     pub(crate) fn changes_while_burning(&self) -> f64 {
         let lower = self.changes[1..].iter().flatten();
-        // Close to an edge the highest task has just begun or just ended.
+        // Exclude changes near an edge, where the highest task may have just begun or ended.
         let within = |at_ms: &&f64| {
             [-EDGE_MS, EDGE_MS]
                 .iter()
@@ -206,7 +206,7 @@ impl Picture {
         let Some((min, mean, max)) = self.periods(channel) else {
             return name.to_owned();
         };
-        // The mean period of a task that others preempt depends on where the picture ends.
+        // The mean period of a preempted task depends on where the picture ends.
         if max - min > f64::from(period_ms) / 2.0 {
             let count = self.changes[channel].len();
             format!("{name}: preempted, {min:.2} to {max:.2} ms apart, {count} in {SPAN_MS} ms")

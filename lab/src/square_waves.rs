@@ -3,7 +3,7 @@
 use tandem_page::chart::{WIDTH, plain, round_ticks};
 use tandem_page::svg::{Anchor, Color, Stroke, Svg};
 
-/// Height of the title, of one output, of the axis, and the margin at both sides.
+/// Heights of the title, of one output and of the axis, and the margin on both sides.
 const TITLE: f64 = 50.0;
 const ROW: f64 = 90.0;
 const AXIS: f64 = 70.0;
@@ -11,17 +11,17 @@ const SIDE: f64 = 24.0;
 /// Height of a high level.
 const LEVEL: f64 = 36.0;
 
-/// One output. It begins low.
+/// One output. Its initial level is low.
 pub(crate) struct Trace {
     pub(crate) color: Color,
     pub(crate) label: String,
     /// Times of its changes, in the unit of the axis.
     pub(crate) changes: Vec<f64>,
-    /// A text above a time.
+    /// A text above this time.
     pub(crate) note: Option<(f64, String)>,
 }
 
-/// Outputs over one time axis from 0 to `span`.
+/// Several outputs over one time axis from 0 to `span`.
 pub(crate) struct SquareWaves {
     pub(crate) title: String,
     /// Unit and clock of the axis.
@@ -30,7 +30,7 @@ pub(crate) struct SquareWaves {
     pub(crate) traces: Vec<Trace>,
 }
 
-/// Returns the pictures as one SVG file, one below the other.
+/// Returns one SVG file with the pictures one below the other.
 pub(crate) fn file(pictures: &[SquareWaves]) -> String {
     let heights = pictures.iter().map(SquareWaves::height);
     let mut svg = Svg::new(WIDTH, heights.sum());

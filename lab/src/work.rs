@@ -1,4 +1,4 @@
-//! What long commands have in common: a bar of their progress, and work on all CPUs.
+//! Shared by long commands: a progress bar, and work on all CPUs.
 
 use std::num::NonZero;
 use std::sync::{Mutex, PoisonError};
@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Result, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Shows a bar of `count` steps.
+/// Shows a progress bar of `count` steps.
 pub(crate) fn bar(count: u64, template: &str) -> Result<ProgressBar> {
     let style = ProgressStyle::with_template(template)?;
     let bar = ProgressBar::new(count).with_style(style);
@@ -16,11 +16,11 @@ pub(crate) fn bar(count: u64, template: &str) -> Result<ProgressBar> {
     Ok(bar)
 }
 
-/// Does `work` on each item, on this many threads: by default one for each CPU. Returns the results
+/// Calls `work` on each item, on `jobs` threads: by default one for each CPU. Returns the results
 /// in the order of the items.
 ///
 /// # Errors
-/// The first error of `work`, or a panic of it.
+/// The first error that `work` returned, or an error if `work` panicked.
 pub(crate) fn on_threads<T, R: Send>(
     jobs: Option<NonZero<usize>>,
     items: impl Iterator<Item = T> + Send,

@@ -1,5 +1,5 @@
-//! `tandem run --board qemu`, the controller as firmware, and `tandem rtos-demo --board qemu`.
-//! Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+//! Tests of the commands with `--board qemu`, which run the controller as firmware. Only `cargo
+//! xtask firmware test` runs them, because they need QEMU and the images.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// Longer than any run here takes on a busy machine.
+/// Longer than any run of these tests takes on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(180);
 
 fn tandem(arguments: &[&str], out: &Path) -> Command {
@@ -28,7 +28,7 @@ fn tandem(arguments: &[&str], out: &Path) -> Command {
     command
 }
 
-/// Waits for the end, and fails if that does not come or is not a good one.
+/// Waits until the run ends. Fails if it does not end, or not with success.
 fn end(mut run: Child) {
     let begin = Instant::now();
     let status = loop {
@@ -48,14 +48,14 @@ fn metrics(out: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(out.join("metrics.json")).unwrap()).unwrap()
 }
 
-/// The frames on the bus in order, without the time of day.
+/// Returns the frames on the bus in order, without their time stamps.
 fn frames(out: &Path) -> Vec<String> {
     let log = fs::read_to_string(out.join("candump.log")).unwrap();
     let frame = |line: &str| line.split_once(") ").unwrap().1.to_owned();
     log.lines().map(frame).collect()
 }
 
-/// Both systems in one machine drive, and the same run again is the same to the bit.
+/// Both systems drive in one machine, and a second run produces exactly the same frames.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_run_of_the_firmware_is_the_same_each_time() {
@@ -74,7 +74,7 @@ fn a_run_of_the_firmware_is_the_same_each_time() {
     assert_eq!(metrics["takeovers"], Value::Array(vec![]));
 }
 
-/// T-CHIP-5, T-RED-4: each system in an emulator of its own; that of the master is killed.
+/// T-CHIP-5, T-RED-4: each system runs in its own emulator. When the master's is killed, B drives.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_other_emulator_takes_over_from_one_that_is_killed() {
@@ -88,7 +88,7 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
         .strip_prefix("emulator of A: process ")
         .expect(&line)
         .to_owned();
-    // Wherever the run is then, B drives at its end. Mostly A has driven before.
+    // B drives at the end, even if A is killed before it drives. Mostly A has driven before.
     std::thread::sleep(Duration::from_secs(3));
     let kill = Command::new("kill").args(["-9", &pid]).status().unwrap();
     assert!(kill.success(), "the emulator ended by itself");
@@ -103,7 +103,7 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
         assert_eq!(takeover["to"], "B");
         assert_eq!(takeover["is_false"], false);
     }
-    // Killed before A drove: then B was the master from the start.
+    // If A was killed before it drove, B was the master from the start.
     let last = frames(&out);
     let control_of_b = "can0 0A1##";
     assert!(
@@ -116,7 +116,7 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
     );
 }
 
-/// Killing the world leaves no emulator behind, also while the firmware has not yet begun.
+/// Killing the run leaves no emulator behind, even before the firmware has begun.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn emulators_end_when_the_run_is_killed() {
@@ -146,8 +146,8 @@ fn emulators_end_when_the_run_is_killed() {
 }
 
 /// U-1, U-3, U-5, T-BOOT-1: each emulated system gets release 2 over CAN while the other drives,
-/// starts it from slot B and approves it. The master hands over for that: in the emulator's time no
-/// control frame is missing, by the vehicle's log.
+/// starts it from slot B and approves it. The master first hands over, so by the vehicle's log no
+/// control frame is missing.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn both_emulated_systems_are_updated_while_they_drive() {
@@ -183,12 +183,12 @@ fn both_emulated_systems_are_updated_while_they_drive() {
         panic!("one exchange of roles: {takeovers:?}");
     };
     assert_eq!(takeover["is_false"], false);
-    // A control period, and the emulator's millisecond.
+    // One control period, and one millisecond of the emulator.
     let gap = metrics["control_gap_max_ms"].as_f64().unwrap();
     assert!(gap <= 11.0, "{gap} ms");
 }
 
-/// T-BOOT-8, on an emulated machine: the application is a file of its own, and the jump a real one.
+/// T-BOOT-8 on an emulated machine, with the application in a separate file and a real jump.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn three_cores_of_the_firmware_send_what_was_downloaded() {
@@ -202,8 +202,8 @@ fn three_cores_of_the_firmware_send_what_was_downloaded() {
     }
 }
 
-/// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments of the thesis on firmware. 4 bytes take
-/// the same time each time.
+/// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments of the thesis hold on firmware, and every
+/// transfer of 4 bytes takes the same time.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_experiments_of_the_thesis_hold_on_firmware() {
@@ -230,7 +230,7 @@ fn the_experiments_of_the_thesis_hold_on_firmware() {
     }
 }
 
-/// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
+/// T-RTOS-3: the picture shows the emulated outputs, and names the clock of the times.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_of_the_firmware_are_drawn() {
@@ -261,7 +261,7 @@ fn chaos(arguments: &[&str]) -> (Option<i32>, String) {
     (output.status.code(), told.concat())
 }
 
-/// A file with one fault at the beginning.
+/// Writes a file with one fault at time 0, and returns its path.
 fn fault(folder: &Path, what: &str, of: &str) -> String {
     let file = folder.join("fault.toml");
     let text =
@@ -270,8 +270,8 @@ fn fault(folder: &Path, what: &str, of: &str) -> String {
     file.into_os_string().into_string().unwrap()
 }
 
-/// A campaign on firmware: faults of both systems and of the wires between them, each in its bound.
-/// Without power on both sides no system drives, and that is reported.
+/// A campaign on firmware keeps the bound of each fault of the systems and of the wires between
+/// them. If both systems lose power, no system drives, and the campaign reports that.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn faults_of_emulated_machines_are_judged() {

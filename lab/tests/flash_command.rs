@@ -1,11 +1,11 @@
-//! `tandem flash` and `tandem bootloader` over CAN on UDP, in a network of their own.
+//! Tests `tandem flash` and `tandem bootloader` over CAN on UDP, in a separate network namespace.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
 use std::io::Write as _;
 use std::process::Command;
 
-/// Brings the network up, makes a key and a file for each slot, and then does what the test says.
+/// Sets up the network, a key, and a file for each slot, before the script of the test.
 const SETUP: &str = "
 set -e
 ip link set lo up multicast on
@@ -20,7 +20,7 @@ bootloader() { \"$TANDEM\" bootloader --flash a.flash --public key.pub.der \"$@\
 flash() { \"$TANDEM\" flash --key key.der --wait 60 \"$@\" 2>&1; }
 ";
 
-/// What the script prints, or `None` if a tool is missing; then the test says so.
+/// Runs the script and returns its output, or `None` if a tool is missing; this is then printed.
 fn run(test: &str, script: &str) -> Option<String> {
     for tool in [
         "unshare -rn true",
@@ -47,8 +47,8 @@ fn run(test: &str, script: &str) -> Option<String> {
     Some(String::from_utf8(output.stdout).unwrap())
 }
 
-/// T-BOOT-1, T-BOOT-3, U-3: signed, sent, verified, started; rolled back unless approved; a
-/// downgrade is refused.
+/// T-BOOT-1, T-BOOT-3, U-3: a file is signed, sent, verified and started. It is rolled back unless
+/// approved, and a downgrade is refused.
 #[test]
 fn a_file_is_signed_sent_and_started() {
     let script = "

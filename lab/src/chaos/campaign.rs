@@ -1,4 +1,4 @@
-//! A campaign: its drives one after the other, each in a process of its own.
+//! A campaign: runs its drives one after the other, each in a separate process.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};
@@ -20,13 +20,13 @@ use crate::work;
 use tandem::failure::Failure;
 use tandem::print;
 
-/// Faults of one drive. The recording of a longer one would fill the memory.
+/// Number of faults in one drive. The recording of a longer drive would fill the memory.
 const FAULTS_OF_A_RUN: usize = 100;
 
-/// Injects the faults of these numbers, and reports.
+/// Injects the faults with these numbers, and prints a report.
 ///
 /// # Errors
-/// [`Failure`] with the exit status that the command documents.
+/// Returns the [`Failure`] whose exit status the command documents.
 pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
     let [place] =
         OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
@@ -75,7 +75,7 @@ fn inject(
         });
         let (outcomes, wrong) = match ended {
             Ok(ended) => ended,
-            // Report what the earlier drives found.
+            // Report the results of the earlier drives.
             Err(error) if done > 0 => {
                 found.wrong.push(format!("faults from {first}: {error:#}"));
                 break;
@@ -102,7 +102,7 @@ fn inject(
     Ok(found)
 }
 
-/// Runs one drive to its end.
+/// Runs one drive to its end, in a child process.
 fn one_drive(
     source: &Source,
     numbers: &[u64],
@@ -125,7 +125,7 @@ fn one_drive(
         .context("starting a run")?;
     let ended = follow(&mut child, interrupted, done);
     if !matches!(ended, Ok(Some(_))) {
-        // The process ends its run by itself.
+        // On SIGTERM the child process ends its run.
         signal(&child, Signal::TERM);
     }
     let mut said = String::new();
@@ -145,7 +145,7 @@ fn one_drive(
     }
 }
 
-/// Reads what a drive reports, until its end.
+/// Reads the reports of a drive until it ends.
 fn follow(
     child: &mut Child,
     interrupted: &AtomicBool,
@@ -164,7 +164,7 @@ fn follow(
     let ended = loop {
         if interrupted.load(Ordering::Relaxed) && !asked {
             asked = true;
-            // Ctrl-C in a terminal reaches it too; once is enough, the second kills the vehicle.
+            // Ctrl-C also reaches the child. Send only one signal: a second one kills the vehicle.
             signal(child, Signal::TERM);
         }
         let line = match reported.recv_timeout(Duration::from_millis(50)) {
@@ -188,6 +188,6 @@ fn follow(
 }
 
 fn signal(child: &Child, signal: Signal) {
-    // Fails if it has ended.
+    // This fails if the process has ended.
     let _ = kill_process(Pid::from_child(child), signal);
 }

@@ -29,22 +29,22 @@ use tandem::run::{Recorded, surroundings};
 use tandem::run_config::{LimitProfile, RunConfig};
 use tandem::{output, vehicle};
 
-/// A system that is switched off and on is without power for this long.
+/// Time without power when a system is switched off and on.
 const OFF: Duration = Duration::from_ms(50);
-/// The recording continues for this long after the last fault.
+/// Duration of the recording after the last fault.
 const AFTERWARDS: Duration = Duration::from_ms(300);
 /// The period of control frames.
 const CYCLE: Duration = Duration::from_ms(10);
-/// An edge or a datagram needs at most this much longer from one machine to the other, ms: it is
-/// carried once in a step.
+/// The largest additional delay of an edge or a datagram between the two machines, ms: it is
+/// transferred once in a step.
 const BETWEEN_MACHINES_MS: f64 = 2.0;
 
-/// Injects the faults of these numbers in one run.
+/// Injects the faults with these numbers in one run.
 ///
 /// # Errors
 /// If the run does not start or leaves no recording.
 pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
-    // The campaign may be killed: its run then ends as by Ctrl-C.
+    // If the campaign is killed, its run ends as after Ctrl-C.
     set_parent_process_death_signal(Some(Signal::TERM))?;
     let folder = tempfile::tempdir().context("a folder")?;
     let board = ["--board", "qemu", "--no-bootloader"];
@@ -86,21 +86,21 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
 }
 
 enum Doing {
-    /// Since then one system has been master and the other its standby.
+    /// Waits for the next sequence. The systems have been master and standby since then.
     Settle { since: Instant },
-    /// The faults begin and end.
+    /// Faults begin and end, until the sequence is over.
     Suffer {
         begin: Instant,
         changes: VecDeque<(Duration, Effect)>,
         until: Instant,
     },
-    /// Everything works again. The systems have until then to become master and standby.
+    /// All faults have ended. The systems must become master and standby before `until`.
     Heal { until: Instant },
-    /// The consequences of the last fault are recorded up to then.
+    /// The consequences of the last fault are recorded until `at`.
     End { at: Instant },
 }
 
-/// The machines, and the faults that they suffer.
+/// The emulated machines with their vehicle, and the state of the campaign.
 struct Disturbed {
     world: EmulatedWorld,
     left: VecDeque<(u64, Sequence, Option<Duration>)>,
@@ -109,15 +109,15 @@ struct Disturbed {
     injected: Option<Injected>,
     done: Vec<Injected>,
     bus: BusFaults,
-    /// The next change happens this long after the next step of the machines, µs.
+    /// Delay of the next change after the next step of the machines, µs.
     after_us: u32,
-    /// Why the drive ended early.
+    /// The reason why the drive ended early.
     refused: Option<CannotSuffer>,
-    /// Since when a system has been suspended.
+    /// Time since which each system has been suspended.
     suspended: [Option<Instant>; 2],
-    /// When a system gets power again.
+    /// Time at which each system gets power again.
     power_on: [Option<Instant>; 2],
-    /// When each system sent its last control frame.
+    /// Time at which each system sent its last control frame.
     control: [Instant; 2],
 }
 
@@ -140,7 +140,7 @@ impl Disturbed {
         }
     }
 
-    /// Does what is due before the next step of the machines.
+    /// Performs the actions that are due before the next step of the machines.
     fn act_until_next(&mut self) -> Result<(), CannotSuffer> {
         let now = self.world.reported();
         let roles = SystemId::ALL.map(|system| self.world.role(system));
@@ -237,7 +237,7 @@ impl Disturbed {
         };
     }
 
-    /// Switches a system off and on that has suspended itself.
+    /// Switches a suspended system off and on.
     fn bring_back(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
             let index = system.index();
@@ -287,9 +287,9 @@ impl Suffer for Disturbed {
                 world.hold_level_low(of, on);
                 return Ok(());
             }
-            // Its watchdog has reset it.
+            // The watchdog has already reset the system.
             Kind::CoreHangs(_) if !on => return Ok(()),
-            // The others happen within a machine.
+            // The other faults happen within a machine.
             _ => world.later(of, self.after_us),
         }
         match kind {

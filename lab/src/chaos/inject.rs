@@ -1,4 +1,4 @@
-//! Faults on the processes, wires and files of a run.
+//! Injects faults into the processes, wires and files of a run.
 
 use std::fs::OpenOptions;
 use std::io::Write as _;
@@ -35,11 +35,11 @@ impl<'i> Injector<'i> {
         }
     }
 
-    /// Injects these faults, whose times count from now, for `span` while `driver` drives; then
-    /// restores everything.
+    /// Injects these faults for `span` while `driver` drives, and then restores everything. The
+    /// times of the faults count from now.
     ///
     /// # Errors
-    /// If processes cannot suffer one of them, or the run's files cannot be changed.
+    /// If processes cannot have one of the faults, or the run's files cannot be changed.
     pub(super) fn suffer(
         &mut self,
         faults: &[Fault],

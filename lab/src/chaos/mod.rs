@@ -1,5 +1,5 @@
-//! `tandem chaos`: faults on real processes or emulated machines, one after the other in a run that
-//! drives.
+//! `tandem chaos`: injects faults into real processes or emulated machines, one after the other
+//! while a run drives.
 
 mod campaign;
 mod emulated;
@@ -19,7 +19,7 @@ use crate::fault_file::FaultFile;
 use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 
-/// Which faults a campaign has.
+/// The source of a campaign's faults, and the site that they are for.
 struct Source {
     kind: SourceKind,
     site: Site,
@@ -45,7 +45,7 @@ impl Source {
         Ok(Self { kind, site })
     }
 
-    /// A sequence of faults by its number; if it matters, when in the control cycle it begins.
+    /// Returns the sequence with this number and, if it matters, its phase in the control cycle.
     fn sequence(&self, number: u64) -> anyhow::Result<(Sequence, Option<Duration>)> {
         Ok(match &self.kind {
             SourceKind::Drawn { seed } => (self.site.drawn(*seed, number), None),
@@ -58,7 +58,7 @@ impl Source {
         })
     }
 
-    /// The numbers of its sequences.
+    /// Returns the numbers of the sequences to try.
     fn numbers(&self, args: &ChaosArgs) -> anyhow::Result<Vec<u64>> {
         if let Some(only) = args.only {
             self.sequence(only)?;
@@ -78,7 +78,7 @@ impl Source {
         Ok(all.step_by(every).collect())
     }
 
-    /// The arguments by which another process finds the same sequences.
+    /// Returns the arguments with which another process creates the same sequences.
     fn arguments(&self) -> Vec<String> {
         let mut words = match &self.kind {
             SourceKind::Drawn { seed } => vec!["--seed".to_owned(), seed.to_string()],
@@ -91,7 +91,7 @@ impl Source {
         words
     }
 
-    /// The command that repeats one of them.
+    /// Returns the command that repeats the sequence with this number.
     fn repeats(&self, number: u64) -> String {
         let words = self.arguments().join(" ");
         format!("tandem chaos {words} --only {number}")
@@ -101,7 +101,7 @@ impl Source {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure`] with the exit status that the command documents.
+/// Returns the [`Failure`] whose exit status the command documents.
 pub(crate) fn run(args: &ChaosArgs) -> Result<(), Failure> {
     let source = Source::of(args).map_err(Failure::Usage)?;
     if let Some(drive) = &args.drive {

@@ -1,4 +1,4 @@
-//! What the process of a drive reports to its campaign, a line each.
+//! The reports of a drive's process to its campaign, one line each.
 
 use std::io::Write as _;
 
@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::recording_judge::Outcome;
 
-/// A line that a drive reports.
+/// One report of a drive.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Line {
-    /// The number of faults that are done.
+    /// The number of completed faults.
     Done(u64),
-    /// Stop this process for this number of milliseconds, then continue it.
+    /// Request to stop the drive's process for this number of milliseconds.
     Hold(i32),
-    /// The run has ended: what became of each fault, and what was wrong with the run as a whole.
+    /// The run has ended: the outcome of each fault, and the violations of the run as a whole.
     Ended(Vec<Outcome>, Vec<String>),
 }
 

@@ -1,5 +1,5 @@
-//! One drive of a campaign with real processes. It is a process of its own, which reports what each
-//! fault cost.
+//! One drive of a campaign with real processes. A separate process runs the drive, and reports the
+//! outcome of each fault.
 
 use anyhow::Context as _;
 use rustix::process::{Signal, set_parent_process_death_signal};
@@ -19,12 +19,12 @@ use tandem::files::RunFiles;
 use tandem::run;
 
 const POLL_PERIOD: Duration = Duration::from_ms(10);
-/// Injects the faults of these numbers in one run.
+/// Injects the faults with these numbers in one run.
 ///
 /// # Errors
 /// If the run does not start or leaves no recording.
 pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
-    // The campaign may be killed: its run then ends as by Ctrl-C.
+    // If the campaign is killed, its run ends as after Ctrl-C.
     set_parent_process_death_signal(Some(Signal::TERM))?;
     let folder = tempfile::tempdir().context("a folder")?;
     let args = arguments(numbers, &folder.path().join("report"), &[])?;
@@ -72,7 +72,7 @@ fn inject_all(
             break;
         }
     }
-    // The recording has the consequences of the last fault.
+    // Wait, so that the recording contains the consequences of the last fault.
     clock::sleep_until(clock::now() + Duration::from_ms(SETTLED_MS));
     Ok(done)
 }
@@ -82,7 +82,7 @@ fn roles(backplane: Backplane) -> [RoleLamp; 2] {
 }
 
 /// Waits until one system is master and the other its standby, and returns the master. Switches on
-/// a system that has no power, and switches one off and on that has suspended itself.
+/// a system without power, and switches a suspended system off and on.
 fn heal(injection: &Injection, injected: &mut Injected) -> Option<SystemId> {
     let backplane = injection.backplane();
     let begin = clock::now();
@@ -109,12 +109,12 @@ fn heal(injection: &Injection, injected: &mut Injected) -> Option<SystemId> {
     None
 }
 
-/// Waits until this time after a control frame of the driver.
+/// Waits until `phase` after a control frame of the driver.
 fn wait_for_phase(backplane: Backplane, driver: SystemId, phase: Duration) -> anyhow::Result<()> {
     let mut tap = BusTap::new(backplane)
         .map_err(|error| anyhow::anyhow!("the bus cannot be read: {error:?}"))?;
     let id = CanId::Standard(Control::IDS[driver.index()]);
-    // If the driver sends no frame within 100 ms, take any phase.
+    // If the driver sends no frame within 100 ms, accept any phase.
     let until = clock::now() + Duration::from_ms(100);
     while clock::now() < until {
         while let Some((_, received)) = tap.try_next() {

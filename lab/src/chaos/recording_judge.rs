@@ -1,4 +1,4 @@
-//! The outcome of each fault of a run, from the recording: the analysis that judges every run.
+//! Computes the outcome of each fault from the recording, with the analysis that judges every run.
 
 use serde::{Deserialize, Serialize};
 use tandem_board_host::Wire;
@@ -21,17 +21,17 @@ use tandem::run::Recorded;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outcome {
     pub(super) number: u64,
-    /// The fault, as `cut can of the master`.
+    /// The fault in words, for example `cut can of the master`.
     pub(super) class: String,
-    /// Whether the fault leaves the frames of the system that drives as they are.
+    /// Whether the control frames of the driving system are unaffected by the fault.
     pub(super) spares_control: bool,
-    /// From the injection until the other system reacted, ms.
+    /// Time from the injection until the other system reacted, ms.
     pub(super) detection_ms: Option<f64>,
-    /// The longest time without control, ms, without what stalls excuse.
+    /// The longest time without control, ms, without the parts that stalls excuse.
     pub(super) gap_ms: f64,
-    /// The bound of that time: that of the sign which ended it.
+    /// The bound of that time, by the sign that ended it, ms.
     pub(super) bound_ms: f64,
-    /// From the last control frame before the fault to the fault.
+    /// Time from the last control frame before the fault to the fault, ms.
     pub(super) phase_ms: f64,
     pub(super) power_cycles: u32,
     /// Gaps that stalls of the machine explain, in words.
@@ -39,10 +39,10 @@ pub(super) struct Outcome {
     pub(super) violations: Vec<String>,
 }
 
-/// The outcome of each fault of a run, and the violations of the run as a whole.
+/// Returns the outcome of each fault of a run, and the violations of the run as a whole.
 ///
 /// # Errors
-/// If a fault cannot be found again.
+/// If the sequence of a fault cannot be created again.
 pub(super) fn judge(
     source: &Source,
     recorded: &Recorded<Vec<Injected>>,
@@ -57,7 +57,7 @@ pub(super) fn judge(
     };
     let mut outcomes = Vec::new();
     for (index, injected) in recorded.done.iter().enumerate() {
-        // Everything up to the next fault belongs to this one.
+        // All events until the next fault belong to this fault.
         let next = recorded.done.get(index + 1);
         let until_ns = next.map_or(u64::MAX, |next| next.at_ns);
         let (sequence, _) = source.sequence(injected.number)?;
@@ -71,13 +71,13 @@ pub(super) fn judge(
     Ok((outcomes, wrong))
 }
 
-/// How an old master learns of the new one, from the soonest to the latest.
+/// How an old master learns of the new one, from the earliest to the latest.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Hears {
     All,
-    /// It is cut off the bus. When the wire is whole again, it sends until it hears the next frame.
+    /// It is cut off the bus. After the repair it sends until it receives the next frame.
     WhenRepaired,
-    /// Its receiver is dead.
+    /// Its receiver is dead, so it learns of the new master over the link.
     OverTheLink,
 }
 
@@ -113,7 +113,7 @@ impl Run<'_> {
             &self.stalls,
             [at_ns, until_ns],
         );
-        // A gap that the next fault ends belongs to that fault.
+        // A gap that ends after the next fault belongs to that fault.
         times.retain(|gap| gap.to_ns <= until_ns);
         let longest = times
             .iter()
@@ -128,7 +128,7 @@ impl Run<'_> {
         let beyond = times.iter().filter(|gap| gap.ms() > gap.bound_ms);
         let beyond = beyond.map(|gap| GapFigures::of(log, gap).finding());
         let (excused, mut findings): (Vec<Finding>, Vec<_>) = beyond.partition(|it| it.excused);
-        // A bus that a fault stops is no stall of the machine.
+        // A bus that a fault stops is not a stall of the machine.
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
         let excused = excused.into_iter().filter(|_| is_machine);
@@ -157,7 +157,7 @@ impl Run<'_> {
         }
     }
 
-    /// Findings about the systems that drove.
+    /// Returns the findings about the systems that drove.
     fn of_masters(
         &self,
         within: &dyn Fn(u64) -> bool,
@@ -187,7 +187,7 @@ impl Run<'_> {
             term: frame.term,
             verdict: frame.verdict,
         });
-        // A stalled machine is another matter: then the old master found that it was held up.
+        // Ignore takeovers from a master that a stall of the machine held up.
         let mut relieved = takeovers.iter().filter(|it| !it.held_up);
         let observed = Observed {
             faults: &sequence.faults,
@@ -212,7 +212,7 @@ impl Run<'_> {
                 let one_ms = self.bounds.limits.deaf_hand_over.as_ms_f64();
                 hand_overs(&takeovers) as f64 * one_ms
             }
-            // It hears the next frame.
+            // The repaired master receives the next frame.
             Hears::WhenRepaired => takeovers.len() as f64 * HAND_OVER_MS,
         };
         found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
@@ -221,7 +221,7 @@ impl Run<'_> {
         found
     }
 
-    /// From the injection to the first change of phase of the system that did not fail.
+    /// Returns the time from the injection to the first change of phase of the healthy system.
     fn detection_ms(&self, sequence: &Sequence, injected: &Injected, until_ns: u64) -> Option<f64> {
         let [fault] = &sequence.faults[..] else {
             return None;
@@ -241,7 +241,7 @@ impl Run<'_> {
     }
 }
 
-/// The fault, in words.
+/// Returns the fault in words.
 pub(super) fn class(sequence: &Sequence) -> String {
     let of = |way| match way {
         Way::A => " of the master",

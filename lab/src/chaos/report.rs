@@ -1,4 +1,4 @@
-//! The result of a campaign, as text of one screen and as figures.
+//! The result of a campaign, as one screen of text and as figures.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,10 +9,10 @@ use super::Source;
 use super::recording_judge::Outcome;
 use tandem::percentiles::Spans;
 
-/// Upper ends of the histogram's columns, ms; one more column is open.
+/// Upper limits of the histogram's columns, ms. One more column has no upper limit.
 const COLUMNS_MS: [f64; 7] = [10.5, 11.5, 13.0, 15.0, 17.0, 19.0, 21.0];
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-/// Violations that are printed one by one; the figures have all.
+/// Number of violations that are printed one by one. The figures contain all.
 const SHOWN: usize = 12;
 
 /// The result of a campaign.
@@ -41,7 +41,7 @@ impl<'o> Class<'o> {
         }
     }
 
-    /// A column for each span of gaps; its height is the share of the span.
+    /// Draws one column for each range of gaps. Its height is the share of gaps in that range.
     fn histogram(&self) -> String {
         let mut counts = [0_usize; COLUMNS_MS.len() + 1];
         for outcome in &self.of {
@@ -70,7 +70,7 @@ impl<'o> Class<'o> {
     }
 }
 
-/// Returns the number of faults with a violation, and of violations of runs as a whole.
+/// Counts the faults with a violation, and the violations of runs as a whole.
 pub(super) fn violated(found: &Found) -> usize {
     let bad = found.outcomes.iter().filter(|it| !it.violations.is_empty());
     bad.count() + found.wrong.len()
@@ -88,8 +88,8 @@ fn classes<'o>(
     of.into_iter().map(class).collect()
 }
 
-/// The name of a row on the terminal. Faults that leave the control frames as they are share two
-/// rows.
+/// Returns the name of a row on the terminal. Faults that do not affect the control frames share
+/// two rows.
 fn row_of(outcome: &Outcome) -> String {
     let of_standby = outcome.class.ends_with(" of the standby");
     match outcome.spares_control {
@@ -99,7 +99,7 @@ fn row_of(outcome: &Outcome) -> String {
     }
 }
 
-/// The report on the terminal.
+/// Returns the report for the terminal.
 pub(super) fn text(source: &Source, found: &Found) -> String {
     let mut text = String::new();
     let mut line = |words: String| {
@@ -153,7 +153,7 @@ pub(super) fn text(source: &Source, found: &Found) -> String {
     text
 }
 
-/// The figures.
+/// Returns the figures for `--json`.
 pub(super) fn json(source: &Source, found: &Found) -> serde_json::Value {
     let classes: Vec<_> = classes(&found.outcomes, |outcome| outcome.class.clone())
         .iter()
@@ -250,7 +250,7 @@ mod tests {
         assert!((names[1]["gap_max_ms"].as_f64().unwrap_or(0.0) - 24.0).abs() < 0.01);
     }
 
-    /// A thousand faults of every kind fit on one screen.
+    /// The report of a thousand faults of all kinds fits on one screen.
     #[test]
     fn the_report_of_a_thousand_faults_is_one_screen() {
         let source = Source {

@@ -9,33 +9,33 @@ use tandem_board::{Duration, Instant, RoleLamp, SystemId};
 use crate::args::{Cli, Command};
 use tandem::args::RunArgs;
 
-/// After everything was restored, the systems must be master and standby again within this time.
+/// After the restoration, the systems must be master and standby again within this time.
 pub(super) const HEALED_WITHIN: Duration = Duration::from_ms(60_000);
-/// A system that has suspended itself for this long is switched off and on.
+/// A system that has been suspended for this long is switched off and on.
 pub(super) const SUSPENDED_FOR: Duration = Duration::from_ms(3_000);
-/// The systems have been master and standby for at least this long before a fault, ms.
+/// The systems must have been master and standby for at least this long before a fault, ms.
 pub(super) const SETTLED_MS: u64 = 300;
-/// A round ends within this time; the run is long enough for all.
+/// The longest duration of a round, s. The run is long enough for all its rounds.
 const LONGEST_FAULT_S: f64 = 12.0;
 
-/// One sequence of faults that was injected.
+/// One injected sequence of faults.
 #[derive(Clone, Debug)]
 pub(super) struct Injected {
     pub(super) number: u64,
-    /// The system that drove.
+    /// The system that drove at the injection.
     pub(super) driver: SystemId,
-    /// When, ns.
+    /// Time of the injection, ns.
     pub(super) at_ns: u64,
-    /// When the systems were master and standby again, ns.
+    /// Time at which the systems were master and standby again, ns.
     pub(super) healed_ns: Option<u64>,
-    /// How often a system that had suspended itself was switched off and on.
+    /// Number of times that a suspended system was switched off and on.
     pub(super) power_cycles: u32,
-    /// The roles when the wait was over, for a message.
+    /// The roles at the end of the wait, for a message.
     pub(super) roles: [RoleLamp; 2],
 }
 
 impl Injected {
-    /// A sequence that begins now, with what is known then.
+    /// Creates the record of a sequence that begins at `at`.
     pub(super) const fn new(number: u64, driver: SystemId, at: Instant) -> Self {
         Self {
             number,
@@ -48,7 +48,7 @@ impl Injected {
     }
 }
 
-/// The arguments of a run that is long enough for these faults.
+/// Returns the arguments of a run that is long enough for these faults.
 pub(super) fn arguments(numbers: &[u64], out: &Path, further: &[&str]) -> anyhow::Result<RunArgs> {
     let duration_s = (numbers.len() as f64 * LONGEST_FAULT_S + 60.0).min(3_600.0);
     let line =
@@ -64,13 +64,13 @@ pub(super) fn arguments(numbers: &[u64], out: &Path, further: &[&str]) -> anyhow
     }
 }
 
-/// How long the systems have been master and standby before a fault: another time for each, so that
-/// the faults meet the control cycle everywhere.
+/// Returns how long the systems must be master and standby before this fault. The time differs
+/// between faults, so that they occur in all phases of the control cycle.
 pub(super) fn settled(number: u64) -> Duration {
     Duration::from_ms(SETTLED_MS + number.wrapping_mul(7_919) % 311)
 }
 
-/// The system that drives, if the other is its standby. By the roles of A and B.
+/// Returns the system that drives, if the other is its standby. `roles` are those of A and B.
 pub(super) fn driver(roles: [RoleLamp; 2]) -> Option<SystemId> {
     SystemId::ALL.into_iter().find(|system| {
         let of = |system: SystemId| roles[system.index()];

@@ -15,28 +15,28 @@ use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
 use tandem_vehicle::{Scenario, World, WorldMetrics};
 
-/// The picture has a point of the ego's path this often, and the road one this often, m.
+/// Intervals between points in the picture: of the ego's path, and of the road, m.
 const PATH_STEP: Duration = Duration::from_ms(200);
 const ROAD_STEP_M: f64 = 4.0;
-/// The road in the picture reaches so far around the path, m.
+/// Distance around the path up to which the picture shows the road, m.
 const ROAD_AROUND_M: f64 = 40.0;
-/// A drive without an accepted control frame by then is given up.
+/// A drive ends if no control frame was accepted by this time.
 const GIVE_UP: Duration = Duration::from_ms(15_000);
 
-/// Slower is standing, m/s.
+/// A vehicle slower than this is standing, m/s.
 const STANDING: f64 = 0.1;
-/// The domain ends no farther ahead of a vehicle that stopped for it, m.
+/// Largest distance to the end of the domain at which a standing vehicle has stopped for it, m.
 const STOPPED_BEFORE_M: f64 = 50.0;
 
 /// The verdict on a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Verdict {
-    /// To the end of the asked time.
+    /// It was driven to the end of the requested time.
     Driven,
-    /// It stopped where its domain ended.
+    /// The vehicle stopped before the end of its domain.
     Stopped,
-    /// It was not begun.
+    /// The scenario was not started.
     Refused,
 }
 
@@ -46,44 +46,44 @@ pub(crate) struct Judgement {
     /// Name of the file in its folder.
     pub(crate) file: String,
     pub(crate) verdict: Verdict,
-    /// Why it was refused or stopped; empty if driven.
+    /// Reason why it was refused or stopped; empty if driven.
     pub(crate) reason: String,
-    /// The ego touched another vehicle.
+    /// Whether the ego touched another vehicle.
     pub(crate) collision: bool,
-    /// In one of the collisions it was the cause.
+    /// Whether the ego caused one of the collisions.
     pub(crate) collision_by_ego: bool,
-    /// It was hit while it stood.
+    /// Whether the ego was hit while it stood.
     pub(crate) hit_while_standing: bool,
-    /// How far its centre was outside of all lanes of its direction, m.
+    /// Largest distance of its centre from all lanes of its direction, m.
     pub(crate) excursion_m: f64,
-    /// Whether a goal of the file was reached in time; `null` if it names none.
+    /// Whether a goal of the file was reached in time; `null` if the file has none.
     pub(crate) goal_reached: Option<bool>,
-    /// How near the place of a goal was in its time, if none was reached; empty otherwise.
+    /// The smallest distance to a goal in its time, if none was reached; empty otherwise.
     pub(crate) goal_missed: String,
-    /// Time that it drove where the operational design domain has ended, s.
+    /// Time driven outside the operational design domain, s.
     pub(crate) outside_domain_s: f64,
-    /// When the function first asked the driver to take over, and when it stopped by itself, s.
+    /// Times of the function's first takeover request, and of its stop by itself, s.
     pub(crate) takeover_asked_s: Option<f64>,
     pub(crate) safe_stop_s: Option<f64>,
     /// Time on lanes of the other direction, s.
     pub(crate) wrong_way_s: f64,
-    /// Time that it stood without a reason ahead, s.
+    /// Time for which it stood although nothing ahead required it, s.
     pub(crate) standing_s: f64,
     pub(crate) lateral_error_max_m: f64,
     pub(crate) brake_max: f64,
-    /// Why it braked with more than 4 m/s²; empty if it did not.
+    /// Reason why it braked with more than 4 m/s²; empty if it did not.
     pub(crate) brake_reason: String,
     /// Largest jerk over 100 ms, m/s³.
     pub(crate) jerk_max: f64,
-    /// The same two outside emergencies: situations that need more than 3 m/s².
+    /// The same two values outside emergencies: situations that need more than 3 m/s².
     pub(crate) calm_brake_max: f64,
     pub(crate) calm_jerk_max: f64,
     pub(crate) lat_accel_max: f64,
     pub(crate) lane_changes: u32,
-    /// Scenario time and way that were driven, s and m.
+    /// Scenario time driven, s, and distance driven, m.
     pub(crate) driven_s: f64,
     pub(crate) distance_m: f64,
-    /// The rules of a good run that the drive broke.
+    /// The rules of the verdict that the drive broke.
     pub(crate) findings: Vec<Finding>,
     /// The parts of the file that are not used.
     pub(crate) warnings: Vec<String>,
@@ -91,18 +91,18 @@ pub(crate) struct Judgement {
     pub(crate) picture: Picture,
 }
 
-/// What the page draws of a drive, m.
+/// The content of the page's picture of a drive, m.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Picture {
     /// Left and right borders of lanes.
     pub(crate) lanes: Vec<[Vec<Vec2>; 2]>,
     pub(crate) path: Vec<Vec2>,
-    /// Where the others are at the end, as corners.
+    /// The other vehicles at the end, as corners.
     pub(crate) others: Vec<[Vec2; 4]>,
     pub(crate) hit_at: Option<Vec2>,
 }
 
-/// Drives the file for `duration_s` at most.
+/// Drives the file for at most `duration_s`, and judges the drive.
 pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Judgement {
     let path = folder.join(file);
     let scenario = match Scenario::read(&path) {
@@ -191,7 +191,7 @@ fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
     }
 }
 
-/// Both systems drive in the world until `duration_s` have passed in it.
+/// Both systems drive in the world until `duration_s` of its time have passed.
 fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Picture) {
     let config = Config {
         seed,
@@ -210,7 +210,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
     let mut picture = Picture::default();
     loop {
         pair.run_for(PATH_STEP);
-        // Drops the records for observers, which are not needed here.
+        // Drop the records for observers, which are not needed here.
         pair.take_trace();
         pair.take_bus_log();
         let world = shared.borrow();
@@ -227,7 +227,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
     (shared, picture)
 }
 
-/// The lanes around the path.
+/// Returns the borders of the lanes around the path.
 fn lanes(road: &Road, path: &[Vec2]) -> Vec<[Vec<Vec2>; 2]> {
     let around = |lane: &RoadLane| {
         let stations = path.iter().step_by(5).map(|point| lane.project(*point).s);

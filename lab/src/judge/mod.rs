@@ -18,8 +18,8 @@ use tandem::failure::Failure;
 /// Judges all scenarios of the folder.
 ///
 /// # Errors
-/// The folder cannot be read or has no scenario, a result cannot be written, or the ego caused a
-/// collision.
+/// If the folder cannot be read or has no scenario, a result cannot be written, or the ego caused
+/// a collision.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let files = scenarios(&args.folder).map_err(Failure::Usage)?;
     let places = [
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     }
 }
 
-/// Names of the CommonRoad files in the folder, sorted.
+/// Returns the names of the CommonRoad files in the folder, sorted.
 fn scenarios(folder: &Path) -> anyhow::Result<Vec<String>> {
     let named = || folder.display().to_string();
     let mut files = Vec::new();
@@ -64,7 +64,7 @@ fn scenarios(folder: &Path) -> anyhow::Result<Vec<String>> {
     Ok(files)
 }
 
-/// Judges on several threads; the order of the result is that of `files`.
+/// Judges the files on several threads. The results are in the order of `files`.
 fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
     let bar = work::bar(files.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
     let judged = work::on_threads(args.jobs, files.iter(), |file| {
@@ -77,7 +77,7 @@ fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
     judged
 }
 
-/// One line for each file, and sums.
+/// Returns one line for each file, and sums.
 fn table(judged: &[Judgement]) -> String {
     let longest = judged.iter().map(|it| it.file.len()).max().unwrap_or(0);
     let mut text = format!(
@@ -144,7 +144,7 @@ fn goal(judgement: &Judgement) -> &'static str {
 }
 
 impl Judgement {
-    /// The reason, the findings and further remarks, in one line.
+    /// Returns the reason, the findings and further remarks, in one line.
     fn remark(&self) -> String {
         let mut remarks = vec![];
         if !self.reason.is_empty() {
@@ -156,7 +156,7 @@ impl Judgement {
             }
         };
         remark(!self.goal_missed.is_empty(), self.goal_missed.clone());
-        // Collisions and excursions have columns of their own.
+        // Omit collisions and excursions, because they have their own columns.
         let own_column = [Rule::Collision, Rule::LeftLane];
         let findings = self.findings.iter();
         for finding in findings.filter(|it| !own_column.contains(&it.rule)) {
@@ -183,8 +183,8 @@ impl Judgement {
 mod tests {
     use super::*;
 
-    /// A scenario inside the domain is driven, one that starts beside the road and a broken file
-    /// are refused; the JSON has the names that scripts rely on.
+    /// A scenario inside the domain is driven. A scenario that starts beside the road and a broken
+    /// file are refused. The JSON has the names that scripts rely on.
     #[test]
     fn a_folder_is_judged() {
         let folder = tempfile::tempdir().unwrap();

@@ -12,13 +12,13 @@ use super::{goal, name, sums};
 
 /// Size of a picture in its own units.
 const SIZE: (f64, f64) = (300.0, 130.0);
-/// Room around the path in a picture, m.
+/// Margin around the path in a picture, m.
 const ROOM_M: f64 = 12.0;
 
-/// Whether a judgement belongs to a section of the page.
+/// Decides whether a judgement belongs to a section of the page.
 type Test = fn(&Judgement) -> bool;
 
-/// The page for the scenarios of this folder.
+/// Returns the page for the scenarios of this folder.
 pub(super) fn page(folder: &Path, judged: &[Judgement]) -> String {
     let groups: [(&str, Test); 5] = [
         ("Collisions that the vehicle caused", |it| {
@@ -79,7 +79,7 @@ fn card(it: &Judgement) -> Markup {
     }
 }
 
-/// The road from above, north up, as large as fits.
+/// Draws the road from above, north up, as large as possible.
 fn picture(picture: &Picture, label: &str) -> Markup {
     let fold = |pick: fn(f64, f64) -> f64, of: &dyn Fn(&Vec2) -> f64, start: f64| {
         picture.path.iter().map(of).fold(start, pick)

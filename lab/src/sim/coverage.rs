@@ -1,4 +1,4 @@
-//! Which faults have hit a system in which state, and which have not.
+//! Counts which faults have hit a system in which state.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use super::outcome::Outcome;
 
 const STATES: usize = SequenceState::ALL.len();
 
-/// How often, by the label of the fault and the state.
+/// Number of hits, by the label of the fault and the state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Coverage(BTreeMap<String, [u64; STATES]>);
 
@@ -58,7 +58,7 @@ impl Coverage {
         serde_json::from_value(value.clone()).ok().map(Self)
     }
 
-    /// The table if it is `whole`, and a line that names the holes.
+    /// Returns the table if it is `whole`, and a line that names the missing combinations.
     pub(super) fn text(&self, whole: bool) -> String {
         let mut text = String::new();
         if whole {

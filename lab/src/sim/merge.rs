@@ -1,4 +1,4 @@
-//! Adds up the results of several machines or processes, each of a range of numbers.
+//! Adds up the results of several machines or processes, each for a range of numbers.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,13 +14,13 @@ use super::coverage::Coverage;
 use tandem::failure::Failure;
 use tandem::print;
 
-/// Numbers that were tried.
+/// A range of numbers that were tried.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Range {
-    /// The group, the limits and the times.
+    /// Names of the group, the limits and the durations.
     pub(super) name: String,
     pub(super) from: u64,
-    /// The one after the last.
+    /// The end of the range, exclusive.
     pub(super) to: u64,
     pub(super) step: u64,
 }
@@ -32,7 +32,7 @@ pub(super) struct Totals {
     pub(super) violations: u64,
     pub(super) simulated_s: f64,
     pub(super) wall_s: f64,
-    /// Time of all processors.
+    /// CPU time on all processors, s.
     pub(super) cpu_s: f64,
     pub(super) digest: u64,
 }
@@ -123,7 +123,8 @@ fn merged(files: &[PathBuf]) -> Result<(Totals, Map<String, Value>, Vec<Range>)>
             seeds: totals.seeds + part.seeds,
             violations: totals.violations + part.violations,
             simulated_s: totals.simulated_s + part.simulated_s,
-            // Assume that they ran one after the other: the files do not say what ran in parallel.
+            // Assume that they ran one after the other: the files do not show what ran in
+            // parallel.
             wall_s: totals.wall_s + part.wall_s,
             cpu_s: totals.cpu_s + part.cpu_s,
             digest: totals.digest.wrapping_add(digest),
@@ -140,7 +141,7 @@ fn overlap(one: &Range, other: &Range) -> bool {
     one.name == other.name && one.from < other.to && other.from < one.to
 }
 
-/// Adds figures to those that are there: numbers are added, maxima kept, and tables by their names.
+/// Merges figures into `sum`: adds numbers, keeps maxima, and merges tables by their names.
 fn add(sum: &mut Value, part: Value) {
     match (sum, part) {
         (sum @ Value::Null, part) => *sum = part,

@@ -1,4 +1,4 @@
-//! `tandem sim`: faults on the control cores of both systems, in virtual time.
+//! `tandem sim`: injects faults into the control cores of both systems, in virtual time.
 
 mod coverage;
 mod merge;
@@ -29,7 +29,7 @@ use tandem::failure::Failure;
 use tandem::output::ReportFolder;
 use tandem::print;
 
-/// Sequences that one process runs: each reset of a core leaves its board in memory.
+/// Number of sequences in one process. Each reset of a core leaves its board in memory.
 const CHUNK: u64 = 100;
 
 /// Arguments of `tandem sim`.
@@ -57,7 +57,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_parser = named(Group::ALL, Group::name), default_value = "random")]
     group: Vec<Group>,
 
-    /// Of single faults and pairs, every N-th only
+    /// Of single faults and pairs, try only every N-th
     #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN)]
     every: NonZero<u64>,
 
@@ -65,7 +65,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_parser = named(timings(), |it| it.0), default_value = "rt")]
     timing: (&'static str, Config),
 
-    /// What takes time: nothing, what is usual, or as much as was ever measured
+    /// Durations of jobs, frames and edges: none, typical ones, or the longest measured ones
     #[arg(long, value_parser = named(Time::ALL, Time::name), default_value = "ideal")]
     time: Time,
 
@@ -77,11 +77,11 @@ pub(crate) struct SimArgs {
     #[arg(long)]
     coverage: bool,
 
-    /// Add up what other runs wrote with --json, and end
+    /// Add up the --json files of other runs, and exit
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["faults", "only"])]
     merge: Vec<PathBuf>,
 
-    /// Print the story of one sequence, as random:137; with --faults, the seed alone
+    /// Print the story of one sequence, such as random:137; with --faults, give only the seed
     #[arg(long, value_name = "GROUP:NUMBER")]
     only: Option<String>,
 
@@ -89,7 +89,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE", requires = "only")]
     save: Option<PathBuf>,
 
-    /// With --only: write the report and the trace of this sequence to this folder, as of a run
+    /// With --only: write the report and the trace of this sequence to this folder, as for a run
     #[arg(long, value_name = "DIR", requires = "only")]
     out: Option<PathBuf>,
 
@@ -97,7 +97,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 
-    /// Run these sequences and end: what the campaign starts
+    /// Run these sequences and exit; the campaign starts this
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
     chunk: Option<Vec<u64>>,
 }
@@ -119,7 +119,7 @@ everything works again: gap, terms, role, flash; lane, distance and collisions.
 Exit status: 0 if no sequence violates what must be so, 1 if one does, 2 if an argument or a file is
 wrong.";
 
-/// The limits of the redundancy, by the names of their profiles.
+/// Returns the limits of the redundancy, by the names of their profiles.
 const fn timings() -> [(&'static str, Config); 3] {
     [
         ("chip", Config::chip()),
@@ -128,7 +128,7 @@ const fn timings() -> [(&'static str, Config); 3] {
     ]
 }
 
-/// The values of an option: all of these, by their names.
+/// Returns a parser for an option whose values are these, by their names.
 fn named<T, const N: usize>(
     all: [T; N],
     name: fn(T) -> &'static str,
@@ -157,7 +157,7 @@ impl SimArgs {
         }
     }
 
-    /// The arguments with which another process has the same profile.
+    /// Returns the arguments that give another process the same profile.
     fn profile_arguments(&self) -> Vec<String> {
         let words = ["--timing", self.timing.0, "--time", self.time.name()];
         let closed_loop = self.closed_loop.then_some("--closed-loop");
@@ -169,7 +169,7 @@ impl SimArgs {
     }
 }
 
-/// Where the sequences of a campaign are from.
+/// The source of a campaign's sequences.
 enum Source {
     Numbered(Group),
     File(FaultFile),
@@ -195,7 +195,7 @@ impl Source {
         }
     }
 
-    /// The first number, the one after the last, and the step.
+    /// Returns the first number, the number after the last, and the step.
     fn numbers(&self, arguments: &SimArgs) -> Result<(u64, u64, u64)> {
         let count = match self {
             Self::Numbered(group) => group.count(),
@@ -212,7 +212,7 @@ impl Source {
         ))
     }
 
-    /// The arguments by which another process finds the same sequences.
+    /// Returns the arguments with which another process creates the same sequences.
     fn arguments(&self) -> [String; 2] {
         let option = match self {
             Self::Numbered(_) => "--group",
@@ -221,7 +221,7 @@ impl Source {
         [option.to_owned(), self.name()]
     }
 
-    /// The command that prints the story of one of them.
+    /// Returns the command that prints the story of the sequence with this number.
     fn repeats(&self, number: u64, arguments: &SimArgs) -> String {
         let which = match self {
             Self::Numbered(group) => format!("--only {}:{number}", group.name()),
@@ -285,7 +285,7 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Which numbers of which sequences were tried.
+/// Returns the ranges of numbers that were tried, by source.
 fn ranges(sources: &[Source], arguments: &SimArgs) -> Result<Vec<merge::Range>> {
     let range = |source: &Source| {
         let (from, to, step) = source.numbers(arguments)?;
@@ -316,7 +316,7 @@ fn sources(arguments: &SimArgs) -> Result<Vec<Source>> {
     })
 }
 
-/// Prints the story of one sequence.
+/// Prints the story of one sequence: its events in order.
 fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failure> {
     let find = || -> Result<Sequence> {
         if let [file @ Source::File(_)] = sources {
@@ -365,7 +365,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
     }
 }
 
-/// Runs a part of a campaign in a process of its own, and prints a line for each sequence.
+/// Runs a part of a campaign in this process, and prints a line for each sequence.
 fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
     let (.., step) = source.numbers(arguments)?;
     for number in (chunk[0]..chunk[1]).step_by(usize::try_from(step)?) {
@@ -376,7 +376,7 @@ fn run_chunk(source: &Source, chunk: &[u64], arguments: &SimArgs) -> Result<()> 
     print(&format!("cpu {} {}\n", cpu.tv_sec, cpu.tv_nsec))
 }
 
-/// Runs the sequences in several processes at a time. Also returns the processor time.
+/// Runs the sequences in several processes in parallel. Also returns their CPU time.
 fn campaign(source: &Source, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
     let (from, to, step) = source.numbers(arguments)?;
     let style = "{bar:24.cyan/dim} {pos} of {len} sequences, {per_sec}, {eta} left {msg}";
@@ -425,7 +425,7 @@ fn run_in_process(
     Ok((outcomes, text.lines().find_map(cpu_of).unwrap_or_default()))
 }
 
-/// The processor time in the report of a process.
+/// Parses the CPU time in the report of a process.
 fn cpu_of(line: &str) -> Option<Duration> {
     let (s, ns) = line.strip_prefix("cpu ")?.split_once(' ')?;
     Some(Duration::new(s.parse().ok()?, ns.parse().ok()?))

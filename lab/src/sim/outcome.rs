@@ -1,5 +1,5 @@
-//! The outcome of one sequence for the campaign, and the line in which one process
-//! reports it to another.
+//! The outcome of one sequence for the campaign, and the line in which one process reports it to
+//! another.
 
 use serde::{Deserialize, Serialize};
 use tandem_faults::Kind;
@@ -10,17 +10,17 @@ use tandem_sim::{SequenceState, Tried};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Outcome {
     pub(super) number: u64,
-    /// The longest time without control.
+    /// The longest time without control, ns.
     pub(super) gap_ns: u64,
-    /// Systems that suspended themselves.
+    /// Number of systems that suspended themselves.
     pub(super) suspended: u64,
-    /// Virtual time of the run.
+    /// Virtual time of the run, ns.
     pub(super) simulated_ns: u64,
-    /// Every frame and event of the run, as one number.
+    /// A digest of all frames and events of the run.
     pub(super) digest: u64,
     pub(super) violations: Vec<Rule>,
-    /// What its faults hit: the label of the kind, and the place of the state in
-    /// [`SequenceState::ALL`].
+    /// The faults and the states of the systems that they hit: the label of the kind, and the
+    /// index of the state in [`SequenceState::ALL`].
     pub(super) covered: Vec<(String, usize)>,
 }
 
@@ -41,7 +41,7 @@ impl Outcome {
         }
     }
 
-    /// The line; [`Self::of`] reads it.
+    /// Returns the line that [`Self::of`] parses.
     pub(super) fn line(&self) -> serde_json::Result<String> {
         Ok(serde_json::to_string(self)? + "\n")
     }

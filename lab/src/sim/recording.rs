@@ -1,4 +1,4 @@
-//! The report of one simulated sequence: the same files as of a run.
+//! Writes the report of one simulated sequence, with the same files as for a run.
 
 use std::fmt::Write as _;
 
@@ -13,14 +13,14 @@ use tandem::collected::Collected;
 use tandem::metrics::Surroundings;
 use tandem::output::ReportFolder;
 
-/// Writes it. The story of the bench stays available.
+/// Writes the report. Afterwards `bench` still has its story.
 pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> Result<()> {
     let mut candump = String::new();
     for frame in bench.frames() {
         writeln!(candump, "{}", candump_line(&frame, 0))?;
     }
     let Profile { limits, time, .. } = profile;
-    // The vehicle hears what was on the bus once a millisecond.
+    // The vehicle receives frames once a millisecond.
     let on_bus = time.allowance() + Duration::from_ms(1);
     let around = Surroundings {
         granted: format!("virtual time, {time:?}; the world is not recorded").to_lowercase(),
@@ -45,13 +45,13 @@ mod tests {
     use tandem_faults::Group;
     use tandem_redundancy::Config;
 
-    /// A takeover that was simulated stands in the same files as one of processes.
+    /// The report of a simulated takeover has the same files as that of a run of processes.
     #[test]
     fn a_sequence_has_the_report_of_a_run() {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("report");
         let profile = Profile::from(Config::rt());
-        // Power loss of the master.
+        // The sequence is a power loss of the master.
         let (trial, mut bench) = profile.run(&Group::Single.sequence(1_420), true);
         let story = |bench: &mut Bench| bench.story().len();
         let before = story(&mut bench);

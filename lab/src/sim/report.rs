@@ -13,7 +13,7 @@ use super::coverage::Coverage;
 use super::outcome::Outcome;
 use super::{SimArgs, Source};
 
-/// Classes of a violation that are printed, and the number of sequences that are shrunk for them.
+/// The number of violation classes to print, and of sequences that are shrunk for them.
 const CLASSES: usize = 12;
 const SHRUNK: usize = 40;
 
@@ -21,16 +21,16 @@ const SHRUNK: usize = 40;
 #[derive(Default)]
 pub(super) struct Summary {
     pub(super) sequences: u64,
-    /// Sequences with a violation that is not a known one.
+    /// Number of sequences with a violation that is not known.
     pub(super) violated: u64,
     pub(super) simulated_ns: u64,
-    /// Sequences that end with a suspended system.
+    /// Number of sequences that end with a suspended system.
     suspended: u64,
     gap_ns: u64,
     violations: BTreeMap<String, usize>,
-    /// Known violations, by their reason.
+    /// Number of known violations, by their reason.
     known: BTreeMap<String, u64>,
-    /// The digests of all sequences, whatever their order.
+    /// Sum of the digests of all sequences, independent of their order.
     pub(super) digest: u64,
     pub(super) covered: Coverage,
 }
@@ -44,7 +44,7 @@ impl Summary {
         })
     }
 
-    /// Counts another campaign too.
+    /// Adds the counts of another campaign.
     pub(super) fn add(&mut self, other: &Self) {
         self.sequences += other.sequences;
         self.violated += other.violated;
@@ -54,7 +54,7 @@ impl Summary {
     }
 }
 
-/// The text and the figures of a campaign.
+/// Returns the text and the figures of a campaign.
 pub(super) fn of(
     source: &Source,
     outcomes: &[Outcome],
@@ -106,13 +106,13 @@ pub(super) fn of(
     Ok((text, summary))
 }
 
-/// Adds the digest of a sequence, so that the sum does not depend on the order.
+/// Adds the digest of a sequence to `sum`. The result does not depend on the order.
 const fn mixed(sum: u64, outcome: &Outcome) -> u64 {
     let own = outcome.digest ^ outcome.number.wrapping_mul(0x9E37_79B9_7F4A_7C15);
     sum.wrapping_add(own)
 }
 
-/// Which faults lead to a violation, the most frequent first, with a line that repeats each.
+/// Prints which faults lead to a violation, most frequent first, each with a command to repeat it.
 fn classes(
     source: &Source,
     rule: Rule,
@@ -139,7 +139,7 @@ fn classes(
     Ok(())
 }
 
-/// The bound of each single fault beside what was measured.
+/// Prints the bound of each single fault beside the measured gap.
 fn table(source: &Source, outcomes: &[Outcome], profile: Profile, text: &mut String) -> Result<()> {
     writeln!(
         text,

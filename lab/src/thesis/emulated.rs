@@ -10,13 +10,13 @@ use super::outputs::Done;
 use super::two_cores::{Counted, Exchange};
 use crate::emulated::image;
 
-/// In steps of a millisecond: the delay of switching A on after B, as in the thesis; the pause
-/// between two faults; and the longest wait for a state of the systems.
+/// Durations in steps of a millisecond: the delay of switching A on after B, as in the thesis; the
+/// pause between two faults; and the longest wait for a state of the systems.
 const STAGGER: u32 = 40;
 const PAUSE: u32 = 1_000;
 const PATIENCE: u32 = 10_000;
 
-/// Returns the messages of the image `thesis`, and its counts without the lock and with it.
+/// Returns the messages of the image `thesis`, and its counts without and with the lock.
 pub(super) fn two_cores() -> anyhow::Result<(Vec<Exchange>, [Counted; 2])> {
     let log = tandem_board_qemu::run_to_end(&image("thesis", None)?)?;
     parse(&log).with_context(|| format!("the image has another version: {log}"))
@@ -57,7 +57,7 @@ fn parse(log: &str) -> Option<(Vec<Exchange>, [Counted; 2])> {
     ))
 }
 
-/// Both systems as firmware, with the vehicle.
+/// Both systems as firmware, and the vehicle.
 struct Emulated {
     systems: EmulatedWorld,
     vehicle: World,
@@ -95,7 +95,7 @@ impl Emulated {
 }
 
 impl Emulated {
-    /// Starts the systems one after the other, in this many machines. A then drives.
+    /// Starts the systems one after the other, in one or two machines. A then drives.
     fn start(layout: WorldLayout) -> anyhow::Result<Self> {
         let options = MachineOptions {
             reintegrate: true,
@@ -122,14 +122,14 @@ impl Emulated {
     }
 }
 
-/// Records a start. Both systems run in one machine: between two machines an edge takes 1 to 2 ms,
-/// longer than the time to be measured.
+/// Records a start. Both systems run in one machine, because an edge between two machines takes 1
+/// to 2 ms, which is longer than the time to be measured.
 pub(super) fn start() -> anyhow::Result<RunLog> {
     Emulated::start(WorldLayout::One)?.end()
 }
 
-/// Records two takeovers: core 0 of A raises an exception, so A is reset and returns as standby;
-/// then B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
+/// Records two takeovers. Core 0 of A raises an exception, so A is reset and returns as standby.
+/// Then B loses its power. Each system is a separate machine, with its tasks under FreeRTOS.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut of = Emulated::start(WorldLayout::Two)?;
     let reset_ns = of.systems.reported().as_ns();

@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(40);
 /// Time of undisturbed driving between two faults.
 const PAUSE: Duration = Duration::from_millis(1_500);
 
-/// The run in which the faults happen.
+/// Returns the arguments of the run in which the faults happen.
 fn arguments() -> anyhow::Result<RunArgs> {
     let line =
         "tandem run --scenario free-lane --duration 90s --reintegrate --quiet --stagger 40ms";
@@ -32,7 +32,7 @@ fn arguments() -> anyhow::Result<RunArgs> {
     }
 }
 
-/// Records a staggered start and two takeovers: core 0 of A is killed, which resets A; when A has
+/// Records a staggered start and two takeovers. Core 0 of A is killed, which resets A. After A has
 /// returned as standby, the supply of B is killed.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Beside, Done)> {
     let recorded = run::recorded(&arguments()?, |injection, _| {
@@ -72,7 +72,7 @@ fn wait(backplane: Backplane, lamps: [RoleLamp; 2]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Returns two CPUs for the experiments between two cores; the same one twice if there is only one.
+/// Returns two CPUs for the experiments between two cores, or twice the only CPU.
 pub(super) fn cpus() -> anyhow::Result<[usize; 2]> {
     let ids = core_affinity::get_core_ids().context("cannot list the CPUs")?;
     let first = ids.first().context("there is no CPU")?;

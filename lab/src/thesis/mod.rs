@@ -1,5 +1,5 @@
-//! `tandem thesis`: the experiments of chapter 6 of the thesis, its figures beside the measured
-//! ones.
+//! `tandem thesis`: runs the experiments of chapter 6 of the thesis, and prints its figures beside
+//! the measured ones.
 
 mod emulated;
 mod host;
@@ -25,25 +25,25 @@ use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 use two_cores::{Counted, Exchange};
 
-/// The figures of the thesis, and the bounds of the measured ones.
+/// The figures of the thesis, and the bounds for the measured figures.
 const SYNC_NS: f64 = 660.0;
 const SKEW_US: f64 = 572.0;
-/// Both systems must see the sync edge within a heartbeat period, or they miss the first
+/// Both systems must receive the sync edge within one heartbeat period, or they miss the first
 /// heartbeats.
 const SKEW_BOUND_US: f64 = 1_000.0;
 const RESET_MS: f64 = 2.08;
 const POWER_MS: f64 = 4.04;
-/// The control period: a response within it costs no control frame.
+/// The control period. A response within it costs no control frame.
 const RESPONSE_BOUND_MS: f64 = 10.0;
-/// A tick of the kernel.
+/// One tick of the kernel.
 const PERIOD_BOUND_MS: f64 = 1.0;
 
-/// Messages of the experiment with 4 bytes. One byte of the payload counts, as in the thesis.
+/// Number of 4-byte messages in the experiment. One byte of the payload counts, as in the thesis.
 const MESSAGES: u32 = 250;
-/// Increments of each core.
+/// Number of increments by each core.
 const INCREMENTS: u32 = 10_000;
 const INCREMENTS_SIMULATED: u32 = 100;
-/// Attempts to lose an increment: on a busy machine the two cores may not run at the same time.
+/// Attempts to lose an increment. On a busy machine the two cores may not run at the same time.
 const ATTEMPTS: u32 = 20;
 /// Number of messages that are printed.
 const SHOWN: usize = 11;
@@ -60,7 +60,7 @@ struct Row {
     bound: f64,
     unit: &'static str,
     ok: bool,
-    /// What the measured figure is.
+    /// Description of the measured figure.
     means: String,
 }
 
@@ -82,7 +82,7 @@ impl Row {
         Self { means, ..self }
     }
 
-    /// Requires that this also holds.
+    /// Adds a condition that must also hold.
     fn and(self, also: bool) -> Self {
         let ok = self.ok && also;
         Self { ok, ..self }
@@ -106,7 +106,7 @@ struct Json<'a> {
 /// Runs the experiments, prints their results, and writes the files.
 ///
 /// # Errors
-/// [`Failure::Run`] if an experiment cannot be run, [`Failure::Objections`] if a figure is beyond
+/// [`Failure::Run`] if an experiment cannot be run, [`Failure::Objections`] if a figure exceeds
 /// its bound.
 pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
     let places = [
@@ -146,7 +146,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     let mut shown = Shown::default();
     match args.board {
         ThesisBoard::Host => {
-            // Fork first: a process with threads must not fork.
+            // Fork before any thread exists: a process with threads must not fork.
             let cpus = host::cpus()?;
             shown.exchange(
                 &two_cores::exchanges(cpus, MESSAGES)?,
@@ -181,7 +181,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             shown.start(&emulated::start()?, "both systems in one machine")?;
             let (log, done) = emulated::takeovers()?;
             shown.takeovers(&log, done, "the emulator's time")?;
-            // The bus moves once a millisecond, and so does what passes between the machines.
+            // The bus, and the connections between the machines, move data once a millisecond.
             shown.verdict(&log, &virtual_time(Duration::from_ms(4)));
             shown.kernel(DemoBoard::Qemu)?;
             shown.download(DemoBoard::Qemu)?;
@@ -190,8 +190,8 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     Ok(shown)
 }
 
-/// The knowledge beside a recording in virtual time, with the limits of the profile rt. `on_bus`:
-/// how much later than sent a frame arrives.
+/// Returns the facts beside a recording in virtual time, with the limits of the profile rt.
+/// `on_bus` is the longest delay from sending a frame to its arrival.
 fn virtual_time(on_bus: Duration) -> Beside {
     Beside {
         bounds: Bounds::new(Limits::RT, on_bus, Duration::ZERO),
@@ -214,7 +214,7 @@ fn attempts(count: impl Fn() -> anyhow::Result<Counted>) -> anyhow::Result<Count
 }
 
 impl Shown {
-    /// 6.4.2: 4 bytes from core 0 to the woken task of core 1.
+    /// 6.4.2: sends 4 bytes from core 0 to the woken task of core 1.
     fn exchange(&mut self, exchanges: &[Exchange], means: &str) {
         self.text += "6.4.2  4 bytes from core 0 to the task that they wake on core 1\n";
         self.text += "       core 0 sent    core 1 received       took\n";
@@ -277,11 +277,11 @@ impl Shown {
             locked.increments,
             free.lost()
         );
-        // Without the lock the error must occur, or the experiment shows nothing.
+        // Without the lock an increment must be lost, or the experiment shows nothing.
         self.rows.push(row.means(means).and(free.lost() > 0));
     }
 
-    /// 6.5.1: the time between the ends of the start protocol in both systems.
+    /// 6.5.1: measures the time between the ends of the start protocol in both systems.
     fn start(&mut self, log: &RunLog, means: &str) -> anyhow::Result<()> {
         let skew_ns = start::skew_ns(log);
         let skew_us = skew_ns.context("the systems did not start together")? as f64 * 1e-3;
@@ -295,7 +295,7 @@ impl Shown {
         Ok(())
     }
 
-    /// 6.5.2: the two takeovers with their four events.
+    /// 6.5.2: shows the two takeovers with their four events.
     fn takeovers(&mut self, log: &RunLog, done: Done, clock: &'static str) -> anyhow::Result<()> {
         let outputs = Outputs::new(log, done, clock).context("a system did not take over")?;
         let _ = writeln!(
@@ -315,7 +315,7 @@ impl Shown {
         Ok(())
     }
 
-    /// The rules of a good run, as far as they are about the systems that drive.
+    /// Applies the rules of the verdict that are about the driving systems.
     fn verdict(&mut self, log: &RunLog, beside: &Beside) {
         let about_systems = [
             Rule::Gap,
@@ -337,14 +337,14 @@ impl Shown {
         }));
     }
 
-    /// 6.4.1 on a board of the demonstrations.
+    /// 6.4.1: runs the kernel's tests on a board of the demonstrations.
     fn kernel(&mut self, board: DemoBoard) -> anyhow::Result<()> {
         let pictures = rtos_demo::pictures(board, None)?;
         self.periods(&pictures, "periods of the outputs");
         Ok(())
     }
 
-    /// 6.4.1: periods of 60, 40 and 20 ms, and preemption.
+    /// 6.4.1: checks periods of 60, 40 and 20 ms, and preemption.
     fn periods(&mut self, pictures: &[rtos_demo::Picture], means: &str) {
         self.text += "6.4.1  tasks of FreeRTOS\n";
         for picture in pictures {
@@ -364,7 +364,7 @@ impl Shown {
         self.rows.push(row.means(means));
     }
 
-    /// 6.3: a download and the first frame of each core. T-BOOT-8
+    /// 6.3: shows a download and the first frame of each core. T-BOOT-8
     fn download(&mut self, board: DemoBoard) -> anyhow::Result<()> {
         let downloaded = boot_demo::experiment(board, None)?;
         let _ = writeln!(self.text, "6.3    {downloaded}");
@@ -377,7 +377,7 @@ impl Shown {
     }
 }
 
-/// Returns a table of the results: figure of the thesis, measured figure, bound.
+/// Returns a table of the results: the thesis's figure, the measured figure, and the bound.
 fn table(rows: &[Row]) -> String {
     let mut text = format!(
         "{:<16} {:>9} {:>9} {:>9}  {:<7}     what is measured here\n",
@@ -451,14 +451,14 @@ mod tests {
         }
     }
 
-    /// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments in virtual time, as the command runs
-    /// them.
+    /// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments in virtual time stay within their
+    /// bounds.
     #[test]
     fn the_experiments_in_virtual_time_keep_their_bounds() {
         let mut shown = Shown::default();
         let count = |locked| simulated::counter(10, locked).unwrap();
         let (free, locked) = (count(false), count(true));
-        // Figure 6.17: both cores read the same value, and both write the same one back.
+        // Figure 6.17: both cores read the same value, and both write the same incremented value.
         assert_eq!(free.seen[0], free.seen[1]);
         assert_eq!((free.counter, locked.counter), (10, 20));
         shown.count(&free, &locked);

@@ -2,7 +2,7 @@
 //! between their edges.
 //!
 //! The output of a system is high while the system drives. It falls when the system fails. The
-//! output of the other system rises when that has detected the failure and taken over.
+//! other system's output rises after that system has detected the failure and taken over.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::RoleCode;
@@ -12,19 +12,19 @@ use tandem_record::{RunLog, ms_between};
 
 use crate::square_waves::{self, SquareWaves, Trace};
 
-/// Times of the injected faults, ns on the run's clock.
+/// Times of the two injected faults, ns on the run's clock.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Done {
-    /// System A, the master, was reset.
+    /// Reset of system A, the first master.
     pub(super) reset_ns: u64,
-    /// System B, the master by then, lost its power.
+    /// Power loss of system B, which is master by then.
     pub(super) off_ns: u64,
 }
 
 /// The outputs of a run in which master A is reset and later master B loses its power.
 #[derive(Clone, Debug)]
 pub(super) struct Outputs {
-    /// Edges of A and of B, ns; all begin low.
+    /// Edges of A and of B, ns; the initial levels are low.
     edges: [Vec<u64>; 2],
     done: Done,
     end_ns: u64,
@@ -162,7 +162,7 @@ mod tests {
         let svg = outputs.draw();
         assert!(roxmltree::Document::parse(&svg).is_ok(), "{svg}");
         assert!(svg.contains("5.00 ms after the loss"), "{svg}");
-        // A system that does not take over is no result.
+        // A recording without the second takeover gives no result.
         log.events.pop();
         assert!(Outputs::new(&log, done, "a test").is_none());
     }

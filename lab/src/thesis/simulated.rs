@@ -18,13 +18,13 @@ use tandem_vehicle::{Scenario, World};
 use super::outputs::Done;
 use super::two_cores::{Counted, Exchange, LAYOUT, LOCK, MAILBOX, payload};
 
-/// The word of the LMU that both cores increment: after the regions.
+/// Index of the LMU word that both cores increment. It is behind the regions.
 const COUNTER_AT: usize = 8191;
 /// Delay of switching A on after B, as in the thesis.
 const STAGGER: Duration = Duration::from_ms(40);
 const STEP: Duration = Duration::from_ms(10);
 
-/// Runs the pair until `reached`. Fails if that takes longer than `limit`.
+/// Runs the pair until `reached` returns true. Fails after `limit`.
 fn until(
     pair: &mut SimPair,
     log: &Rc<RefCell<RunLog>>,
@@ -52,7 +52,7 @@ fn keep(pair: &mut SimPair, log: &Rc<RefCell<RunLog>>) {
     pair.take_bus_log();
 }
 
-/// Records a staggered start and two takeovers: A is reset; when it has returned as standby, B
+/// Records a staggered start and two takeovers. A is reset. After it has returned as standby, B
 /// loses its power.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let mut config = tandem_cores::Config::rt();
@@ -75,7 +75,7 @@ pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let second = Duration::from_ms(1_000);
     let dual = [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
     until(&mut pair, &log, limit, |pair| lamps(pair) == dual)?;
-    // Avoid the phase of any periodic task.
+    // Use a time in no particular phase of the periodic tasks.
     pair.run_for(second + Duration::from_us(3_700));
     keep(&mut pair, &log);
     let reset_ns = pair.now().as_ns();
@@ -115,7 +115,7 @@ fn two_cores(core_0: impl FnMut(&SimBoard) -> Poller + 'static) -> SimPair {
     pair
 }
 
-/// Attaches a core of system A to its LMU, which core 0 formats.
+/// Attaches a core of system A to its LMU. Core 0 formats the LMU.
 fn attach(board: &SimBoard) -> Option<(Map<'_>, Incarnation)> {
     let identity = board.identity();
     let map = match Map::attach(board.lmu(), LAYOUT) {
@@ -135,9 +135,9 @@ struct Messages {
     received: Vec<(u32, f64)>,
 }
 
-/// Core 0 sends 4 bytes every millisecond and rings; the doorbell wakes core 1, whose task receives
-/// them. The time of an exchange is the execution time of both ends on this machine, because
-/// virtual time stands still while a core computes.
+/// Core 0 sends 4 bytes every millisecond and rings the doorbell, which wakes core 1, whose task
+/// receives them. The time of an exchange is the execution time of both ends on this machine,
+/// because virtual time does not advance while a core computes.
 pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
     let messages = Arc::new(Mutex::new(Messages::default()));
     let shared = Arc::clone(&messages);
@@ -154,7 +154,7 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
                 let Some(to) = to.as_mut().filter(|_| number <= count) else {
                     return Instant::NEVER;
                 };
-                // The first poll is the core's start: core 1 does not run yet.
+                // Skip the first poll, in which core 0 starts: core 1 does not run yet.
                 if number > 0 {
                     let data = payload(number);
                     let begin = Wall::now();

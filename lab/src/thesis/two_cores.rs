@@ -1,5 +1,5 @@
-//! Two experiments between two cores, here processes on two CPUs: 4 bytes to a task that they wake,
-//! and a counter with and without the lock. T-SYNC-4, T-LOCK-2
+//! Two experiments with two cores, which are processes on two CPUs: a core sends 4 bytes to a task
+//! that they wake, and both increment a counter without and with the lock. T-SYNC-4, T-LOCK-2
 #![allow(
     clippy::expect_used,
     reason = "a core that cannot start panics; its process dies, and the experiment fails"
@@ -19,7 +19,7 @@ use tandem_two_cores::worker::{BatchPart, PartContext, perform};
 pub(super) const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
 pub(super) const LOCK: Region<SharedLock> = MAILBOX.then("lock");
 pub(super) const LAYOUT: Layout = LOCK.end();
-/// Time between two messages, ns: long enough that the receiver is already waiting.
+/// Time between two messages, ns. The receiver then waits before each message is sent.
 const PAUSE_NS: u64 = 20_000;
 /// After this many polls without a message the receiver yields the CPU.
 const POLLS: u32 = 1 << 16;
@@ -27,9 +27,9 @@ const POLLS: u32 = 1 << 16;
 /// One message of 4 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Exchange {
-    /// What core 0 sent.
+    /// The value that core 0 sent.
     pub(super) sent: u32,
-    /// What the task on core 1 received.
+    /// The value that the task on core 1 received.
     pub(super) received: u32,
     /// Time from the sender's call to the first line of the task, ns.
     pub(super) took_ns: f64,
@@ -51,7 +51,7 @@ pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange
             pause(PAUSE_NS);
             let data = payload(number);
             let at = ticks();
-            // The receiver spins, so it needs no doorbell.
+            // The receiver spins, so no doorbell is needed.
             let _: Ring = to.signal_with(TaskId::FIRST, data);
             role.log.push(0, data);
             role.log.push(1, at);
@@ -116,7 +116,7 @@ pub(super) struct Counted {
     pub(super) increments: u32,
     /// The counter at the end.
     pub(super) counter: u32,
-    /// The first values of the counter that core 0 and core 1 read after their increments.
+    /// The first values that core 0 and core 1 read from the counter after their increments.
     pub(super) seen: [Vec<u32>; 2],
 }
 
@@ -153,7 +153,7 @@ pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<C
     })
 }
 
-/// Reads, modifies and writes back, as in the thesis: not one atomic addition.
+/// Reads, increments and writes back in separate steps, as in the thesis.
 fn increment(counter: &AtomicU32) -> u32 {
     let value = counter.load(Ordering::Relaxed) + 1;
     spin(8);
