@@ -1,4 +1,4 @@
-//! What core 0 asks of Linux and of the allocator while it stands by, takes over, and drives.
+//! Counts core 0's system calls and allocator requests while it stands by, takes over and drives.
 
 use crate::run::{Case, Script, config};
 use crate::tracer::ALLOCATOR_REQUESTS;
@@ -36,18 +36,18 @@ pub(crate) const CASES: [Case; 3] = [
     },
 ];
 
-/// A system call that core 0 may make: its number and name, how often in the window, what for.
+/// A permitted system call of core 0: number, name, largest count in the window, and purpose.
 struct Stated(i64, &'static str, u32, &'static str);
 
-/// Calls of the tick and of the idle time: as many as there are ticks.
+/// No limit: the number of ticks determines the calls of the tick and of the idle time.
 const EACH_TICK: u32 = u32::MAX;
-/// Calls of interrupts after which core 0 did not sleep: twice as many as there are, and ten.
+/// Limit for interrupts after which core 0 did not sleep: two calls for each, and ten more.
 const EACH_PILED: u32 = u32::MAX - 1;
 
-/// Calls for each role that core 0 has shown, which the trace has too.
+/// Limit for showing the role: one call for each role that the trace contains.
 const EACH_ROLE: u32 = u32::MAX - 2;
 
-/// The call of `libc::pause`.
+/// The system call of `libc::pause`.
 #[cfg(target_arch = "x86_64")]
 const SYS_PAUSE: i64 = libc::SYS_pause;
 #[cfg(not(target_arch = "x86_64"))]
@@ -92,12 +92,12 @@ const STATED: [Stated; 6] = [
     ),
 ];
 
-/// Set when the window has begun: the next tick spoils it.
+/// Set when the window has begun. The next tick then makes the call that the test must find.
 static SPOILS: AtomicBool = AtomicBool::new(false);
 
 fn call_once(_lateness_ns: u64) {
     if SPOILS.swap(false, Relaxed) {
-        // SAFETY: takes no pointer.
+        // SAFETY: the call takes no pointer.
         unsafe { libc::getppid() };
     }
 }
@@ -112,8 +112,8 @@ fn start_traced(args: &CoreArgs) {
     tracer::start(&Path::new(&args.common.extra[1]).join("calls"));
 }
 
-/// Is core 0 of B, which marks the time from one second before the takeover to one after it.
-/// `spoil` is called in each interrupt of the tick.
+/// Runs core 0 of B, and marks the window: from one second before the takeover to one after it.
+/// `spoil` is called in each tick interrupt.
 fn run_traced(_: &CoreArgs, board: HostBoard, grant: Grant, spoil: Option<fn(u64)>) {
     let (backplane, system) = (board.backplane(), board.identity().system);
     let until = move |wanted: RoleLamp| {
@@ -136,7 +136,7 @@ fn run_traced(_: &CoreArgs, board: HostBoard, grant: Grant, spoil: Option<fn(u64
     control_core::go(board, config(), grant).expect("core 0");
 }
 
-/// T-CHIP-2: core 0 of A is killed, B takes over. `added` is what a control of the test has added.
+/// T-CHIP-2: core 0 of A is killed, and B takes over. `added` is the call of a negative test.
 fn take_over(script: &mut Script, added: Option<i64>) {
     script.until("A drives and B stands by", |script| {
         script.port().role(SystemId::B) == RoleLamp::Standby && !script.accepted.is_empty()
@@ -144,7 +144,7 @@ fn take_over(script: &mut Script, added: Option<i64>) {
     script.drive_for(Duration::from_ms(2_000));
     let backplane = script.port().backplane();
     let control = backplane.core_pid(SystemId::A, CoreId::CONTROL);
-    // SAFETY: takes no pointer; a process of this run.
+    // SAFETY: the call takes no pointer, and the process belongs to this run.
     unsafe { libc::kill(control as i32, libc::SIGKILL) };
     let file = script.folder().join("calls");
     script.until("B takes over and is counted", |_| file.exists());
@@ -162,7 +162,7 @@ fn take_over(script: &mut Script, added: Option<i64>) {
         None => assert_eq!(unstated, []),
         Some(number) => assert!(unstated.contains(&number), "{unstated:?}"),
     }
-    // The counter counts: a core that sleeps and has a tick makes these.
+    // Check that the tracer counts: a core that sleeps and has a tick makes these calls.
     for number in [SYS_PAUSE, libc::SYS_rt_sigreturn] {
         let times = counted.iter().find(|(counted, _)| *counted == number);
         assert!(times.is_some_and(|(_, times)| *times > 0), "{table}");
@@ -175,7 +175,7 @@ fn count(line: &str) -> (i64, u32) {
     (number, times.parse().expect("a number"))
 }
 
-/// The calls in words, and the numbers of those that are not stated; core 0 has shown `roles`.
+/// Returns the calls in words, and the numbers of those not permitted. Core 0 has shown `roles`.
 fn judge(counted: &[(i64, u32)], roles: u32) -> (String, Vec<i64>) {
     let (mut table, mut unstated) = (String::new(), vec![]);
     let times = |of| counted.iter().find(|it| it.0 == of).map_or(0, |it| it.1);

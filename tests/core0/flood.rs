@@ -1,4 +1,4 @@
-//! The other system sends without a pause, on all that leads to core 0.
+//! The other system sends without pause on all connections to core 0.
 
 use crate::run::{Case, Script};
 use core::time::Duration as Span;
@@ -20,10 +20,10 @@ pub(crate) const CASE: Case = Case {
     vehicle: drive_on,
 };
 
-/// How long the flood lasts.
+/// Duration of the flood.
 const FLOOD: Duration = Duration::from_ms(1_000);
 
-/// Serves the watchdog, and floods as soon as the other system drives.
+/// Services the watchdog, and floods core 0 of A while A drives.
 fn babble(_: &CoreArgs, board: HostBoard, _: Grant) {
     let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).expect("a frame");
     let mut served = board.now();
@@ -42,7 +42,7 @@ fn babble(_: &CoreArgs, board: HostBoard, _: Grant) {
                 }
             }
         }
-        // A processor of its own floods all the time; this one is shared with the other system.
+        // Pause, because this process shares its CPU with A. A second processor would not.
         thread::sleep(Span::from_micros(200));
     }
 }
@@ -51,15 +51,15 @@ const fn drives(lamp: RoleLamp) -> bool {
     matches!(lamp, RoleLamp::Master | RoleLamp::DegradedMaster)
 }
 
-/// T-CHIP-5, T-SYNC-3: core 0 drives on in its first incarnation, takes no more interrupts than its
-/// limit permits, and tells of each source.
+/// T-CHIP-5, T-SYNC-3: core 0 continues to drive in its first incarnation, takes at most as many
+/// interrupts as its limit permits, and reports each source.
 fn drive_on(script: &mut Script) {
     let incarnation = |script: &Script| {
         let backplane = script.port().backplane();
         backplane.generation(SystemId::A, CoreId::CONTROL)
     };
-    // Again after a reset: a machine that takes the CPU of core 0 for long makes its watchdog reset
-    // it. That the flood itself does not is judged in virtual time: simulated::floods.
+    // Repeat after a reset: if the machine takes the CPU from core 0 for long, its watchdog resets
+    // it. simulated::floods checks in virtual time that the flood itself causes no reset.
     let (begin, frames) = loop {
         let frames = script.accepted.len();
         script.until("A drives", |script| {

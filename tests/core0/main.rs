@@ -1,10 +1,10 @@
-//! Core 0 in a process of its own, as `tandem run` starts it, beside others that misbehave.
+//! Tests of core 0 in a separate process, as `tandem run` starts it, beside misbehaving processes.
 //!
-//! Each case is a run of its own. The harness starts this program again as the launcher of the run;
-//! that starts it again as supplies and vehicle, and the supplies as cores. The vehicle is the
-//! script of the case, and a panic in it fails the case.
+//! Each case is a separate run. The harness starts this program again as the launcher of the run,
+//! the launcher starts it as supplies and vehicle, and the supplies start it as cores. The vehicle
+//! is the script of the case, and a panic in the script fails the case.
 //!
-//! This is a test of the package `tandem`, so that it may use the very code of the command.
+//! This is a test of the package `tandem`, so that it can use the same code as the command.
 #![allow(
     clippy::expect_used,
     clippy::print_stderr,

@@ -1,4 +1,4 @@
-//! A case, and what each process of its run does.
+//! One case, and the code of each process of its run.
 
 use crate::launcher::{again, finish, start_launcher, watch};
 use crate::{calls, control_core, flood};
@@ -16,7 +16,7 @@ use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 use tandem_vehicle::{Ruling, Scenario, World};
 
-/// A case that takes longer hangs.
+/// A case that takes longer than this has failed.
 const PATIENCE: Span = Span::from_secs(60);
 
 /// One case.
@@ -24,7 +24,7 @@ pub(crate) struct Case {
     pub(crate) name: &'static str,
     /// Called in the process of core 0 of B before anything else.
     pub(crate) before: fn(&CoreArgs),
-    /// What core 0 of B does; core 0 of A works as usual, and so do the other cores.
+    /// The program of core 0 of B. Core 0 of A and the other cores run as usual.
     pub(crate) peer: fn(&CoreArgs, HostBoard, Grant),
     pub(crate) vehicle: fn(&mut Script),
 }
@@ -33,18 +33,18 @@ pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
     [flood::CASE].into_iter().chain(calls::CASES)
 }
 
-/// The vehicle's side of a case.
+/// The vehicle's part of a case.
 pub(crate) struct Script {
     port: HostVehiclePort,
     world: World,
     folder: PathBuf,
-    /// What the cores have traced, in the order of each core.
+    /// The trace records of the cores. The records of each core are in order.
     pub(crate) traced: Vec<(Traced, Event)>,
-    /// When control frames were accepted, and from which system.
+    /// Time and system of each accepted control frame.
     pub(crate) accepted: Vec<(Instant, SystemId)>,
 }
 
-/// Runs a case in processes of its own and says what they said if it failed.
+/// Runs a case in separate processes. If it fails, returns the output of these processes.
 pub(crate) fn run_case(case: &Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let launcher = start_launcher(case.name, folder.path(), "own");
@@ -52,7 +52,7 @@ pub(crate) fn run_case(case: &Case) -> Result<(), String> {
     Ok(())
 }
 
-/// Is a process of a run.
+/// Runs one process of a run.
 pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     let name = args.common().extra[0].clone();
     let case = all_cases().find(|case| name == case.name);
@@ -96,7 +96,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// The usual limits, except that a start does not wait for the other system.
+/// Returns the desktop limits, except that a start does not wait for the other system.
 pub(crate) fn config() -> Config {
     let mut config = Config::desktop();
     config.redundancy.start_limit = Duration::from_ms(500);
@@ -111,7 +111,7 @@ fn compute(board: &HostBoard, mut core: impl Core) {
 }
 
 impl Script {
-    /// Lets the vehicle drive until `is_true`.
+    /// Lets the vehicle drive until `is_true` returns true.
     pub(crate) fn until(&mut self, what: &str, mut is_true: impl FnMut(&Self) -> bool) {
         let deadline = Clock::now() + PATIENCE / 2;
         while !is_true(self) {
@@ -128,13 +128,13 @@ impl Script {
         }
     }
 
-    /// Lets the vehicle drive for a time.
+    /// Lets the vehicle drive for `span`.
     pub(crate) fn drive_for(&mut self, span: Duration) {
         let end = self.port.now() + span;
         self.until("time passes", |script| script.port.now() >= end);
     }
 
-    /// One millisecond.
+    /// Drives one millisecond.
     fn tick(&mut self) {
         let Self {
             port,
@@ -154,7 +154,7 @@ impl Script {
         });
     }
 
-    /// The folder of the case.
+    /// Returns the folder of the case.
     pub(crate) fn folder(&self) -> &Path {
         &self.folder
     }

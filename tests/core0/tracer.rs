@@ -1,8 +1,8 @@
-//! Counts what one thread of this process asks of Linux and of the allocator, by ptrace.
+//! Counts the system calls and the allocator requests of one thread of this process, by ptrace.
 //!
-//! A child of the traced process stops it at each system call. The traced process marks points of
-//! its incarnation, and each request to its allocator, by system calls with numbers that Linux does
-//! not have: so the tracer sees all in the order in which it happened, and by which thread.
+//! A child process traces its parent and stops it at each system call. The parent marks the window
+//! and each allocator request by system calls with numbers that Linux does not have. So the tracer
+//! sees all calls in order, with the thread that made each.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
@@ -13,17 +13,17 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 const BEGIN: i64 = 0x7A_0001;
 const END: i64 = 0x7A_0002;
 const ALLOCATOR: i64 = 0x7A_0003;
-/// Stands for requests to the allocator among the numbers of system calls.
+/// Represents allocator requests among the numbers of system calls.
 pub(crate) const ALLOCATOR_REQUESTS: i64 = -1;
-/// The name of the thread whose calls count.
+/// Name of the thread whose calls are counted.
 const THREAD: &str = "kernel\n";
 
-/// Requests to the allocator are marked.
+/// Whether allocator requests are marked.
 static TRACED: AtomicBool = AtomicBool::new(false);
 
-/// Makes a system call that Linux refuses, and leaves no trace of it.
+/// Makes a system call that Linux rejects, and restores `errno`.
 fn mark(number: i64) {
-    // SAFETY: no such system call; `errno` is this thread's own.
+    // SAFETY: Linux has no such system call; `errno` belongs to this thread.
     unsafe {
         let errno = libc::__errno_location();
         let before = *errno;
@@ -32,7 +32,7 @@ fn mark(number: i64) {
     }
 }
 
-/// The window in which calls count begins, or ends.
+/// Marks the begin of the window in which calls are counted. `mark_end` marks its end.
 pub(crate) fn mark_begin() {
     mark(BEGIN);
 }
@@ -41,7 +41,7 @@ pub(crate) fn mark_end() {
     mark(END);
 }
 
-/// The allocator of the system, which marks requests while this process is traced.
+/// The system's allocator, with a mark for each request while this process is traced.
 pub(crate) struct Marked;
 
 fn mark_request() {
@@ -50,7 +50,7 @@ fn mark_request() {
     }
 }
 
-// SAFETY: hands every request on to the system's allocator as it is.
+// SAFETY: passes every request to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Marked {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         mark_request();
@@ -71,14 +71,14 @@ unsafe impl GlobalAlloc for Marked {
     }
 }
 
-/// Has this process traced from now on, by a child that writes what it counted to the file `into`
-/// when the window ends: a line with number and count for each system call.
+/// Starts a child that traces this process from now on. When the window ends, the child writes the
+/// counts to the file `into`: a line with number and count for each system call.
 pub(crate) fn start(into: &Path) {
     let threads = fs::read_dir("/proc/self/task").expect("threads").count();
     assert_eq!(threads, 1, "only a process with one thread is forked");
     let mut ready = [0; 2];
-    // SAFETY: this process has one thread, so the child is a whole copy of it. The pipe is open in
-    // both, and `ready` has room for its ends.
+    // SAFETY: this process has one thread, so the child is a complete copy of it. The pipe is open
+    // in both, and `ready` has room for its two descriptors.
     unsafe {
         libc::prctl(libc::PR_SET_PTRACER, libc::PR_SET_PTRACER_ANY, 0, 0, 0);
         assert_eq!(libc::pipe(ready.as_mut_ptr()), 0);
@@ -100,23 +100,23 @@ pub(crate) fn start(into: &Path) {
 }
 
 unsafe fn ptrace(request: libc::c_uint, thread: libc::pid_t, at: usize, data: usize) -> i64 {
-    // SAFETY: the caller's: `data` fits the request.
+    // SAFETY: the caller ensures that `data` fits the request.
     unsafe { libc::ptrace(request, thread, at, data) }
 }
 
-/// More urgent than core 0: while it waits for its tracer, signals pile up on its stack.
+/// Higher than core 0's: while core 0 waits for its tracer, signals pile up on its stack.
 const PRIORITY: i32 = 80;
 
-/// The incarnation of the tracer.
+/// Runs the tracer until its parent has ended.
 fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     let urgent = libc::sched_param {
         sched_priority: PRIORITY,
     };
-    // Refused without the right, which core 0 lacks then too.
+    // This fails without permission, which core 0 then lacks too.
     // SAFETY: the parameter is read during the call.
     unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &urgent) };
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE;
-    // SAFETY: seizes the parent and stops it once; the pipe's end is ours.
+    // SAFETY: seizes the parent and stops it once; this process owns the end of the pipe.
     unsafe {
         let seized = ptrace(libc::PTRACE_SEIZE, process, 0, options as usize);
         assert_eq!(seized, 0, "{}", std::io::Error::last_os_error());
@@ -127,7 +127,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     let mut told = false;
     loop {
         let mut status = 0;
-        // SAFETY: `status` is a valid place.
+        // SAFETY: `status` is valid for writing.
         let thread = unsafe { libc::waitpid(-1, &mut status, libc::__WALL) };
         if thread < 0 {
             return;
@@ -145,7 +145,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
                         .iter()
                         .map(|(number, count)| format!("{number} {count}\n"))
                         .collect();
-                    // Whole or not there at all.
+                    // Write another file and rename it, so that a reader never sees a part.
                     let draft = into.with_extension("draft");
                     fs::write(&draft, lines.concat()).expect("the file of the counts");
                     fs::rename(draft, into).expect("the file of the counts");
@@ -160,21 +160,21 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
                 _ => {}
             }
         }
-        // A stop for an event or a system call delivers no signal.
+        // After a stop for an event or a system call there is no signal to deliver.
         let deliver = if is_call || event != 0 { 0 } else { signal };
-        // SAFETY: resumes a thread that is stopped; one that has ended refuses.
+        // SAFETY: resumes a stopped thread; if the thread has ended, the call fails.
         unsafe { ptrace(libc::PTRACE_SYSCALL, thread, 0, deliver as usize) };
         if !told {
             told = true;
-            // SAFETY: one byte of a valid buffer; the end is ours.
+            // SAFETY: the buffer has one valid byte; this process owns the descriptor.
             unsafe { libc::write(ready, [1_u8].as_ptr().cast(), 1) };
         }
     }
 }
 
-/// The system call that the thread is about to make; `None` if it is one that returns.
+/// Returns the system call that the thread is about to make; `None` if it returns from one.
 fn entered(thread: libc::pid_t) -> Option<i64> {
-    // SAFETY: all zero is a value; Linux writes no more than the size that it is told.
+    // SAFETY: all-zero bytes are a valid value; Linux writes at most `size` bytes.
     let info = unsafe {
         let mut info: libc::ptrace_syscall_info = core::mem::zeroed();
         let size = size_of_val(&info);
@@ -189,7 +189,7 @@ fn entered(thread: libc::pid_t) -> Option<i64> {
     if info.op != libc::PTRACE_SYSCALL_INFO_ENTRY {
         return None;
     }
-    // SAFETY: the member of an entry.
+    // SAFETY: the stop is an entry, so this member of the union is valid.
     let number = unsafe { info.u.entry.nr };
     i64::try_from(number).ok()
 }

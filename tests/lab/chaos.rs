@@ -1,4 +1,4 @@
-//! `tandem chaos`: campaigns on real runs, and what is left of them.
+//! Tests of `tandem chaos`: campaigns on real runs, and the removal of their processes and files.
 
 use std::fs;
 use std::os::unix::process::CommandExt as _;
@@ -17,8 +17,8 @@ fn fault(what: &str, of: &str) -> String {
     format!("mended-at-ms = 300.0\n[[fault]]\nwhat = \"{what}\"\nof = \"{of}\"\nat-ms = 0.0\n")
 }
 
-/// A campaign has for each class what was measured beside its bound; a system that lost its power
-/// has it again before the next fault; nothing is left.
+/// A campaign reports the measured values of each class beside the bound. A system that lost its
+/// power has it again before the next fault, and no process or file remains.
 #[test]
 fn a_campaign_ends_with_what_each_class_of_faults_cost() {
     let fixture = Fixture::new();
@@ -39,7 +39,7 @@ fn a_campaign_ends_with_what_each_class_of_faults_cost() {
     let output = fixture.output(&arguments);
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr);
-    // Whether each bound was kept depends on the machine. `tandem chaos` says it to a person.
+    // Whether each bound was kept depends on the machine, so both exit statuses are accepted.
     assert!(matches!(output.status.code(), Some(0 | 1)), "{told}{said}");
     assert!(told.contains("2 faults, "), "{told}");
     let figures: Value =
@@ -55,8 +55,8 @@ fn a_campaign_ends_with_what_each_class_of_faults_cost() {
     }
 }
 
-/// Without power on both sides no system drives: no stall explains that, and the command that
-/// repeats it is told.
+/// If both systems lose power, no system drives. No stall explains that, and the campaign prints
+/// the command that repeats it.
 #[test]
 fn a_violation_fails_the_campaign_and_can_be_repeated() {
     let fixture = Fixture::new();
@@ -74,7 +74,7 @@ fn a_violation_fails_the_campaign_and_can_be_repeated() {
     assert!(told.contains(repeats), "{told}");
 }
 
-/// Waits for the run of a campaign, which is a process of its own.
+/// Waits for the process that runs a drive of the campaign, and returns its id.
 fn run_of(campaign: &Child) -> u32 {
     let children = format!("/proc/{0}/task/{0}/children", campaign.id());
     let since = Instant::now();
@@ -97,7 +97,7 @@ fn until_supplies(launcher: u32, count: usize) {
     }
 }
 
-/// The processes with this word that name the run.
+/// Counts the processes of the run whose command line contains this word.
 fn named(launcher: u32, word: &str) -> usize {
     let name = format!("tandem-{launcher}-");
     let entries = fs::read_dir("/proc").unwrap().flatten();
@@ -108,7 +108,7 @@ fn named(launcher: u32, word: &str) -> usize {
         .count()
 }
 
-/// Ctrl-C gives the report of what was done, and ends the run.
+/// Ctrl-C ends the run, and the campaign prints the report of the completed faults.
 #[test]
 fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     let fixture = Fixture::new();
@@ -119,7 +119,7 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     .unwrap();
     let arguments = ["chaos", "--faults", "power.toml", "--count", "500"];
     let mut command = fixture.command(&arguments);
-    // A terminal sends Ctrl-C to the whole group.
+    // Ctrl-C in a terminal goes to the whole group, so give the campaign its own.
     command
         .process_group(0)
         .stdout(Stdio::piped())
@@ -137,7 +137,7 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     let output = campaign.wait_with_output().unwrap();
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    // What a stall of the machine beside a fault has violated is told as ever.
+    // A violation by a stall of the machine during a fault is still reported.
     let violated = told.contains(" violated;") && !told.contains(" faults, 0 violated;");
     let expected = if violated { 1 } else { 130 };
     assert_eq!(output.status.code(), Some(expected), "{told}{said}");
@@ -148,7 +148,7 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     nothing_is_left(run);
 }
 
-/// A campaign that is killed takes its run with it.
+/// If a campaign is killed, its run ends too.
 #[test]
 fn a_campaign_that_is_killed_takes_its_run_with_it() {
     let fixture = Fixture::new();
@@ -165,7 +165,7 @@ fn a_campaign_that_is_killed_takes_its_run_with_it() {
     nothing_is_left(run);
 }
 
-/// Waits until no process names this run, and looks for its files.
+/// Waits until no process of this run exists, and checks that none of its files remain.
 fn nothing_is_left(launcher: u32) {
     let name = format!("tandem-{launcher}-");
     let since = Instant::now();

@@ -1,10 +1,10 @@
-//! What campaigns and experiments refuse before they begin.
+//! Tests that campaigns and experiments reject wrong arguments before they begin.
 
 use std::fs;
 
 use crate::fixture::{Fixture, refuses};
 
-/// Long work does not begin if its results would be lost.
+/// A long command does not begin if its results could not be written.
 #[test]
 fn a_result_that_cannot_be_written() {
     let fixture = Fixture::new();
@@ -22,7 +22,7 @@ fn a_result_that_cannot_be_written() {
     refuses(&fixture, &twice, &["the same file"]);
 }
 
-/// A campaign that cannot be is refused before a run starts.
+/// An impossible campaign is rejected before a run starts.
 #[test]
 fn a_campaign_that_cannot_be() {
     let fixture = Fixture::new();

@@ -1,4 +1,4 @@
-//! Campaigns and experiments of the `tandem` command as a person uses them.
+//! Tests of campaigns and experiments as a user of the `tandem` command runs them.
 #![allow(
     clippy::unwrap_used,
     reason = "a test ends where something is not as it must be"
@@ -10,5 +10,5 @@ mod errors;
 #[allow(dead_code, reason = "the tests of runs use more of it")]
 mod fixture;
 
-/// The program that `tandem` becomes for these commands.
+/// The program that implements these commands.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem-lab");

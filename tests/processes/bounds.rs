@@ -1,6 +1,6 @@
-//! What the verdict of a run says of times on processes. A person starts this, on an idle machine:
-//! `cargo xtask campaign processes`. `tests/tests/simulated/faults.rs` judges the same times in
-//! virtual time, on every machine.
+//! Checks that the verdict finds the time bounds kept in runs of processes. A user starts this on
+//! an idle machine: `cargo xtask campaign processes`. `tests/tests/simulated/faults.rs` checks the
+//! same bounds in virtual time on every machine.
 
 use rustix::process::Signal;
 
@@ -8,12 +8,12 @@ use crate::deaths::{POWER, RESIGNS, SILENT, UNHEARD, dual_master};
 use crate::fixture::{Fixture, Run, kill, send, sound, takeovers};
 use crate::observers::disturb;
 
-/// A longer stall of the machine makes a sound master fall silent: docs/redundancy.md, profile rt.
+/// A longer stall of the machine silences a healthy master: docs/redundancy.md, profile rt.
 const TOLERATED_STALL_MS: f64 = 5.0;
-/// How often a drive is tried whose runs meet longer stalls.
+/// Number of attempts for a drive whose runs have longer stalls.
 const TRIES: u32 = 5;
 
-/// A drive of 5 s with one fault of the master, and the sign on which the other takes over.
+/// A drive of 5 s with one fault of the master, and the signs that may trigger the takeover.
 struct Drive {
     name: &'static str,
     fault: fn(&Run, &str),
@@ -63,7 +63,7 @@ const DRIVES: [Drive; 7] = [
     },
 ];
 
-/// Drives once. Returns what was not kept, and the longest stall of the machine, ms.
+/// Drives once. Returns the broken expectations, and the longest stall of the machine, ms.
 fn unkept(drive: &Drive) -> (Vec<String>, f64) {
     let fixture = Fixture::alone();
     let mut run = fixture.run(&["--duration", "5"]);
@@ -89,7 +89,7 @@ fn unkept(drive: &Drive) -> (Vec<String>, f64) {
     let all_expected = found
         .iter()
         .all(|it| it["from"] == *master && it["cause"].as_str().is_some_and(is_expected));
-    // A thawed master finds out itself that it was held up.
+    // A thawed master detects by itself that it was held up.
     let count = found.len() == usize::from(!drive.signs.is_empty());
     let thaws = drive.signs.contains(&UNHEARD);
     if !all_expected || !(count || thaws) {

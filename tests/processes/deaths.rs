@@ -1,4 +1,4 @@
-//! Processes that are killed while the vehicle drives.
+//! Tests that kill processes while the vehicle drives.
 
 use rustix::process::Signal;
 
@@ -9,17 +9,17 @@ pub(crate) const POWER: &str = "power level fell and heartbeats ended";
 pub(crate) const SILENT: &str = "heartbeats and control frames silent";
 pub(crate) const UNHEARD: &str = "no control frame reaches the vehicle";
 pub(crate) const RESIGNS: &str = "the master resigns";
-/// The signs of a core 0 that is gone. Which one is seen first depends on times.
+/// The possible signs of a dead core 0. Which one is detected first depends on timing.
 pub(crate) const GONE: &[&str] = &[POWER, SILENT, UNHEARD];
 
-/// The system that drives, in dual operation.
+/// Waits for dual operation, and returns the system that drives.
 pub(crate) fn dual_master(run: &Run) -> String {
     run.until_dual();
     until_driven(run);
     run.master_supply().system.unwrap()
 }
 
-/// The other system.
+/// Returns the other system.
 pub(crate) const fn peer(system: &str) -> &'static str {
     if system.as_bytes()[0] == b'A' {
         "B"
@@ -28,8 +28,8 @@ pub(crate) const fn peer(system: &str) -> &'static str {
     }
 }
 
-/// Waits until the vehicle obeys the other system, and ends the run. The vehicle got that driver by
-/// a takeover on one of these signs. The bounds of its gap are judged in virtual time.
+/// Waits until the vehicle obeys the other system, and ends the run. The cause of the takeover
+/// must be one of these signs. The bounds of the gap are checked in virtual time.
 fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     until_obeyed(run, peer(master));
     let metrics = run.interrupt();
@@ -42,7 +42,7 @@ fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     }
 }
 
-/// T-CHIP-5, T-RED-4, T-RED-9: loss of power.
+/// T-CHIP-5, T-RED-4, T-RED-9: a power loss of the master causes a takeover.
 #[test]
 fn the_vehicle_goes_on_when_the_supply_of_the_master_is_killed() {
     let fixture = Fixture::new();
@@ -52,7 +52,7 @@ fn the_vehicle_goes_on_when_the_supply_of_the_master_is_killed() {
     is_replaced(&mut run, &master, GONE);
 }
 
-/// A run in which no system drives any more has failed, and says from when on.
+/// A run in which no system drives to the end fails, and reports when control was lost.
 #[test]
 fn a_run_in_which_no_system_is_left_fails() {
     let fixture = Fixture::new();
@@ -69,8 +69,8 @@ fn a_run_in_which_no_system_is_left_fails() {
     assert!(said.contains("up to the end of the run"), "{said}");
 }
 
-/// T-RED-4, T-RED-5, T-RED-9: a core of the master dies: its supply resets the system. A compute
-/// core that dies leaves time to resign.
+/// T-RED-4, T-RED-5, T-RED-9: when a core of the master dies, its supply resets the system. If a
+/// compute core dies, the master still has time to resign.
 #[test]
 fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
     for (core, signs) in [(0, GONE), (1, &[RESIGNS]), (2, &[RESIGNS])] {
@@ -82,8 +82,8 @@ fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
     }
 }
 
-/// T-RED-3, T-RED-9: a master whose core 0 stands still has power; the other takes over because its
-/// heartbeats and frames ended. When it thaws, it does not drive, not for one frame.
+/// T-RED-3, T-RED-9: a master whose core 0 is stopped has power. The other takes over because
+/// heartbeats and frames ended. When the old master thaws, it does not drive for a single frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     let fixture = Fixture::new();
@@ -91,13 +91,13 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     let master = dual_master(&run);
     let core_0 = run.core(&master, 0);
     send(core_0, Signal::STOP);
-    // Longer than the other one waits, and shorter than the watchdog does.
+    // Longer than the other system waits, and shorter than the watchdog's timeout.
     std::thread::sleep(std::time::Duration::from_millis(60));
     send(core_0, Signal::CONT);
     is_replaced(&mut run, &master, &[SILENT, UNHEARD]);
 }
 
-/// The report of what was driven is all that is left.
+/// After Ctrl-C only the report of the driven part remains.
 #[test]
 fn ctrl_c_stops_everything_and_leaves_the_report() {
     let fixture = Fixture::new();
@@ -139,12 +139,12 @@ fn the_systems_drive_on_without_tandem_run_and_then_vanish() {
     run.end();
     run.until_dual();
     run.until_vanished();
-    // On a machine without namespaces the next start removes what is left.
+    // On a machine without namespaces the next start removes the remaining files.
     fixture.run(&["--duration", "0.2"]).metrics();
     run.left_nothing();
 }
 
-/// Nothing in the controller needs the vehicle's process to end well.
+/// All processes end even if the vehicle's process is killed, and the run fails.
 #[test]
 fn a_run_whose_vehicle_was_killed_has_failed_and_leaves_nothing() {
     let fixture = Fixture::new();

@@ -1,4 +1,4 @@
-//! Runs without a disturbance.
+//! Tests of runs without a disturbance.
 
 use std::fs;
 
@@ -7,8 +7,8 @@ use serde_json::Value;
 use crate::fixture::Fixture;
 use crate::observers::until_driven;
 
-/// T-CHIP-2, T-CHIP-7: core 0 runs on the kernel and cores 1 and 2 without a tick; one system
-/// drives, the other does not transmit, the vehicle comes to no harm; and the report is there.
+/// T-CHIP-2, T-CHIP-7: core 0 runs on the kernel, and cores 1 and 2 run without a tick. One system
+/// drives, the other does not transmit, the vehicle has no collision, and a report is written.
 #[test]
 fn a_short_drive_ends_with_a_report() {
     let fixture = Fixture::new();
@@ -18,10 +18,10 @@ fn a_short_drive_ends_with_a_report() {
     assert_eq!(metrics["complete"], true);
     let at_least = |name: &str, least: f64| metrics[name].as_f64().unwrap() >= least;
     assert!(at_least("control_frames", 1.0), "{metrics:#}");
-    // From the first obeyed frame to the last sample, one in 20 ms.
+    // From the first accepted frame to the last sample; samples are 20 ms apart.
     assert!(at_least("duration_s", 1.9), "{metrics:#}");
 
-    // Core 0 runs on the kernel, whose tick and tasks tell of themselves.
+    // Core 0 runs on the kernel, so the metrics contain its tick and its tasks.
     let of_core_0 = |list: &str, key: &str, name: &str| -> Value {
         let entries = metrics[list].as_array().unwrap().iter();
         let mut found = entries.filter(|entry| entry["core"] == 0 && entry[key] == name);
@@ -61,7 +61,7 @@ fn a_short_drive_ends_with_a_report() {
     assert!(read("control-period.hgrm").contains("Total count"));
     assert!(read("chain.hgrm").contains("Total count"));
     let log = read("candump.log");
-    // Stamped by the bus, so in the order of the bus.
+    // The bus assigns the time stamps, so they are in the order of the bus.
     let mut before = String::new();
     for line in log.lines() {
         let words: Vec<&str> = line.split(' ').collect();
@@ -130,7 +130,7 @@ fn data_flash_is_kept_from_run_to_run_if_it_has_a_folder() {
         .metrics();
 }
 
-/// T-CHIP-4, U-1: a lost sensor is a takeover request. How soon is judged in virtual time.
+/// T-CHIP-4, U-1: a lost sensor causes a takeover request. Its delay is checked in virtual time.
 #[test]
 fn a_lost_sensor_is_a_takeover_request() {
     let fixture = Fixture::new();

@@ -1,4 +1,4 @@
-//! What is wrong is said before anything starts, and nothing is changed.
+//! Tests that errors are reported before anything starts, and that nothing is changed.
 
 use std::fs;
 use std::process::Command;
@@ -68,7 +68,7 @@ fn a_folder_that_cannot_take_a_report() {
     );
 }
 
-/// Some commands are programs of their own. Where one is missing, the command says what builds it.
+/// Some commands are separate programs. If one is missing, the command names the package to build.
 #[test]
 fn a_program_that_is_not_built() {
     let fixture = Fixture::new();

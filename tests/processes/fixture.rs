@@ -1,4 +1,4 @@
-//! One `tandem` command under test, and everything that it started.
+//! Runs one `tandem` command under test, with all processes and files that it creates.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// No run of these tests takes longer than this, however busy the machine is.
+/// No run of these tests takes longer than this, even on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(120);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
-/// The command must refuse these arguments and say all of `words`.
+/// Checks that the command rejects these arguments with a message that contains all of `words`.
 pub(crate) fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
     let before = fixture.names();
     let output = fixture.output(args);
@@ -28,21 +28,21 @@ pub(crate) fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
     assert_eq!(fixture.names(), before, "{args:?} has left something");
 }
 
-/// A folder of its own, and a share of the machine's CPUs.
+/// A temporary folder, and a lock for the machine's CPUs.
 pub(crate) struct Fixture {
     folder: TempDir,
     _turn: File,
 }
 
 impl Fixture {
-    /// Runs beside the other tests.
+    /// Creates a fixture that may run at the same time as other tests.
     pub(crate) fn new() -> Self {
         let turn = turn();
         turn.lock_shared().unwrap();
         Self::with(turn)
     }
 
-    /// Waits until no other test has a run: this one takes a CPU from all of them, or judges times.
+    /// Waits until no other test has a run. For tests that block a CPU or check times.
     pub(crate) fn alone() -> Self {
         let turn = turn();
         turn.lock().unwrap();
@@ -60,7 +60,7 @@ impl Fixture {
         self.folder.path()
     }
 
-    /// The command with these arguments, in the fixture's folder.
+    /// Returns the command with these arguments, in the fixture's folder.
     pub(crate) fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(crate::PROGRAM);
         command
@@ -75,7 +75,7 @@ impl Fixture {
         self.command(args).output().unwrap()
     }
 
-    /// Starts `tandem run --json` with these further arguments.
+    /// Starts `tandem run --json` with additional arguments.
     pub(crate) fn run(&self, args: &[&str]) -> Run {
         let number = fs::read_dir(self.folder()).unwrap().count();
         let stdout = self.folder().join(format!("{number}.stdout"));
@@ -96,7 +96,7 @@ impl Fixture {
         }
     }
 
-    /// What is in the fixture's folder but the output of runs.
+    /// Returns the names in the fixture's folder, without the output of runs.
     pub(crate) fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(self.folder()).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -110,7 +110,7 @@ fn turn() -> File {
     File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap()
 }
 
-/// What no stall of the machine may cause in a run.
+/// Checks the properties of a run that no stall of the machine may break.
 pub(crate) fn sound(metrics: &Value) {
     assert_eq!(metrics["collisions"], 0, "{metrics:#}");
     assert_eq!(metrics["false_takeovers"], 0, "{metrics:#}");
@@ -122,17 +122,17 @@ pub(crate) fn sound(metrics: &Value) {
     assert_eq!(left, Some(0), "{metrics:#}");
 }
 
-/// The takeovers of a run. Without those from a master that the machine had held up: a busy machine
-/// adds such ones to any run.
+/// Returns the takeovers of a run, except those from a master that the machine had held up. A busy
+/// machine adds such takeovers to any run.
 pub(crate) fn takeovers(metrics: &Value) -> Vec<&Value> {
     let takeovers = metrics["takeovers"].as_array().unwrap().iter();
     takeovers.filter(|it| it["held_up"] != true).collect()
 }
 
-/// A run under way. Dropping it kills all of it.
+/// A running `tandem run`. Dropping it kills all its processes.
 pub(crate) struct Run {
     launcher: Child,
-    /// What the name of the run begins with.
+    /// Prefix of the run's name.
     name: String,
     stdout: PathBuf,
     stderr: PathBuf,
@@ -150,7 +150,7 @@ pub(crate) struct Process {
 }
 
 impl Run {
-    /// Its processes as `tandem ps` lists them.
+    /// Returns the processes of the run that `tandem ps` lists.
     pub(crate) fn processes(&self) -> Vec<Process> {
         let output = Command::new(crate::PROGRAM)
             .args(["ps", "--json"])
@@ -165,7 +165,7 @@ impl Run {
             core: process["core"].as_u64(),
             role: text(&process["role"]),
         });
-        // Other runs on this machine are none of this test's business.
+        // Ignore other runs on this machine.
         processes
             .filter(|process| self.is_mine(process.pid))
             .collect()
@@ -177,7 +177,7 @@ impl Run {
             .any(|word| word.starts_with(self.name.as_bytes()))
     }
 
-    /// Waits until `found` finds something among the processes.
+    /// Waits until `found` returns a value for the list of processes.
     pub(crate) fn until<T>(&self, what: &str, found: impl Fn(&[Process]) -> Option<T>) -> T {
         loop {
             let processes = self.processes();
@@ -205,7 +205,7 @@ impl Run {
         });
     }
 
-    /// The supply of the system that drives.
+    /// Waits for the supply of the system that drives, and returns it.
     pub(crate) fn master_supply(&self) -> Process {
         self.until("a master", |processes| {
             let is_it = |p: &&Process| p.kind == "supply" && p.role.as_deref() == Some("master");
@@ -213,7 +213,7 @@ impl Run {
         })
     }
 
-    /// The process of a core.
+    /// Waits for the process of a core, and returns its id.
     pub(crate) fn core(&self, system: &str, core: u64) -> i32 {
         let is_it = |p: &&Process| p.core == Some(core) && p.system.as_deref() == Some(system);
         self.until("the core", |processes| {
@@ -221,7 +221,7 @@ impl Run {
         })
     }
 
-    /// The process of `tandem run` itself.
+    /// Returns the process id of `tandem run` itself.
     pub(crate) fn launcher_pid(&self) -> i32 {
         self.launcher.id() as i32
     }
@@ -241,8 +241,8 @@ impl Run {
         }
     }
 
-    /// Waits for the end of a drive to its end. Returns its figures, of which
-    /// [`sound`] holds. The exit status also judges times, which are the machine's here.
+    /// Waits until a run has driven to its end. Returns its figures, after checking them with
+    /// [`sound`]. The exit status may be 1, because the machine may break time bounds.
     pub(crate) fn metrics(&mut self) -> Value {
         let status = self.end();
         assert!(
@@ -253,8 +253,8 @@ impl Run {
         self.figures()
     }
 
-    /// Ends the run as a person does, and waits. Returns the figures of what was driven, of which
-    /// [`sound`] holds.
+    /// Sends Ctrl-C to the run, and waits for its end. Returns the figures of the driven part,
+    /// after checking them with [`sound`].
     pub(crate) fn interrupt(&mut self) -> Value {
         send(self.launcher_pid(), Signal::INT);
         let status = self.end();
@@ -262,7 +262,7 @@ impl Run {
         self.figures()
     }
 
-    /// The figures on stdout of a run that has ended, of which [`sound`] holds.
+    /// Returns the figures that an ended run printed, after checking them with [`sound`].
     fn figures(&self) -> Value {
         let figures = self.printed();
         sound(&figures);
@@ -270,31 +270,31 @@ impl Run {
         figures
     }
 
-    /// The figures on stdout of a run that has ended.
+    /// Returns the figures that an ended run printed on stdout.
     pub(crate) fn printed(&self) -> Value {
         let text = fs::read_to_string(&self.stdout).unwrap();
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {}", self.said()))
     }
 
-    /// Waits until no process of the run is left.
+    /// Waits until the run has no process.
     pub(crate) fn until_vanished(&self) {
         self.until("the end of all processes", |processes| {
             processes.is_empty().then_some(())
         });
     }
 
-    /// What it said on stderr.
+    /// Returns its output on stderr.
     pub(crate) fn said(&self) -> String {
         fs::read_to_string(&self.stderr).unwrap()
     }
 
-    /// Nothing of this run is left on the machine.
+    /// Checks that no file of this run remains on the machine.
     pub(crate) fn left_nothing(&self) {
         let files = self.files();
         assert!(files.is_empty(), "{files:?}");
     }
 
-    /// Files of this run on the machine.
+    /// Returns the files of this run on the machine.
     fn files(&self) -> Vec<PathBuf> {
         ["/dev/shm", "/tmp"]
             .iter()
@@ -315,12 +315,12 @@ impl Drop for Run {
     }
 }
 
-/// Kills a process; it may have ended already.
+/// Kills a process. The process may have ended already.
 pub(crate) fn kill(pid: i32) {
     send(pid, Signal::KILL);
 }
 
-/// Sends a signal; the process may have ended already.
+/// Sends a signal. The process may have ended already.
 pub(crate) fn send(pid: i32, signal: Signal) {
     let _ = kill_process(Pid::from_raw(pid).unwrap(), signal);
 }

@@ -1,4 +1,4 @@
-//! Faults of wires and power while a run drives.
+//! Tests of faults of wires and power while a run drives.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use crate::deaths::{dual_master, peer};
 use crate::fixture::{Fixture, Run, takeovers};
 use crate::observers::until_obeyed;
 
-/// `tandem` with these words, on this run.
+/// Runs `tandem` with these arguments on this run.
 fn inject(fixture: &Fixture, run: &Run, words: &[&str]) {
     let pid = run.launcher_pid().to_string();
     let output = fixture.output(&[words, &["--run", &pid]].concat());
@@ -16,7 +16,7 @@ fn inject(fixture: &Fixture, run: &Run, words: &[&str]) {
     assert!(output.status.success(), "{words:?}: {said}");
 }
 
-/// Waits until the supplies of these systems show these roles, and no other supply is there.
+/// Waits until the supplies of these systems show these roles, and no other supply exists.
 fn until_roles(run: &Run, expected: &[(&str, &str)]) {
     run.until(&format!("{expected:?}"), |processes| {
         let supplies = processes.iter().filter(|process| process.kind == "supply");
@@ -32,7 +32,7 @@ fn until_roles(run: &Run, expected: &[(&str, &str)]) {
     });
 }
 
-/// A run that lasts until a test has done with it.
+/// Starts a run that lasts longer than its test.
 fn long_run(fixture: &Fixture) -> Run {
     fixture.run(&[
         "--duration",
@@ -43,14 +43,14 @@ fn long_run(fixture: &Fixture) -> Run {
     ])
 }
 
-/// The systems that took over, in order.
+/// Returns the systems that took over, in order.
 fn drivers_of(metrics: &Value) -> Vec<&str> {
     let all = takeovers(metrics).into_iter();
     all.map(|it| it["to"].as_str().unwrap()).collect()
 }
 
 /// T-RED-4, T-RED-5, T-RED-7: a system that has lost its power is switched on again in the same
-/// run, and joins as the standby; then the other one loses its power, and it takes over.
+/// run, and joins as standby. Then the other loses its power, and the joined system takes over.
 #[test]
 fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     let fixture = Fixture::new();
@@ -73,8 +73,9 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     run.left_nothing();
 }
 
-/// T-CHIP-6, T-RED-6: a low rail of the master's supply, and then the bus destroys what the other
-/// one sends. Each time the other one drives, and a repaired system joins; the report says why.
+/// T-CHIP-6, T-RED-6: a supply rail of the master is low; later the bus destroys the next master's
+/// frames. Each time the other takes over, a repaired system joins, and the report names the
+/// cause.
 #[test]
 fn faults_of_the_hardware_are_injected_and_repaired() {
     let fixture = Fixture::new();
@@ -87,7 +88,7 @@ fn faults_of_the_hardware_are_injected_and_repaired() {
         inject(&fixture, &run, &["fault", fault, &master, "--mend"]);
         drivers.push(peer(&master));
     }
-    // A bus that is repaired after the last attempt finds its system suspended.
+    // If the bus is repaired after the last attempt, its system stays suspended.
     run.until("a standby, or one system suspended", |processes| {
         let has = |role| processes.iter().any(|it| it.role.as_deref() == Some(role));
         (has("standby") || has("suspended")).then_some(())
@@ -100,7 +101,7 @@ fn faults_of_the_hardware_are_injected_and_repaired() {
     assert!(report.contains("bus-off "));
 }
 
-/// What is cut: both ways of the heartbeat lines and of the power level, and the CAN of A and of B.
+/// The cuts: both directions of the heartbeat and power level lines, and the CAN of A and of B.
 const WIRES: [&[&str]; 5] = [
     &["heartbeat-1"],
     &["heartbeat-2"],
@@ -108,20 +109,20 @@ const WIRES: [&[&str]; 5] = [
     &["can", "--from", "A"],
     &["can", "--from", "B"],
 ];
-/// By then every system has noticed what was cut, and a gap is one.
+/// Within this time every system has detected the cuts, and missing control counts as a gap.
 const SETTLED: Duration = Duration::from_millis(500);
 const TABLE: &str = include_str!("../../docs/redundancy.md");
 /// One row of the truth table.
 struct Row {
     cut: [bool; 5],
-    /// Roles of A and B once they have noticed.
+    /// Roles of A and B after both have detected the cuts.
     roles: [String; 2],
-    /// Whom the vehicle obeys; and then, when A has lost its power, or B.
+    /// The system that the vehicle obeys, and the one after a power loss of A or of B.
     obeyed: Option<String>,
     then_obeyed: [Option<String>; 2],
 }
 
-/// The table of the docs, which the model of the redundancy has written.
+/// Returns the rows of the table in the docs, which the model of the redundancy has written.
 fn rows() -> Vec<Row> {
     let (_, table) = TABLE.split_once("<!-- truth:begin -->").unwrap();
     let (table, _) = table.split_once("<!-- truth:end -->").unwrap();
@@ -142,7 +143,7 @@ fn rows() -> Vec<Row> {
     rows.map(of_row).collect()
 }
 
-/// The roles of both systems as a person sees them: a master that has no standby is degraded.
+/// Returns the roles of both systems in `tandem ps`. A master without a standby is degraded.
 fn shown_roles(fixture: &Fixture, run: &Run) -> [String; 2] {
     let shown = String::from_utf8(fixture.output(&["ps"]).stdout).unwrap();
     let of_run = format!("tandem-{}-", run.launcher_pid());
@@ -167,8 +168,8 @@ fn shown_run(words: &[&str], name: &str) -> bool {
     words.last().is_some_and(|run| run.starts_with(name))
 }
 
-/// One row of the truth table, with processes: A drives, then this is cut. With `off` that system
-/// loses its power then.
+/// Checks one row of the truth table with processes: A drives, then the wires of the row are cut.
+/// If `off` is set, that system then loses its power.
 fn holds(row: &Row, off: Option<usize>) {
     row_holds(&Fixture::new(), row, off);
 }
@@ -177,15 +178,15 @@ fn row_holds(fixture: &Fixture, row: &Row, off: Option<usize>) {
     let mut run = fixture.run(&["--duration", "110", "--scenario", "free-lane"]);
     until_roles(&run, &[("A", "master"), ("B", "standby")]);
     until_obeyed(&run, "A");
-    // One after the other: B's CAN before A's, or B would take over in between.
+    // Cut one wire after the other, B's CAN before A's. Otherwise B would take over in between.
     for (wire, _) in WIRES.iter().zip(row.cut).rev().filter(|(_, cut)| *cut) {
         inject(fixture, &run, &[&["cut"], *wire].concat());
     }
-    // Long enough for a system to notice: the roles may be those of before until then.
+    // Wait until the systems have detected the cuts: before, the old roles could match.
     std::thread::sleep(SETTLED);
     run.until(&format!("{:?} cut: {:?}", row.cut, row.roles), |_| {
         let shown = shown_roles(fixture, &run);
-        // A system without CAN that does not drive resets itself again and again, and suspends.
+        // A system without CAN that does not drive resets itself repeatedly, and then suspends.
         let is_as_told = |system: usize| {
             let (shown, told) = (&shown[system], &row.roles[system]);
             let resets = row.cut[3 + system] && told == "standby" && !shown.contains("master");
@@ -221,7 +222,7 @@ fn row_holds(fixture: &Fixture, row: &Row, off: Option<usize>) {
     );
 }
 
-/// T-RED-9: three rows of the truth table: split brain, a deaf master beside it, and all but that.
+/// T-RED-9: three rows of the truth table hold, for three different sets of cut wires.
 #[test]
 fn rows_of_the_truth_table_hold_with_processes() {
     let rows = rows();
@@ -236,8 +237,8 @@ fn rows_of_the_truth_table_hold_with_processes() {
     }
 }
 
-/// T-RED-9: every row, and then each system without power. `cargo nextest run -p tandem --test
-/// processes --run-ignored only truth`
+/// T-RED-9: every row, first with both systems and then without one of them. `cargo nextest run -p
+/// tandem --test processes --run-ignored only truth`
 #[test]
 #[ignore = "takes minutes: a command that a person starts"]
 fn every_row_of_the_truth_table_holds_with_processes() {

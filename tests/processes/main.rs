@@ -1,7 +1,7 @@
-//! The `tandem` command as a person uses it: real processes, real kills.
+//! Tests of the `tandem` command as a user runs it, with real processes and real kills.
 //!
-//! This is a test of the package `tandem`, so that cargo builds the command for it; the code lies
-//! in the room of the whole-process tests.
+//! This is a test of the package `tandem`, so that cargo builds the command for it. The code is in
+//! the folder of the whole-process tests.
 #![allow(
     clippy::unwrap_used,
     reason = "a test ends where something is not as it must be"
@@ -18,5 +18,5 @@ mod stalls;
 mod startup;
 mod trace;
 
-/// The command under test.
+/// The program under test.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem");

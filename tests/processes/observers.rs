@@ -1,4 +1,4 @@
-//! What a run publishes, and that no observer disturbs it.
+//! Tests the data that a run publishes, and that no observer disturbs the run.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -11,14 +11,14 @@ use crate::fixture::{Fixture, Run, kill, send};
 
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/observe.py");
 
-/// Waits until the run publishes.
+/// Waits until the run publishes, and returns an observer of it.
 fn observer(run: &Run) -> Observer {
     run.until("an observer", |_| {
         Observer::on(Some(&run.launcher_pid().to_string())).ok()
     })
 }
 
-/// Waits until the newest news of the roles are as `is_it` wants them.
+/// Waits until `is_it` returns true for the newest roles.
 fn until_roles(run: &Run, what: &str, is_it: impl Fn(&Roles) -> bool) {
     let observer = observer(run);
     run.until(what, |_| {
@@ -32,7 +32,7 @@ fn until_roles(run: &Run, what: &str, is_it: impl Fn(&Roles) -> bool) {
     });
 }
 
-/// Waits until the vehicle obeys a system.
+/// Waits until the vehicle obeys any system.
 pub(crate) fn until_driven(run: &Run) {
     until_roles(run, "a driver", |now| now.obeyed < 2);
 }
@@ -48,7 +48,7 @@ pub(crate) fn until_driven_for(run: &Run, seconds: f64) {
     until_roles(run, "a longer drive", |now| now.time_s >= seconds);
 }
 
-/// A program that observes a run: this test's own, in a process that can be frozen and killed.
+/// Starts an observer of a run: this test program, in a process that can be frozen and killed.
 fn observing(run: &Run) -> Child {
     Command::new(std::env::current_exe().unwrap())
         .args([
@@ -90,7 +90,7 @@ pub(crate) fn disturb(run: &Run) {
     }
 }
 
-/// Whether the newest news tells of a system that drives, another that stands by, and living cores.
+/// Returns `Some` if one system drives, the other stands by, and all cores are alive.
 fn sees_both(observer: &Observer) -> Option<()> {
     let mut both = false;
     observer.poll(&mut |news| {
@@ -102,8 +102,8 @@ fn sees_both(observer: &Observer) -> Option<()> {
     both.then_some(())
 }
 
-/// Roles, vehicle, frames and events come, while one observer is frozen, another is killed, and
-/// then the publisher itself stands still; the run drives as if there were none.
+/// Observers receive roles, vehicle, frames and events while one observer is frozen, another is
+/// killed, and later the publisher is stopped. The run drives as if there were no observer.
 #[test]
 fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     let fixture = Fixture::new();
@@ -111,13 +111,13 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     let own = observer(&run);
     let [mut frozen, mut killed] = [observing(&run), observing(&run)];
     run.until_dual();
-    // Both subscribe before that.
+    // Both observers subscribe within this time.
     until_driven_for(&run, 1.0);
     send(frozen.id() as i32, Signal::STOP);
     kill(killed.id() as i32);
     killed.wait().unwrap();
     own.poll(&mut |_| {});
-    // The frozen and the dead one cost the third nothing: its news continue.
+    // The third observer still receives messages beside the frozen and the dead one.
     let (mut roles, mut vehicles, mut frames, mut reached_s) = (0, 0, 0, 0.0);
     while roles < 3 || vehicles < 10 || frames < 100 {
         assert!(!run.processes().is_empty(), "{roles} {vehicles} {frames}");
@@ -131,7 +131,7 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     run.until("news of both in their roles", |_| sees_both(&own));
     let publisher = publisher_of(&run).expect("a publisher");
     send(publisher, Signal::STOP);
-    // Nothing tells from outside that the run continues: only its figures do.
+    // The run publishes nothing now, so only its figures show that it continues.
     std::thread::sleep(Duration::from_millis(500));
     let metrics = run.interrupt();
     assert!(
@@ -144,7 +144,7 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     frozen.wait().unwrap();
 }
 
-/// The process that publishes the run.
+/// Returns the process that publishes the run.
 fn publisher_of(run: &Run) -> Option<i32> {
     let pid = run.launcher_pid();
     let children = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).ok()?;
@@ -155,7 +155,7 @@ fn publisher_of(run: &Run) -> Option<i32> {
     children.split_whitespace().find(is_it)?.parse().ok()
 }
 
-/// The example in Python, if its library is there.
+/// The example in Python reports a takeover. Skipped if its library is missing.
 #[test]
 fn the_example_in_python_sees_a_takeover() {
     let fixture = Fixture::new();

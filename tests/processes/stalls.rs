@@ -1,4 +1,4 @@
-//! A CPU that is gone during a run: the evidence of it, whatever core 0 does there.
+//! Tests that a stall of a CPU is recorded during a run, in whatever state its core 0 is.
 
 use std::time::{Duration, Instant};
 
@@ -7,11 +7,11 @@ use tandem_board_host::realtime::{Claim, claim};
 use crate::fixture::{Fixture, kill};
 use crate::observers::until_driven;
 
-/// How much of a stall has no evidence, ms: the thread that watches sleeps for 2 ms.
+/// The part of a stall that is not recorded, ms: the watching thread sleeps for 2 ms.
 const UNSEEN_MS: f64 = 2.0;
 
-/// Takes a CPU from all of the run for this long, ms; returns after that how long it was. `None`
-/// where that is not permitted. `place`: as core 0 of A is pinned.
+/// Takes a CPU from the whole run for `ms`, and returns the measured time, ms. `None` if that is
+/// not permitted. `place` selects the CPU as for a core.
 fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
     let spin = move || {
         let claimed = claim(Claim {
@@ -30,8 +30,8 @@ fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
     std::thread::scope(|scope| scope.spawn(spin).join().unwrap())
 }
 
-/// T-RED-8: a stall of a CPU is seen but for 2 ms while the core 0 there runs, which postpones the
-/// end of the watching thread's sleep, and just after that core 0 was killed.
+/// T-RED-8: a stall of a CPU is recorded except for its first 2 ms. This holds while the core 0 on
+/// it runs and postpones the watching thread's timer, and just after that core 0 was killed.
 #[test]
 fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
     for (ms, dies) in [(40, false), (60, true)] {

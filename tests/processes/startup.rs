@@ -1,15 +1,15 @@
-//! Starts that are killed half-way.
+//! Tests that kill processes during the start of a run.
 
 use std::time::Duration;
 
 use crate::fixture::{Fixture, kill};
 
-/// How many starts are killed, unless `TANDEM_STARTUP_KILLS` says otherwise.
+/// Number of starts with a kill, unless `TANDEM_STARTUP_KILLS` gives another number.
 const KILLS: u64 = 6;
-/// Within this time after the start something is killed, ms: longer than a start takes.
+/// The kill happens within this time after the start, ms. A start is shorter.
 const WITHIN_MS: u64 = 300;
 
-/// Numbers that look random and are the same every time (splitmix64).
+/// Returns numbers that look random but are the same in every test (splitmix64).
 fn scattered(n: u64) -> u64 {
     let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -17,8 +17,8 @@ fn scattered(n: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A start that was killed at any moment, in whatever process, ends; the next one works; and in the
-/// end nothing is left.
+/// A start ends after any of its processes is killed at any moment. The next start works, and at
+/// the end nothing of the runs remains.
 #[test]
 fn any_start_may_be_killed() {
     let fixture = Fixture::new();
@@ -32,13 +32,13 @@ fn any_start_may_be_killed() {
         std::thread::sleep(Duration::from_micros(at_us));
         let processes = run.processes();
         let choice = scattered(2 * start + 1) as usize % (processes.len() + 1);
-        // One of the processes, or `tandem run` itself.
+        // Select one of the processes, or `tandem run` itself.
         let victim = processes
             .get(choice)
             .map_or(run.launcher_pid(), |process| process.pid);
         kill(victim);
         run.end();
-        // Without its launcher a run that drives continues to its end.
+        // If its launcher is killed, a run that drives continues to its end.
         run.until_vanished();
         killed.push(run);
     }

@@ -1,4 +1,4 @@
-//! The Perfetto trace of a run with a kill, read by a decoder that shares nothing with its writer.
+//! Decodes the Perfetto trace of a run with a kill. The decoder shares no code with the encoder.
 
 use std::collections::HashMap;
 
@@ -6,13 +6,13 @@ use crate::deaths::dual_master;
 use crate::fixture::{Fixture, kill};
 use crate::observers::until_driven_for;
 
-/// One field of a protobuf message: its number, and its content.
+/// One field of a protobuf message: its number and its value.
 enum Field<'b> {
     Number(u64, u64),
     Bytes(u64, &'b [u8]),
 }
 
-/// Field by field, by the protobuf wire format alone.
+/// Splits a message into fields, by the protobuf wire format alone.
 fn fields(mut bytes: &[u8]) -> Vec<Field<'_>> {
     fn varint(bytes: &mut &[u8]) -> u64 {
         let mut value = 0;
@@ -65,7 +65,7 @@ fn text(message: &[u8], wanted: u64) -> Option<String> {
     Some(String::from_utf8(bytes).unwrap())
 }
 
-/// A moment of the trace: when (ns), on which thread ("pid/name"), of which type, its name.
+/// An event of the trace: its time (ns), thread ("pid/name"), type and name.
 struct Moment {
     at_ns: u64,
     thread: String,
@@ -78,7 +78,7 @@ struct Moment {
 const BEGIN: u64 = 1;
 const END: u64 = 2;
 
-/// Identifiers on the bus.
+/// Identifiers of frames on the bus.
 const CONTROL: [u16; 2] = [0x0A0, 0x0A1];
 const LISTS: std::ops::Range<u16> = 0x200..0x260;
 
@@ -118,19 +118,19 @@ fn events(trace: &[u8]) -> Vec<Moment> {
     events
 }
 
-/// How long a list waited for the bus, ms, by the sensor's time in its header: after a stall the
-/// vehicle sends at once what was due in it. The sensors' clock is the machine's, in µs.
+/// Returns how long a list waited for the bus, ms, by the sensor's time in its header: after a
+/// stall the vehicle sends the lists that were due. The sensors use the machine's clock, in µs.
 fn waited_ms(at_ms: f64, header: &str) -> f64 {
     let measured_us = u32::from_str_radix(&header[8..16], 16)
         .unwrap()
         .swap_bytes();
     let at_us = (at_ms * 1e3).round() as u64 as u32;
-    // Negative if the log has rounded the time down.
+    // The result may be negative, because the log rounds the time down.
     f64::from(at_us.wrapping_sub(measured_us) as i32) * 1e-3
 }
 
-/// Age in ms of the oldest object list behind each obeyed control frame, by the trace and the log
-/// of the bus alone: the age that a frame carries is not read. Sorted.
+/// Returns the sorted ages in ms of the oldest object list behind each accepted control frame.
+/// Only the trace and the bus log are used, not the age that a frame contains.
 fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
     let frames: Vec<(f64, u16, &str)> = candump
         .lines()
@@ -143,14 +143,14 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
         .collect();
     let obeyed = |e: &&Moment| e.name.ends_with(" obeyed");
     let ms = |e: &Moment| e.at_ns as f64 * 1e-6;
-    // The log has the time of day, the trace that of the machine.
+    // The log contains the time of day, the trace the machine's clock.
     let first_control = frames
         .iter()
         .find(|(_, id, _)| CONTROL.contains(id))
         .unwrap()
         .0;
     let shift = ms(events.iter().find(obeyed).unwrap()) - first_control;
-    // Of each sensor, its lists: when it measured, and when the last frame was on the bus.
+    // The lists of each sensor: time of the measurement, and of its last frame on the bus.
     let mut lists: HashMap<u16, Vec<(f64, f64)>> = HashMap::new();
     let of_lists = frames.into_iter().filter(|(_, id, _)| LISTS.contains(id));
     for (at, id, data) in of_lists {
@@ -173,7 +173,7 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
         let perceives = times(format!("{pid}/core 1: perception"), BEGIN);
         let planned = times(format!("{pid}/core 2: planning"), END);
         for acts in events.iter().filter(|e| e.name == name).map(ms) {
-            // The last plan before this frame, and the last look at the sensors before that plan.
+            // The last plan before this frame, and the last perception cycle before it.
             let plan = planned.iter().rfind(|end| **end < acts);
             let look = plan.and_then(|plan| perceives.iter().rfind(|begin| *begin < plan));
             let Some(look) = look else { continue };
@@ -191,8 +191,8 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
     ages
 }
 
-/// A core that is killed leaves its trace up to the kill, and the trace of all stays well-formed.
-/// The age of sensor data in the metrics is what the trace and the bus say.
+/// A killed core leaves its trace up to the kill, and the whole trace is well-formed. The ages of
+/// sensor data in the metrics match the trace and the bus log.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let fixture = Fixture::new();
@@ -226,12 +226,12 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let reborn_ns = reborn.unwrap().at_ns;
     assert!(death_ns < reborn_ns);
 
-    // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which
-    // was traced.
+    // Each accepted frame was sent in a cycle of the first incarnation, and the trace contains
+    // these cycles.
     let cycles = events
         .iter()
         .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
-    // A cycle that was pre-empted has a slice for each time that it had the CPU.
+    // A preempted cycle has one slice for each time in which it had the CPU.
     let mut slices: Vec<(u64, u64)> = cycles.map(|e| (e.job.unwrap(), e.at_ns)).collect();
     slices.dedup_by_key(|(job, _)| *job);
     let cycles: Vec<u64> = slices.iter().map(|(_, at_ns)| *at_ns).collect();
@@ -242,7 +242,7 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     assert!(obeyed > 0);
     let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
     assert!(before + lost >= obeyed, "{before} cycles, {obeyed} frames");
-    // And nothing between the incarnations.
+    // No cycle lies between the incarnations.
     assert!(
         !cycles
             .iter()
@@ -266,7 +266,7 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
         assert!(*depth >= 0, "an end without a begin on {}", event.thread);
     }
     assert!(depth.values().all(|(depth, _)| *depth == 0));
-    // All six cores, both supplies and the bus were heard of.
+    // The trace contains all six cores, both supplies and the bus.
     assert_eq!(depth.len(), 9, "{:?}", depth.keys());
     let woken = events
         .iter()

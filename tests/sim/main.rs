@@ -1,4 +1,4 @@
-//! `tandem sim` as a user calls it.
+//! Tests of `tandem sim` as a user calls it.
 #![forbid(unsafe_code)]
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -52,11 +52,11 @@ fn a_saved_sequence_is_tried_from_its_file() {
     assert_eq!(story(&told), story(&again));
 }
 
-/// The line that is printed for a violation has every option that the violation needs.
+/// The command printed for a violation has all options that are needed to repeat the violation.
 #[test]
 fn the_printed_line_repeats_a_violation() {
     let folder = tempfile::tempdir().unwrap();
-    // Both systems lose power as the vehicle in front begins to brake.
+    // Both systems lose power when the vehicle in front begins to brake.
     let off = |of| format!("[[fault]]\nwhat = \"power-loss\"\nof = \"{of}\"\nat-ms = 3000.0\n");
     let faults = format!("mended-at-ms = 12000.0\n{}{}", off("a"), off("b"));
     fs::write(folder.path().join("off.toml"), faults).unwrap();
@@ -71,7 +71,7 @@ fn the_printed_line_repeats_a_violation() {
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let again = sim(&arguments, folder.path());
     assert_eq!(again.status.code(), Some(1), "{}", said(&again.stderr));
-    // Of the number 0, the digest of the campaign is that of its one sequence.
+    // With only sequence 0, the digest of the campaign is the digest of that sequence.
     let digest = |text: &str| text.trim_end().rsplit(' ').next().unwrap().to_owned();
     assert!(text.contains("TooClose"), "{text}");
     assert_eq!(digest(&said(&again.stdout)), digest(&text), "{arguments:?}");

@@ -1,4 +1,4 @@
-//! A simulated board of which a test replaces parts.
+//! A simulated board with parts that a test replaces.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -8,7 +8,7 @@ use tandem_board::{
 };
 use tandem_board_sim::SimBoard;
 
-/// A board around a simulated one, with its own CAN controller, link and supply.
+/// A board around a simulated one, with another CAN controller, link and supply.
 pub struct Around<C, L, S> {
     board: SimBoard,
     can: C,
@@ -18,13 +18,13 @@ pub struct Around<C, L, S> {
 }
 
 impl<C, L, S> Around<C, L, S> {
-    /// The board with these parts, for the life of the test.
+    /// Creates a board with these parts. It is leaked, so it exists until the test ends.
     pub fn leaked(board: &SimBoard, can: C, link: L, supply: S) -> &'static Self {
         Self::leaked_ahead(board, can, link, supply, Rc::default())
     }
 
-    /// The same; the core's time is ahead of the simulation's, which stands still during a poll, by
-    /// what the test says.
+    /// Creates the same board with a clock that is `ahead` of the simulation's time, which does
+    /// not advance during a poll.
     pub fn leaked_ahead(
         board: &SimBoard,
         can: C,

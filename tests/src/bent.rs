@@ -1,4 +1,4 @@
-//! A CAN controller that is not what it seems: frames are altered on their way.
+//! A CAN controller that alters frames when its core sends or receives them.
 
 use crate::around::Around;
 use std::cell::RefCell;
@@ -11,22 +11,22 @@ use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::{Config, Core};
 
-/// What becomes of a frame that a core sends: none, one or more reach the controller.
+/// Maps a frame that a core sends to the frames that reach the controller: none, one or more.
 pub type OnSend = Box<dyn FnMut(Instant, CanFrame) -> Vec<CanFrame>>;
-/// What a core hears instead of a frame.
+/// Maps a received frame to the frame that the core reads instead.
 pub type OnHear = Box<dyn FnMut(Instant, CanFrame) -> CanFrame>;
 
-/// A CAN controller around a simulated one.
+/// A CAN controller around a simulated one, with altered frames.
 pub struct BentCan {
     board: SimBoard,
     on_send: RefCell<OnSend>,
     on_hear: RefCell<OnHear>,
 }
 
-/// Core 0 or core 1 of a system, with frames that it sends or hears bent.
+/// Creates core 0 or core 1 of a system, with functions that alter its sent and received frames.
 ///
 /// # Panics
-/// For core 2, which neither sends nor hears.
+/// For core 2, which neither sends nor receives frames.
 #[must_use]
 pub fn bent_core(board: &SimBoard, config: Config, on_send: OnSend, on_hear: OnHear) -> Poller {
     let can = BentCan {
@@ -49,17 +49,17 @@ pub fn bent_core(board: &SimBoard, config: Config, on_send: OnSend, on_hear: OnH
     }
 }
 
-/// The frame as it is.
+/// Returns the frame unchanged.
 #[must_use]
 pub fn straight(_: Instant, frame: CanFrame) -> CanFrame {
     frame
 }
 
-/// Alters the content of a frame of the DBC and protects it anew with its own counter. Others stay
-/// as they are.
+/// Alters the content of a frame of the DBC, and protects it again with its own counter. Returns
+/// other frames unchanged.
 ///
 /// # Panics
-/// If the altered message makes no frame.
+/// If the altered message cannot be encoded.
 #[must_use]
 pub fn altered(frame: CanFrame, alter: impl FnOnce(&mut Message)) -> CanFrame {
     let CanId::Standard(id) = frame.id() else {

@@ -1,4 +1,4 @@
-//! What the tests of the whole have in common.
+//! Shared by the tests of the whole product.
 #![forbid(unsafe_code)]
 #![allow(clippy::expect_used, reason = "a test may panic")]
 

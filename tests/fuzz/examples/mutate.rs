@@ -1,7 +1,7 @@
-//! Damages good inputs at random and gives them to the readers: `cargo xtask campaign fuzz`.
+//! Mutates valid inputs at random and passes them to the readers: `cargo xtask campaign fuzz`.
 //!
-//! Each input must be dealt with in 5 s of a CPU, and all of a target in 1 GB; a panic ends the
-//! campaign, after a line that names the input.
+//! Each input must be processed in 5 s of CPU time, and all inputs of a target in 1 GB. A panic
+//! ends the campaign, and a line names the input.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
@@ -9,7 +9,7 @@ use std::process::ExitCode;
 
 use tandem_fuzz::{Mutator, TARGETS, Target};
 
-/// The longest time of an input, s of a CPU, and the memory of all, KiB.
+/// Largest CPU time for one input, s, and largest memory of the process, KiB.
 const TIME_MAX_S: f64 = 5.0;
 const MEMORY_MAX_KIB: u64 = 1 << 20;
 
@@ -21,14 +21,14 @@ fn memory_kib() -> Option<u64> {
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// Time on a CPU, s: that of the wall would count what a busy machine does besides.
+/// Returns the CPU time, s. Wall-clock time would include other work of a busy machine.
 fn cpu_s() -> f64 {
     let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
     let first = text.split_whitespace().next();
     first.and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
 }
 
-/// Names the input on the way out of a panic.
+/// Prints the name of the input if its check panics.
 struct Trying<'a>(&'a Target, u64);
 
 impl Drop for Trying<'_> {

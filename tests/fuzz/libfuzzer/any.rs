@@ -1,4 +1,4 @@
-//! The target that TANDEM_FUZZ_TARGET names.
+//! Runs the target named by TANDEM_FUZZ_TARGET.
 #![no_main]
 
 use std::sync::LazyLock;

@@ -1,4 +1,4 @@
-//! What the bootloader reads. T-BOOT-3, T-BOOT-4
+//! Fuzz targets for the inputs of the bootloader. T-BOOT-3, T-BOOT-4
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
@@ -8,13 +8,13 @@ use tandem_boot::{
     SIGNED_BYTES, SMALLEST_SECTOR, SRecord,
 };
 
-/// A record that is right.
+/// A valid record.
 const GOOD: &[u8] = b"S107004000DEADBE6F\r\n";
 
-/// A line is a record only if its own digits make it one.
+/// Checks that a line is accepted as a record only if its digits are a valid one.
 ///
 /// # Panics
-/// If it is taken although length or checksum are wrong, or in one case of its digits only.
+/// If a record with a wrong length or checksum is accepted, or only in one case of its digits.
 pub(crate) fn record(line: &[u8]) -> bool {
     let Ok(record) = SRecord::parse(line) else {
         return false;
@@ -40,11 +40,11 @@ pub(crate) fn record(line: &[u8]) -> bool {
     true
 }
 
-/// Frames, each a length (modulo 9) and its data: whatever arrived before, the next record is read
-/// whole.
+/// Takes frames, each a length (modulo 9) and its data. After any frames, the assembler must read
+/// the next whole record.
 ///
 /// # Panics
-/// If it is not, or the assembler panics.
+/// If the record is not read, or the assembler panics.
 pub(crate) fn frames(mut bytes: &[u8]) -> bool {
     let mut assembler = Assembler::default();
     let mut accepted = false;
@@ -68,11 +68,11 @@ pub(crate) fn frames(mut bytes: &[u8]) -> bool {
     accepted
 }
 
-/// Bytes are a manifest only if the manifest is written as these bytes, and its parts are in its
-/// body.
+/// Checks that bytes are accepted as a manifest only if encoding it returns the same bytes, and
+/// its parts are in its body.
 ///
 /// # Panics
-/// If another is taken.
+/// If other bytes are accepted.
 pub(crate) fn manifest(bytes: &[u8]) -> bool {
     let Some(bytes) = bytes.first_chunk::<SIGNED_BYTES>() else {
         return false;
@@ -93,11 +93,11 @@ pub(crate) fn manifest(bytes: &[u8]) -> bool {
     true
 }
 
-/// Two copies of a boot environment, each with its confirmation: after a repair, the same is read
-/// again.
+/// Takes two copies of a boot environment, each with its confirmation. After a repair, the same
+/// environment must be read again.
 ///
 /// # Panics
-/// If it is not.
+/// If another environment is read.
 pub(crate) fn environment(bytes: &[u8]) -> bool {
     let mut flash = Sectors::new();
     for (copy, bytes) in (0..2).zip(bytes.chunks(3 * PAGE_BYTES)) {
@@ -114,7 +114,7 @@ pub(crate) fn environment(bytes: &[u8]) -> bool {
     true
 }
 
-/// The sectors up to the end of the boot environment.
+/// The flash sectors up to the end of the boot environment.
 struct Sectors(Vec<u8>);
 
 impl Sectors {

@@ -1,5 +1,5 @@
-//! What must hold for any bytes that a reader gets: the bodies of the fuzz targets, their corpora,
-//! and mutations of these for a compiler without libFuzzer.
+//! Properties that must hold for any input of a reader: the bodies of the fuzz targets, their
+//! corpora, and mutations of these for compilers without libFuzzer.
 #![forbid(unsafe_code)]
 #![allow(clippy::expect_used, reason = "a failure is what it is for")]
 
@@ -13,14 +13,14 @@ use std::path::{Path, PathBuf};
 
 pub use mutation::Mutator;
 
-/// One reader and what must hold for it.
+/// A reader, and the properties that must hold for it.
 #[derive(Debug)]
 pub struct Target {
-    /// Its name, and that of its corpus.
+    /// Name of the target and of its corpus.
     pub name: &'static str,
-    /// Returns whether the input was accepted. Panics if something does not hold.
+    /// Returns whether the input was accepted. Panics if a property does not hold.
     pub body: fn(&[u8]) -> bool,
-    /// Its inputs are lines of text; others are bytes.
+    /// Whether its inputs are lines of text. Otherwise they are bytes.
     pub is_text: bool,
 }
 
@@ -57,7 +57,7 @@ pub const TARGETS: [Target; 11] = [
     bytes("recording", wire::recording),
 ];
 
-/// The target with this name.
+/// Returns the target with this name.
 #[must_use]
 pub fn target(name: &str) -> Option<&'static Target> {
     const ALL: &[Target] = &TARGETS;
@@ -65,14 +65,14 @@ pub fn target(name: &str) -> Option<&'static Target> {
 }
 
 impl Target {
-    /// The folder with its inputs.
+    /// Returns the folder of its inputs.
     #[must_use]
     pub fn folder(&self) -> PathBuf {
         let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
         corpus.join(self.name)
     }
 
-    /// Its inputs with their paths, in the order of the paths.
+    /// Returns its inputs with their paths, in the order of the paths.
     ///
     /// # Errors
     /// If the corpus cannot be read.

@@ -1,11 +1,11 @@
-//! Random damage to good inputs.
+//! Random mutations of valid inputs.
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::{Rng as _, SeedableRng as _};
 
 use crate::Target;
 
-/// What a number in a text is replaced by.
+/// Replacements for numbers in a text.
 const NUMBERS: [&str; 14] = [
     "0",
     "-1",
@@ -22,12 +22,12 @@ const NUMBERS: [&str; 14] = [
     "",
     "9223372036854775807",
 ];
-/// Bytes that are at the end of something.
+/// Replacements for bytes: the limits of common ranges.
 const BYTES: [u8; 6] = [0, 1, 0x7F, 0x80, 0xFE, 0xFF];
-/// Most damages to one input.
+/// Largest number of mutations of one input.
 const DAMAGES: usize = 5;
 
-/// Makes inputs from seeds: one seed, one input.
+/// Creates inputs from seeds. The same seed always gives the same input.
 #[derive(Debug)]
 pub struct Mutator {
     bases: Vec<Vec<u8>>,
@@ -35,7 +35,7 @@ pub struct Mutator {
 }
 
 impl Mutator {
-    /// Damages the inputs of the target's corpus.
+    /// Creates a mutator for the inputs of the target's corpus.
     ///
     /// # Errors
     /// If the corpus cannot be read.
@@ -47,7 +47,7 @@ impl Mutator {
         })
     }
 
-    /// The input of this seed.
+    /// Returns the input for this seed.
     #[must_use]
     pub fn input(&self, seed: u64) -> Vec<u8> {
         let mut draw = Draw(ChaCha8Rng::seed_from_u64(seed));
@@ -100,7 +100,7 @@ fn damage_lines(lines: &mut Vec<String>, draw: &mut Draw) {
         1 => lines.swap(line, other),
         2 => lines[line] = lines[other].clone(),
         3 => {
-            // A piece of the file many times.
+            // Repeat a part of the file many times.
             let end = (line + 1 + draw.below(12)).min(lines.len());
             let piece = lines[line..end].to_vec();
             let times = 1 + draw.below(300);

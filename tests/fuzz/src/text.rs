@@ -1,12 +1,12 @@
-//! Files that a user writes: scenarios and lists of faults.
+//! Fuzz targets for files that a user writes: scenarios and lists of faults.
 
 use tandem_faults::Sequence;
 use tandem_vehicle::{Scenario, World, WorldConfig};
 
-/// A scenario file is refused, or its world runs for 60 ms without a controller.
+/// Checks that a scenario file is rejected, or its world runs for 60 ms without a controller.
 ///
 /// # Panics
-/// If the reader or the world panics, or a position is no number.
+/// If the reader or the world panics, or a position is not a number.
 pub(crate) fn scenario(data: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(data) else {
         return false;
@@ -31,7 +31,7 @@ pub(crate) fn scenario(data: &[u8]) -> bool {
     true
 }
 
-/// A file of faults is refused, or is the same when it is written and read again.
+/// Checks that a file of faults is rejected, or is unchanged when it is written and read again.
 ///
 /// # Panics
 /// If it changes.

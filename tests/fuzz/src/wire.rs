@@ -1,4 +1,4 @@
-//! What another system or another node sends, and what a core that died left in its flash.
+//! Fuzz targets for messages of other systems and nodes, and for the flash of a core that died.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use tandem_board::{CanFrame, CanId, FlashStatus, Instant, SystemId};
@@ -9,10 +9,10 @@ use tandem_vehicle::world_loop::LoggedFrame;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Flags, id, time, then data: the line of the CAN log has all of them, in candump's format.
+/// Takes flags, id, time and data of a frame. Its line in candump's format must contain all.
 ///
 /// # Panics
-/// If it has something else.
+/// If the line contains other values.
 pub(crate) fn candump(bytes: &[u8]) -> bool {
     let Some((head, data)) = bytes.split_first_chunk::<13>() else {
         return false;
@@ -71,18 +71,18 @@ pub(crate) fn candump(bytes: &[u8]) -> bool {
     true
 }
 
-/// A frame's number in the DBC, a counter, then its data: with the right end-to-end protection it
-/// is decoded or refused. A decoded message that is sent is decoded to the same message.
+/// Takes a frame's number in the DBC, a counter, and its data. With valid end-to-end protection it
+/// is decoded or rejected. A decoded message that is sent must be decoded to the same message.
 ///
 /// # Panics
-/// If another message comes back.
+/// If the second message differs.
 pub(crate) fn message(bytes: &[u8]) -> bool {
     let [number, counter, data @ ..] = bytes else {
         return false;
     };
     let id = FRAMES[usize::from(*number) % FRAMES.len()].id;
     let mut data = data.to_vec();
-    // A node that sends nonsense; noise on the wire nearly never gets past the checksum.
+    // Protect random data, as a faulty node does; noise on the wire rarely passes the checksum.
     e2e::protect(id, *counter, &mut data);
     let mut receiver = FrameReceiver::new();
     let Ok(message) = receiver.receive(id.into(), &data) else {
@@ -97,10 +97,10 @@ pub(crate) fn message(bytes: &[u8]) -> bool {
     true
 }
 
-/// The words of a datagram; with an odd number of bytes, its last word is made the right checksum.
+/// Takes the words of a datagram. With an odd number of bytes, the last word becomes the checksum.
 ///
 /// # Panics
-/// If a report is accepted that is sent in other words.
+/// If a report is accepted that would be sent as other words.
 pub(crate) fn link(bytes: &[u8]) -> bool {
     let (words, rest) = bytes.as_chunks::<4>();
     let mut words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
@@ -117,15 +117,15 @@ pub(crate) fn link(bytes: &[u8]) -> bool {
     true
 }
 
-/// Bytes of a sector.
+/// Size of a sector, bytes.
 const SECTOR: usize = 128;
 
-/// Two sectors of the data flash, as a loss of power or wear left them: a state is found or not;
-/// then states can be written, and the last one is found. With an odd number of bytes, all
-/// records have the right checksum.
+/// Takes two sectors of the data flash, as a power loss or wear left them. A state may be found or
+/// not. Afterwards states must be written, and the last one found. If the number of bytes is odd,
+/// all records have valid checksums.
 ///
 /// # Panics
-/// If it is not.
+/// If the last state is not found.
 pub(crate) fn flash(bytes: &[u8]) -> bool {
     let mut flash = [0xFF; 2 * SECTOR];
     for (cell, byte) in flash.iter_mut().zip(bytes) {
@@ -170,10 +170,10 @@ pub(crate) fn flash(bytes: &[u8]) -> bool {
     matches!(found, Loaded::State(_))
 }
 
-/// A recording is refused, or can be analysed.
+/// Checks that a recording is rejected, or can be analysed.
 ///
 /// # Panics
-/// If a frame is written in other bytes than it was read from, or the analysis panics.
+/// If a frame is not written as the bytes that it was read from, or the analysis panics.
 pub(crate) fn recording(bytes: &[u8]) -> bool {
     let mut log = RunLog::default();
     let mut rest = bytes;
@@ -184,7 +184,7 @@ pub(crate) fn recording(bytes: &[u8]) -> bool {
             if let Entry::Frame(frame) = &entry {
                 let mut written = Vec::new();
                 entry.write(&mut written).expect("memory can be written");
-                // Length and kind, then the flags, of which two are known.
+                // The bytes are length and kind, then the flags, of which two are known.
                 assert_eq!(written[5], bytes[5] & 3);
                 assert_eq!(written[6..], bytes[6..]);
                 let _ = file::candump_line(frame, 0);

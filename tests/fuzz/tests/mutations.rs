@@ -1,9 +1,9 @@
-//! Each target over its corpus, and over some mutations of it. T-BOOT-3, T-BOOT-4
+//! Runs each target on its corpus and on mutations of it. T-BOOT-3, T-BOOT-4
 #![allow(clippy::unwrap_used)]
 
 use tandem_fuzz::{Mutator, TARGETS, Target};
 
-/// Mutated inputs of each target; a campaign tries more.
+/// Number of mutated inputs for each target. A campaign tries more.
 const MUTATIONS: u64 = 300;
 
 #[test]

@@ -1,8 +1,8 @@
-//! The driving functions over recorded frames, and a digest of all that they compute.
+//! Runs the driving functions on recorded frames, and computes a digest of all their outputs.
 //!
-//! The same code runs on a host and as firmware. Every number that perception, planning, control
-//! and the degraded function put out goes into the digest by its bits, so two digests are equal if
-//! and only if the outputs are bit-identical (but for collisions of a 32-bit hash, one for each
+//! The same code runs on a host and as firmware. The digest covers the bits of every number that
+//! perception, planning, control and the degraded function return, so two digests are equal if and
+//! only if the outputs are bit-identical (except for collisions of a 32-bit hash, one for each
 //! function).
 #![no_std]
 #![forbid(unsafe_code)]
@@ -19,13 +19,13 @@ use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 
 /// Period of perception and planning, ms.
 const PLAN_MS: u64 = 50;
-/// At this time in the period all sensors have reported.
+/// Time in the period at which all sensors have reported, ms.
 const PLAN_PHASE_MS: u64 = 25;
 /// Period of control, ms.
 const CONTROL_MS: u64 = 10;
 const CONTROL_PHASE_MS: u64 = 5;
 
-/// FNV-1a over words.
+/// FNV-1a hash of words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hash(pub u32);
 
@@ -48,7 +48,7 @@ impl Hash {
     }
 }
 
-/// What the functions have computed so far.
+/// The digest of the outputs so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digest {
     /// Scenes of perception.
@@ -59,11 +59,11 @@ pub struct Digest {
     pub commands: Hash,
     /// Commands of the degraded function and of the safe stop.
     pub degraded: Hash,
-    /// How many commands that were.
+    /// Number of these commands.
     pub cycles: u32,
 }
 
-/// One system's functions, driven by the clock of what they hear.
+/// One system's functions. Their clock follows the frames that they receive.
 pub struct Functions {
     receiver: FrameReceiver,
     perception: Perception,
@@ -83,7 +83,7 @@ impl Default for Functions {
 }
 
 impl Functions {
-    /// Functions that have heard nothing.
+    /// Creates functions that have not received a frame.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -105,13 +105,13 @@ impl Functions {
         }
     }
 
-    /// What has been computed.
+    /// Returns the digest of the outputs so far.
     #[must_use]
     pub const fn digest(&self) -> Digest {
         self.digest
     }
 
-    /// A frame of the vehicle.
+    /// Processes a frame of the vehicle.
     pub fn on_frame(&mut self, at: Instant, id: u16, data: &[u8]) {
         if let Ok(message) = self.receiver.receive(u32::from(id), data) {
             if let Message::EgoMotion(motion) = &message {
@@ -122,7 +122,7 @@ impl Functions {
         }
     }
 
-    /// One millisecond, number `ms`: what is due. The command, if one was.
+    /// Runs the functions that are due in this millisecond. Returns the command, if any.
     pub fn tick(&mut self, ms: u64) -> Option<Command> {
         let now = instant(ms);
         if ms % PLAN_MS == PLAN_PHASE_MS {
@@ -153,14 +153,14 @@ impl Functions {
     }
 }
 
-/// The instant of a millisecond; not at the origin, as on a board.
+/// Returns the instant of a millisecond. It is not at the origin, as on a board.
 #[must_use]
 pub fn instant(ms: u64) -> Instant {
     Instant::ORIGIN + Duration::from_ms(ms + 1_000)
 }
 
-/// Plays recorded frames in order for `end_ms` milliseconds. Each is [`FRAME_WORDS`] words, as
-/// [`BusFrame::encode`] makes them, with its time.
+/// Plays recorded frames in order for `end_ms` milliseconds. Each frame has [`FRAME_WORDS`] words,
+/// in the form of [`BusFrame::encode`] with its time.
 #[must_use]
 pub fn play(recording: &[u32], end_ms: u64) -> Digest {
     let mut functions = Functions::new();

@@ -1,16 +1,16 @@
-//! An allocator that counts what is asked of it while a core has the word.
+//! An allocator that counts requests while a core runs.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    /// Whether this thread's requests count.
+    /// Whether requests of this thread are counted.
     static ARMED: Cell<bool> = const { Cell::new(false) };
-    /// Requests that counted.
+    /// Number of counted requests.
     static REQUESTS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// Counts allocations, reallocations and deallocations of each thread while it is armed.
+/// Counts the allocations, reallocations and deallocations of each thread in which it is armed.
 struct Counting;
 
 #[global_allocator]
@@ -22,9 +22,9 @@ fn request() {
     }
 }
 
-// SAFETY: every call is handed on to the system's allocator unchanged. Counting neither allocates
-// nor unwinds: the thread-locals are const-initialised and have no destructor, so that they need no
-// registration and are there until the thread's end.
+// SAFETY: every call is passed to the system's allocator unchanged. Counting neither allocates nor
+// unwinds: the thread-locals are const-initialised and have no destructor, so they need no
+// registration and exist until the thread ends.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         request();
@@ -51,7 +51,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Restores on drop what was before; so a region within a region ends as it began.
+/// Restores the previous state on drop, so that regions can be nested.
 struct Region {
     before: bool,
 }
@@ -70,7 +70,7 @@ impl Drop for Region {
     }
 }
 
-/// How many requests of this thread `work` makes outside [`uncounted`] regions, and its result.
+/// Returns the number of requests in `work` outside [`uncounted`] regions, and its result.
 pub(crate) fn counted<R>(work: impl FnOnce() -> R) -> (u64, R) {
     let before = REQUESTS.get();
     let result = {
@@ -80,7 +80,7 @@ pub(crate) fn counted<R>(work: impl FnOnce() -> R) -> (u64, R) {
     (REQUESTS.get() - before, result)
 }
 
-/// Does work whose requests are not the core's.
+/// Runs work whose requests are not counted, because they are not the core's.
 pub(crate) fn uncounted<R>(work: impl FnOnce() -> R) -> R {
     let _disarmed = Region::enter(false);
     work()

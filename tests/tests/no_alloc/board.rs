@@ -1,4 +1,4 @@
-//! The simulated board, whose own allocations are not the core's.
+//! The simulated board. Its own allocations are not counted as the core's.
 
 use crate::allocator::uncounted;
 use std::sync::atomic::AtomicU32;
@@ -9,8 +9,8 @@ use tandem_board::{
 };
 use tandem_board_sim::SimBoard;
 
-/// Hands every call on to the simulated board, uncounted; it is its own CAN, lines, link, flash and
-/// supply.
+/// Passes every call to the simulated board, uncounted. It implements CAN, lines, link, flash and
+/// supply itself.
 pub(crate) struct Counted<'a> {
     board: &'a SimBoard,
 }

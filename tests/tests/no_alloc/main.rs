@@ -1,4 +1,4 @@
-//! No core allocates in a poll, in neither role, from the first poll of its incarnation on.
+//! Tests that no core allocates in any poll after its start, in either role.
 
 mod allocator;
 mod board;
@@ -22,7 +22,7 @@ use tandem_sim::drive::Drive;
 
 const S: fn(u64) -> Duration = |seconds| Duration::from_ms(seconds * 1000);
 
-/// A poll in which a core asked something of the allocator.
+/// A poll in which a core called the allocator.
 #[derive(Debug)]
 #[allow(dead_code, reason = "read in the message of a failed assertion")]
 struct Offence {
@@ -32,17 +32,17 @@ struct Offence {
     requests: u64,
 }
 
-/// What the polls of a drive amounted to.
+/// The counts of the polls in a drive.
 #[derive(Default)]
 struct Tally {
-    /// By system and core.
+    /// Number of polls, by system and core.
     polls: [[u64; CoreId::COUNT]; 2],
     offences: Vec<Offence>,
 }
 
 type Log = Rc<RefCell<Tally>>;
 
-/// A core whose polls are counted.
+/// Wraps a core, and counts its polls and their requests.
 fn watched(board: &'static Counted<'static>, mut core: impl Core + 'static, tally: &Log) -> Poller {
     let identity = board.identity();
     let (system, of) = (identity.system, identity.core);
@@ -64,9 +64,9 @@ fn watched(board: &'static Counted<'static>, mut core: impl Core + 'static, tall
     })
 }
 
-/// Makes the core that belongs to this board, and watches it.
+/// Creates the core for this board, and counts its requests.
 fn core(board: &SimBoard, tally: &Log) -> Poller {
-    // A reset ends the core but not this process: a few boards are leaked.
+    // A reset ends the core but not this process, so each reset leaks a board.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     let board: &'static Counted<'static> = Box::leak(Box::new(Counted::new(board)));
     match board.identity().core {
@@ -76,7 +76,7 @@ fn core(board: &SimBoard, tally: &Log) -> Poller {
     }
 }
 
-/// The phases that a system came into, in order.
+/// Returns the phases that a system entered, in order.
 fn phases(drive: &Drive, of: SystemId) -> Vec<Phase> {
     let events = drive.events.iter();
     events
@@ -87,8 +87,8 @@ fn phases(drive: &Drive, of: SystemId) -> Vec<Phase> {
         .collect()
 }
 
-/// T-CHIP-2: no core allocates, reallocates or frees in a poll: not while it starts, drives or
-/// stands by in dense traffic, not in a takeover, not when the lost system comes back, and not in
+/// T-CHIP-2: no core allocates, reallocates or frees memory in a poll: at the start, while it
+/// drives or stands by in dense traffic, in a takeover, when the lost system returns, and in
 /// degraded mode.
 #[test]
 fn no_poll_of_any_core_allocates() {
@@ -101,7 +101,7 @@ fn no_poll_of_any_core_allocates() {
     drive.pair.power_on(SystemId::A);
     drive.run_for(S(6));
     assert_eq!(phases(&drive, SystemId::A), [Phase::Master, Phase::Standby]);
-    // Alone and without planning, B drives by the L2 functions.
+    // Without a peer and without planning, B drives with the L2 functions.
     drive.pair.power_off(SystemId::A);
     drive.run_for(S(1));
     drive.pair.kill_core(SystemId::B, CoreId::PLANNING);
@@ -114,7 +114,7 @@ fn no_poll_of_any_core_allocates() {
     let of_b = [Phase::Standby, Phase::DegradedMaster];
     assert_eq!(phases(&drive, SystemId::B), of_b);
     let tally = tally.borrow();
-    // Every core lives for 16 s at least; the slowest has a period of 50 ms.
+    // Every core runs for at least 16 s; the slowest has a period of 50 ms.
     for polls in tally.polls.as_flattened() {
         assert!(*polls >= 16 * 20, "{:?}", tally.polls);
     }
@@ -131,7 +131,7 @@ impl<C: Core> Core for Wasteful<C> {
     }
 }
 
-/// The control of the test above: of six cores, the one that allocates is found.
+/// Negative test for the test above: it finds the one of six cores that allocates.
 #[test]
 fn a_core_that_allocates_is_found() {
     let tally = Log::default();

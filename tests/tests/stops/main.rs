@@ -1,7 +1,7 @@
-//! A core of A stops between two accesses to shared memory, whichever they are. T-RED-9
+//! A core of A stops between any two of its accesses to shared memory. T-RED-9
 //!
-//! Only in a build with `--cfg stepped`, which `cargo xtask campaign stops` makes: there each
-//! access counts. What the core has written until then stays, its half of a value too.
+//! Compiled only with `--cfg stepped`, which `cargo xtask campaign stops` sets: that build counts
+//! accesses. All that the core has written so far stays, even half of a value.
 #![cfg(stepped)]
 
 use std::cell::Cell;
@@ -12,28 +12,28 @@ use tandem_cores::Config;
 use tandem_shm::fault::kill_at;
 use tandem_sim::drive::{Drive, poller};
 
-/// The systems drive from here on, all cores in their cycles.
+/// From this time on the systems drive, and all cores run their cycles.
 const DRIVES: Instant = Instant::from_ns(1_500_000_000);
-/// Until then the systems must be master and standby again, and stay so for [`STEADY`].
+/// Within this time the systems must be master and standby again, and stay so for [`STEADY`].
 const HEALS_WITHIN: Duration = Duration::from_ms(12_000);
 const STEADY: Duration = Duration::from_ms(300);
 const STEP: Duration = Duration::from_ms(20);
 
-/// Polls of a core in which it stops.
+/// Number of polls of a core in which it is stopped.
 const POLLS: u32 = 40;
 
-/// When the core stops, by its polls.
+/// The situation in which the core stops. Its polls are counted from there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum When {
     /// A drives, and B stands by.
     Driving,
     /// A was reset, and starts beside B, which drives.
     Restarting,
-    /// Both are switched on.
+    /// Both systems are switched on.
     PowerOn,
 }
 
-/// Whether the poll reached the access.
+/// Progress of the stop: not yet, stopped, or the poll ended before the access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
     Awaited,
@@ -41,7 +41,7 @@ enum Stop {
     PollEnded,
 }
 
-/// How often A was reset.
+/// Returns the number of resets of A.
 fn resets(drive: &Drive) -> usize {
     let is_reset = |event: &SystemEvent| {
         event.system == SystemId::A && matches!(event.kind, SystemEventKind::Reset(_))
@@ -55,7 +55,7 @@ fn resets(drive: &Drive) -> usize {
 }
 
 /// Stops this core of A in the `polls`-th poll, before the `access`-th access. Returns whether it
-/// stopped: a poll may end with fewer accesses.
+/// stopped: a poll may make fewer accesses.
 ///
 /// # Panics
 /// If control was lost for longer than the bound, A was not reset, or the systems do not heal.
@@ -128,7 +128,7 @@ fn at_each_access() {
     let every = every.and_then(|every| every.parse().ok()).unwrap_or(97);
     for when in [When::Driving, When::Restarting, When::PowerOn] {
         for core in CoreId::ALL {
-            // Other accesses in each poll.
+            // Select other accesses in each poll.
             let in_poll = |poll: u32| {
                 let first = poll as usize * 31 % every;
                 let accesses = (first..).step_by(every);
