@@ -1,4 +1,4 @@
-//! A host that asks a driving controller for a bootloader. T-BOOT-1
+//! Tests of a host that requests the bootloader from a driving controller. T-BOOT-1
 
 use tandem_board::{CanFrame, CanId, Duration, ResetCause, RoleLamp, SystemId};
 use tandem_board_sim::SystemEventKind;
@@ -7,13 +7,13 @@ use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 
-/// The connect request of `docs/boot.md`: to system 1 (A), 2 (B), or 0 (any).
+/// Returns the connect request of `docs/boot.md` for system 1 (A), 2 (B), or 0 (any).
 fn connect(to: u8) -> CanFrame {
     let data = [0x2D, 0x57, 0x3E, 0x08, to, 0, 0, 0];
     CanFrame::new(CanId::Extended(0x0CFF_0126), false, &data).expect("a frame")
 }
 
-/// The causes of the resets of a system until now.
+/// Returns the causes of a system's resets so far.
 fn resets(drive: &Drive, of: SystemId) -> Vec<ResetCause> {
     let events = drive.pair.events().into_iter();
     let reset = events.filter_map(|event| match event.kind {
@@ -23,7 +23,7 @@ fn resets(drive: &Drive, of: SystemId) -> Vec<ResetCause> {
     reset.collect()
 }
 
-/// A drive whose systems resume dual operation while they run.
+/// Starts a drive whose systems resume dual operation after a reset.
 fn drive() -> Drive {
     let mut config = tandem_cores::Config::rt();
     config.redundancy.reintegrate = true;
@@ -37,10 +37,10 @@ fn lamps(drive: &Drive) -> [Option<RoleLamp>; 2] {
     SystemId::ALL.map(|system| drive.pair.lamp(system))
 }
 
-/// A drives, B is its standby.
+/// A drives, and B is its standby.
 const DUAL: [Option<RoleLamp>; 2] = [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
 
-/// A host repeats its request for at most 300 ms, as `docs/boot.md` says, until the system goes.
+/// Repeats a host's request until the system resets, for at most 300 ms as in `docs/boot.md`.
 fn ask(drive: &mut Drive, system: SystemId) {
     let to = system.index() as u8 + 1;
     for _ in 0..60 {
@@ -52,8 +52,8 @@ fn ask(drive: &mut Drive, system: SystemId) {
     }
 }
 
-/// T-BOOT-1, U-3: each system goes for a download while the other drives: the standby at once, the
-/// master when it has handed over. Neither costs a control frame.
+/// T-BOOT-1, U-3: each system enters its bootloader while the other drives: the standby at once,
+/// the master after it has handed over. No control frame is lost in either case.
 #[test]
 fn both_systems_go_for_a_download_while_the_vehicle_drives() {
     let mut drive = drive();
@@ -81,8 +81,8 @@ fn both_systems_go_for_a_download_while_the_vehicle_drives() {
     assert_eq!(drive.two_masters_ns(), 0);
 }
 
-/// T-BOOT-1: one request makes the master hand over; it stays the standby of the other, and goes
-/// only when it is asked again.
+/// T-BOOT-1: one request makes the master hand over. It stays the other's standby, and enters the
+/// bootloader only after another request.
 #[test]
 fn a_system_that_drives_does_not_go() {
     let mut drive = drive();
@@ -94,7 +94,7 @@ fn a_system_that_drives_does_not_go() {
     assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
 }
 
-/// T-BOOT-1: a standby does not go while its master fails, however often it is asked.
+/// T-BOOT-1: a standby does not reset while its master fails, however often a host requests it.
 #[test]
 fn a_standby_does_not_leave_a_master_that_fails() {
     for after_ms in [5, 8, 12] {

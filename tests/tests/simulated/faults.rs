@@ -1,4 +1,4 @@
-//! A slice of `tandem sim`.
+//! A sample of the sequences of `tandem sim`.
 
 use tandem_board::{CoreId, Duration, Edge, Instant, Line, RoleLamp, SystemId, Traced};
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
@@ -16,7 +16,7 @@ fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
     try_in(Config::rt(), group, numbers);
 }
 
-/// Runs these sequences. Fails on what is not known to be violated.
+/// Runs these sequences. Fails if a sequence has a violation that is not a known one.
 fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item = u64>) {
     let profile = profile.into();
     let mut bad = vec![];
@@ -36,28 +36,28 @@ fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item
     );
 }
 
-/// T-RED-4, T-RED-8, T-RED-9: single faults keep the bound of their row; in the end the vehicle
-/// obeys a system that believes to be master.
+/// T-RED-4, T-RED-8, T-RED-9: single faults keep the bound of their row. At the end the vehicle
+/// obeys a system that has the role of master.
 #[test]
 fn single_faults_keep_their_bounds() {
     let count = Group::Single.count().expect("a finite group");
     try_all(Group::Single, (0..count).step_by(19));
 }
 
-/// T-RED-9: two faults within one system never cost control for longer than the bound.
+/// T-RED-9: two faults within one system never exceed the bound of the time without control.
 #[test]
 fn two_faults_within_one_system_are_contained() {
     let count = Group::Pair.count().expect("a finite group");
     try_all(Group::Pair, (0..count).step_by(491));
 }
 
-/// T-RED-9: whatever has failed in both systems, in the end one of them drives.
+/// T-RED-9: after any faults in both systems, one of the systems drives at the end.
 #[test]
 fn in_the_end_the_vehicle_obeys_a_master() {
     try_all(Group::Random, 0..200);
 }
 
-/// The simulator does each fault that the table gives it, and refuses each other one.
+/// The simulator injects each fault that the table assigns to it, and rejects all others.
 #[test]
 fn the_simulator_suffers_what_the_table_says() {
     for kind in Kind::samples() {
@@ -84,8 +84,8 @@ fn at(time: Time) -> Profile {
     }
 }
 
-/// T-RED-9: the bounds hold, with what time adds to them, where jobs, the bus and the lines take
-/// time and the clocks drift apart.
+/// T-RED-9: the bounds, with allowances for time, hold if jobs, the bus and the lines take time
+/// and the clocks drift apart.
 #[test]
 fn the_bounds_hold_where_things_take_time() {
     let count = Group::Single.count().expect("a finite group");
@@ -93,13 +93,13 @@ fn the_bounds_hold_where_things_take_time() {
         try_in(at(time), Group::Single, (0..count).step_by(171));
         try_in(at(time), Group::Swarm, 0..12);
     }
-    // A loses power while its status frame is on the bus. What arrived of it in a bus that finishes
-    // such a frame made B distrust the level line.
+    // A loses power while its status frame is on the bus. When the simulated bus still finished
+    // such a frame, the part that arrived made B distrust the level line.
     try_in(at(Time::Typical), Group::Single, 1420..1421);
 }
 
-/// T-CHIP-3: cores 1 and 2 take time. A trajectory is signalled when perception and planning have
-/// ended, one after the other.
+/// T-CHIP-3: cores 1 and 2 take time. A trajectory is signalled after perception and then planning
+/// have ended.
 #[test]
 fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
     let chains_us = |time| {
@@ -126,7 +126,7 @@ fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
         (chains.iter().min().copied(), chains.iter().max().copied())
     };
     assert_eq!(chains_us(Time::Ideal), (Some(0), Some(0)));
-    // The longest executions, on a clock that drifts.
+    // The longest execution times, on a drifting clock.
     let (least, most) = chains_us(Time::Worst);
     assert!(
         least >= Some(16_960) && most <= Some(16_980),
@@ -136,8 +136,8 @@ fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
     assert!(least >= Some(79) && most <= Some(320), "{least:?} {most:?}");
 }
 
-/// T-RED-9: the same with all cores and a vehicle behind another one: it keeps its lane and its
-/// distance, whatever has failed.
+/// T-RED-9: with all cores and a vehicle behind another one, the vehicle keeps its lane and its
+/// distance under all faults.
 #[test]
 fn the_vehicle_keeps_lane_and_distance_under_faults() {
     let profile = Profile {
@@ -166,8 +166,8 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
     assert!(verdict.gap <= Duration::from_ms(13), "{verdict}");
 }
 
-/// T-RED-5, T-RED-9: no reset cures the commands of either system. Each is reset for them twice;
-/// then one stops the vehicle in its lane. One reset for a fault that has passed stops nothing.
+/// T-RED-5, T-RED-9: if no reset cures the commands of either system, each system is reset twice,
+/// and then one stops the vehicle in its lane. A fault that passes causes one reset and no stop.
 #[test]
 fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
     let profile = Profile {
@@ -204,12 +204,12 @@ fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
     }
 }
 
-/// A job of control is interrupted by the roles, and what it sends leaves when it ends.
+/// The roles task interrupts a control job. The frame of that job is sent when the job ends.
 #[test]
 fn the_roles_pre_empt_what_is_less_urgent() {
     let mut bench = Bench::dual(at(Time::Worst), 0, true);
     for _ in 0..40 {
-        // The doorbell rings at other moments of the millisecond each time.
+        // The doorbell rings at a different time of the millisecond in each round.
         bench.pair.run_for(Duration::from_us(10_050));
         bench
             .pair
@@ -223,7 +223,7 @@ fn the_roles_pre_empt_what_is_less_urgent() {
         .filter(of_a)
         .filter_map(|traced| Some((traced.at, Event::decode(traced.record)?)))
         .collect();
-    // What runs, by the trace: never two, and nothing below a task that is in its job.
+    // By the trace, one task runs at a time, and none of a lower priority than an unfinished job.
     let mut jobs: Vec<TaskCode> = vec![];
     let (mut runs, mut preempted) = (None, 0);
     let mut begun = None;
@@ -259,9 +259,9 @@ fn the_roles_pre_empt_what_is_less_urgent() {
     assert!(preempted > 0);
 }
 
-/// T-RED-6: the transmitter of the standby is dead and the vehicle pauses for longer than an open
-/// circuit takes: the master hears no frame at all, and the standby only the master's. Core 0
-/// counts third parties only, so neither calls the bus alive, and the master drives on.
+/// T-RED-6: the transmitter of the standby is dead, and the vehicle pauses for longer than an open
+/// circuit takes to detect. The master receives no frame, and the standby only the master's. Core
+/// 0 counts only frames of others, so neither assumes a live bus, and the master drives on.
 #[test]
 fn frames_of_the_other_system_do_not_make_a_bus_alive() {
     let fault = |kind, way, at_ms, lasts| Fault {
@@ -287,10 +287,10 @@ fn frames_of_the_other_system_do_not_make_a_bus_alive() {
     assert!(verdict.gap <= Duration::from_ms(12), "{verdict}");
 }
 
-/// T-RED-9: A's clock is slow, and without the link A cannot find out. B takes over, and loses
-/// power before the gate has forgotten A's clock. A drives in a new term, and the gate refuses each
-/// of its frames as late, from the first one on. A reads that back, leaves, and comes back with a
-/// clock that the gate learns anew.
+/// T-RED-9: A's clock is slow, and without the link A cannot detect that. B takes over, and loses
+/// power while the gate still remembers A's clock. A drives in a new term, and the gate rejects
+/// all its frames as late, from the first one. A reads that back, resets, and returns with a clock
+/// that the gate learns again.
 #[test]
 fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
     let fault = |kind, way, at_ms, lasts_ms: Option<u64>| Fault {
@@ -314,12 +314,12 @@ fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
         let (verdict, mut bench) = Profile::from(Config::rt()).run(&sequence, true);
         let mut story = || format!("B off at {at_ms} ms: {verdict} {:#?}", bench.story());
         assert!(verdict.violations.is_empty(), "{}", story());
-        // Two echoes, the watchdog, and a start: A comes back long before B does.
+        // The gap consists of two echoes, the watchdog and a start. A returns long before B would.
         assert!(verdict.gap < Duration::from_ms(350), "{}", story());
     }
 }
 
-/// What becomes of these faults of A in dual operation, each at `at_us`.
+/// Injects these faults of A at `at_us` in dual operation, and returns the result.
 fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Tried, Bench) {
     let fault = |(kind, way): &(Kind, Way)| Fault {
         kind: *kind,
@@ -337,7 +337,7 @@ fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Tried, Bench) 
     Profile::from(limits).run(&sequence, true)
 }
 
-/// The time from the fault to the takeover of B.
+/// Returns the time from the fault to the takeover by B.
 fn takeover(bench: &mut Bench, begin: Instant) -> Duration {
     let (trace, _) = bench.pair.take_trace();
     let took_over = |traced: &&Traced| {
@@ -348,10 +348,10 @@ fn takeover(bench: &mut Bench, begin: Instant) -> Duration {
     first.at.since(begin)
 }
 
-/// Dual operation with polls of B that come `phase_us` later than those of A than at the start.
+/// Returns dual operation in which the polls of B are `phase_us` later than at the start.
 fn dual_in_phase(limits: Config, phase_us: u64) -> Bench {
-    // Two quartz clocks need half a minute for a millisecond; 2 % needs 50 ms. B's polls have the
-    // same distance on its own clock, so a slow clock makes them late.
+    // Two quartz clocks need half a minute for a difference of 1 ms; a rate error of 2 % needs 50
+    // ms. B polls at fixed intervals of its own clock, so a slow clock delays its polls.
     const RATE: i32 = -20_000_000;
     let mut bench = Bench::dual(limits, phase_us, true);
     bench.pair.set_clock_rate(SystemId::B, RATE);
@@ -360,8 +360,8 @@ fn dual_in_phase(limits: Config, phase_us: u64) -> Bench {
     bench
 }
 
-/// T-RED-8: where nothing stalls, the times of the thesis hold, and without the level line nearly.
-/// The polls of the two systems have any phase: their clocks drift apart.
+/// T-RED-8: without stalls the times of the thesis hold, and without the level line nearly. The
+/// polls of the two systems may have any phase, because their clocks drift apart.
 #[test]
 fn a_chip_keeps_the_times_of_the_thesis() {
     const CUT: (Kind, Way) = (Kind::Cut { wire: Wire::Level }, Way::Both);
@@ -371,7 +371,7 @@ fn a_chip_keeps_the_times_of_the_thesis() {
     let off = of_a(Kind::PowerLoss);
     let span = Duration::from_ms(100);
     let mut worst = vec![];
-    // The longest takeover and gap of each, ms.
+    // The bounds of takeover and gap for each case, ms.
     for (faults, takes, gap) in [
         (&[CUT, hang][..], 4, 14),
         (&[CUT, reset], 4, 14),
@@ -408,9 +408,9 @@ fn a_chip_keeps_the_times_of_the_thesis() {
     assert!(worst.is_empty(), "{worst:#?}");
 }
 
-/// T-RED-9: of three clocks, the one that differs from two is wrong. Its system finds that itself,
-/// before the gate would take its frames for late, and leaves without a gap; the other drives. An
-/// error of 0.1 % is permitted for ever.
+/// T-RED-9: of three clocks, the one that differs from the other two is wrong. Its system detects
+/// that before the gate would reject its frames as late, and leaves without a gap. The other
+/// system drives. An error of 0.1 % is always permitted.
 #[test]
 fn a_system_whose_clock_is_wrong_leaves() {
     for (permille, found_ms) in [
@@ -444,7 +444,7 @@ fn a_system_whose_clock_is_wrong_leaves() {
                 });
             let told: Vec<(Duration, SystemId, u8)> = told.collect();
             println!("{of} {permille} permille: {told:?}");
-            // Its own system says "mine", and the other one "the other's".
+            // Its own system reports "mine", and the other system "the other's".
             let right = |(_, by, clock): &(_, _, u8)| *clock == u8::from(*by != of);
             assert!(told.iter().all(right), "{of} {permille}: {told:?}");
             let Some((after, ..)) = told.iter().find(|(_, by, _)| *by == of) else {
@@ -469,7 +469,7 @@ fn a_system_whose_clock_is_wrong_leaves() {
     }
 }
 
-/// T-RED-5: a flash that hangs does not keep a system from the reset that it needs.
+/// T-RED-5: a hanging flash does not prevent a reset that its system needs.
 #[test]
 fn a_flash_that_hangs_does_not_prevent_a_reset() {
     let of_a = |kind| (kind, Way::A);
@@ -483,14 +483,14 @@ fn a_flash_that_hangs_does_not_prevent_a_reset() {
     assert!(reset.is_some_and(|reset| reset.at < mended), "{verdict}");
 }
 
-/// T-RED-2: edges that no system has sent, at any moment of the start, do not cost dual operation.
+/// T-RED-2: stray edges at any time of the start do not prevent dual operation.
 #[test]
 fn stray_edges_at_the_start_do_not_cost_dual_operation() {
-    // How much later the other is switched on.
+    // The delay after which the other system is switched on.
     let sync = Kind::StraySync;
     for (kind, later_ms) in [(Kind::StrayBeats(just(3)), 40), (sync, 0), (sync, 40)] {
         for to in SystemId::ALL {
-            // It waits for the other from 60 ms on, which is switched on 40 ms later.
+            // The system waits for its peer from 60 ms on; the peer is switched on 40 ms later.
             for at_ms in [5, 19, 20, 21, 25, 30, 40, 59, 60, 61, 62, 65, 80] {
                 let mut bench = Bench::new(Config::rt(), 1, true);
                 let first = if later_ms > 0 { to } else { SystemId::A };

@@ -1,4 +1,4 @@
-//! Sources that send without a pause: what core 0 takes of them and tells, and that it drives on.
+//! Sources send without pause: core 0 limits its input, reports the sources, and drives on.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -16,22 +16,22 @@ use tandem_sim::drive::{Drive, poller};
 use tandem_tests::around::Around;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// The flood begins and ends at these virtual times.
+/// Virtual times at which the flood begins and ends, ms.
 const FLOOD: core::ops::Range<u64> = 10_000..12_000;
-/// How often the source sends.
+/// Time between two bursts of the source.
 const PAUSE: Duration = Duration::from_us(50);
-/// What it sends each time. More than any buffer takes in a millisecond.
+/// Number of messages in a burst. In a millisecond more are sent than any buffer holds.
 const BURST: u32 = 20;
 
-/// Whether now is within the flood, on the clock of the board's system: the clocks of the
-/// simulator begin at 1 ms (A) and 7 s (B).
+/// Returns true during the flood. The time is on the clock of the board's system: the clocks of
+/// the simulator begin at 1 ms (A) and 7 s (B).
 fn is_flooding(board: &SimBoard) -> bool {
     let origin_ms = [1, 7_000][board.identity().system.index()];
     let ms = board.now().as_ns() / 1_000_000 - origin_ms;
     FLOOD.contains(&ms)
 }
 
-/// A core that works as usual and sends `burst` all the time besides.
+/// Creates a core that works as usual and also calls `burst` during the flood.
 fn babbler(board: &SimBoard, burst: fn(&SimBoard)) -> Poller {
     let mut core = poller(board, Config::rt());
     let mut due = Instant::ORIGIN;
@@ -50,7 +50,7 @@ fn babbler(board: &SimBoard, burst: fn(&SimBoard)) -> Poller {
     })
 }
 
-/// Two systems of which one core babbles.
+/// Starts a drive in which one core of a system floods.
 fn drive(of: (SystemId, CoreId), burst: fn(&SimBoard)) -> Drive {
     let mut drive = Drive::with("cut-in", 3, move |board| {
         let Identity { system, core, .. } = board.identity();
@@ -64,7 +64,7 @@ fn drive(of: (SystemId, CoreId), burst: fn(&SimBoard)) -> Drive {
     drive
 }
 
-/// Sources of which this system's core 0 told, and the first time.
+/// Returns the sources that this system's core 0 reported, with the time of the first report, ms.
 fn told(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
     let mut told: Vec<(u64, FloodSource)> = vec![];
     for (at, system, _, event) in &drive.events {
@@ -78,7 +78,7 @@ fn told(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
     told
 }
 
-/// How often the roles of a system ran while the flood lasted.
+/// Returns how often the roles task of a system ran during the flood.
 fn polls(drive: &Drive, of: SystemId) -> usize {
     let roles = drive.events.iter().filter(|(at, system, _, event)| {
         let begins = matches!(event, Event::TaskIn { task, .. } if *task == TaskCode::ROLES);
@@ -87,7 +87,7 @@ fn polls(drive: &Drive, of: SystemId) -> usize {
     roles.count()
 }
 
-/// The vehicle does not notice the flood, and the other system tells of it.
+/// Checks that the flood does not affect the vehicle, and that system `by` reports it.
 fn assert_unimpressed(drive: &Drive, by: SystemId, source: FloodSource) {
     assert_eq!(drive.masters(), [SystemId::A]);
     assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
@@ -99,14 +99,14 @@ fn assert_unimpressed(drive: &Drive, by: SystemId, source: FloodSource) {
     };
     assert_eq!(first, source);
     assert!((FLOOD.start..FLOOD.start + 300).contains(&at), "{at} ms");
-    // One poll for the tick, and those that interrupts may cause.
+    // One poll for each tick, and the polls that interrupts may cause.
     let span = MS(FLOOD.end - FLOOD.start);
     let most = span.as_ns() / MS(1).as_ns() + span.as_ns() / DOORBELL_DISTANCE.as_ns() + 2;
     let polls = polls(drive, by);
     assert!(polls as u64 <= most, "{polls} polls, at most {most}");
 }
 
-/// T-CHIP-5: datagrams without a pause.
+/// T-CHIP-5: the source sends datagrams without pause.
 #[test]
 fn a_flooded_link_is_told_and_changes_nothing() {
     let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
@@ -117,7 +117,7 @@ fn a_flooded_link_is_told_and_changes_nothing() {
     assert_unimpressed(&drive, SystemId::A, FloodSource::Link);
 }
 
-/// T-CHIP-5: edges on the start line, each of which is an interrupt.
+/// T-CHIP-5: the source sends edges on the start line. Each edge is an interrupt.
 #[test]
 fn a_flooded_start_line_is_told_and_changes_nothing() {
     let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
@@ -144,7 +144,7 @@ fn a_flooded_start_line_is_told_and_changes_nothing() {
     assert_unimpressed(&line, SystemId::A, FloodSource::StartLine);
 }
 
-/// T-RED-3: edges on both heartbeat lines.
+/// T-RED-3: the source sends edges on both heartbeat lines.
 #[test]
 fn flooded_heartbeat_lines_are_told_and_change_nothing() {
     let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
@@ -157,7 +157,7 @@ fn flooded_heartbeat_lines_are_told_and_change_nothing() {
     assert_unimpressed(&drive, SystemId::A, FloodSource::HeartbeatLines);
 }
 
-/// T-SYNC-3: the doorbell of core 0, rung by a core of its own system.
+/// T-SYNC-3: another core of the same system rings the doorbell of core 0.
 #[test]
 fn a_flooded_doorbell_is_told_and_changes_nothing() {
     let drive = drive((SystemId::A, CoreId::PERCEPTION), |board| {
@@ -166,7 +166,7 @@ fn a_flooded_doorbell_is_told_and_changes_nothing() {
     assert_unimpressed(&drive, SystemId::A, FloodSource::Doorbell);
 }
 
-/// T-CHIP-5: CAN frames that pass for nothing. The bus gives a core its share and no more.
+/// T-CHIP-5: the source sends meaningless CAN frames. The bus limits each core to its share.
 #[test]
 fn a_core_that_floods_the_bus_leaves_it_to_the_others() {
     let drive = drive((SystemId::B, CoreId::PLANNING), |board| {
@@ -180,7 +180,7 @@ fn a_core_that_floods_the_bus_leaves_it_to_the_others() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// A node that is no core puts this many frames on the bus in each of 1000 ms.
+/// A node outside the systems puts this many frames on the bus in each of 1000 ms.
 fn forge_frames(a_ms: u32) -> Drive {
     let mut drive = Drive::new("cut-in", 3);
     drive.run_for(MS(10_000));
@@ -195,7 +195,7 @@ fn forge_frames(a_ms: u32) -> Drive {
     drive
 }
 
-/// T-CHIP-5: as many as a bus carries are taken, and hide no frame of the master.
+/// T-CHIP-5: a busy bus is received completely, and no frame of the master is lost.
 #[test]
 fn a_busy_bus_changes_nothing() {
     let drive = forge_frames(CAN_FRAMES / 2);
@@ -204,8 +204,8 @@ fn a_busy_bus_changes_nothing() {
     assert_eq!(told(&drive, SystemId::A), []);
 }
 
-/// T-CHIP-5: more than a bus can carry is told. It hides the master's frames from the standby,
-/// which may take over once; there is no time without a master beyond the limit for a mute one.
+/// T-CHIP-5: more frames than a bus can carry are reported. They hide the master's frames from the
+/// standby, which may take over once. No gap exceeds the limit for a mute master.
 #[test]
 fn more_frames_than_a_bus_carries_are_told() {
     let drive = forge_frames(2 * CAN_FRAMES);
@@ -218,7 +218,7 @@ fn more_frames_than_a_bus_carries_are_told() {
     assert!(drive.masters().len() <= 2, "{:?}", drive.masters());
 }
 
-/// T-RED-4, T-RED-9: the master goes mad: it drives no more and floods all that leads to the other,
+/// T-RED-4, T-RED-9: the master fails: it stops driving and floods all inputs of the other system,
 /// which takes over in time.
 #[test]
 fn the_standby_takes_over_from_a_master_that_floods_it() {
@@ -249,8 +249,8 @@ fn the_standby_takes_over_from_a_master_that_floods_it() {
     assert!(told(&drive, SystemId::B).len() >= 3);
 }
 
-/// Frames or datagrams that were taken since the poll began. From this number on there are none:
-/// a core that wants them all fails the test instead of hanging.
+/// Number of frames or datagrams taken since the poll began. None follow after [`ALL_OF_THEM`], so
+/// that a core that reads without limit fails the test instead of hanging.
 #[derive(Clone, Default)]
 struct Taken(Rc<Cell<u32>>);
 
@@ -263,7 +263,7 @@ impl Taken {
     }
 }
 
-/// A CAN controller and a link that never run dry.
+/// A CAN controller and a link that always have another message.
 struct EndlessCan(SimBoard, Taken);
 struct EndlessLink(SimBoard, Taken);
 
@@ -308,7 +308,7 @@ impl Link for EndlessLink {
     }
 }
 
-/// The worst case of a poll is a constant, however fast the others send while it reads.
+/// One poll takes a constant number of messages, even if others send faster than it reads.
 #[test]
 fn one_poll_takes_no_more_than_its_limits() {
     let most = Rc::new(Cell::new([0; 2]));

@@ -1,4 +1,4 @@
-//! The state machine of the driving function, with the whole controller and a driver. U-1
+//! Tests of the driving function's state machine, with the whole controller and a driver. U-1
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -12,7 +12,7 @@ use tandem_vehicle::{Habit, Scenario, World};
 
 use crate::S;
 
-/// The functions that the vehicle obeyed, each with its first scenario time, s.
+/// Returns the functions that the vehicle obeyed, each with its first scenario time, s.
 fn functions(drive: &Drive) -> Vec<(ModeCode, f64)> {
     let seen = drive.seen.borrow();
     let start_ns = seen.log.accepted().next().map_or(0, |frame| frame.at_ns);
@@ -35,8 +35,8 @@ fn with(habit: Habit) -> Drive {
     drive
 }
 
-/// U-1: one system is lost and the driver does not answer. The vehicle stands within the stated
-/// time, and the function goes no faster through its states than the table says.
+/// U-1: one system is lost, and the driver does not answer. The vehicle stops within the stated
+/// time, and the function leaves no state earlier than its table permits.
 #[test]
 fn degraded_mode_ends_at_standstill_when_no_driver_answers() {
     let mut drive = with(Habit::default());
@@ -55,7 +55,7 @@ fn degraded_mode_ends_at_standstill_when_no_driver_answers() {
     assert!(drive.gap_max() < Duration::from_ms(20));
 }
 
-/// U-1: the driver answers the request: the function hands the vehicle over while it drives.
+/// U-1: the driver answers the request, and the function hands the moving vehicle over.
 #[test]
 fn degraded_mode_ends_with_a_driver_who_answers() {
     let mut drive = with(Habit {
@@ -75,8 +75,8 @@ fn degraded_mode_ends_with_a_driver_who_answers() {
     );
 }
 
-/// The driver overrides for five seconds and engages again. Until then no system takes the other
-/// for failed, and the function begins from what the vehicle does.
+/// The driver overrides for five seconds and engages again. Until then neither system regards the
+/// other as failed. The function then continues from the vehicle's motion.
 #[test]
 fn a_driver_overrides_and_engages_again() {
     let mut drive = with(Habit {
@@ -90,7 +90,7 @@ fn a_driver_overrides_and_engages_again() {
         [ModeCode::L3, ModeCode::None, ModeCode::L3],
         "{functions:?}"
     );
-    // The driver's frame comes every 100 ms.
+    // The vehicle sends the driver's frame every 100 ms.
     let late = [functions[1].1 - 4.0, functions[2].1 - 9.0];
     assert!(
         late.iter().all(|late| (0.0..0.15).contains(late)),
@@ -107,7 +107,7 @@ fn a_driver_overrides_and_engages_again() {
     );
 }
 
-/// A straight road of one lane that another one crosses 400 m ahead of the start.
+/// Returns a straight road of one lane, with a crossing 400 m ahead of the start.
 fn crossing() -> String {
     let lanelet = |id: u32, from: (f64, f64), to: (f64, f64)| {
         let (dx, dy) = ((to.0 - from.0), (to.1 - from.1));
@@ -131,8 +131,8 @@ fn crossing() -> String {
     )
 }
 
-/// The operational design domain ends at a junction and the driver does not answer: the function
-/// asks in time, makes its minimal-risk stop, and the vehicle stands before the junction.
+/// The operational design domain ends at a junction, and the driver does not answer. The function
+/// requests a takeover in time, and stops the vehicle before the junction (minimal-risk stop).
 #[test]
 fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
     let scenario = Scenario::parse(&crossing(), "crossing.xml").expect("a scenario");
@@ -153,8 +153,8 @@ fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
     assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
 }
 
-/// A drive with this fault of a sensor; and whether the last control frame asks the driver to take
-/// over.
+/// Starts a drive with this sensor fault. Also returns a flag: whether the last control frame
+/// requests a takeover by the driver.
 fn with_sensor(fault: &str) -> (Drive, Rc<Cell<bool>>) {
     let config = tandem_cores::Config::rt();
     let asks = Rc::new(Cell::new(false));
@@ -179,8 +179,8 @@ fn with_sensor(fault: &str) -> (Drive, Rc<Cell<bool>>) {
     (drive, asks)
 }
 
-/// T-CHIP-4, U-1: a radar is lost, or what it tells is late. Within half a second the function asks
-/// the driver to take over, and goes on when the radar is back; else it stops the vehicle.
+/// T-CHIP-4, U-1: a radar is lost, or its data is late. Within half a second the function requests
+/// a takeover by the driver. It continues if the radar returns, and otherwise stops the vehicle.
 #[test]
 fn a_sensor_that_is_lost_or_late_is_a_takeover_request() {
     for kind in ["lost", "late"] {
@@ -190,7 +190,7 @@ fn a_sensor_that_is_lost_or_late_is_a_takeover_request() {
             (back, &[ModeCode::L3][..]),
             (gone, &[ModeCode::L3, ModeCode::SafeStop]),
         ] {
-            // The scenario's time begins with the first control frame.
+            // Scenario time begins with the first control frame.
             drive.run_for(S(6));
             assert!(asks.get(), "it asks");
             drive.run_for(S(7));

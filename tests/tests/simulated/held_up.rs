@@ -1,4 +1,4 @@
-//! A core that is held up between looking at the clock and acting.
+//! Tests of a core that is held up between reading the clock and acting.
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -11,15 +11,15 @@ use tandem_cores::core0::Core0;
 use tandem_sim::drive::poller;
 use tandem_tests::around::Around;
 
-/// How long the core is held up.
+/// Duration for which the core is held up.
 const SPAN: Duration = Duration::from_ms(8);
-/// Before which service.
+/// Number of watchdog services before the core is held up.
 const SERVICE: usize = 20;
 
-/// A supply whose core is held up, once, right before it services the watchdog.
+/// A supply that holds its core up once, just before a watchdog service.
 struct Dog {
     board: SimBoard,
-    /// By how much this core's time is ahead of the simulation's, which stands still during a poll.
+    /// Lead of this core's clock over the simulation's, which does not advance in a poll.
     ahead: Rc<Cell<Duration>>,
     services: Rc<RefCell<Vec<Instant>>>,
 }
@@ -60,8 +60,8 @@ impl Supply for Dog {
     }
 }
 
-/// T-CHIP-6: a service that came late, after core 0 had looked at the clock for it, is not followed
-/// by one before the window opens again.
+/// T-CHIP-6: core 0 services the watchdog late, because it was held up after reading the clock.
+/// Its next service still waits until the window opens.
 #[test]
 fn a_core_held_up_before_its_service_does_not_serve_early_after_it() {
     let services = Rc::new(RefCell::new(vec![]));

@@ -1,4 +1,4 @@
-//! A control task that hangs while the more urgent tasks of its core go on.
+//! A control task that hangs while the more urgent tasks of its core continue.
 
 use crate::one_flow;
 use tandem_board::{Board, CoreId, Duration, SystemId};
@@ -8,10 +8,10 @@ use tandem_cores::trace::Event;
 use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// The control task hangs from this time of its system's life on.
+/// Time after the start of its system at which the control task hangs.
 const HANGS: Duration = Duration::from_ms(10_000);
 
-/// Core 0 whose control task hangs in the first life of its system.
+/// Creates core 0 with a control task that hangs in the first incarnation of its system.
 fn hanging(board: &SimBoard) -> Poller {
     let hangs = board.identity().generation.0 == 1;
     let (clock, started) = (board.clone(), board.now());
@@ -19,7 +19,7 @@ fn hanging(board: &SimBoard) -> Poller {
     one_flow::core_0(board, runs, None, |_, _| ())
 }
 
-/// A drive in which the control task of a system hangs.
+/// Starts a drive in which the control task of a system hangs.
 pub(crate) fn drive(of: SystemId) -> Drive {
     let mut drive = Drive::with("free-lane", 4, move |board| {
         let id = board.identity();
@@ -33,8 +33,8 @@ pub(crate) fn drive(of: SystemId) -> Drive {
     drive
 }
 
-/// T-CHIP-6, T-RED-3: a control task that hangs is noticed in the standby as in the master: its
-/// system stops its heartbeats, resets itself and comes back; the other drives.
+/// T-CHIP-6, T-RED-3: a hanging control task is detected in the standby and in the master. Its
+/// system stops its heartbeats, resets itself and returns, and the other drives.
 #[test]
 fn a_control_task_that_hangs_is_noticed_in_the_standby_too() {
     for of in SystemId::ALL {

@@ -1,17 +1,17 @@
-//! A standby that has just joined takes over: what its first commands are worth.
+//! Tests the first commands of a standby that takes over soon after it has joined.
 
 use tandem_board::{CanId, Duration, ResetCause, SystemId};
 use tandem_bus::{Control, Message};
 use tandem_sim::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// A system that was reset is standby again within 60 ms; 100 ms later the other fails.
+/// A system is standby again within 60 ms after a reset. The other fails 100 ms later.
 const NEWLY_STARTED: Duration = Duration::from_ms(160);
-/// Long enough to know all that the other knows.
+/// Long enough that the standby knows everything that the other system knows.
 const OLD: Duration = Duration::from_ms(5_000);
 
-/// The commands on the bus in 300 ms from `at` on. B was reset `age` before; at `at` A loses its
-/// power, or it does not.
+/// Returns the driver's commands on the bus in the 300 ms after `at`. B was reset `age` before.
+/// With `takeover`, A loses its power at `at`.
 fn commands(scenario: &str, at: Duration, age: Duration, takeover: bool) -> Vec<Control> {
     let mut drive = Drive::new(scenario, 3);
     drive.run_for(at - age);
@@ -37,7 +37,7 @@ fn commands(scenario: &str, at: Duration, age: Duration, takeover: bool) -> Vec<
     commands.collect()
 }
 
-/// The largest difference between what B commands and what A would have commanded: rad, m/s².
+/// Returns the largest difference between B's commands and those that A would send: rad, m/s².
 fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
     let ours = commands(scenario, at, age, true);
     let theirs = commands(scenario, at, age, false);
@@ -56,10 +56,10 @@ fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
     (most(|it| it.steering_angle), most(|it| it.acceleration))
 }
 
-/// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one 5 s after:
-/// its commands are those that the failed system would have given. In all these places it knows
-/// less by itself: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and without what
-/// the other told its commands would differ by 1.04 m/s².
+/// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one after 5
+/// s: its commands are those that the failed system would have sent. In all these situations its
+/// own sensors tell it less: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and
+/// without the other's data its commands would differ by 1.04 m/s².
 #[test]
 fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {
     let places = [

@@ -1,4 +1,4 @@
-//! The sync mailboxes between the three cores of a system, over the doorbells of a board.
+//! Tests of the sync mailboxes between the three cores of a system, over the board's doorbells.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -16,7 +16,7 @@ const THIRD: Region<Mailbox> = SECOND.then("2 to 0");
 const FOURTH: Region<Mailbox> = THIRD.then("0 to 2");
 const FIFTH: Region<Mailbox> = FOURTH.then("2 to 1");
 const SIXTH: Region<Mailbox> = FIFTH.then("1 to 0");
-/// Every ordered pair of cores (from, to) once, in a circle: each core answers by the next pair.
+/// Every ordered pair of cores (from, to) once. Each receiver is the sender of the next pair.
 const PAIRS: [(usize, usize, Region<Mailbox>); 6] = [
     (0, 1, FIRST),
     (1, 2, SECOND),
@@ -26,17 +26,17 @@ const PAIRS: [(usize, usize, Region<Mailbox>); 6] = [
     (1, 0, SIXTH),
 ];
 
-/// The pair that a signal came by, the task that it named, and how many there were.
+/// The received signals: index of the pair, named task, and number of signals.
 type Heard = Rc<RefCell<Vec<(usize, usize, u32)>>>;
 
-/// The ends of one core.
+/// The mailbox ends of one core.
 struct Ends {
     receivers: Vec<(usize, Receiver<'static>)>,
     senders: Vec<(usize, Sender<'static>)>,
 }
 
 impl Ends {
-    /// `None` until core 0 has formatted the LMU.
+    /// Attaches to the mailboxes. Returns `None` until core 0 has formatted the LMU.
     fn attach(board: &'static SimBoard) -> Option<Self> {
         let identity = board.identity();
         let own = identity.core.index();
@@ -59,7 +59,7 @@ impl Ends {
         Some(Self { receivers, senders })
     }
 
-    /// Signals the task of this pair, which has the pair's number and 1, and interrupts its core.
+    /// Signals task `pair + 1` through this pair's mailbox, and interrupts the receiving core.
     fn signal(&mut self, board: &SimBoard, pair: usize) {
         let sender = self.senders.iter_mut().find(|(of, _)| *of == pair);
         let (_, sender) = sender.expect("its own pair");
@@ -74,7 +74,7 @@ impl Ends {
 
     fn sleep(&mut self) -> Instant {
         for (_, receiver) in &mut self.receivers {
-            // A receiver that is new looks for what an earlier one left.
+            // A new receiver checks for signals that an earlier receiver left.
             receiver.poll(|of| panic!("{of:?} without an interrupt"));
             assert!(receiver.prepare_sleep(), "nothing is open");
         }
@@ -82,7 +82,7 @@ impl Ends {
     }
 }
 
-/// Polls once it is attached only when it is interrupted: its deadline is never.
+/// After attaching, the core only polls when it is interrupted: its deadline is never.
 fn core(board: &SimBoard, heard: &Heard) -> Poller {
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     let heard = Rc::clone(heard);
@@ -93,7 +93,7 @@ fn core(board: &SimBoard, heard: &Heard) -> Poller {
         let Some(ends) = &mut ends else {
             ends = Ends::attach(board);
             return match &mut ends {
-                // Core 0 begins when the others have attached.
+                // Core 0 begins after the others have attached.
                 Some(ends) if board.identity().core == CoreId::CONTROL => {
                     ends.sleep();
                     board.release_core(CoreId::PERCEPTION);
@@ -122,8 +122,8 @@ fn core(board: &SimBoard, heard: &Heard) -> Poller {
     })
 }
 
-/// T-SYNC-1: for each ordered pair of cores: the signal arrives by an interrupt, at this core and
-/// no other, through the mailbox of this pair, with the id of the task that it named, once.
+/// T-SYNC-1: for each ordered pair of cores, a signal interrupts only the receiving core. It
+/// arrives once, through the mailbox of this pair, with the id of the named task.
 #[test]
 fn each_core_wakes_the_named_task_of_each_other_core_by_an_interrupt() {
     let heard = Heard::default();

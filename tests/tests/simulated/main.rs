@@ -1,4 +1,4 @@
-//! Whole-controller tests in virtual time: both systems, six cores, one vehicle, no process.
+//! Tests of the whole controller in virtual time: six cores and a vehicle in one process.
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,
@@ -59,8 +59,8 @@ fn print_story(drive: &Drive) {
     println!("{:?} gap max {:?}", drive.masters(), drive.gap_max());
 }
 
-/// T-CHIP-3, T-CHIP-4, T-CHIP-7: six cores drive a minute; one system transmits, and no frame is
-/// late.
+/// T-CHIP-3, T-CHIP-4, T-CHIP-7: six cores drive for a minute. Only one system transmits, and no
+/// frame is late.
 #[test]
 fn both_systems_drive_and_only_the_master_transmits() {
     let mut drive = Drive::new("cut-in", 1);
@@ -71,12 +71,12 @@ fn both_systems_drive_and_only_the_master_transmits() {
     assert!(drive.seen.borrow().log.accepted().count() > 5900);
     assert!(drive.gap_max() <= Duration::from_ms(11));
     assert!(drive.takeovers().is_empty());
-    // Not one frame of the standby is on the bus, not even one that the vehicle would refuse.
+    // The bus carries no frame of the standby, not even one that the vehicle would reject.
     let seen = drive.seen.borrow();
     let chatters = |frame: &&ControlFrame| frame.system == SystemId::B;
     assert_eq!(seen.log.control.iter().find(chatters), None);
     assert_eq!(both_transmitted_ms(&seen.log), 0.0);
-    // It computes all the same: as often as the master.
+    // The standby still computes, as often as the master.
     let chains = |of: SystemId| {
         let of = |e: &&TracedEvent| e.1 == of && matches!(e.3, Event::Chain { .. });
         drive.events.iter().filter(of).count()
@@ -84,8 +84,8 @@ fn both_systems_drive_and_only_the_master_transmits() {
     assert!(chains(SystemId::B) > 1_100 && chains(SystemId::A).abs_diff(chains(SystemId::B)) < 5);
 }
 
-/// T-RED-2: both systems begin dual operation on the same edge: their times differ by less than a
-/// heartbeat period (thesis: 572 µs), and so do their first control cycles after it.
+/// T-RED-2: both systems begin dual operation at the same edge: their times and their first
+/// control cycles after it differ by less than a heartbeat period (thesis: 572 µs).
 #[test]
 fn both_systems_start_in_step() {
     let mut drive = Drive::new("free-lane", 6);
@@ -115,8 +115,8 @@ fn both_systems_start_in_step() {
     assert!(skew_us < 1_000, "{cycles:?}");
 }
 
-/// T-CHIP-7, T-RED-9: a second transmitter is found before the vehicle's fence hides it: a standby
-/// that chatters in an old term, and a forged master in a higher one.
+/// T-CHIP-7, T-RED-9: a second transmitter is detected although the vehicle fences its frames: a
+/// standby that sends in an old term, and a forged master in a higher term.
 #[test]
 fn a_second_transmitter_is_found_although_the_vehicle_fences_it_off() {
     for above in [false, true] {
@@ -141,7 +141,7 @@ fn a_second_transmitter_is_found_although_the_vehicle_fences_it_off() {
         let log = &drive.seen.borrow().log;
         let takeovers = takeovers(log);
         if above {
-            // A hears the higher term and closes its output. It had not failed.
+            // A receives the higher term and closes its output, although it has not failed.
             assert_eq!((both_ms, takeovers[0].to), (0.0, SystemId::B));
             assert!(
                 takeovers[0].is_false && takeovers[0].cause.is_none(),
@@ -155,7 +155,7 @@ fn a_second_transmitter_is_found_although_the_vehicle_fences_it_off() {
     }
 }
 
-/// T-RED-4, T-RED-9: the master loses its supply; one takeover, a gap below 20 ms, no collision.
+/// T-RED-4, T-RED-9: the master loses its supply: one takeover, a gap below 20 ms, no collision.
 #[test]
 fn the_standby_takes_over_when_the_master_loses_its_supply() {
     let mut drive = Drive::new("cut-in", 2);
@@ -170,9 +170,9 @@ fn the_standby_takes_over_when_the_master_loses_its_supply() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// T-RED-8, T-RED-1: the master's processor dies and comes back as standby; then the other loses
-/// its supply. Each takeover has its cause and keeps the bound of it, the old master is standby in
-/// between, and the flash of both tells what happened.
+/// T-RED-8, T-RED-1: the master's processor dies and returns as standby; then the other system
+/// loses its supply. Each takeover has its cause and keeps its bound, the old master is standby in
+/// between, and the flash of both records what happened.
 #[test]
 fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     let mut drive = Drive::new("slow-leader", 3);
@@ -196,7 +196,7 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B, SystemId::A]);
     let takeovers = drive.takeovers();
     let causes: Vec<_> = takeovers.iter().map(|takeover| takeover.cause).collect();
-    // The heartbeats of a dead processor end before its supply resets it; a supply tells at once.
+    // A dead processor's heartbeats end before its supply resets it. A power loss shows at once.
     assert_eq!(
         causes,
         [Some(Evidence::PeerSilent), Some(Evidence::PeerOff)]
@@ -220,9 +220,9 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// T-CHIP-6, T-RED-6: the diagnosis register of the master's output driver finds a fault. The other
-/// drives, the master suspends itself, and its flash says why. A fault that lasts for one poll does
-/// not count.
+/// T-CHIP-6, T-RED-6: the diagnosis register of the master's output driver reports a fault. The
+/// other system drives, the master suspends itself, and its flash contains the reason. A fault in
+/// only one poll has no effect.
 #[test]
 fn a_fault_of_the_output_driver_suspends_its_system() {
     for found in [HardwareFault::OpenLoad, HardwareFault::ShortCircuit] {
@@ -246,7 +246,7 @@ fn a_fault_of_the_output_driver_suspends_its_system() {
     }
 }
 
-/// T-CHIP-6: a frozen master is reset by its watchdog, and thawing makes no second master.
+/// T-CHIP-6: the watchdog resets a frozen master, which does not drive when it thaws.
 #[test]
 fn a_frozen_master_is_no_second_master_when_it_thaws() {
     let mut drive = Drive::new("free-lane", 4);
@@ -259,7 +259,7 @@ fn a_frozen_master_is_no_second_master_when_it_thaws() {
     assert!(drive.gap_max() < Duration::from_ms(25));
 }
 
-/// T-CHIP-3: a compute core that dies is noticed, its system resets, the other drives on.
+/// T-CHIP-3: a dead compute core is detected, its system resets, and the other drives on.
 #[test]
 fn a_dead_compute_core_costs_the_mastership_and_not_the_drive() {
     for core in [CoreId::PERCEPTION, CoreId::PLANNING] {

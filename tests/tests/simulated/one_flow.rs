@@ -1,4 +1,4 @@
-//! An executor of core 0 that counts locked sections, and can pre-empt a job between two of them.
+//! An executor of core 0 that counts locked sections, and can preempt a job between two of them.
 
 use std::cell::{Cell, RefCell};
 use tandem_board::{Board, Duration};
@@ -9,10 +9,10 @@ use tandem_cores::core0::{
 };
 use tandem_cores::trace::{Begin, Event, Leaves};
 
-/// The urgent tasks pause for this long before a job that they pre-empt.
+/// For this long before a job that they preempt, the urgent tasks do not run.
 const PAUSE: Duration = Duration::from_ms(3);
 
-/// The tasks that are more urgent than control.
+/// The tasks with a higher priority than control.
 struct Urgent {
     roles: RolesTask<'static, SimBoard>,
     monitoring: MonitoringTask<'static, SimBoard>,
@@ -31,16 +31,16 @@ pub(crate) struct OneFlow {
     shared: RefCell<SharedState<'static, SimBoard>>,
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
-    /// Sections that the running task has taken.
+    /// Number of sections that the running task has begun.
     pub(crate) sections: Cell<u32>,
-    /// A job has begun since this was cleared.
+    /// Whether a job has begun since this was cleared.
     pub(crate) has_begun: Cell<bool>,
-    /// The urgent tasks, while they are to run before this section of the running task.
+    /// The urgent tasks, if they must run before this section of the running task.
     preempts: RefCell<Option<(u32, Urgent)>>,
 }
 
 impl OneFlow {
-    /// Counts the section that begins, and first runs the urgent tasks if they are to run here.
+    /// Counts the section that begins. First runs the urgent tasks if they are due here.
     fn section(&self) {
         self.sections.set(self.sections.get() + 1);
         let due = |(before, _): &mut (u32, Urgent)| *before == self.sections.get();
@@ -86,9 +86,9 @@ impl Executor<'static, SimBoard> for OneFlow {
     }
 }
 
-/// Core 0 of this board in rt's profile. `runs`: called before each turn; whether the tasks below
-/// monitoring run in it. `preempts`: the urgent tasks run before this section of a control job, and
-/// not at the beginning of that millisecond. `after`: called after each job of the control cycle.
+/// Creates core 0 with the profile rt. `runs` is called before each round, and returns whether the
+/// tasks below monitoring run in it. With `preempts`, the urgent tasks run before this section of
+/// a control job instead of before the job. `after` is called after each job of the control cycle.
 pub(crate) fn core_0(
     board: &SimBoard,
     runs: impl Fn() -> bool + 'static,
@@ -123,7 +123,7 @@ pub(crate) fn core_0(
                 .preempts
                 .replace(urgent.take().map(|it| (before, it)));
         }
-        // More of what they find falls into a control job if they pause before it.
+        // Pausing the urgent tasks before a control job makes more of their events fall into it.
         let pauses = preempts.is_some() && control_due.since(now) <= PAUSE;
         if let Some(urgent) = urgent.as_mut().filter(|_| !pauses) {
             urgent.poll(&executor);

@@ -1,4 +1,4 @@
-//! The locked sections of a control cycle: how many it takes, and what may run between them.
+//! Tests of the locked sections of a control cycle: their number, and preemption between them.
 
 use crate::one_flow;
 use std::cell::RefCell;
@@ -13,7 +13,7 @@ use tandem_redundancy::Role;
 use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// Both systems drive and stand by after this time.
+/// Both systems are in dual operation after this time.
 const START: Duration = Duration::from_ms(6_000);
 
 /// T-CHIP-6: a control cycle locks three times: to take its inputs, to compute and to send. In
@@ -50,7 +50,7 @@ fn a_control_cycle_takes_three_locked_sections() {
     }
 }
 
-/// Changes of a role that fell between the first and the last section of a control cycle.
+/// Changes of role between the first and the last section of a control cycle.
 #[derive(Debug, Default)]
 struct Changes {
     /// The system became master.
@@ -59,7 +59,7 @@ struct Changes {
     lost: u32,
 }
 
-/// Both systems, whose urgent tasks run before this section of a control job.
+/// Starts a drive in which the urgent tasks run before this section of each control job.
 fn preempted(section: u32) -> Drive {
     Drive::with("free-lane", 4, move |board| {
         if board.identity().core == CoreId::CONTROL {
@@ -70,8 +70,8 @@ fn preempted(section: u32) -> Drive {
     })
 }
 
-/// Counts the changes within a cycle. Each control frame must carry the term that its sender has
-/// as master at the time of sending.
+/// Counts the changes within a cycle. Checks that each control frame carries the term that its
+/// sender has as master at the time of sending.
 fn changes_within_a_cycle(drive: &Drive) -> Changes {
     let master = Role::Master as u8;
     let log = &drive.seen.borrow().log;
@@ -112,8 +112,8 @@ fn changes_within_a_cycle(drive: &Drive) -> Changes {
     changes
 }
 
-/// T-RED-9: a standby takes over between two sections of a control cycle. It sends in its new term
-/// at once, as master.
+/// T-RED-9: a standby takes over between two sections of a control cycle. It sends as master in
+/// its new term at once.
 #[test]
 fn a_system_that_becomes_master_within_a_control_cycle_sends_in_its_new_term() {
     for section in [2, 3] {
@@ -135,13 +135,13 @@ fn a_system_that_becomes_master_within_a_control_cycle_sends_in_its_new_term() {
     }
 }
 
-/// T-RED-9: a master hears a higher term between two sections of a control cycle and is no longer
-/// master. It sends no control frame in that cycle, whether it drives alone or with a standby.
+/// T-RED-9: a master receives a higher term between two sections of a control cycle, and loses its
+/// role. It sends no control frame in that cycle, with or without a standby.
 #[test]
 fn a_master_that_loses_its_role_within_a_control_cycle_sends_no_frame() {
     for (section, is_alone) in [(2, false), (3, false), (2, true), (3, true)] {
         let mut lost = 0;
-        // One of these falls into the pause before a job.
+        // One of these times is in the pause before a job.
         for shift in [0, 3, 6, 9] {
             let mut drive = preempted(section);
             drive.run_for(START);

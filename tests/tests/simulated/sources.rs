@@ -1,4 +1,4 @@
-//! Each fault that a system can find in itself has a source, and the stated effect.
+//! Each fault that a system can detect in itself can be caused, and has the stated effect.
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, HardwareFault, ResetCause, RoleLamp, SystemId,
@@ -27,7 +27,7 @@ fn with_fault(fault: HardwareFault) -> Drive {
     drive
 }
 
-/// The flash says that the terms are used up.
+/// Starts a drive whose flash records that all terms are used.
 fn no_term_left() -> Drive {
     let mut drive = Drive::new("free-lane", 8);
     for system in SystemId::ALL {
@@ -45,7 +45,7 @@ fn no_term_left() -> Drive {
     drive
 }
 
-/// What the cores of a system told from now on.
+/// Returns the events of a system's cores that the drive has recorded.
 fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> {
     let told = drive
         .events
@@ -54,13 +54,13 @@ fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> 
     told.map(|(_, _, core, event)| (*core, *event))
 }
 
-/// T-RED-5, T-RED-6: each failure mode can be brought about, and the system that has it writes it
-/// to its flash. A mode without a source does not compile here.
+/// T-RED-5, T-RED-6: each failure mode can be caused, and the affected system writes it to its
+/// flash. This does not compile if a mode has no source.
 #[test]
 fn each_failure_mode_has_a_source() {
     for &mode in FailureMode::ALL {
         let source: fn() -> Drive = match mode {
-            // No faults: the second is what a later version would write.
+            // These are not faults. `Unknown` stands for a mode of a later version.
             FailureMode::None | FailureMode::Unknown => continue,
             FailureMode::AbnormalResets => || {
                 let mut drive = started();
@@ -97,7 +97,7 @@ fn each_failure_mode_has_a_source() {
             FailureMode::CanBusOff => || with_fault(HardwareFault::CanTransmit),
         };
         let mut drive = source();
-        // Resets that do not cure the fault are one of their own in the end.
+        // Repeated resets that do not cure the fault finally become a failure mode.
         let found = (0..60).any(|_| {
             drive.run_for(MS(50));
             drive.state_in_flash(A).failure_mode == mode
@@ -111,8 +111,8 @@ const fn is_bus_off(event: &Event) -> bool {
     matches!(event, Event::CanErrors { errors } if errors.bus_offs > 0)
 }
 
-/// T-RED-6: a master whose frames the bus destroys is bus-off within milliseconds. It resigns over
-/// the link, the other drives, and after its attempts the master is suspended.
+/// T-RED-6: if the bus destroys a master's frames, the master is bus-off within milliseconds. It
+/// resigns over the link, and the other drives. After its attempts the master is suspended.
 #[test]
 fn a_master_that_is_bus_off_resigns() {
     let mut drive = with_fault(HardwareFault::CanTransmit);
@@ -134,13 +134,13 @@ fn a_master_that_is_bus_off_resigns() {
     assert_eq!(drive.pair.lamp(A), None, "held in reset");
 }
 
-/// T-RED-6: a standby that is bus-off leaves, and the master drives on. A disturbance of 3 ms is no
-/// fault of either.
+/// T-RED-6: a standby that is bus-off leaves, and the master drives on. A disturbance of 3 ms is
+/// not a fault of either system.
 #[test]
 fn a_standby_that_is_bus_off_costs_no_frame() {
     let mut drive = started();
     for of in SystemId::ALL {
-        // Until a frame has been destroyed more than once.
+        // Wait until more than one frame has been destroyed.
         drive.pair.set_fault(of, HardwareFault::CanTransmit, true);
         while drive
             .pair
@@ -167,8 +167,8 @@ fn a_standby_that_is_bus_off_costs_no_frame() {
     assert_eq!(of_a, None);
 }
 
-/// T-CHIP-6: rails and error pin of the master's supply. The other takes over at the fall of the
-/// level line; what held a system comes back as standby, and too much voltage leaves it off.
+/// T-CHIP-6: faults of the rails and of the error pin of the master's supply. The other takes over
+/// when the level line falls. The master returns as standby; an overvoltage keeps it off.
 #[test]
 fn a_fault_of_the_supply_is_a_reset() {
     for (fault, cause) in [
@@ -199,13 +199,13 @@ fn a_fault_of_the_supply_is_a_reset() {
     }
 }
 
-/// T-CHIP-3: jobs that a core leaves out are told by task and count, on each core.
+/// T-CHIP-3: each core reports the number of jobs that it omitted, by task.
 #[test]
 fn jobs_that_did_not_run_are_counted() {
     for (core, frozen_ms, tasks) in [
         (
             CoreId::CONTROL,
-            // Less than the watchdog's window.
+            // Shorter than the watchdog's window.
             12,
             &[
                 (TaskCode::ROLES, 10..=12),
@@ -217,7 +217,7 @@ fn jobs_that_did_not_run_are_counted() {
         (CoreId::PLANNING, 220, &[(TaskCode::PLANNING, 3..=4)]),
     ] {
         let mut drive = started();
-        // Alone: the other would take over from a system that misses a core.
+        // Remove the peer, which would take over from a system without one of its cores.
         drive.pair.power_off(B);
         drive.run_for(MS(1_000));
         drive.events.clear();
@@ -241,8 +241,7 @@ fn jobs_that_did_not_run_are_counted() {
     }
 }
 
-/// T-CHIP-7: frames that a full receiver lost are told with their count, by each core that
-/// receives.
+/// T-CHIP-7: each receiving core reports the number of frames that its full receiver lost.
 #[test]
 fn received_frames_that_were_lost_are_counted() {
     const FLOOD: u32 = 800;
@@ -269,8 +268,8 @@ fn received_frames_that_were_lost_are_counted() {
     assert_eq!(drive.masters(), [A]);
 }
 
-/// T-SHM-4: a core scribbles over the whole LMU of its system. The readers refuse what they find,
-/// or the alive supervision misses a core; the system mends its LMU or leaves, and one system
+/// T-SHM-4: a core overwrites the whole LMU of its system. The readers reject the data, or the
+/// alive supervision detects a missing core. The system repairs its LMU or leaves, and one system
 /// drives.
 #[test]
 fn a_scribbled_lmu_is_found_and_costs_no_frame() {

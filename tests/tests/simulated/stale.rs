@@ -1,4 +1,4 @@
-//! Control frames that come late, in the name of a system that no longer drives, or many at once.
+//! Control frames that arrive late, from a system that no longer drives, or many at once.
 
 use tandem_board::{CanFrame, CanId, CoreId, Duration, SystemId};
 use tandem_bus::{Control, FrameTransmitter, Message, ModeCode, RoleCode};
@@ -19,7 +19,7 @@ fn control(frame: &CanFrame, of: SystemId) -> Option<Control> {
     }
 }
 
-/// What this system has sent on the bus since the last call.
+/// Returns the control frames that this system has sent since the last call.
 fn sent_by(drive: &mut Drive, system: SystemId) -> Vec<Control> {
     let log = drive.pair.take_bus_log();
     log.iter()
@@ -28,7 +28,7 @@ fn sent_by(drive: &mut Drive, system: SystemId) -> Vec<Control> {
 }
 
 pub(crate) fn forge(drive: &Drive, transmitter: &mut FrameTransmitter, control: Control) {
-    // The lowest bit of a term tells whose it is.
+    // The lowest bit of a term is the system.
     let system = (control.term & 1) as u8;
     let message = Message::Control { system, control };
     let encoded = transmitter.encode(&message);
@@ -37,8 +37,8 @@ pub(crate) fn forge(drive: &Drive, transmitter: &mut FrameTransmitter, control: 
     drive.seen.borrow_mut().forged.push(frame);
 }
 
-/// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle
-/// refuses that, and its successor does not continue from it either.
+/// T-RED-9: a master that thaws after a takeover may still send its last frame. The vehicle
+/// rejects that frame, and the new master does not continue from it.
 #[test]
 fn a_stale_control_frame_does_not_jerk_the_new_master() {
     let mut drive = Drive::new("free-lane", 6);
@@ -69,14 +69,14 @@ fn a_stale_control_frame_does_not_jerk_the_new_master() {
     assert!(most < 0.05, "steers by {most} rad on a straight road");
 }
 
-/// What this system sends within 10 ms.
+/// Returns the control frames that this system sends within 10 ms.
 fn sent_in(drive: &mut Drive, system: SystemId) -> Vec<Control> {
     drive.pair.take_bus_log();
     drive.pair.run_for(MS(10));
     sent_by(drive, system)
 }
 
-/// T-RED-1: the state is written at every change, also if the changes come faster than they are
+/// T-RED-1: the state is written after every change, even if changes arrive faster than they are
 /// read.
 #[test]
 fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
@@ -96,7 +96,7 @@ fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
         };
         forge(&drive, &mut transmitter, control);
     }
-    // Long enough to write, and too short for A, which hears of these terms, to answer with a
+    // Long enough for the write, and too short for A, which receives these terms, to answer with a
     // higher one.
     drive.run_for(MS(15));
     assert_eq!(drive.state_in_flash(SystemId::B).term, term);

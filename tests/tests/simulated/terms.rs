@@ -1,4 +1,4 @@
-//! The vehicle's echo: what a system learns from it about terms that it missed.
+//! Tests of the vehicle's echo: a system learns terms from it that it missed.
 
 use tandem_board::{CanFrame, CanId, Duration, SystemId};
 use tandem_bus::{Control, FrameTransmitter, Message, RoleCode};
@@ -9,10 +9,10 @@ const fn ms(ms: u64) -> Duration {
     Duration::from_ms(ms)
 }
 
-/// Longer than a system takes to start alone.
+/// Longer than a system needs to start alone.
 const START: Duration = ms(6_000);
 
-/// The last control frame that the vehicle accepted, if that is no longer ago than two periods.
+/// Returns the last control frame that the vehicle accepted, if it is at most two periods old.
 fn obeyed(drive: &Drive) -> Option<Acceptance> {
     let seen = drive.seen.borrow();
     let last = seen.world.gate().accepted()?;
@@ -24,8 +24,8 @@ fn obeys(drive: &Drive, system: SystemId) -> bool {
     obeyed(drive).is_some_and(|last| usize::from(last.system) == system.index())
 }
 
-/// T-RED-9: the vehicle stays on. B starts alone once, then A starts alone: the vehicle obeys it,
-/// though A was off during the masterships of B.
+/// T-RED-9: the vehicle stays on while B and A start alone in turns. The vehicle obeys A although
+/// A was off during the masterships of B.
 #[test]
 fn a_system_that_was_off_learns_the_term_from_the_vehicle() {
     let mut drive = Drive::new("free-lane", 3);
@@ -43,8 +43,8 @@ fn a_system_that_was_off_learns_the_term_from_the_vehicle() {
     assert_eq!(fenced, 0, "no system drives into the fence");
 }
 
-/// T-RED-9: a system that dies after one control frame in a new term leaves the other refused. It
-/// learns the term, though the frame's counter is wrong, and drives on.
+/// T-RED-9: a system sends one control frame in a new term and dies, so the vehicle rejects the
+/// other system. That system learns the term, though the frame's counter is wrong, and drives on.
 #[test]
 fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
     let mut drive = Drive::new("free-lane", 4);

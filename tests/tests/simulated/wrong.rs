@@ -1,5 +1,4 @@
-//! A system that is wrong but alive: its frames are valid and in time, and what they ask for is
-//! wrong.
+//! Tests of a system that is alive but wrong: it sends valid frames in time, with wrong commands.
 
 use std::collections::VecDeque;
 use tandem_board::{Board, CanFrame, CoreId, Duration, Instant, SystemId};
@@ -12,10 +11,10 @@ use tandem_tests::bent::{OnHear, OnSend, altered, bent_core, straight};
 use tandem_vehicle::Scenario;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// The fault begins at this time of A's clock.
+/// The fault begins at this time on A's clock.
 const FAULT: Instant = Instant::from_ns(12_000_000_000);
 
-/// The drive of a pair of which one core of A is bent.
+/// Starts a drive in which one core of A sends or receives altered frames.
 fn drive(core: CoreId, bend: impl Fn() -> (OnSend, OnHear) + 'static) -> Drive {
     drive_of((SystemId::A, core), bend)
 }
@@ -34,7 +33,7 @@ fn drive_of(bent: (SystemId, CoreId), bend: impl Fn() -> (OnSend, OnHear) + 'sta
     drive
 }
 
-/// Drives on; the largest offset from the lane on the way, m.
+/// Drives for `span`, and returns the largest offset from the lane during it, m.
 fn aside(drive: &mut Drive, span: Duration) -> f64 {
     let until = drive.pair.now() + span;
     let mut most = 0.0_f64;
@@ -53,7 +52,7 @@ fn steers(frame: CanFrame, angle: impl Fn(f32) -> f32) -> CanFrame {
     })
 }
 
-/// The first event of this kind after the fault: how many ms after it, and of which system.
+/// Returns the first event of this kind after the fault: its delay, ms, and its system.
 fn first(drive: &Drive, kind: impl Fn(&Event) -> bool) -> Option<(u64, SystemId)> {
     let mut events = drive.events.iter();
     events.find_map(|(at, system, _, event)| {
@@ -61,10 +60,10 @@ fn first(drive: &Drive, kind: impl Fn(&Event) -> bool) -> Option<(u64, SystemId)
     })
 }
 
-/// What becomes of a steering angle: by the time since the fault, s, and the angle, rad.
+/// Maps the time since the fault, s, and a steering angle, rad, to the altered angle.
 type Steering = fn(f32, f32) -> f32;
 
-/// A's control frames steer by what `angle` makes of the time since the fault, s, and the angle.
+/// Starts a drive in which `angle` alters the steering angles in A's control frames.
 fn drive_steering(angle: Steering) -> (Drive, f64) {
     let mut drive = drive(CoreId::CONTROL, move || bend_steering(angle));
     let aside = aside(&mut drive, MS(3_000));
@@ -86,13 +85,13 @@ fn bend_steering(angle: Steering) -> (OnSend, OnHear) {
     (Box::new(bent), Box::new(straight))
 }
 
-/// A drive in which the steering angle in A's frames is stuck.
+/// Starts a drive in which the steering angle in A's frames is stuck.
 pub(crate) fn stuck() -> Drive {
     drive_steering(|_, _| 0.01).0
 }
 
-/// T-RED-9: the steering angle in A's frames is stuck, or drifts, and the protection is valid. A
-/// reads back what the vehicle obeys or refuses, leaves, and B drives on from what is obeyed.
+/// T-RED-9: the steering angle in A's frames is stuck or drifts, with valid protection. A reads
+/// back the accepted or rejected frames and leaves. B continues from the accepted ones.
 #[test]
 fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
     let faults: [(&str, Steering); 3] = [
@@ -115,7 +114,7 @@ fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
     }
 }
 
-/// The last stage of agreement that any system told.
+/// Returns the stage of agreement that a system reported last.
 fn stage(drive: &Drive) -> u8 {
     let mut stages = drive.events.iter().filter_map(|(.., event)| match event {
         Event::Agreement { stage, .. } => Some(*stage),
@@ -124,8 +123,8 @@ fn stage(drive: &Drive) -> u8 {
     stages.next_back().unwrap_or(0)
 }
 
-/// T-RED-9: core 0 of A hears a wrong speed with a valid protection and controls by it. Core 2 of A
-/// finds that the step does not follow from what the system knows; A leaves, and B drives on.
+/// T-RED-9: core 0 of A receives a wrong speed with valid protection, and uses it for control.
+/// Core 2 of A finds that the step contradicts the system's other data. A leaves, and B drives on.
 #[test]
 fn a_wrong_input_of_the_control_core_is_found_by_another_core() {
     let mut drive = drive(CoreId::CONTROL, || {
@@ -150,9 +149,9 @@ fn a_wrong_input_of_the_control_core_is_found_by_another_core() {
     assert!(drive.gap_max() < MS(30), "{:?}", drive.gap_max());
 }
 
-/// T-RED-9: core 1 of one system sees the lane beside its place, so that system computes what is
-/// right for wrong inputs, and no system finds a fault in itself. The other would steer otherwise:
-/// the vehicle is stopped, halfway between what both see.
+/// T-RED-9: core 1 of one system sees the lane at a wrong place. That system computes correctly
+/// from wrong inputs, so no system detects a fault in itself. The other system would steer
+/// differently, so the vehicle is stopped, halfway between both lanes.
 #[test]
 fn a_disagreement_without_a_known_cause_stops_the_vehicle() {
     for (wrong, beside_m, limit_m) in [
@@ -194,14 +193,14 @@ fn a_disagreement_without_a_known_cause_stops_the_vehicle() {
     }
 }
 
-/// T-RED-9: A's frames wait in a queue that grows. Each is valid, in order and by its own word
-/// fresh. Before the vehicle has to refuse them B finds that they are late, and drives on.
+/// T-RED-9: A's frames wait in a growing queue. Each frame is valid, in order, and fresh by its
+/// own data. B detects the delay and takes over before the vehicle has to reject the frames.
 #[test]
 fn frames_that_wait_in_a_growing_queue_do_not_drive() {
     let mut drive = drive(CoreId::CONTROL, || {
         let mut queue: VecDeque<(Instant, CanFrame)> = VecDeque::new();
         let waits = move |now: Instant, frame| {
-            // The delay grows by 100 ms in each second.
+            // The delay grows by 100 ms each second.
             let delay = MS(now.since(FAULT).as_ns() / 10_000_000);
             queue.push_back((now + delay, frame));
             let due = queue.iter().take_while(|(due, _)| *due <= now).count();
@@ -218,8 +217,8 @@ fn frames_that_wait_in_a_growing_queue_do_not_drive() {
     assert!(aside < 0.3, "{aside} m");
 }
 
-/// T-RED-9: two healthy systems agree, whatever the traffic does and however their cycles lie to
-/// each other. The recorded scenarios lie in the folder that `TANDEM_SCENARIOS` names.
+/// T-RED-9: two healthy systems agree in all traffic and in all phases of their cycles.
+/// `TANDEM_SCENARIOS` names the folder of the recorded scenarios.
 #[test]
 fn two_healthy_systems_agree_in_every_scenario() {
     let mut names: Vec<String> = Scenario::names().map(str::to_owned).collect();
@@ -230,7 +229,7 @@ fn two_healthy_systems_agree_in_every_scenario() {
     for name in names {
         for late_us in [7_100, 38_900] {
             let mut drive = Drive::new(&name, 2);
-            // Switched on later: its cores 1 and 2 run in other phases than A's.
+            // Switch B on later, so that its cores 1 and 2 run in other phases than A's.
             drive.pair.power_off(SystemId::B);
             drive.run_for(Duration::from_us(late_us));
             drive.pair.power_on(SystemId::B);
