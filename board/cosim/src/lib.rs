@@ -1,8 +1,8 @@
 //! The protocol between an emulated machine and the world outside it, as words.
 //!
-//! Once in each period of virtual time the machine writes a [`Report`], stops its clock and waits
-//! for the answer. Both messages are a head of fixed length followed by [`Item`]s. The host's side
-//! is `tandem-board-qemu`; the machine's side is the emulated peripherals of a bare-metal board.
+//! Once in each period of virtual time, the machine writes a [`Report`], stops its clock and waits
+//! for the answer. Both messages are a fixed header followed by [`Item`]s. The host's side is
+//! `tandem-board-qemu`; the machine's side is the emulated peripherals of a bare-metal board.
 //!
 //! ```text
 //! machine → world   MAGIC, words, now (2), lamps, powered, trace records lost, items …
@@ -18,19 +18,19 @@ use tandem_peripherals::codec::{
 
 /// Virtual time from one exchange to the next, ns.
 pub const PERIOD_NS: u64 = 1_000_000;
-/// The largest message, in words: fits into a pipe, so that a write never blocks.
+/// Maximum length of a message, in words: it fits into a pipe, so a write never blocks.
 pub const MAX_WORDS: usize = 8_192;
-/// Largest item, in words.
+/// Maximum length of an item, in words.
 pub const ITEM_WORDS: usize = 1 + DATAGRAM_WORDS;
 
 /// "TXCH", little-endian.
 pub const MAGIC: u32 = 0x4843_5854;
-/// Where the items of a report begin.
+/// Index of the first item of a report.
 pub const REPORT_WORDS: usize = 7;
-/// Where the items of an answer begin.
+/// Index of the first item of an answer.
 pub const ANSWER_WORDS: usize = 2;
 
-/// One thing that happened.
+/// An event or a command in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
     /// A frame on the bus: the words of a [`tandem_peripherals::codec::BusFrame`].
@@ -39,53 +39,53 @@ pub enum Item {
     Trace {
         /// The core.
         from: CoreAddress,
-        /// As [`tandem_peripherals::codec::encode_trace`] makes them.
+        /// The words that [`tandem_peripherals::codec::encode_trace`] returns.
         words: [u32; TRACE_WORDS],
     },
     /// Edges on a line to a system.
     Edges {
         /// The receiving system.
         to: SystemId,
-        /// The line, as [`tandem_board::Line::index`].
+        /// The line's index ([`tandem_board::Line::index`]).
         line: usize,
         /// 0 rising, 1 falling.
         edge: usize,
-        /// How many.
+        /// Number of edges.
         count: u32,
     },
     /// A datagram on the link to a system.
     Datagram {
         /// The receiving system.
         to: SystemId,
-        /// As [`tandem_peripherals::codec::encode_datagram`] makes them.
+        /// The words that [`tandem_peripherals::codec::encode_datagram`] returns.
         words: [u32; DATAGRAM_WORDS],
     },
-    /// The level line of a system that is not in the machine.
+    /// The level line of a system that runs outside the machine.
     Level {
         /// The system.
         of: SystemId,
-        /// High.
+        /// Whether the line is high.
         high: bool,
     },
-    /// The battery feed of a system in the machine.
+    /// The battery feed of a system that runs in the machine.
     Feed {
         /// The system.
         of: SystemId,
-        /// Connected.
+        /// Whether the battery is connected.
         on: bool,
     },
-    /// A fault of the hardware of a system in the machine.
+    /// A hardware fault of a system that runs in the machine.
     Fault {
         /// The system.
         of: SystemId,
-        /// What fails.
+        /// The fault.
         fault: HardwareFault,
-        /// Made; otherwise repaired.
+        /// Whether the fault is injected; otherwise it is repaired.
         present: bool,
     },
-    /// The run is over: the machine ends.
+    /// The run has ended: the machine exits.
     End,
-    /// Core 0 of a system in the machine ends with an exception.
+    /// Core 0 of a system in the machine takes an exception.
     Crash {
         /// The system.
         of: SystemId,
@@ -94,29 +94,29 @@ pub enum Item {
     Scribble {
         /// The system.
         of: SystemId,
-        /// Selects the words.
+        /// Determines the words.
         seed: u32,
     },
-    /// Core 0 of a system in the machine stands still until the next reset.
+    /// Core 0 of a system in the machine stops until the next reset.
     Hang {
         /// The system.
         of: SystemId,
     },
-    /// The level line from a system in the machine.
+    /// Cuts or restores the level line of a system in the machine.
     CutLevel {
         /// The system.
         of: SystemId,
-        /// Cut; otherwise restored.
+        /// Whether the line is cut; otherwise it is restored.
         cut: bool,
     },
-    /// The next item is carried out this much later.
+    /// Delays the next item.
     Later {
-        /// Less than [`PERIOD_NS`].
+        /// The delay, less than [`PERIOD_NS`].
         us: u32,
     },
 }
 
-/// The message cannot be decoded: the other side has another version.
+/// The message cannot be decoded: the other side is another version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Malformed;
 
@@ -159,10 +159,10 @@ impl Item {
         }
     }
 
-    /// Takes an item off the front of `words`.
+    /// Decodes the item at the front of `words` and removes it.
     ///
     /// # Errors
-    /// [`Malformed`] if `words` does not begin with an item.
+    /// [`Malformed`] if `words` does not start with an item.
     pub fn decode(words: &mut &[u32]) -> Result<Self, Malformed> {
         let (&head, mut rest) = words.split_first().ok_or(Malformed)?;
         let [kind, a, b, c] = head.to_le_bytes().map(usize::from);
@@ -229,21 +229,21 @@ fn take<const N: usize>(words: &mut &[u32]) -> Result<[u32; N], Malformed> {
     Ok(*first)
 }
 
-/// The head of what the machine writes.
+/// The header of a machine's message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// Its clock.
+    /// The machine's clock.
     pub now: Instant,
     /// The roles that A and B show.
     pub lamps: [RoleLamp; 2],
     /// Whether A and B have power and are out of reset.
     pub powered: [bool; 2],
-    /// Trace records that were lost so far; wraps around.
+    /// Trace records lost so far; wraps around.
     pub lost: u32,
 }
 
 impl Report {
-    /// The head of a message of `words` words.
+    /// Encodes the header of a message of `words` words.
     #[must_use]
     pub fn encode(&self, words: usize) -> [u32; REPORT_WORDS] {
         let [low, high] = self.now.to_words();
@@ -255,7 +255,7 @@ impl Report {
     /// The inverse of [`Report::encode`].
     ///
     /// # Errors
-    /// [`Malformed`]
+    /// [`Malformed`] if it is not a report's header.
     pub fn decode(words: &[u32]) -> Result<Self, Malformed> {
         let (head, _) = words.split_first_chunk::<REPORT_WORDS>().ok_or(Malformed)?;
         let [magic, _, low, high, lamps, powered, lost] = *head;

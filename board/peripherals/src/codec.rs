@@ -1,7 +1,7 @@
-//! The encoding of frames, datagrams, services and trace records in memory that processors share.
+//! Encoding of frames, datagrams, services and trace records in memory that processors share.
 //!
-//! The unit is the 32-bit word. Another processor wrote the words, so decoding returns a checked
-//! type or refuses them.
+//! The unit is the 32-bit word. The words come from another processor, so decoding returns a
+//! checked type or an error.
 
 use tandem_board::{CanFrame, CanId, CoreAddress, Instant, Received, TraceRecord};
 
@@ -26,7 +26,7 @@ const REACH_AT: u32 = 24;
 /// The code of a sender that is not a core.
 const VEHICLE: u32 = 7;
 
-/// Who put a frame on the bus.
+/// The sender of a frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sender {
     /// A core of the controller.
@@ -45,7 +45,7 @@ impl Reach {
     /// Every core of both systems.
     pub const ALL: Self = Self((1 << CoreAddress::COUNT) - 1);
 
-    /// Whether this core is in the set.
+    /// Returns whether this core is in the set.
     #[must_use]
     pub const fn has(self, core: CoreAddress) -> bool {
         self.0 >> core.index() & 1 == 1
@@ -60,16 +60,16 @@ impl Reach {
 /// A frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusFrame {
-    /// The frame, and when it was on the bus.
+    /// The frame, and the time at which it was on the bus.
     pub received: Received,
-    /// Who sent it.
+    /// The sender.
     pub sender: Sender,
-    /// Which cores receive it.
+    /// The cores that receive it.
     pub reach: Reach,
 }
 
 impl BusFrame {
-    /// The frame as words.
+    /// Encodes the frame as words.
     #[must_use]
     pub fn encode(&self) -> [u32; FRAME_WORDS] {
         let frame = &self.received.frame;
@@ -120,7 +120,7 @@ impl BusFrame {
     }
 }
 
-/// Writes into an encoded frame the time at which it is on the bus.
+/// Writes the time at which an encoded frame is on the bus into the frame.
 pub const fn set_time(words: &mut [u32; FRAME_WORDS], at: Instant) {
     [words[0], words[1]] = at.to_words();
 }
@@ -134,7 +134,7 @@ pub const fn set_sender(words: &mut [u32; FRAME_WORDS], sender: Sender) {
     words[3] = words[3] & !SENDER | index << SENDER_AT;
 }
 
-/// A datagram as words.
+/// Encodes a datagram as words.
 ///
 /// # Panics
 /// If it is longer than [`DATAGRAM_MAX_WORDS`].
@@ -151,15 +151,15 @@ pub fn encode_datagram(content: &[u32]) -> [u32; DATAGRAM_WORDS] {
     words
 }
 
-/// Copies the content of an encoded datagram and returns its length in words. Content that is
-/// longer than `into` is cut off.
+/// Copies the content of an encoded datagram and returns its length in words. Cuts off content that
+/// does not fit into `into`.
 pub fn decode_datagram(words: &[u32; DATAGRAM_WORDS], into: &mut [u32]) -> usize {
     let len = (words[0] as usize).min(DATAGRAM_MAX_WORDS).min(into.len());
     into[..len].copy_from_slice(&words[1..=len]);
     len
 }
 
-/// A service of the watchdog as words: when, and the answer.
+/// Encodes a service of the watchdog as words: its time and its answer.
 #[must_use]
 pub fn encode_service(at: Instant, answer: u8) -> [u32; SERVICE_WORDS] {
     let [low, high] = at.to_words();
@@ -173,7 +173,7 @@ pub fn decode_service([low, high, answer]: [u32; SERVICE_WORDS]) -> (Instant, Op
     (at, u8::try_from(answer).ok())
 }
 
-/// A trace record with its time, as words.
+/// Encodes a trace record and its time as words.
 #[must_use]
 pub const fn encode_trace(at: Instant, record: TraceRecord) -> [u32; TRACE_WORDS] {
     let [low, high] = at.to_words();

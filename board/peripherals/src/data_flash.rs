@@ -15,9 +15,9 @@ pub const SIZE: usize = (SECTOR_BYTES * SECTORS) as usize;
 /// Content of an erased byte.
 pub const ERASED: u8 = 0xFF;
 
-/// Time to program one byte: 80 µs a page.
+/// Time to program one byte, ns: 80 µs per page.
 const PROGRAM_BYTE_NS: u64 = 10_000;
-/// Time to erase one byte: about 10 ms a sector.
+/// Time to erase one byte, ns: about 10 ms per sector.
 const ERASE_BYTE_NS: u64 = 2_500;
 
 /// An operation that the flash can do.
@@ -29,10 +29,10 @@ pub struct Operation {
 }
 
 impl Operation {
-    /// Erases a sector.
+    /// Returns the operation that erases a sector.
     ///
     /// # Errors
-    /// [`FlashError::OutOfRange`] if there is no such sector.
+    /// [`FlashError::OutOfRange`] if the sector does not exist.
     pub fn erase(sector: u32) -> Result<Self, FlashError> {
         if sector >= SECTORS {
             return Err(FlashError::OutOfRange);
@@ -44,7 +44,7 @@ impl Operation {
         })
     }
 
-    /// Programs `len` bytes from `offset`.
+    /// Returns the operation that programs `len` bytes from `offset`.
     ///
     /// # Errors
     /// [`FlashError::OutOfRange`] if these are not whole pages in one sector.
@@ -62,20 +62,20 @@ impl Operation {
         })
     }
 
-    /// The bytes that it changes.
+    /// Returns the range of the bytes that the operation changes.
     #[must_use]
     pub const fn range(&self) -> Range<usize> {
         self.offset..self.offset + self.len
     }
 
-    /// The new value of a byte that holds `old`; `data` is used by programming only. Programming
-    /// clears bits and sets none.
+    /// Returns the new value of a byte that holds `old`; only programming uses `data`. Programming
+    /// clears bits and never sets one.
     #[must_use]
     pub const fn result(&self, old: u8, data: u8) -> u8 {
         if self.programs { old & data } else { ERASED }
     }
 
-    /// Performs the operation on the bytes of its range, all at once. An erase needs no data.
+    /// Performs the operation on all bytes of its range at once. An erase needs no data.
     pub fn apply(&self, cells: &mut [u8], data: &[u8]) {
         let data = data.iter().copied().chain(core::iter::repeat(ERASED));
         for (cell, data) in cells.iter_mut().zip(data) {
@@ -83,21 +83,21 @@ impl Operation {
         }
     }
 
-    /// When the operation, begun at `begun`, has changed `count` bytes; `None` if it changes fewer.
-    /// Bytes change one after the other, from the lowest address.
+    /// Returns when the operation, begun at `begun`, has changed `count` bytes; `None` if it
+    /// changes fewer. It changes the bytes one after the other, from the lowest address.
     #[must_use]
     pub fn changed(&self, begun: Instant, count: u64) -> Option<Instant> {
         let ns = begun.as_ns() + self.byte_ns() * count;
         (count <= self.len as u64).then_some(Instant::from_ns(ns))
     }
 
-    /// When the operation ends, if it began at `begun`.
+    /// Returns when the operation ends, if it began at `begun`.
     #[must_use]
     pub fn ends(&self, begun: Instant) -> Instant {
         Instant::from_ns(begun.as_ns() + self.byte_ns() * self.len as u64)
     }
 
-    /// How many bytes the operation has changed at `now`, if it began at `begun`.
+    /// Returns how many bytes the operation has changed at `now`, if it began at `begun`.
     #[must_use]
     pub fn done(&self, begun: Instant, now: Instant) -> usize {
         let done = now.since(begun).as_ns() / self.byte_ns();
@@ -113,7 +113,7 @@ impl Operation {
     }
 }
 
-/// The bytes of a read.
+/// Returns the range of bytes of a read.
 ///
 /// # Errors
 /// [`FlashError::OutOfRange`] if some of them are outside the flash.
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(range(u32::MAX, usize::MAX), refused);
     }
 
-    /// Without an erase before, programming leaves the bits that were set both times.
+    /// A second programming without an erase leaves only the bits that were set both times.
     #[test]
     fn programming_clears_bits_and_erasing_sets_all() {
         let program = Operation::program(0, 8).unwrap();

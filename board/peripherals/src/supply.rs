@@ -2,13 +2,13 @@
 //!
 //! | state | level line | leaves it when |
 //! |---|---|---|
-//! | off | low | power on → on |
+//! | state | level line | it ends when |
 //! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
-//! | reset | low | the hold is over, all cores stand still, rails and error pin are good → on |
-//! | suspended | low | never by itself |
+//! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
+//! | reset | low | the hold is over, all cores have stopped, rails and error pin are good → on |
 //!
-//! From every state power can be switched off. A rail with too much voltage suspends from each
-//! state with power, so that the chip is not damaged.
+//! Power can be switched off in every state. A rail with too much voltage suspends the system from
+//! every state with power, so that the chip is not damaged.
 
 use tandem_board::{Duration, HardwareFault, HardwareFaults, Instant, ResetCause, ResetRequest};
 
@@ -23,15 +23,15 @@ pub struct Config {
     pub watches: bool,
     /// How long a reset holds the system.
     pub hold: Duration,
-    /// The hold doubles with each reset up to this limit, so that a program which dies at its start
+    /// The hold doubles with each reset up to this limit, so that a program that dies at its start
     /// does not use up the machine.
     pub longest_hold: Duration,
-    /// An incarnation that lasted this long ends the doubling.
+    /// After an incarnation that lasted this long, the hold is short again.
     pub stable: Duration,
 }
 
 impl Config {
-    /// For cores that are hardware: a hold of always 2 ms.
+    /// For hardware cores: every hold lasts 2 ms.
     pub const TARGET: Self = Self {
         window: Window::TARGET,
         watches: true,
@@ -39,7 +39,7 @@ impl Config {
         longest_hold: Duration::from_ms(2),
         stable: Duration::ZERO,
     };
-    /// For cores that are processes. During the hold the bus drops the unsent frames of the dead
+    /// For cores that are processes. During the hold, the bus drops the unsent frames of the dead
     /// cores.
     pub const DESKTOP: Self = Self {
         window: Window::DESKTOP,
@@ -64,16 +64,16 @@ pub enum Power {
         /// The cause that the system will read.
         cause: ResetCause,
     },
-    /// The supply holds the system in reset until power is switched off and on.
+    /// The supply holds the system in reset until power is switched off and on again.
     Suspended,
 }
 
-/// The board's action when the supply's state has changed. Each one changes the level line, which
-/// interrupts core 0 of the other system.
+/// What the board must do after a change of the supply's state. Each change also changes the level
+/// line, which interrupts core 0 of the other system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Change {
-    /// The system begins an incarnation for this cause: core 0 starts, and releases the others.
+    /// An incarnation of the system begins for this cause: core 0 starts, and releases the others.
     Start(ResetCause),
     /// All cores stop. The supply will start them again.
     Reset(ResetCause),
@@ -91,7 +91,7 @@ pub struct Supply {
     state: State,
     /// How long the next reset holds the system.
     next_hold: Duration,
-    /// What the rails and the error pin show.
+    /// The present faults of the rails and the error pin.
     pins: HardwareFaults,
 }
 
@@ -113,7 +113,7 @@ enum State {
 }
 
 impl Supply {
-    /// A supply without power.
+    /// Makes a supply without power.
     #[must_use]
     pub const fn new(config: Config) -> Self {
         Self {
@@ -124,7 +124,7 @@ impl Supply {
         }
     }
 
-    /// The state.
+    /// Returns the state.
     #[must_use]
     pub const fn power(&self) -> Power {
         match self.state {
@@ -135,14 +135,14 @@ impl Supply {
         }
     }
 
-    /// Whether the system has power and is out of reset: the level line is high.
+    /// Returns whether the system has power and is out of reset: the level line is high.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         matches!(self.state, State::On { .. })
     }
 
-    /// The reset cause of the current incarnation of the system, or of the next one if it does not
-    /// run.
+    /// Returns the reset cause of the current incarnation of the system, or of the next one if the
+    /// system does not run.
     #[must_use]
     pub const fn cause(&self) -> ResetCause {
         match self.state {
@@ -151,7 +151,7 @@ impl Supply {
         }
     }
 
-    /// The current question of the functional watchdog.
+    /// Returns the current question of the functional watchdog.
     #[must_use]
     pub const fn question(&self) -> u8 {
         match &self.state {
@@ -160,7 +160,7 @@ impl Supply {
         }
     }
 
-    /// Power is switched on. No effect if it was on.
+    /// Switches power on. No effect if it was on.
     pub fn power_on(&mut self, now: Instant) -> Option<Change> {
         match self.state {
             State::Off => Some(self.start(now, ResetCause::PowerOn)),
@@ -168,7 +168,7 @@ impl Supply {
         }
     }
 
-    /// The cause for which rails and error pin hold the system in reset; `None` if they are good.
+    /// Returns why rails or error pin hold the system in reset; `None` if they are good.
     const fn held_by(&self) -> Option<ResetCause> {
         if self.pins.has(HardwareFault::Undervoltage) {
             Some(ResetCause::Undervoltage)
@@ -179,7 +179,7 @@ impl Supply {
         }
     }
 
-    /// The rails and the error pin of the system show this from now on.
+    /// Records the state of the rails and of the error pin.
     pub fn observe(&mut self, now: Instant, pins: HardwareFaults) -> Option<Change> {
         self.pins = pins;
         match self.state {
@@ -192,7 +192,7 @@ impl Supply {
         }
     }
 
-    /// Power is lost. No effect if it was off.
+    /// Switches power off. No effect if it was off.
     pub fn power_off(&mut self) -> Option<Change> {
         match self.state {
             State::Off => None,
@@ -206,14 +206,14 @@ impl Supply {
         }
     }
 
-    /// A core requests a reset. [`Supply::poll`] obeys the first request of an incarnation.
+    /// Requests a reset for a core. [`Supply::poll`] obeys the first request of an incarnation.
     pub fn request(&mut self, asked: ResetRequest) {
         if let State::On { request, .. } = &mut self.state {
             request.get_or_insert(asked);
         }
     }
 
-    /// Core 0 services the watchdog: see [`Watchdog::service`].
+    /// Services the watchdog for core 0: see [`Watchdog::service`].
     pub fn service(&mut self, now: Instant, at: Instant, answer: Option<u8>) -> Option<Change> {
         let State::On { watchdog, .. } = &mut self.state else {
             return None;
@@ -222,7 +222,7 @@ impl Supply {
         (fault && self.config.watches).then(|| self.reset(now, ResetCause::Watchdog))?
     }
 
-    /// The supply was held up: see [`Watchdog::was_blind`].
+    /// Records that the supply could not run: see [`Watchdog::was_blind`].
     pub fn was_blind(&mut self, from: Instant, to: Instant) {
         if let State::On { watchdog, .. } = &mut self.state {
             watchdog.was_blind(from, to);
@@ -243,7 +243,7 @@ impl Supply {
         Some(Change::Reset(cause))
     }
 
-    /// Does everything that is due. `cores_stand`: no core of an earlier incarnation runs any more.
+    /// Does everything that is due. `cores_stand`: all cores of earlier incarnations have stopped.
     pub fn poll(&mut self, now: Instant, cores_stand: bool) -> Option<Change> {
         match self.state {
             State::On {
@@ -270,7 +270,7 @@ impl Supply {
         }
     }
 
-    /// When [`Supply::poll`] is next due if no other call is made.
+    /// Returns when [`Supply::poll`] is next due if no other call is made before.
     #[must_use]
     pub fn next(&self) -> Instant {
         match self.state {
@@ -368,7 +368,7 @@ mod tests {
         supply.poll(ms(1), false)
     }
 
-    /// T-CHIP-6: every input in every state: the action of the board, and the next state.
+    /// T-CHIP-6: each input in each state leads to the right board action and the right state.
     #[test]
     fn every_cell_of_the_table() {
         use Change::{PowerOff, Reset, Start, Suspend};
@@ -451,8 +451,8 @@ mod tests {
         assert_eq!(IN_RESET().next(), ms(20));
     }
 
-    /// T-CHIP-6: a low rail and the error pin hold a system in reset for as long as they last. Too
-    /// much voltage switches it off, and only a power-on without it starts it again.
+    /// T-CHIP-6: undervoltage and the error pin hold a system in reset for as long as they last.
+    /// Overvoltage switches the system off until a power-on without overvoltage.
     #[test]
     fn rails_and_error_pin_hold_a_system() {
         for (fault, cause) in [
@@ -475,7 +475,7 @@ mod tests {
         assert_eq!(supply.cause(), ResetCause::PowerOn);
     }
 
-    /// An incarnation reports its cause, and nothing of an old incarnation reaches the next one.
+    /// An incarnation reports its own cause and keeps no state of the previous one.
     #[test]
     fn a_new_incarnation_is_free_of_the_old_one() {
         let mut supply = ON();

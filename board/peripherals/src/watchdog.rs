@@ -1,24 +1,23 @@
-//! The watchdogs of a supply: window and functional. T-CHIP-6
+//! The two watchdogs of a supply: window and functional. T-CHIP-6
 
 use tandem_board::{Duration, Instant, watchdog_answer};
 
 /// When a service of the watchdog is in time.
 ///
 /// The requirements name a TLF35584 but give no figures. That chip counts both windows in units of
-/// 50 cycles of 0.1 ms or 1 ms; the values here are settings of that chip.
+/// 50 cycles of 0.1 ms or 1 ms; these values are valid settings of that chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// Earliest service after the previous one, in microseconds: the closed window.
     pub opens_us: u32,
     /// Latest service after the previous one, in microseconds: closed and open window.
     pub closes_us: u32,
-    /// Latest first service after a start, in microseconds. The first one is never early.
+    /// Latest first service after a start, in microseconds. The first service is never early.
     pub first_us: u32,
 }
 
 impl Window {
-    /// For cores that are hardware: two control cycles. Closed for 50 cycles of 0.1 ms, open for
-    /// 150.
+    /// For hardware cores: two control cycles. Closed for 50 cycles of 0.1 ms, open for 150.
     pub const TARGET: Self = Self {
         opens_us: 5_000,
         closes_us: 20_000,
@@ -34,22 +33,22 @@ impl Window {
     };
 }
 
-/// The question that follows `services` services of one incarnation; 0 ..= 15, each in turn in a
-/// scrambled order. A core that counts its services need not read it.
+/// Returns the question that follows `services` services of one incarnation: each of 0 ..= 15 in
+/// turn, in a scrambled order. A core that counts its services need not read it.
 #[must_use]
 pub const fn question(services: u32) -> u8 {
     // An odd factor permutes the residues.
     (services.wrapping_mul(7).wrapping_add(3) & 0xF) as u8
 }
 
-/// What is wrong with a service.
+/// The fault of a watchdog service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WatchdogFault {
-    /// None arrived in time.
+    /// No service arrived in time.
     Late,
-    /// It arrived before the window was open.
+    /// The service arrived before the window opened.
     Early,
-    /// It did not answer the question.
+    /// The service did not answer the question.
     WrongAnswer,
 }
 
@@ -61,12 +60,12 @@ pub struct Watchdog {
     last: Instant,
     services: u32,
     served: bool,
-    /// The last span in which the supply could not watch: from, to.
+    /// The last span in which the supply could not run: from, to.
     blind: [Instant; 2],
 }
 
 impl Watchdog {
-    /// Starts to watch.
+    /// Starts monitoring.
     #[must_use]
     pub const fn new(window: Window, now: Instant) -> Self {
         Self {
@@ -78,14 +77,14 @@ impl Watchdog {
         }
     }
 
-    /// The question that the next service must answer.
+    /// Returns the question that the next service must answer.
     #[must_use]
     pub const fn question(&self) -> u8 {
         question(self.services)
     }
 
-    /// A service that the core claims to have given at `at`, seen by the supply at `now`. `None` is
-    /// an answer that is not a byte.
+    /// Accepts or rejects a service that the core claims to have sent at `at` and that the supply
+    /// reads at `now`. `None` is an answer that is not a byte.
     ///
     /// # Errors
     /// The fault of the service.
@@ -95,7 +94,7 @@ impl Watchdog {
         at: Instant,
         answer: Option<u8>,
     ) -> Result<(), WatchdogFault> {
-        // The core's time is unchecked input: limit it to between the last service and now.
+        // The core's time is unchecked input: clamp it to the span from the last service to now.
         let at = at.clamp(self.last.min(now), now);
         if answer != Some(watchdog_answer(self.question())) {
             return Err(WatchdogFault::WrongAnswer);
@@ -111,7 +110,7 @@ impl Watchdog {
         Ok(())
     }
 
-    /// The last instant at which the next service is in time.
+    /// Returns the last instant at which the next service is in time.
     #[must_use]
     pub fn closes(&self) -> Instant {
         let window_us = if self.served {
@@ -138,16 +137,16 @@ impl Watchdog {
         }
     }
 
-    /// The supply itself was held up from `from` to `to`. This time does not count against the
-    /// core, which may have been held up with it.
+    /// Records that the supply itself could not run from `from` to `to`. This time does not count
+    /// against the core, which may have been delayed too.
     pub fn was_blind(&mut self, from: Instant, to: Instant) {
-        // Two such spans in one window add up: keep them as one that ends with the second.
+        // Two such spans in one window add up: store them as one that ends with the second.
         let before = self.blind_since_last();
         let from = Instant::from_ns(from.as_ns().saturating_sub(before.as_ns()));
         self.blind = [from, to];
     }
 
-    /// How much of the blind span is after the last service.
+    /// Returns how much of the blind span is after the last service.
     fn blind_since_last(&self) -> Duration {
         let [from, to] = self.blind;
         to.since(from.max(self.last))
@@ -188,7 +187,7 @@ mod tests {
         dog
     }
 
-    /// T-CHIP-6: the edges of the window, to the nanosecond.
+    /// T-CHIP-6: the window opens and closes exactly, to the nanosecond.
     #[test]
     fn a_service_is_accepted_in_the_window_and_nowhere_else() {
         for (now, expected) in [
@@ -202,7 +201,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: the first service has a separate limit, and is never early.
+    /// T-CHIP-6: the first service has a separate limit and is never early.
     #[test]
     fn the_first_service_has_only_an_end() {
         for (now, expected) in [
@@ -249,11 +248,11 @@ mod tests {
         let mut dog = served_once();
         dog.services = u32::MAX;
         assert_eq!(serve(&mut dog, at(OPENS)), Ok(()));
-        // Still the normal window, not that of the first service.
+        // This is still the normal window, not that of the first service.
         assert_eq!(dog.closes(), at(OPENS + CLOSES));
     }
 
-    /// The core cannot claim a time in the future or before its last service.
+    /// The core gains nothing by claiming a time in the future or before its last service.
     #[test]
     fn a_false_time_gains_nothing() {
         let mut dog = Watchdog::new(WINDOW, START);
@@ -265,7 +264,7 @@ mod tests {
         assert_eq!(past, Err(Early), "before the last service");
     }
 
-    /// Services that a supply reads late count by their own times.
+    /// Services that the supply reads late are judged by the times at which they were sent.
     #[test]
     fn services_that_are_seen_late_are_as_far_apart_as_they_were_sent() {
         let mut dog = Watchdog::new(WINDOW, START);
@@ -292,7 +291,7 @@ mod tests {
         assert_eq!(serve(&mut dog, just_after(215_000 + CLOSES)), Err(Late));
     }
 
-    /// The queue keeps the first services of a long time; later ones were lost.
+    /// The supply reads an old service after a long delay; the queue has lost the later services.
     #[test]
     fn services_from_the_time_of_a_supply_that_was_held_up_excuse_nothing() {
         let mut dog = served_once();

@@ -1,4 +1,4 @@
-//! Runs an image to its end, in a machine without a vehicle.
+//! Runs an image to its end in a machine without a vehicle.
 
 use std::fs::File;
 use std::path::Path;
@@ -7,26 +7,26 @@ use std::time::{Duration, Instant};
 
 use crate::machine::{MachineError, QEMU};
 
-/// Longer than any such image takes, even on a busy machine.
+/// Longer than any such image runs, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// An emulator that is killed when its value is dropped.
+/// An emulator process that is killed when this value is dropped.
 struct Emulator(Child);
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        // Fails if it has already ended.
+        // Fails if the process has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 /// Runs an image to its end and returns its log. Uses `-icount shift=0`: an instruction takes 1 ns
-/// of virtual time, and time jumps when all harts sleep, so that all runs are the same.
+/// of virtual time, and time skips ahead when all harts sleep. So all runs are the same.
 ///
 /// # Errors
-/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] if the status is not
-/// 0; [`MachineError::Hangs`] after two minutes.
+/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] if the exit status
+/// is not 0; [`MachineError::Hangs`] after two minutes.
 pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let folder = tempfile::Builder::new()
         .prefix("tandem-qemu-")

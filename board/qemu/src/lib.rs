@@ -1,11 +1,11 @@
-//! The host's side of emulated machines: starts QEMU, and exchanges messages with its firmware.
+//! The host's side of emulated machines: starts QEMU and exchanges messages with its firmware.
 //!
-//! [`Machine`] is one emulator process with one or both systems in it. [`EmulatedWorld`] is all
+//! [`Machine`] is one emulator process that runs one or both systems. [`EmulatedWorld`] is all
 //! machines of a run as the vehicle sees them: the bus, the wires between the systems, and data for
 //! an observer. Virtual time advances in steps of [`tandem_cosim::PERIOD_NS`]. Within a step the
-//! machines run independently and in parallel; a message from one to another or to the world
-//! arrives with the next step. With the same frames from the world, two runs are equal to the bit.
-//! [`run_to_end`] is for images that need no world.
+//! machines run independently and in parallel; a message from one machine to another or to the
+//! world arrives with the next step. With the same frames from the world, two runs are identical,
+//! bit for bit. [`run_to_end`] runs images that need no world.
 #![forbid(unsafe_code)]
 
 mod alone;

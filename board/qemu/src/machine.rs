@@ -1,4 +1,4 @@
-//! One emulator process, and the two pipes to its emulated peripherals.
+//! One emulator process and the two pipes to its emulated peripherals.
 
 use std::fs::File;
 use std::io::{self, PipeReader, PipeWriter, Read as _, Seek as _, SeekFrom, Write as _, pipe};
@@ -20,7 +20,7 @@ const STRAPS_AT: u32 = 0x8090_0000;
 const KEY_AT: u32 = STRAPS_AT + 64;
 /// Start of the system's program flash.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
-/// A machine that sends no report in this time hangs. One step takes far less than a second.
+/// A machine that sends no report for this long hangs. One step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a silent machine is checked.
 const LOOK_MS: i64 = 50;
@@ -28,10 +28,10 @@ const LOOK_MS: i64 = 50;
 /// Why a machine cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum MachineError {
-    /// The emulator cannot be started.
+    /// The emulator could not be started.
     #[error("cannot start {QEMU} (apt-get install --no-install-recommends qemu-system-misc)")]
     Start(#[source] io::Error),
-    /// The pipes cannot be made.
+    /// The pipes could not be made.
     #[error("cannot make the pipes to the emulator")]
     Pipes(#[source] io::Error),
     /// The emulator has ended; its log says why.
@@ -42,13 +42,13 @@ pub enum MachineError {
         /// The firmware's log.
         log: String,
     },
-    /// The emulator no longer reports.
+    /// The emulator has stopped reporting.
     #[error("the firmware does not answer: {log}")]
     Hangs {
         /// The firmware's log.
         log: String,
     },
-    /// The report cannot be decoded: the image has another version.
+    /// The report cannot be decoded: the image is another version.
     #[error("the firmware is not of this version")]
     Malformed,
 }
@@ -65,31 +65,31 @@ pub struct BootFrom {
 /// The straps of the controller's image.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MachineOptions {
-    /// A system that returns becomes the standby of the running one.
+    /// A system that restarts becomes the standby of the running one.
     pub reintegrate: bool,
-    /// The timing profile is `chip`, else `rt`. For [`WorldLayout::One`](crate::Layout::One): from
-    /// one machine to another, edges and datagrams take up to 2 ms.
+    /// The timing profile is `chip`, otherwise `rt`. For [`WorldLayout::One`](crate::Layout::One):
+    /// between two machines, edges and datagrams take up to 2 ms.
     pub chip: bool,
-    /// An overload of core 0's tasks: strap `Third`, explained in the image's main. 0: none.
+    /// An overload of core 0's tasks: strap `Third`, explained in the image's `main`. 0: none.
     pub overload: u32,
 }
 
-/// An emulator process. It ends when this is dropped.
+/// An emulator process. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct Machine {
     child: Child,
     from: PipeReader,
     to: PipeWriter,
-    /// Errors of the emulator, and the firmware's log.
+    /// The emulator's errors and the firmware's log.
     logs: [File; 2],
-    /// Kept until the emulator has opened all files in it. Its end removes them.
+    /// Kept until the emulator has opened all files in it. Dropping it removes them.
     folder: Option<TempDir>,
     systems: Vec<SystemId>,
 }
 
 impl Machine {
-    /// Starts the image with these systems in it. Core 0 of a system that is alone in its machine
-    /// runs its tasks under FreeRTOS. `BootFrom` is for an image that boots.
+    /// Starts the image with these systems in it. In a machine with a single system, core 0 runs
+    /// its tasks under FreeRTOS. `BootFrom` is for an image that boots.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -103,8 +103,8 @@ impl Machine {
             .prefix("tandem-qemu-")
             .tempdir()
             .map_err(MachineError::Pipes)?;
-        // The firmware opens them as files. They have no name that outlives the world: a machine
-        // whose world has ended, even before the machine opened them, sees the end of its pipe.
+        // The firmware opens the pipes as files. They have no name that outlives the world: if the
+        // world ends, even before the machine opens them, the machine reads the end of its pipe.
         let (from, to_world) = pipe().map_err(MachineError::Pipes)?;
         let (from_world, to) = pipe().map_err(MachineError::Pipes)?;
         for (name, place) in [("from-world", 0), ("to-world", 1)] {
@@ -150,7 +150,7 @@ impl Machine {
         let logs = [log("errors")?, log("log")?];
         let errors = logs[0].try_clone().map_err(MachineError::Pipes)?;
         let child = command
-            // The run handles Ctrl-C at a terminal.
+            // Ctrl-C at a terminal must reach the run only, which handles it.
             .process_group(0)
             .stdin(from_world)
             .stdout(to_world)
@@ -167,20 +167,20 @@ impl Machine {
         })
     }
 
-    /// The systems in it.
+    /// Returns the systems in the machine.
     #[must_use]
     pub fn systems(&self) -> &[SystemId] {
         &self.systems
     }
 
-    /// The emulator's process.
+    /// Returns the process id of the emulator.
     #[must_use]
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// Waits for the machine's next exchange and returns its report; `each` gets what happened
-    /// since the last one. Blocks.
+    /// Waits for the machine's next exchange and returns its report; passes each event since the
+    /// last exchange to `each`. Blocks.
     ///
     /// # Errors
     /// [`MachineError`] if the machine does not report.
@@ -202,8 +202,8 @@ impl Machine {
         Ok(report)
     }
 
-    /// Answers: the machine continues, with these items from outside. Returns the number of items
-    /// that did not fit and were left out.
+    /// Answers: the machine continues with these items from outside. Returns the number of items
+    /// that did not fit and were dropped.
     ///
     /// # Errors
     /// [`MachineError`] if the machine has ended.
@@ -227,7 +227,7 @@ impl Machine {
         }
     }
 
-    /// Ends the run of the machine and returns its log.
+    /// Ends the machine's run and returns its log.
     ///
     /// # Errors
     /// [`MachineError`] if it had ended before.
@@ -261,7 +261,7 @@ impl Machine {
         Ok(())
     }
 
-    /// Waits until there may be something to read.
+    /// Waits until there may be bytes to read.
     fn await_bytes(&mut self, begin: Instant) -> Result<(), MachineError> {
         let wait = rustix::time::Timespec {
             tv_sec: 0,
@@ -297,7 +297,7 @@ impl Machine {
         }
     }
 
-    /// The firmware's log, and the errors of the emulator.
+    /// Returns the emulator's errors and the firmware's log.
     #[must_use]
     pub fn log(&self) -> String {
         let mut text = String::new();
@@ -312,7 +312,7 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
-        // Fails if it has already ended.
+        // Fails if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -16,16 +16,16 @@ use tandem_peripherals::network::{self, BusFault, Network, Wire};
 
 use crate::machine::{BootFrom, Machine, MachineError, MachineOptions};
 
-/// How many emulators run the systems.
+/// The number of emulators that run the two systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorldLayout {
-    /// Both in one emulator.
+    /// Both systems in one emulator.
     One,
-    /// One emulator each: either can be killed.
+    /// One emulator for each system: each can be killed separately.
     Two,
 }
 
-/// The machines of a run. There is one vehicle: it is the bus between them, and calls
+/// The machines of a run. A run has one vehicle; it is the bus between the machines, and calls
 /// [`EmulatedWorld::step`] for each millisecond of virtual time.
 #[derive(Debug)]
 pub struct EmulatedWorld {
@@ -34,11 +34,11 @@ pub struct EmulatedWorld {
     step: u64,
     /// Frames of cores that were on the bus since the last step.
     sent: Vec<network::Delivery>,
-    /// Connects the machines.
+    /// The connections between the machines.
     network: Network,
-    /// Decides which frames a disturbed connection loses: the same in each run.
+    /// Decides which frames a disturbed connection loses; the same in each run.
     noise: ChaCha8Rng,
-    /// The level lines as the other systems have them.
+    /// The level line of each system, as last sent to the other system.
     shown: [bool; 2],
     /// When the last frame was on the bus.
     carried: Instant,
@@ -52,7 +52,7 @@ pub struct EmulatedWorld {
 
 #[derive(Debug)]
 struct Node {
-    /// `None` when the machine has ended.
+    /// `None` after the machine has ended.
     machine: Option<Machine>,
     systems: Vec<SystemId>,
     /// The items of the next answer.
@@ -61,7 +61,7 @@ struct Node {
 }
 
 impl EmulatedWorld {
-    /// Starts the emulators. Both systems are without power.
+    /// Starts the emulators. Both systems have no power yet.
     ///
     /// # Errors
     /// [`MachineError`]
@@ -82,8 +82,8 @@ impl EmulatedWorld {
     }
 
     /// Starts an emulator for each of these systems with the image `bootloader`, which boots from
-    /// the flash of the system. Both systems are without power; a system that is not named stays
-    /// so.
+    /// the system's flash. Both systems have no power yet; a system that is not in `from` never
+    /// gets power.
     ///
     /// # Errors
     /// [`MachineError`]
@@ -137,19 +137,19 @@ impl EmulatedWorld {
         self.machines.iter().flat_map(|node| &node.machine)
     }
 
-    /// The running emulator processes, with their systems.
+    /// Returns the running emulator processes, with their systems.
     pub fn processes(&self) -> impl Iterator<Item = (u32, &[SystemId])> {
         self.running()
             .map(|machine| (machine.pid(), machine.systems()))
     }
 
-    /// The flag that requests an early end of the run.
+    /// Returns the flag that requests an early end of the run.
     #[must_use]
     pub fn stop_flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.stop)
     }
 
-    /// The log of the firmware of all running machines.
+    /// Returns the firmware logs of all running machines.
     #[must_use]
     pub fn log(&self) -> String {
         self.running()
@@ -161,7 +161,7 @@ impl EmulatedWorld {
     /// Ends all machines and returns their firmware's logs.
     ///
     /// # Errors
-    /// [`MachineError`] if one has ended by itself.
+    /// [`MachineError`] if a machine had already ended.
     pub fn end(self) -> Result<String, MachineError> {
         let machines = self.machines.into_iter().filter_map(|node| node.machine);
         let logs: Result<Vec<_>, _> = machines.map(Machine::end).collect();
@@ -169,10 +169,10 @@ impl EmulatedWorld {
     }
 
     /// Runs all machines to the next step, with all frames and commands since the last one. If a
-    /// machine was killed, its systems end and their level falls.
+    /// machine was killed, its systems stop and their level lines fall.
     ///
     /// # Errors
-    /// [`MachineError`] if a machine hangs, or has ended by itself.
+    /// [`MachineError`] if a machine hangs or has ended without being killed.
     pub fn step(&mut self) -> Result<Instant, MachineError> {
         if self.step > 0 {
             self.answer()?;
@@ -183,7 +183,7 @@ impl EmulatedWorld {
         for index in 0..self.machines.len() {
             self.hear(index)?;
         }
-        // Stable: the frames of one core stay in their order even at equal times.
+        // A stable sort: the frames of one core keep their order even at equal times.
         self.sent.sort_by_key(|sent| sent.at);
         Ok(self.now())
     }
@@ -194,7 +194,7 @@ impl EmulatedWorld {
             if let Some(machine) = &mut node.machine {
                 let left_out = machine.answer(&items);
                 match left_out {
-                    // The next report of a machine that was just killed fails, and ends its
+                    // If a machine has just been killed, its next report fails, and that ends its
                     // systems.
                     Ok(_) | Err(MachineError::Ended { .. }) => {}
                     Err(error) => return Err(error),
@@ -204,7 +204,7 @@ impl EmulatedWorld {
         Ok(())
     }
 
-    /// Takes the report of a machine.
+    /// Reads the report of a machine.
     fn hear(&mut self, index: usize) -> Result<(), MachineError> {
         let Some(machine) = &mut self.machines[index].machine else {
             return Ok(());
@@ -212,7 +212,7 @@ impl EmulatedWorld {
         let mut items = vec![];
         let report = match machine.report(|item| items.push(item)) {
             Ok(report) => report,
-            // Killed by a signal: counts as a loss of power.
+            // Killed by a signal: treat it as a loss of power.
             Err(MachineError::Ended { status, .. }) if status.code().is_none() => {
                 self.bury(index);
                 return Ok(());
@@ -249,7 +249,7 @@ impl EmulatedWorld {
         self.show_level(of);
     }
 
-    /// Sends the level line to the other system if it has changed there.
+    /// Sends the level of the line to the other system if it has changed since the last time.
     fn show_level(&mut self, of: SystemId) {
         let high = self.network.conditions.level(of, self.powered[of.index()]);
         if std::mem::replace(&mut self.shown[of.index()], high) != high {
@@ -257,8 +257,8 @@ impl EmulatedWorld {
         }
     }
 
-    /// Brings the frames on the bus to all machines but that of their sender. A machine gives a
-    /// frame to all of its cores: it receives what core 0 of one of its systems receives.
+    /// Passes the frames on the bus to all machines except that of their sender. A machine passes a
+    /// frame to all of its cores: it gets the frames that reach core 0 of one of its systems.
     fn carry(&mut self) {
         while let Some(carried) = self.network.carried() {
             let network::Delivery {
@@ -288,7 +288,7 @@ impl EmulatedWorld {
         }
     }
 
-    /// Sends the item to the machine of `to`, unless that is also the machine of `from`.
+    /// Sends the item to the machine of `to`, unless `from` is in the same machine.
     fn forward(&mut self, to: SystemId, from: SystemId, item: Item) {
         let elsewhere =
             |node: &&mut Node| node.systems.contains(&to) && !node.systems.contains(&from);
@@ -348,49 +348,49 @@ impl EmulatedWorld {
         }
     }
 
-    /// Connects the battery of a system, or disconnects it, at the next step.
+    /// Connects or disconnects the battery of a system at the next step.
     pub fn set_feed(&mut self, of: SystemId, on: bool) {
         self.command(of, Item::Feed { of, on });
     }
 
-    /// Makes a fault of a system's hardware, or repairs it, at the next step.
+    /// Injects or repairs a hardware fault of a system at the next step.
     pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
         self.command(of, Item::Fault { of, fault, present });
     }
 
-    /// Core 0 of a system ends with an exception at the next step: its supply resets the system.
+    /// Makes core 0 of a system take an exception at the next step: its supply resets the system.
     pub fn crash(&mut self, of: SystemId) {
         self.command(of, Item::Crash { of });
     }
 
-    /// Core 0 of a system stands still from the next step on, until its watchdog resets the system.
+    /// Stops core 0 of a system from the next step on, until its watchdog resets the system.
     pub fn hang(&mut self, of: SystemId) {
         self.command(of, Item::Hang { of });
     }
 
-    /// Cuts the level line from a system, at the next step.
+    /// Cuts the level line of a system at the next step.
     pub fn cut_level(&mut self, of: SystemId) {
         self.command(of, Item::CutLevel { of, cut: true });
     }
 
-    /// Cuts a wire that begins at a system, or restores it. Only wires between two machines.
+    /// Cuts or restores a wire that starts at a system. Affects only wires between two machines.
     pub fn set_cut(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
         self.network.conditions.cuts.set(wire, from, is_cut);
         self.show_level(from);
     }
 
-    /// Holds the level line of a system low, or releases it. Only between two machines.
+    /// Holds a system's level line low, or releases it. Affects only lines between two machines.
     pub fn hold_level_low(&mut self, of: SystemId, is_held: bool) {
         self.network.conditions.held_low[of.index()] = is_held;
         self.show_level(of);
     }
 
-    /// Sets the faults of a system's connection to the bus. Only between two machines.
+    /// Sets the faults of a system's connection to the bus. Affects only frames between machines.
     pub fn disturb_bus(&mut self, of: SystemId, fault: BusFault) {
         self.network.conditions.bus[of.index()] = fault;
     }
 
-    /// A system receives an edge that no system has sent.
+    /// Delivers to a system an edge that no system has sent.
     pub fn stray_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         let edges = Item::Edges {
             to,
@@ -401,12 +401,12 @@ impl EmulatedWorld {
         self.command(to, edges);
     }
 
-    /// Delays the next command to a system by this time after the next step. `us`: less than 1,000.
+    /// Delays the next command to a system by `us` microseconds (fewer than 1,000) after the step.
     pub fn later(&mut self, of: SystemId, us: u32) {
         self.command(of, Item::Later { us });
     }
 
-    /// A core of a system overwrites the whole LMU at the next step. `seed` selects the words.
+    /// Makes a core of a system overwrite the whole LMU at the next step. `seed` selects the words.
     pub fn scribble(&mut self, of: SystemId, seed: u32) {
         self.command(of, Item::Scribble { of, seed });
     }
@@ -419,8 +419,8 @@ impl EmulatedWorld {
         }
     }
 
-    /// The clock of the machines at their last report. They wait there for the next step, which
-    /// carries out all commands.
+    /// Returns the clock of the machines at their last report. At that time they wait for the next
+    /// step, which carries out all commands.
     #[must_use]
     pub const fn reported(&self) -> Instant {
         self.reported
@@ -428,7 +428,7 @@ impl EmulatedWorld {
 }
 
 impl VehicleBus for EmulatedWorld {
-    /// Virtual time of the last step.
+    /// Returns the virtual time of the last step.
     fn now(&self) -> Instant {
         Instant::from_ns(self.step * PERIOD_NS)
     }
@@ -438,7 +438,7 @@ impl VehicleBus for EmulatedWorld {
             let Sender::Core(from) = it.sender else {
                 continue;
             };
-            // A frame that missed the last step is on the bus with this one.
+            // A frame that missed the last step counts as being on the bus in this one.
             self.carried = self.carried.max(it.at);
             let carried = Carried {
                 frame: it.frame,
@@ -449,7 +449,7 @@ impl VehicleBus for EmulatedWorld {
         }
     }
 
-    /// The cores receive it with the next step.
+    /// The cores receive the frame with the next step.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         let now = self.now();
         self.carried = self.carried.max(now);

@@ -1,5 +1,5 @@
-//! The controller as firmware with the timing profile `chip`: how long a takeover takes. Needs QEMU
-//! and the images, so that only `cargo xtask firmware test` runs it.
+//! Measures how long a takeover takes with the controller as firmware, timing profile `chip`. Needs
+//! QEMU and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -14,18 +14,18 @@ use tandem_bus::Message;
 use tandem_cores::trace::Event;
 use tandem_vehicle::{Scenario, World, WorldConfig};
 
-/// Longest wait for the roles, ms of virtual time.
+/// Maximum time until the systems have roles, ms of virtual time.
 const PATIENCE_MS: u32 = 10_000;
-/// Dual operation before a fault, and the time that is watched after it, ms.
+/// Dual operation before a fault, and the time measured after it, ms.
 const BEFORE_MS: u32 = 400;
 const AFTER_MS: u32 = 40;
 
-/// Both systems in one machine, and the vehicle. From one machine to another an edge would take 1
-/// to 2 ms, more than is measured.
+/// Both systems in one machine, and the vehicle. Between two machines an edge would take 1 to 2 ms,
+/// which is more than the times measured here.
 struct Pair {
     systems: EmulatedWorld,
     vehicle: World,
-    /// When which system sent a control frame.
+    /// The control frames: time and sender.
     frames: Vec<(Instant, SystemId)>,
     /// When B decided to take over.
     decided: Option<Instant>,
@@ -86,7 +86,7 @@ impl Pair {
     }
 }
 
-/// What fails in A.
+/// The failure of A.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fails {
     Hang,
@@ -95,8 +95,8 @@ enum Fails {
     Mute,
 }
 
-/// From the fault of A, `at_us` after some control period has begun, to the first control frame of
-/// B; and from the last one of A.
+/// Returns the times from the fault of A, `at_us` after the start of a control period, to B's
+/// decision and to B's first control frame, and the time from A's last control frame to that frame.
 fn takeover(fails: Fails, level_cut: bool, at_us: u32) -> [Duration; 3] {
     let [a, b] = SystemId::ALL;
     let mut pair = Pair::dual();
@@ -133,22 +133,22 @@ fn takeover(fails: Fails, level_cut: bool, at_us: u32) -> [Duration; 3] {
     ]
 }
 
-/// At how many moments of a control period A fails. `TANDEM_MOMENTS` is for a longer run.
+/// Number of moments within a control period at which A fails. `TANDEM_MOMENTS` sets more.
 fn moments() -> u32 {
     let wanted = std::env::var("TANDEM_MOMENTS").ok();
     wanted.map_or(5, |count| count.parse().expect("a number"))
 }
 
-/// T-RED-8: on machines that do not stall, a takeover and the gap of control keep the times of the
-/// thesis, whenever in the control period the master fails.
+/// T-RED-8: on machines that do not stall, a takeover and the gap of control stay within the times
+/// of the thesis, at whatever point of the control period the master fails.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_chip_keeps_the_times_of_the_thesis() {
     let mut worse = vec![];
-    // The longest times to B's decision, to its first control frame, and without control, ms. The
-    // emulator runs one instruction of all cores at a time: beside a system that stands still, the
-    // execution from the decision to the frame takes B 0.18 ms. Beside one that restarts it takes
-    // up to 0.5 ms, so there only the decision keeps the time of a chip.
+    // Limits, ms: until B's decision, until its first control frame, and without control. The
+    // emulator runs one instruction of all cores at a time: next to a stopped system, B takes 0.18
+    // ms from the decision to the frame. Next to a system that restarts it takes up to 0.5 ms, so
+    // there only the decision must meet the time of a chip.
     for (fails, level_cut, bounds) in [
         (Fails::Hang, true, [3.9, 4.0, 14.0]),
         (Fails::Reset, true, [3.9, 4.0, 14.0]),
@@ -157,7 +157,7 @@ fn a_chip_keeps_the_times_of_the_thesis() {
         (Fails::PowerLoss, false, [2.9, 3.0, 13.0]),
         (Fails::Mute, true, [12.9, 13.0, 13.0]),
     ] {
-        // Also at different moments of a millisecond, the distance of polls.
+        // Vary the moment within a millisecond too, because polls are 1 ms apart.
         let step_us = 10_000 / moments() + 187;
         let runs = (0..moments()).map(|index| (137 + index * step_us) % 10_000);
         let times: Vec<_> = runs

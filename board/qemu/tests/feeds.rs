@@ -1,5 +1,5 @@
-//! The controller as firmware loses and gets its battery, in one machine and in two. Needs QEMU and
-//! the images, so that only `cargo xtask firmware test` runs it.
+//! The controller as firmware loses and regains its battery, in one machine and in two. Needs QEMU
+//! and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -11,11 +11,11 @@ use std::path::PathBuf;
 use tandem_board::{HardwareFault, RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
 
-/// Virtual time limit of these tests, ms. Without sensors a system waits for two seconds before it
+/// Virtual time limit of these tests, ms. Without sensors a system waits two seconds before it
 /// begins.
 const LIMIT_MS: u64 = 10_000;
 
-/// Runs until `holds`; returns for how many milliseconds.
+/// Runs until `holds` returns true; returns for how many milliseconds it ran.
 fn until(world: &mut EmulatedWorld, what: &str, holds: impl Fn(&EmulatedWorld) -> bool) -> u64 {
     for ms in 0..LIMIT_MS {
         if holds(world) {
@@ -58,7 +58,7 @@ fn power_loss_and_return(layout: WorldLayout) {
     assert!(log.contains("bytes of stack"), "{log}");
 }
 
-/// Both systems, A master since a second.
+/// Starts both systems and runs until A has been master for a second.
 fn dual() -> EmulatedWorld {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
@@ -76,8 +76,7 @@ fn dual() -> EmulatedWorld {
     world
 }
 
-/// T-CHIP-6, T-RED-6: the hardware of the master fails. B drives, and a system that is mended comes
-/// back.
+/// T-CHIP-6, T-RED-6: if the hardware of the master fails, B drives. A repaired system returns.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_whose_hardware_fails_is_replaced() {
@@ -102,7 +101,7 @@ fn a_system_whose_hardware_fails_is_replaced() {
     }
 }
 
-/// T-RED-6: a core of the master overwrites the whole LMU. B drives.
+/// T-RED-6: a core of the master overwrites the whole LMU. B takes over.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_master_whose_memory_is_overwritten_is_replaced() {
@@ -123,7 +122,7 @@ fn a_system_that_loses_its_battery_is_replaced_in_one_machine() {
     power_loss_and_return(WorldLayout::One);
 }
 
-/// Here core 0 runs its tasks under FreeRTOS.
+/// With two machines, core 0 runs its tasks under FreeRTOS.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_that_loses_its_battery_is_replaced_in_two_machines() {

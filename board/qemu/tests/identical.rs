@@ -1,5 +1,5 @@
-//! The driving functions as firmware and on this machine: bit-identical outputs, same frames.
-//! Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+//! The driving functions as firmware and on this machine: bit-identical outputs, same frames. Needs
+//! QEMU and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -15,14 +15,14 @@ use tandem_golden::{Functions, instant, play};
 use tandem_peripherals::codec::{BusFrame, Reach, Sender};
 use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig};
 
-/// How long the functions drive, ms.
+/// Time for which the functions drive, ms.
 const DRIVE_MS: u64 = 3_000;
 /// Address from which the image reads the frames; see link.x.
 const RECORDING_AT: u32 = 0x8100_0000;
-/// Address of the strap with that length.
+/// Address of the strap that contains the length of the recording.
 const LENGTH_AT: u32 = 0x8090_0004;
 
-/// The frames of a vehicle that the functions drive.
+/// Returns the frames of a vehicle that the functions drive.
 fn record(scenario: &str) -> Vec<u32> {
     let mut world = World::new(&Scenario::load(scenario).unwrap(), WorldConfig { seed: 3 });
     let mut functions = Functions::new();
@@ -67,7 +67,7 @@ fn record(scenario: &str) -> Vec<u32> {
     recording
 }
 
-/// The firmware's result for these frames.
+/// Returns the firmware's result for these frames.
 fn as_firmware(recording: &[u32]) -> String {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let folder = tempfile::tempdir().unwrap();
@@ -121,7 +121,7 @@ fn outputs_of_the_functions_are_bit_identical_on_host_and_firmware() {
             Some(format!("{here:?}").as_str()),
             "{scenario}"
         );
-        // Wrong bits in ten frames, of which the functions read some, change the digest: the
+        // Wrong bits in ten frames, some of which the functions read, change the digest: so the
         // comparison can fail.
         let mut other = recording;
         let middle = other.len() / 2 / 20 * 20;

@@ -1,5 +1,5 @@
-//! T-RTOS-3 and T-RTOS-4 under QEMU: when the outputs of tasks of FreeRTOS change. Needs QEMU and
-//! the images, so that only `cargo xtask firmware test` runs it.
+//! T-RTOS-3 and T-RTOS-4 under QEMU: when the outputs of FreeRTOS tasks change. Needs QEMU and the
+//! images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -11,8 +11,8 @@ use std::path::PathBuf;
 use tandem_board_qemu::run_to_end;
 use tandem_rtos::demo::{COMPLETE, OutputEdge};
 
-/// How much the paths from a tick to an edge may differ: one switch for each earlier task, at 1 ns
-/// an instruction. The tests check milliseconds.
+/// Tolerance for the path from a tick to an edge: one switch for each earlier task, at 1 ns per
+/// instruction. The tests check milliseconds.
 const PATH_NS: u64 = 10_000;
 const MS_NS: u64 = 1_000_000;
 const SPAN_MS: u64 = 360;
@@ -24,7 +24,7 @@ fn log() -> String {
     log
 }
 
-/// The times at which this output changed, ns.
+/// Returns the times at which this output changed, ns.
 fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
     log.lines()
         .filter_map(OutputEdge::parse)
@@ -33,7 +33,7 @@ fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
         .collect()
 }
 
-/// Fails unless there is exactly one edge at each of these points in time, in this order.
+/// Fails unless there is exactly one edge at each of these times, in this order.
 fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
     assert_eq!(edges.len(), expected_ms.len(), "{what}: {edges:?}");
     for (at, expected) in edges.iter().zip(expected_ms) {
@@ -42,7 +42,7 @@ fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
     }
 }
 
-/// T-RTOS-3: each period, by the clock of the machine.
+/// T-RTOS-3: each output has its period, by the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_toggle_every_60_40_and_20_ms() {
@@ -60,7 +60,7 @@ fn outputs_toggle_every_60_40_and_20_ms() {
     }
 }
 
-/// T-RTOS-4: by the clock of the machine.
+/// T-RTOS-4, by the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn no_lower_task_toggles_while_the_highest_works() {
@@ -77,20 +77,20 @@ fn no_lower_task_toggles_while_the_highest_works() {
             assert_eq!(within.next(), None, "{lower} toggles within {work:?}");
         }
     }
-    // Each of their periods is served as soon as the task of highest priority sleeps.
+    // Each release of the lower tasks is served as soon as the task of highest priority sleeps.
     let rests_from = |ms: u64| if ms % 30 < 20 { ms - ms % 30 + 20 } else { ms };
     for (what, edges, period_ms) in [("the middle", &middle, 20), ("the lowest", &lowest, 10)] {
         let expected: Vec<u64> = (0..SPAN_MS).step_by(period_ms).map(rests_from).collect();
         assert_at(edges, &expected, what);
     }
-    // The order of the two tasks that were held up.
+    // After each rest, the middle task must run before the lowest one.
     for from in changes.iter().skip(1).step_by(2).map(|ms| ms * MS_NS) {
         let first = |edges: &[u64]| edges.iter().copied().find(|at| *at >= from);
         assert!(first(&middle) < first(&lowest), "after {from} ns");
     }
 }
 
-/// A busy host moves an emulated timer by some instructions: by 200 ns, when it was seen.
+/// A busy host shifts an emulated timer by some instructions: by 200 ns when it was observed.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_change_at_the_same_times_in_each_run() {

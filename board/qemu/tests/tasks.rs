@@ -1,5 +1,5 @@
 //! Core 0's tasks in the controller's image: FreeRTOS runs them by priority, in every incarnation
-//! of the core. Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+//! of the core. Needs QEMU and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -14,16 +14,16 @@ use tandem_cores::core0::Core0Task;
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 
-/// Virtual time of a run, ms. Without sensors a system waits for two seconds before it begins.
+/// Virtual time of a run, ms. Without sensors a system waits two seconds before it begins.
 const RUN_MS: u64 = 6_000;
 
-/// Strap `Third` of the image: of `task`, every `every`-th job takes `ms` longer.
+/// Encodes strap `Third` of the image: every `every`-th job of `task` takes `ms` longer.
 fn overload(task: Core0Task, ms: u8, every: u16) -> u32 {
     let [low, high] = every.to_le_bytes();
     u32::from_le_bytes([task as u8 + 1, ms, low, high])
 }
 
-/// The trace of core 0 of system A, and the log of its firmware.
+/// Runs with this overload; returns the trace of core 0 of system A and its firmware's log.
 fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
@@ -52,7 +52,7 @@ fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
             Event::Stack { task, free_bytes } if *task == info.code => Some(*free_bytes),
             _ => None,
         });
-        // Of 16 KiB; each task reports once a second.
+        // Of a stack of 16 KiB; each task reports once per second.
         let free = free.min().expect("a report");
         assert!(free > 4 << 10, "{}: {free} bytes of stack left", info.name);
     }
@@ -65,11 +65,11 @@ struct Job {
     task: TaskCode,
     from: Instant,
     to: Instant,
-    /// Tasks that ran within it.
+    /// Tasks that ran during the job.
     within: Vec<TaskCode>,
 }
 
-/// All jobs that have ended, in the order of their starts.
+/// Returns all jobs that have ended, in the order in which they started.
 fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
     let mut open: Vec<Job> = vec![];
     let mut done = vec![];
@@ -100,7 +100,7 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
                         .map(|job| Job { to: *at, ..job }),
                 );
             }
-            // A job of the last incarnation never ends.
+            // A job of the previous incarnation never ends.
             Event::Started { .. } => open.clear(),
             _ => {}
         }
@@ -108,8 +108,8 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
     done
 }
 
-/// T-RTOS-4: a task that works for 20 ms delays all less urgent tasks and no more urgent one. Here
-/// it is the controller's own control task: every 20th job takes 20 ms longer.
+/// T-RTOS-4: a task that works for 20 ms delays all less urgent tasks and no more urgent task. Here
+/// it is the control task of the controller: every 20th job takes 20 ms longer.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
@@ -134,7 +134,7 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
             }
         }
     }
-    // Some of the less urgent tasks were released in that time, and had to wait.
+    // Some less urgent tasks were released in that time and had to wait.
     let waited = events.iter().filter(|(at, event)| match event {
         Event::Ready { task } => {
             let within = |job: &&&Job| job.from < *at && *at < job.to;
@@ -145,7 +145,7 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
         _ => false,
     });
     assert!(waited.count() > 0, "nothing less urgent was released");
-    // They run between the long jobs.
+    // The less urgent tasks run between the long jobs.
     for task in [TaskCode::STATUS, TaskCode::MONITORING, TaskCode::ROLES] {
         assert!(jobs.iter().any(|job| job.task == task));
     }

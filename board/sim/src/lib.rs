@@ -1,4 +1,4 @@
-//! The board in one process, with a clock that the caller advances.
+//! The board in one process, on a clock that the caller advances.
 //!
 //! [`SimPair`] is the machine: two systems of three cores, their LMUs, the wires between them, the
 //! CAN bus, flash and supplies. It runs the cores in virtual time, which advances only in

@@ -1,8 +1,8 @@
-//! What is cut or disturbed between the systems, and the effect on a connection.
+//! Cut and disturbed connections between the systems, and the effect on each connection.
 
 use tandem_board::{Duration, HardwareFaults, Line, SystemId};
 
-/// Largest number of datagrams under way on the link, in each direction.
+/// Maximum number of datagrams in transit on the link, in each direction.
 pub const LINK_DATAGRAMS: usize = 16;
 
 /// A connection that a test can cut.
@@ -30,12 +30,12 @@ impl Wire {
     ];
 }
 
-/// Which wires are cut, one bit for each wire of each system: a register.
+/// The cut wires as a register, one bit for each wire of each system.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cuts(pub u32);
 
 impl Cuts {
-    /// The bit of a wire that starts at system `from`.
+    /// Returns the bit of a wire that starts at system `from`.
     #[must_use]
     pub const fn bit(wire: Wire, from: SystemId) -> u32 {
         let number = match wire {
@@ -47,7 +47,7 @@ impl Cuts {
         1 << (8 * from.index() + number)
     }
 
-    /// Whether this wire is cut.
+    /// Returns whether this wire is cut.
     #[must_use]
     pub const fn is_cut(self, wire: Wire, from: SystemId) -> bool {
         self.0 & Self::bit(wire, from) != 0
@@ -66,17 +66,17 @@ impl Cuts {
 /// The faults of a system's connection to the CAN bus. The default is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusFault {
-    /// Of a thousand frames that the system sends, this many do not reach the bus. 1000: its
+    /// How many of a thousand frames that the system sends do not reach the bus. 1000: its
     /// transmitter is dead.
     pub lost_out: u16,
-    /// Of a thousand frames on the bus, this many do not reach the system. 1000: its receiver is
+    /// How many of a thousand frames on the bus do not reach the system. 1000: its receiver is
     /// dead.
     pub lost_in: u16,
-    /// Its frames reach the bus this much later.
+    /// Delay with which its frames reach the bus.
     pub late: Duration,
 }
 
-/// Everything that disturbs the network. The default is nothing.
+/// Everything that disturbs the network. By default nothing does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Conditions {
     /// The cut wires.
@@ -90,14 +90,14 @@ pub struct Conditions {
 }
 
 impl Conditions {
-    /// The level of a system's line at the other system. High while its supply is on and nothing
-    /// holds the line low. A cut line reads as high.
+    /// Returns the level of a system's line as the other system reads it. High while the supply is
+    /// on and no fault holds the line low. A cut line reads as high.
     #[must_use]
     pub const fn level(&self, of: SystemId, is_on: bool) -> bool {
         is_on && !self.held_low[of.index()] || self.cuts.is_cut(Wire::Level, of)
     }
 
-    /// Whether a fault of a connection or of the hardware may disturb frames.
+    /// Returns whether a fault of a connection or of the hardware may disturb frames.
     #[must_use]
     pub fn disturb_bus(&self) -> bool {
         let clean = Self::default();

@@ -1,28 +1,28 @@
-//! How long a frame occupies the CAN bus, to the bit. ISO 11898-1:2015
+//! The time for which a frame occupies the CAN bus, exact to the bit. ISO 11898-1:2015
 //!
-//! A CAN FD frame has two bit rates. It changes to the second one within the bit BRS, and back
+//! A CAN FD frame uses two bit rates. It changes to the second rate within the BRS bit, and back
 //! within the CRC delimiter, each time at the sample point. Both rates sample at the same fraction
-//! of a bit, so these two bits together last as long as one bit of each rate.
+//! of a bit, so these two bits together take as long as one bit of each rate.
 
 use tandem_board::{CanFrame, CanId, Duration};
 
 /// The bit rates of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitRates {
-    /// Of the arbitration phase, and of classic frames, bit/s.
+    /// Of the arbitration phase and of classic frames, bit/s.
     pub nominal: u32,
     /// Of the data phase of CAN FD, bit/s.
     pub data: u32,
 }
 
 impl BitRates {
-    /// Those of `docs/redundancy.md`: 500 kbit/s and 2 Mbit/s.
+    /// The rates in `docs/redundancy.md`: 500 kbit/s and 2 Mbit/s.
     pub const TANDEM: Self = Self {
         nominal: 500_000,
         data: 2_000_000,
     };
 
-    /// The time of these bits.
+    /// Returns the time that these bits take.
     #[must_use]
     pub fn time(self, bits: Bits) -> Duration {
         let ns = |bits: u32, rate: u32| u64::from(bits) * 1_000_000_000 / u64::from(rate);
@@ -30,7 +30,7 @@ impl BitRates {
     }
 }
 
-/// Bits of a frame, with its stuff bits.
+/// Number of bits of a frame, including its stuff bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bits {
     /// At the nominal bit rate.
@@ -40,9 +40,9 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// Between two frames: the intermission.
+    /// The intermission between two frames.
     pub const INTERMISSION: Self = Self::nominal(3);
-    /// After a bit error: error flag, its longest superposition, and delimiter.
+    /// After a bit error: error flag, its longest superposition, and the delimiter.
     pub const ERROR: Self = Self::nominal(6 + 6 + 8);
     /// ACK slot and delimiter, end of frame.
     const TRAILER: u32 = 2 + 7;
@@ -51,7 +51,7 @@ impl Bits {
         Self { nominal, data: 0 }
     }
 
-    /// From the start of a frame to its end, without the intermission.
+    /// Counts the bits from the start of a frame to its end, without the intermission.
     #[must_use]
     pub fn of(frame: &CanFrame) -> Self {
         let mut stuffing = Stuffing::default();
@@ -81,7 +81,7 @@ impl Bits {
     fn of_fd(frame: &CanFrame, mut stuffing: Stuffing) -> Self {
         // FDF, res, BRS
         stuffing.push(0b101, 3);
-        // A stuff bit behind BRS has the data's rate.
+        // A stuff bit after BRS has the rate of the data phase.
         let nominal = stuffing.bits - u32::from(stuffing.run == 0);
         // ESI, DLC
         stuffing.push(0, 1);
@@ -90,13 +90,13 @@ impl Bits {
             .data()
             .iter()
             .for_each(|byte| stuffing.push((*byte).into(), 8));
-        // At the end of the data a fixed stuff bit takes the place of another one.
+        // At the end of the data, a fixed stuff bit replaces a regular one.
         let dynamic = stuffing.bits - u32::from(stuffing.run == 0);
         let crc = if frame.data().len() <= 16 { 17 } else { 21 };
-        // The count of stuff bits and the checksum: a fixed stuff bit before each four bits.
+        // Stuff bit count and checksum have a fixed stuff bit before each group of four bits.
         let checked = 4 + crc;
         Self {
-            // The CRC delimiter counts here, and BRS above, for a bit of each rate.
+            // The CRC delimiter here and BRS above together count as one bit of each rate.
             nominal: nominal + Self::TRAILER,
             data: dynamic - nominal + checked + checked.div_ceil(4) + 1,
         }
@@ -120,7 +120,7 @@ impl Bits {
     }
 }
 
-/// The DLC of a length that CAN FD has.
+/// Returns the DLC of a valid CAN FD length.
 const fn length_code(length: usize) -> u32 {
     match length {
         0..=8 => length as u32,
@@ -134,21 +134,21 @@ const fn length_code(length: usize) -> u32 {
     }
 }
 
-/// Counts bits, and a stuff bit after each five that are equal.
+/// Counts bits, including a stuff bit after each run of five equal bits.
 #[derive(Clone, Copy, Default)]
 struct Stuffing {
     bits: u32,
     last: u32,
-    /// Length of the last run of equal bits; 0 behind a stuff bit that was just added.
+    /// Length of the last run of equal bits; 0 directly after a stuff bit.
     run: u32,
-    /// A stuff bit begins the present run.
+    /// Whether a stuff bit begins the present run.
     stuffed: bool,
-    /// The checksum of a classic frame, of the bits without stuff bits.
+    /// The checksum of a classic frame, over the bits without stuff bits.
     crc_15: u16,
 }
 
 impl Stuffing {
-    /// The lowest `count` bits of `value`, the highest of them first.
+    /// Adds the lowest `count` bits of `value`, the most significant first.
     fn push(&mut self, value: u32, count: u32) {
         for index in (0..count).rev() {
             let bit = value >> index & 1;
@@ -156,7 +156,7 @@ impl Stuffing {
             let out = u32::from(self.crc_15 >> 14) ^ bit;
             self.crc_15 = self.crc_15 << 1 & 0x7FFF ^ if out == 1 { 0x4599 } else { 0 };
             if self.run == 0 && self.stuffed {
-                // The stuff bit before is the complement of `last`.
+                // The preceding stuff bit is the complement of `last`.
                 self.run = if bit == self.last { 1 } else { 2 };
             } else if self.run > 0 && bit == self.last {
                 self.run += 1;
@@ -184,7 +184,7 @@ mod tests {
         CanFrame::new(id, fd, data).unwrap()
     }
 
-    /// An independent count: the frame as a text of bits, with stuff bits found by text search.
+    /// Counts independently: writes the frame as text and finds the stuff bits by text search.
     fn oracle(frame: &CanFrame) -> Bits {
         let mut plain = String::from("0");
         match frame.id() {
@@ -221,8 +221,8 @@ mod tests {
     }
 
     /// Counted by hand. Identifier 0 and no data: 0 0000(1)0 0000(1)0 0 0 1 0 1 before the data
-    /// phase, with the two stuff bits in brackets, then 0 0000: 5 bits whose last one is the fifth
-    /// equal one, but the fixed stuff bit follows.
+    /// phase, with the two stuff bits in brackets, then 0 0000. The last of these 5 bits is the
+    /// fifth equal one, but the fixed stuff bit follows instead of another stuff bit.
     #[test]
     fn frames_have_the_bits_that_were_counted_by_hand() {
         let standard = CanId::Standard;
@@ -235,7 +235,7 @@ mod tests {
                 data: 5 + 27 + 1
             }
         );
-        // No five equal bits at all: the shortest frame of 64 bytes.
+        // No run of five equal bits: the shortest frame with 64 bytes.
         let longest = Bits::of(&frame(standard(0x555), true, &[0x55; 64]));
         assert_eq!(
             longest,
@@ -246,7 +246,7 @@ mod tests {
         );
         // 26 × 2 µs + 550 × 0.5 µs
         assert_eq!(BitRates::TANDEM.time(longest), Duration::from_us(327));
-        // A classic frame without stuff bits has 47 bits with the intermission, 44 without, and 8
+        // A classic frame without stuff bits has 47 bits with the intermission, 44 without, plus 8
         // for each byte; at most (34 + 8 n - 1) / 4 stuff bits (Davis, Burns, Bril, Lukkien 2007).
         for (data, most) in [
             (&[0_u8; 8][..], 111 + 24),

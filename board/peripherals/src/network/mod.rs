@@ -1,7 +1,7 @@
-//! What connects the systems to each other and to the vehicle: lines, level lines, link, CAN bus.
+//! Connections of the systems to each other and to the vehicle: lines, level lines, link, CAN bus.
 //!
-//! [`Conditions`] says what is cut or disturbed. [`Network`] moves frames, edges and datagrams
-//! under these conditions. It is told the time and returns what arrives; a board moves the bytes.
+//! [`Conditions`] lists what is cut or disturbed. [`Network`] moves frames, edges and datagrams
+//! under these conditions. Each call passes the time in; `Network` returns what arrives.
 
 pub mod conditions;
 pub mod controller;

@@ -18,23 +18,23 @@ use super::controller::{Confinement, TransmitLimit};
 use super::frame_time::{BitRates, Bits};
 use crate::codec::{Reach, Sender};
 
-/// Frames that wait for the bus in the transmit buffer of a core.
+/// How many frames the transmit buffer of a core can hold.
 const TRANSMIT_BUFFER: usize = 32;
 
-/// Times of the connections. The default takes no time.
+/// Transfer times of the connections. By default they are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WireTimes {
-    /// From an edge to its count at the other system.
+    /// From the edge to its count at the other system.
     pub line: Duration,
-    /// From the hand-over of a datagram to its arrival.
+    /// From `send` of a datagram to its arrival.
     pub link: Duration,
-    /// The bit rates of the bus; `None`: a frame takes no time, and no frame waits for another.
+    /// The bit rates of the bus; `None`: a frame takes no time and never waits for another frame.
     pub bus: Option<BitRates>,
-    /// Of a billion bits on the bus, this many are wrong. The frame is destroyed and sent again.
+    /// How many of a billion bits on the bus are wrong. The frame is then destroyed and sent again.
     pub wrong_bits: u32,
 }
 
-/// Something that arrives at a system over a line or the link.
+/// An edge or a datagram that arrives at a system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Arrival {
     /// An edge.
@@ -50,7 +50,7 @@ pub struct Delivery {
     pub sender: Sender,
     /// The frame.
     pub frame: CanFrame,
-    /// When its sender handed it over.
+    /// When its sender passed it to its controller.
     pub sent: Instant,
     /// When it was on the bus.
     pub at: Instant,
@@ -72,11 +72,11 @@ impl Handed {
     }
 }
 
-/// The frame that the bus carries.
+/// The frame that is on the bus now.
 #[derive(Clone, Debug)]
 struct OnAir {
     ends: Instant,
-    /// `None`: its sender has lost power.
+    /// `None` if its sender has lost power.
     frame: Option<Handed>,
     is_destroyed: bool,
 }
@@ -86,33 +86,33 @@ struct OnAir {
 struct Controller {
     limit: TransmitLimit,
     confinement: Confinement,
-    /// Frames that the bus has not taken yet.
+    /// Frames that the bus has not accepted yet.
     unsent: VecDeque<Handed>,
 }
 
 /// The network of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Network {
-    /// What is cut or disturbed. A change takes effect at the next call.
+    /// Cut wires and disturbances. A change takes effect at the next call.
     pub conditions: Conditions,
     times: WireTimes,
     controllers: [Controller; CoreAddress::COUNT],
-    /// Frames that a slow connection holds back, by the time at which each reaches the bus.
+    /// Frames that a slow connection delays, by the time at which each reaches the bus.
     late: VecDeque<(Instant, Handed)>,
-    /// Frames that wait for the bus. Those of one sender are in its order.
+    /// Frames that wait for the bus. The frames of one sender are in the order of sending.
     waiting: Vec<Handed>,
     on_air: Option<OnAir>,
-    /// The bus is idle from this time on.
+    /// From this time on the bus is idle.
     free: Instant,
-    /// Frames that were on the bus and have not been fetched.
+    /// Frames that were on the bus and have not been fetched yet.
     carried: VecDeque<Delivery>,
-    /// Edges and datagrams under way, by the time of arrival and in order.
+    /// Edges and datagrams in transit, sorted by time of arrival, then by order of sending.
     under_way: BTreeMap<(Instant, u64), Arrival>,
     sent_count: u64,
 }
 
 impl Network {
-    /// A network without faults.
+    /// Makes a network without faults.
     #[must_use]
     pub fn new(times: WireTimes) -> Self {
         Self {
@@ -121,7 +121,7 @@ impl Network {
         }
     }
 
-    /// Sends an edge or a datagram over this wire. Returns it if it arrives at once.
+    /// Sends an edge or a datagram over this wire. Returns it if it arrives immediately.
     pub fn send(
         &mut self,
         wire: Wire,
@@ -144,13 +144,13 @@ impl Network {
         None
     }
 
-    /// The next edge or datagram that has arrived by `now`.
+    /// Returns the next edge or datagram that has arrived by `now`.
     pub fn arrived(&mut self, now: Instant) -> Option<Arrival> {
         let first = self.under_way.first_entry()?;
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    /// Whether the controller of this core can take a frame and try to send it at once.
+    /// Returns whether the controller of this core can accept a frame and try to send it at once.
     #[must_use]
     pub fn is_ready(&self, of: CoreAddress, now: Instant) -> bool {
         let controller = &self.controllers[of.index()];
@@ -158,7 +158,7 @@ impl Network {
         is_cut || controller.limit.allows(now) && controller.unsent.is_empty()
     }
 
-    /// A core hands a frame to its controller. `sent`: when, as far as it is known.
+    /// Passes a core's frame to its controller. `sent`: when the core sent it, if that is known.
     ///
     /// # Errors
     /// [`TransmitFull`] if the core has used up its share of this millisecond, or its transmit
@@ -192,15 +192,15 @@ impl Network {
         Ok(())
     }
 
-    /// Whether the first frame of a controller reaches the system's connection now.
+    /// Returns whether the first frame of a controller reaches the system's connection now.
     fn sends(&mut self, from: CoreAddress, now: Instant) -> bool {
         let faults = self.conditions.hardware[from.system.index()];
         let confinement = &mut self.controllers[from.index()].confinement;
         confinement.sends(now, faults.has(HardwareFault::CanTransmit))
     }
 
-    /// A frame has left its core's controller: the connection of the system may lose or delay it.
-    /// A board whose cores have controllers of their own begins here.
+    /// Sends a frame that has left its core's controller: the connection of the system may lose or
+    /// delay it. A board whose cores have separate controllers calls this directly.
     pub fn send_from_controller(
         &mut self,
         from: CoreAddress,
@@ -232,7 +232,7 @@ impl Network {
         }
     }
 
-    /// A node of the vehicle sends a frame. No connection disturbs it.
+    /// Sends a frame of a vehicle node. No connection disturbs it.
     pub fn send_from_vehicle(&mut self, frame: &CanFrame, now: Instant, noise: &mut impl Rng) {
         let handed = Handed {
             sender: Sender::Vehicle,
@@ -242,7 +242,7 @@ impl Network {
         self.offer(handed, now, noise);
     }
 
-    /// A frame waits for the bus, which takes no time unless it has bit rates.
+    /// Queues a frame for the bus. Without bit rates the frame is on the bus immediately.
     fn offer(&mut self, handed: Handed, now: Instant, noise: &mut impl Rng) {
         if self.times.bus.is_some() {
             self.waiting.push(handed);
@@ -251,7 +251,7 @@ impl Network {
         }
     }
 
-    /// A frame is on the bus: the connected controllers of all cores but its sender hear it.
+    /// Puts a frame on the bus: all connected controllers except the sender's receive it.
     fn put_on_bus(&mut self, handed: Handed, at: Instant, noise: &mut impl Rng) {
         let Handed {
             sender,
@@ -261,7 +261,7 @@ impl Network {
         let mut reach = Reach::NONE;
         for place in CoreAddress::ALL {
             let system = place.system.index();
-            // Drawn for every core, so that the noise of a run does not depend on the sender.
+            // Drawn for every core, so that the random numbers do not depend on the sender.
             let is_lost = is_lost(self.conditions.bus[system].lost_in, noise);
             let is_cut = self.conditions.cuts.is_cut(Wire::Can, place.system);
             if is_lost || is_cut || sender == Sender::Core(place) {
@@ -282,13 +282,13 @@ impl Network {
         });
     }
 
-    /// The next frame that was on the bus.
+    /// Returns the next frame that was on the bus.
     pub fn carried(&mut self) -> Option<Delivery> {
         self.carried.pop_front()
     }
 
-    /// Does what is due on the bus at `now`: controllers try again, slow connections deliver, the
-    /// bus ends a frame and begins the next.
+    /// Carries out what is due on the bus at `now`: controllers try again, slow connections
+    /// deliver, a frame on the bus ends and the next begins.
     pub fn settle_bus(&mut self, now: Instant, noise: &mut impl Rng) {
         for from in CoreAddress::ALL {
             if self.controllers[from.index()].unsent.is_empty() {
@@ -336,7 +336,7 @@ impl Network {
             let is_destroyed =
                 per_billion > 0 && noise.random_range(0..1_000_000_000) < per_billion;
             let takes = if is_destroyed {
-                // The error is anywhere in the frame; an error frame follows.
+                // The error may be anywhere in the frame; an error frame follows.
                 let part = noise.random_range(0..whole.as_ns().max(1));
                 Duration::from_ns(part) + rates.time(Bits::ERROR)
             } else {
@@ -350,7 +350,7 @@ impl Network {
         }
     }
 
-    /// The frame that wins the arbitration: each sender offers its oldest one.
+    /// Returns the index of the frame that wins the arbitration; a sender offers its oldest frame.
     fn winner(&self) -> Option<usize> {
         let is_oldest = |index: usize| {
             let sender = self.waiting[index].sender;
@@ -360,7 +360,7 @@ impl Network {
         offered.min_by_key(|index| priority(self.waiting[*index].frame.id()))
     }
 
-    /// When something happens next by itself.
+    /// Returns when the network next acts by itself.
     #[must_use]
     pub fn next(&self) -> Instant {
         let busy = self.controllers.iter().filter(|it| !it.unsent.is_empty());
@@ -376,8 +376,8 @@ impl Network {
         tries.chain(others).min().unwrap_or(Instant::NEVER)
     }
 
-    /// Whether the bus has to be settled in each period: frames wait, a controller counts errors,
-    /// or something disturbs it.
+    /// Returns whether the bus must be settled in each period: frames wait, a controller counts
+    /// errors, or a fault disturbs it.
     #[must_use]
     pub fn is_disturbed(&self) -> bool {
         let is_busy = |it: &Controller| {
@@ -388,29 +388,29 @@ impl Network {
             || self.controllers.iter().any(is_busy)
     }
 
-    /// The error counters of a core's controller.
+    /// Returns the error counters of a core's controller.
     pub fn errors(&mut self, of: CoreAddress, now: Instant) -> CanErrors {
         self.controllers[of.index()].confinement.errors(now)
     }
 
-    /// A controller forgets the frames that it has not sent, but not the one that the bus carries.
+    /// Discards the frames that a controller has not sent, except a frame that is on the bus now.
     pub fn discard(&mut self, from: CoreAddress) {
         self.controllers[from.index()].unsent.clear();
         self.waiting.retain(|it| it.sender != Sender::Core(from));
     }
 
-    /// The controller of a core starts again: no waiting frames, no counted errors.
+    /// Restarts the controller of a core: no waiting frames, no counted errors.
     pub fn restart(&mut self, core: CoreAddress) {
         self.controllers[core.index()] = Controller::default();
     }
 
-    /// A core has died: it sends no frame that its controller holds.
+    /// Records the death of a core: the frames in its controller are not sent.
     pub fn stop_core(&mut self, core: CoreAddress) {
         self.controllers[core.index()].unsent.clear();
     }
 
-    /// A system has stopped. Its datagrams end in the middle. So does its frame: the bus is idle
-    /// again when the others have signalled the error.
+    /// Stops a system. Its datagrams in transit are lost, and its frame on the bus is cut off: the
+    /// bus is idle again after the error frame of the other nodes.
     pub fn stop(&mut self, system: SystemId, now: Instant) {
         for core in CoreId::ALL {
             self.stop_core(CoreAddress::new(system, core));
@@ -431,14 +431,14 @@ impl Network {
     }
 }
 
-/// Draws whether a frame is lost, with a probability of `permille` in a thousand. Draws nothing if
-/// none is.
+/// Draws whether a frame is lost, with a probability of `permille` in a thousand. Draws no random
+/// number if `permille` is 0.
 fn is_lost(permille: u16, noise: &mut impl Rng) -> bool {
     permille > 0 && noise.random_range(0..1000) < permille
 }
 
-/// The order in which identifiers win: the identifier's first 11 bits, then standard before
-/// extended, then the rest.
+/// Returns the rank of an identifier in the arbitration: its first 11 bits, then standard before
+/// extended, then the remaining bits.
 const fn priority(id: CanId) -> u32 {
     match id {
         CanId::Standard(id) => (id as u32) << 19,

@@ -1,4 +1,4 @@
-//! The stages of the network, one by one.
+//! Tests of the stages of the network, one by one.
 
 use super::*;
 use chacha20::ChaCha8Rng;
@@ -17,7 +17,7 @@ fn frame(id: u16) -> CanFrame {
     CanFrame::new(CanId::Standard(id), true, &[]).unwrap()
 }
 
-/// A network without times, and its noise.
+/// A network without delays, and its random numbers.
 struct Bench {
     network: Network,
     noise: ChaCha8Rng,
@@ -31,7 +31,7 @@ impl Bench {
         }
     }
 
-    /// The frame is handed over at this time; returns what the bus has carried since.
+    /// Sends a frame at this time; returns the frames that have been on the bus since.
     fn exchange(&mut self, from: CoreAddress, at_ms: u64) -> vec::Vec<Delivery> {
         let Self { network, noise } = self;
         let at = ms(at_ms);
@@ -45,7 +45,7 @@ impl Bench {
     }
 }
 
-/// A connection loses frames of its own system, in one direction, as often as set.
+/// A connection loses frames of its own system only, in one direction, at the configured rate.
 #[test]
 fn a_faulty_connection_loses_frames_of_its_own_system() {
     let mut bench = Bench::new();
@@ -79,7 +79,7 @@ fn a_cut_system_neither_sends_nor_hears() {
     assert_eq!(hears, [false, false, false, false, true, true]);
 }
 
-/// Each frame keeps the time at which a slow connection delivers it, also when that ends.
+/// A slow connection delivers each frame at its own time, even if the delay ends before that.
 #[test]
 fn a_slow_connection_delivers_later() {
     let mut bench = Bench::new();
@@ -97,7 +97,7 @@ fn a_slow_connection_delivers_later() {
     assert!(!bench.network.is_disturbed());
 }
 
-/// Two slow connections do not wait for each other.
+/// Two slow connections do not delay each other.
 #[test]
 fn the_slower_connection_does_not_hold_up_the_faster_one() {
     let mut bench = Bench::new();
@@ -113,8 +113,8 @@ fn the_slower_connection_does_not_hold_up_the_faster_one() {
     assert_eq!(senders(&mut bench, 9), [Sender::Core(A)]);
 }
 
-/// A frame that the bus destroys waits in its controller, until the core discards it or dies, or
-/// the bus takes it.
+/// A frame that the bus destroys waits in its controller until the core discards it, the core dies,
+/// or the bus accepts it.
 #[test]
 fn a_frame_that_the_bus_destroys_waits_in_its_controller() {
     let broken = HardwareFaults(HardwareFaults::bit(HardwareFault::CanTransmit));
@@ -136,7 +136,7 @@ fn a_frame_that_the_bus_destroys_waits_in_its_controller() {
     assert_eq!(waits(|network| network.stop(SystemId::B, ms(11))), 1);
 }
 
-/// T-CHIP-5: an edge and a datagram take their time; a system that stops cuts its datagram off.
+/// T-CHIP-5: edges and datagrams take their times; a system that stops loses its datagram.
 #[test]
 fn edges_and_datagrams_take_their_time() {
     let mut network = Network::new(WireTimes {
