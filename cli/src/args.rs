@@ -367,7 +367,7 @@ const DURATION_MAX_S: f64 = 3600.0;
 /// Parses a time such as 20, 20s, 500ms or 1.5m. Returns seconds.
 ///
 /// # Errors
-/// If the text is not a time, or the time is longer than [`DURATION_MAX_S`].
+/// If the text is not a time, or the time is longer than the longest run.
 pub fn parse_duration(text: &str) -> Result<f64, String> {
     let text = text.trim();
     let unit_at = text

@@ -116,7 +116,7 @@ pub struct Metrics {
     pub(crate) granted: String,
     /// Trace records that were lost because the trace was full.
     pub(crate) lost_trace: u64,
-    /// Time for which the world stood still because the vehicle's process was stopped, ms.
+    /// Time in which the world did not advance because the vehicle's process was stopped, ms.
     pub(crate) stalled_ms: f64,
 }
 

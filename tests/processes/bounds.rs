@@ -1,6 +1,6 @@
-//! Checks that the verdict finds the time bounds kept in runs of processes. A user starts this on
-//! an idle machine: `cargo xtask campaign processes`. `tests/tests/simulated/faults.rs` checks the
-//! same bounds in virtual time on every machine.
+//! Checks the time bounds of the verdict in runs of processes. A user starts this on an idle
+//! machine: `cargo xtask campaign processes`. `tests/tests/simulated/faults.rs` checks the same
+//! bounds in virtual time on every machine.
 
 use rustix::process::Signal;
 

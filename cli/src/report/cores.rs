@@ -46,7 +46,7 @@ const LEGEND: [(TaskCode, Color); 8] = [
 /// Draws the timeline around the first takeover from a failed master, or around some moment of a
 /// run without a takeover. Draws nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
-    // Prefer a failed master: a takeover from one that was held up shows the machine, not Tandem.
+    // Prefer a failed master: if it was only held up, the takeover shows a stall of the machine.
     let failed = takeovers.iter().find(|takeover| !takeover.held_up);
     let takeover = failed.or(takeovers.first());
     let Some(zero_ns) = takeover.map(|t| t.at_ns).or_else(|| quiet_moment(timeline)) else {

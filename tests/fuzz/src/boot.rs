@@ -14,7 +14,7 @@ const GOOD: &[u8] = b"S107004000DEADBE6F\r\n";
 /// Checks that a line is accepted as a record only if its digits are a valid one.
 ///
 /// # Panics
-/// If a record with a wrong length or checksum is accepted, or only in one case of its digits.
+/// If a wrong length or checksum is accepted, or the line in upper case is read differently.
 pub(crate) fn record(line: &[u8]) -> bool {
     let Ok(record) = SRecord::parse(line) else {
         return false;
