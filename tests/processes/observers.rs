@@ -82,7 +82,7 @@ pub(crate) fn disturb(run: &Run) {
     until_driven_for(run, 1.0);
     send(both[0].id() as i32, Signal::STOP);
     kill(both[1].id() as i32);
-    send(publisher_of(run).expect("a publisher"), Signal::STOP);
+    send(publisher_of(run).unwrap(), Signal::STOP);
     std::thread::sleep(Duration::from_millis(1_500));
     for observer in &mut both {
         let _ = observer.kill();

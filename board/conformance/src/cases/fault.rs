@@ -67,8 +67,12 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     )
 }
 
-/// Its second frame is destroyed on the bus, until the controller is bus-off and the fault
-/// repaired.
+/// The last frame of a controller whose second frame was destroyed until the repair: 128 sent frames
+/// take any error-passive controller back to error-active.
+const LAST: u8 = 129;
+
+/// Its second frame is destroyed on the bus, until the controller was bus-off, has recovered, and is
+/// error-passive again when the fault is repaired.
 pub(super) fn cannot_send<B: FaultSource>(
     board: &B,
     place: CoreAddress,
@@ -90,10 +94,15 @@ pub(super) fn cannot_send<B: FaultSource>(
     wait_for_cores(board, HERE, 3)?;
     // The other core checks its receiver.
     wait_for_cores(board, HERE, 4)?;
+    sleep_until(board, "a recovered controller counts errors again", || {
+        errors().state() == CanState::ErrorPassive
+    })?;
     board.set_fault(place.system, HardwareFault::CanTransmit, false);
-    send(board, 2)?;
+    for number in 2..=LAST {
+        send(board, number)?;
+    }
     wait_for_cores(board, HERE, 5)?;
-    sleep_until(board, "a controller recovers from bus-off", || {
+    sleep_until(board, "sent frames make error-active", || {
         errors().state() == CanState::ErrorActive
     })
 }
@@ -112,8 +121,9 @@ pub(super) fn hears_after_repair<B: FaultSource>(
         "a frame that is destroyed does not come",
     )?;
     wait_for_cores(board, HERE, 4)?;
-    receive(board, 1)?;
-    receive(board, 2)?;
+    for number in 1..=LAST {
+        receive(board, number)?;
+    }
     wait_for_cores(board, HERE, 5)
 }
 
