@@ -1,4 +1,4 @@
-//! A timer that one process waits for and others postpone: a dead man's switch without a wake-up.
+//! A dead man's switch: a timer that one process waits for and others postpone without waking it.
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd as _, BorrowedFd, OwnedFd, RawFd};
@@ -13,70 +13,70 @@ use tandem_board::{Duration, Instant};
 
 use crate::clock::{self, timespec};
 
-/// A period longer than any run. The kernel forgets when a timer without a period was due; with
-/// one, the time of the next expiry gives it.
+/// A period longer than any run. For a timer without a period the kernel forgets when it was due;
+/// with a period, the due time follows from the time of the next expiry.
 const AGAIN: Duration = Duration::from_ms(1_000_000_000);
 
-/// A timer of CLOCK_MONOTONIC that processes share by inheriting its descriptor.
+/// A timer of CLOCK_MONOTONIC; processes share it by inheriting its descriptor.
 ///
-/// It expires in the interrupts of the CPU on which it was last set. Nothing here allocates or
-/// blocks except [`Alarm::wait`], and [`Alarm::postpone`] may be called in a handler of signals.
+/// It expires in the interrupts of the CPU on which it was last set. Nothing in this module
+/// allocates, and only [`Alarm::wait`] blocks; a signal handler may call [`Alarm::postpone`].
 #[derive(Debug)]
 pub struct Alarm(OwnedFd);
 
 /// The end of a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expired {
-    /// When the timer was due; never earlier than it was.
+    /// When the timer was due; may be late, but never early.
     pub due: Instant,
     /// When the wait ended.
     pub woken: Instant,
 }
 
 impl Alarm {
-    /// A timer that is not set. Processes that this one starts from now on inherit it.
+    /// Makes a timer that is not set. Processes that this process starts from now on inherit it.
     ///
     /// # Errors
-    /// If the process may not have another descriptor.
+    /// If the process may not open another descriptor.
     pub fn new() -> io::Result<Self> {
         let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK)?;
         Ok(Self(timer))
     }
 
-    /// The number of the descriptor, also in a process that inherits it.
+    /// Returns the number of the descriptor; it is the same in a process that inherits the timer.
     #[must_use]
     pub fn number(&self) -> RawFd {
         self.0.as_raw_fd()
     }
 
-    /// The timer that this process inherited under this number.
+    /// Returns the timer that this process inherited under this number.
     ///
     /// # Errors
-    /// If there is no timer.
+    /// If the number is not that of a timer.
     pub fn inherited(number: RawFd) -> io::Result<Self> {
         if number < 0 {
             return Err(Errno::BADF.into());
         }
-        // SAFETY: used for this call only, which refuses a number that is not open.
+        // SAFETY: used only for this call, which refuses a number that is not open.
         let inherited = unsafe { BorrowedFd::borrow_raw(number) };
         let timer = fcntl_dupfd_cloexec(inherited, 0)?;
         timerfd_gettime(&timer)?;
         Ok(Self(timer))
     }
 
-    /// Sets it to this time from now, whatever its state. The kernel reads the clock, so a caller
-    /// that is held up cannot set it to a time that has passed.
+    /// Sets the timer to expire after this time from now, whatever its state. The kernel reads the
+    /// clock, so a delayed caller cannot set a time that has already passed.
     pub fn postpone(&self, by: Duration) {
         let setting = Itimerspec {
             it_interval: timespec(AGAIN.as_ns()),
             it_value: timespec(by.as_ns().max(1)),
         };
-        // Cannot fail: it is a timer, and the setting is valid.
+        // Cannot fail: the descriptor is a timer, and the setting is valid.
         let _ = timerfd_settime(&self.0, TimerfdTimerFlags::empty(), &setting);
     }
 
-    /// Sleeps until it expires or `beside` is readable. `None` if `beside` is readable, or if the
-    /// timer was set again before its expiry was read: the time of that expiry is lost then.
+    /// Sleeps until the timer expires or `beside` is readable. Returns `None` if `beside` is
+    /// readable, or if the timer was set again before its expiry was read: that time is then lost.
     ///
     /// # Errors
     /// If the sleep was interrupted by a signal.
@@ -92,13 +92,13 @@ impl Alarm {
         }
         let left = timerfd_gettime(&self.0)?.it_value;
         let left = Duration::from_ns(left.tv_sec as u64 * 1_000_000_000 + left.tv_nsec as u64);
-        // Read again after that: `due` may be late by the time between, never early.
+        // Read the clock again: `due` may be late by the time in between, but never early.
         Ok(last_due(clock::now(), left).map(|due| Expired { due, woken }))
     }
 }
 
-/// When a timer was due whose next expiry is in `left`; `None` if that is the first one of a new
-/// setting.
+/// Returns when a timer was due whose next expiry is in `left`; `None` if that is the first expiry
+/// of a new setting.
 fn last_due(now: Instant, left: Duration) -> Option<Instant> {
     let since = Duration::from_ns(AGAIN.as_ns().saturating_sub(left.as_ns()));
     (left.as_ns() > AGAIN.as_ns() / 2)
@@ -113,7 +113,7 @@ mod tests {
 
     const SPAN: Duration = Duration::from_ms(5);
 
-    /// A wait ends when the timer is due, and returns that time even if it returns late.
+    /// A wait ends when the timer is due, and returns the due time even if it returns late.
     #[test]
     fn a_wait_knows_when_it_was_due() {
         let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
@@ -130,14 +130,14 @@ mod tests {
         for _ in 0..3 {
             due_and_woken(Duration::ZERO);
         }
-        // Fails only if the machine stands still in each attempt.
+        // Fails only if the machine stalls in each attempt.
         assert!((0..10).any(|_| {
             let (due, woken) = due_and_woken(late);
             due + SPAN < woken
         }));
     }
 
-    /// Another owner of the same timer postpones it; a wait ends once it no longer does.
+    /// Another owner postpones the same timer; a wait ends only after the last postponement.
     #[test]
     fn a_timer_that_is_postponed_does_not_expire() {
         let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
@@ -153,7 +153,7 @@ mod tests {
         assert!(expired.due >= begin + SPAN.times(6));
     }
 
-    /// A timer that was set again while its expiry was read would report a stall since the epoch.
+    /// Otherwise a timer set again while its expiry is read would report a stall since time 0.
     #[test]
     fn a_timer_that_was_set_again_was_due_at_no_known_time() {
         let now = Instant::from_ns(50_000_000_000);

@@ -1,4 +1,4 @@
-//! The command lines of a run's processes: hidden arguments of the same program.
+//! The command lines of a run's processes: hidden arguments of this program.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -8,23 +8,23 @@ use tandem_board::{CoreId, Generation, Identity, SystemId};
 use crate::name::RunName;
 use crate::realtime::{self, Claim, Grant};
 
-/// Which CPUs the six cores are pinned to.
+/// The CPUs to which the six cores are pinned.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Pinning {
-    /// Core i of both systems together (A0 is 0, B2 is 5) on CPU i modulo the number of CPUs.
+    /// Core i of both systems together (A0 is 0, B2 is 5) runs on CPU i modulo the number of CPUs.
     #[default]
     Auto,
-    /// The kernel chooses.
+    /// The kernel chooses the CPUs.
     Off,
-    /// Core i on the CPU with this index among those that the process may use, modulo the length of
-    /// the list.
+    /// Core i runs on the CPU with this index among those that the process may use, modulo the
+    /// length of the list.
     Cpus(Vec<usize>),
 }
 
 /// How the processes of a run are scheduled.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schedule {
-    /// Whether real-time priority and locked memory are claimed (they may be refused).
+    /// Whether processes claim real-time priority and locked memory (the kernel may refuse).
     pub realtime: bool,
     /// The CPUs.
     pub pinning: Pinning,
@@ -40,10 +40,10 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// Returns what the kernel would grant to a core of a run with this schedule, tried on a
-    /// separate thread. The start prints it.
+    /// Returns what the kernel would grant to a core of a run with this schedule, as tried on a
+    /// separate thread. A run prints it at its start.
     ///
-    /// Starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
+    /// It starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
     #[must_use]
     pub fn probe(&self) -> Grant {
         let priority = self.realtime.then_some(CONTROL_PRIORITY);
@@ -56,8 +56,8 @@ impl Schedule {
     }
 }
 
-/// Priorities under SCHED_FIFO. The supply has the highest: it must always run. The vehicle is
-/// next: physics does not wait. Core 0, which controls, is above the cores that compute.
+/// Priorities under SCHED_FIFO. The supply has the highest because it must always run. Next is the
+/// vehicle, because its physics must keep time. Core 0, which controls, is above the other cores.
 const SUPPLY_PRIORITY: u8 = 80;
 const VEHICLE_PRIORITY: u8 = 70;
 const CONTROL_PRIORITY: u8 = 60;
@@ -68,7 +68,7 @@ const COMPUTE_PRIORITY: u8 = 40;
 pub struct Common {
     /// The run.
     pub run: RunName,
-    /// How they are scheduled.
+    /// The scheduling of the processes.
     pub schedule: Schedule,
     /// The program's own arguments, after `--`.
     pub extra: Vec<OsString>,
@@ -77,31 +77,31 @@ pub struct Common {
 /// Arguments of a supply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SupplyArgs {
-    /// The run.
+    /// The common arguments.
     pub common: Common,
     /// Its system.
     pub system: SystemId,
-    /// The file that is the system's data flash.
+    /// The file of the system's data flash.
     pub flash: PathBuf,
 }
 
 /// Arguments of a core.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CoreArgs {
-    /// The run.
+    /// The common arguments.
     pub common: Common,
-    /// Which core, in which incarnation.
+    /// The core and its incarnation.
     pub identity: Identity,
-    /// The file that is the system's data flash.
+    /// The file of the system's data flash.
     pub flash: PathBuf,
-    /// The application named by a slot; `None` in the first program of a core.
+    /// The application that a slot names; `None` in the first program of a core.
     pub application: Option<String>,
 }
 
 /// Arguments of the vehicle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VehicleArgs {
-    /// The run.
+    /// The common arguments.
     pub common: Common,
 }
 
@@ -129,7 +129,7 @@ const CORE: &str = "__core";
 const VEHICLE: &str = "__vehicle";
 
 impl SupplyArgs {
-    /// The arguments of one of this supply's cores.
+    /// Returns the arguments of one of this supply's cores.
     #[must_use]
     pub fn core(&self, core: CoreId, generation: Generation) -> CoreArgs {
         CoreArgs {
@@ -144,7 +144,7 @@ impl SupplyArgs {
         }
     }
 
-    /// Claims real time for this process.
+    /// Claims real-time scheduling for this process.
     #[must_use]
     pub fn claim(&self) -> Grant {
         self.common.claim(SUPPLY_PRIORITY, None)
@@ -152,7 +152,7 @@ impl SupplyArgs {
 }
 
 impl CoreArgs {
-    /// Claims the core's CPU and real time for this process.
+    /// Claims the core's CPU and real-time scheduling for this process.
     #[must_use]
     pub fn claim(&self) -> Grant {
         let of = self.identity;
@@ -175,7 +175,7 @@ impl CoreArgs {
 }
 
 impl VehicleArgs {
-    /// Claims real time for this process.
+    /// Claims real-time scheduling for this process.
     #[must_use]
     pub fn claim(&self) -> Grant {
         self.common.claim(VEHICLE_PRIORITY, None)
@@ -211,7 +211,7 @@ impl Common {
 }
 
 impl ProcessArgs {
-    /// The run.
+    /// Returns the common arguments.
     #[must_use]
     pub const fn common(&self) -> &Common {
         match self {
@@ -221,7 +221,7 @@ impl ProcessArgs {
         }
     }
 
-    /// The arguments after the program's name.
+    /// Returns the arguments that follow the program's name.
     #[must_use]
     pub fn to_argv(&self) -> Vec<OsString> {
         let mut argv = vec![];
@@ -254,8 +254,8 @@ impl ProcessArgs {
         argv
     }
 
-    /// Reads the arguments after the program's name; `None` if they are not those of a run's
-    /// process.
+    /// Parses the arguments that follow the program's name; `None` if they are not those of a
+    /// process of a run.
     ///
     /// # Errors
     /// [`InvalidArgs`] if they begin like those of a process and the rest is invalid.
@@ -403,7 +403,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-7: as the kernel starts the script of a slot.
+    /// T-BOOT-7: parses the arguments that the kernel passes when it starts the script of a slot.
     #[test]
     fn an_application_gets_its_name_and_the_arguments_of_its_core() {
         let args = CoreArgs {

@@ -1,4 +1,4 @@
-//! The board of one core, which is a process.
+//! The board of one core. The core is a process.
 
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicU32};
@@ -39,13 +39,13 @@ pub enum AttachError {
     /// The doorbell cannot be made.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
-    /// The supply that started this core has died, or the core cannot be bound to it.
+    /// The supply that started this core has died, or the core could not be bound to it.
     #[error("the supply of system {0} has died")]
     NoPower(SystemId),
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
-    /// The backplane has another layout than this build.
+    /// The backplane has a different layout from that of this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
 }
@@ -56,14 +56,14 @@ impl From<FitError> for AttachError {
     }
 }
 
-/// The machine as one core, which is this process, sees it.
+/// The machine as one core sees it. The core is this process.
 #[derive(Debug)]
 pub struct HostBoard {
     of: Identity,
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     doorbell: Doorbell,
-    /// The first wait returns at once: rings from before the doorbell was set up are forgotten.
+    /// The first wait returns at once: rings from before the doorbell was set up are lost.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,
@@ -78,10 +78,10 @@ impl HostBoard {
     /// Attaches this process as the core and the incarnation in `args`.
     ///
     /// From then on the core's doorbell can be rung. A process attaches once, on its main thread.
-    /// The memory stays mapped until the process ends, which is at the latest when its supply ends.
+    /// The memory stays mapped until the process ends, at the latest when its supply ends.
     ///
     /// # Errors
-    /// [`AttachError`] if the run is over, or something of it cannot be mapped or opened.
+    /// [`AttachError`] if the run has ended, or a part of it cannot be mapped or opened.
     pub fn attach(args: &CoreArgs) -> Result<Self, AttachError> {
         let of = args.identity;
         let backplane = Backplane::open(&args.common.run)?;
@@ -107,7 +107,7 @@ impl HostBoard {
         Ok(board)
     }
 
-    /// The run's backplane, for everything outside the board.
+    /// Returns the run's backplane, for code outside the board.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
@@ -192,7 +192,7 @@ impl FaultSource for HostBoard {
     }
 }
 
-/// A core dies with its supply. If the supply is dead, the system has no such process.
+/// Makes this core die with its supply. Fails if the supply is already dead.
 fn bind_to_supply(backplane: Backplane, system: SystemId) -> Result<(), AttachError> {
     match backplane.supply_pid(system) {
         0 => Ok(()),

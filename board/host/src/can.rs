@@ -1,4 +1,4 @@
-//! The CAN controller of a core: a transmit ring to the bus, a cursor in the ring from the bus.
+//! The CAN controller of a core: a transmit ring to the bus and a cursor in the ring from the bus.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,8 +11,8 @@ use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
 use crate::clock;
 use crate::doorbell::Ringers;
 
-/// The CAN controller of one core. The bus itself is in the vehicle's process, which each frame
-/// wakes; without it nothing is received and the transmit buffer fills up.
+/// The CAN controller of one core. The bus itself is part of the vehicle's process, which each
+/// frame wakes; without that process the core receives nothing and its transmit buffer fills up.
 #[derive(Debug)]
 pub struct HostCan {
     backplane: Backplane,
@@ -78,7 +78,7 @@ impl Can for HostCan {
 
     fn try_receive(&self) -> Option<Received> {
         let mut receive = self.receive.lock().unwrap_or_else(PoisonError::into_inner);
-        // The bus may send while this core reads: one call skips at most the slots of the ring.
+        // The bus may send while this core reads: limit one call to the number of slots.
         for _ in 0..RINGS.receive.shape.slots() {
             match receive.receive() {
                 Ok(None) => return None,

@@ -1,24 +1,24 @@
-//! The clock of the host board: CLOCK_MONOTONIC, the same for all processes of the machine.
+//! The clock of the host board: CLOCK_MONOTONIC, which all processes of the machine share.
 
 use rustix::io::Errno;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::{Timespec, clock_gettime};
 use tandem_board::{Duration, Instant};
 
-/// The time now, in nanoseconds of CLOCK_MONOTONIC.
+/// Returns the time, in nanoseconds of CLOCK_MONOTONIC.
 #[must_use]
 pub fn now() -> Instant {
     let time = clock_gettime(rustix::time::ClockId::Monotonic);
     Instant::from_ns(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
 }
 
-/// Sleeps until `deadline`, in absolute time: a late wake-up does not delay the next ones.
+/// Sleeps until the absolute time `deadline`, so that a late wake-up does not delay later ones.
 pub fn sleep_until(deadline: Instant) {
     let at = timespec(deadline.as_ns());
     while clock_nanosleep_absolute(ClockId::Monotonic, &at) == Err(Errno::INTR) {}
 }
 
-/// A span or a point in nanoseconds for the kernel; longer ones than it accepts are cut.
+/// Converts nanoseconds for the kernel; cuts off values that are longer than it accepts.
 pub(crate) fn timespec(ns: u64) -> Timespec {
     const LIMIT_S: u64 = i32::MAX as u64;
     let seconds = (ns / 1_000_000_000).min(LIMIT_S);
@@ -36,7 +36,7 @@ pub struct Ticker {
 }
 
 impl Ticker {
-    /// A ticker whose first tick is due one period from now.
+    /// Makes a ticker whose first tick is due one period from now.
     #[must_use]
     pub fn new(period: Duration) -> Self {
         Self {
@@ -45,14 +45,14 @@ impl Ticker {
         }
     }
 
-    /// When the next tick is due.
+    /// Returns when the next tick is due.
     #[must_use]
     pub const fn next(&self) -> Instant {
         self.next
     }
 
-    /// Sleeps until the next tick is due, and returns when it was due: consecutive ticks are
-    /// exactly one period apart. Missed ticks follow at once, one by one, so that the owner may
+    /// Sleeps until the next tick is due, and returns its due time: consecutive ticks are exactly
+    /// one period apart. Missed ticks are returned immediately, one by one, so that the owner can
     /// catch up.
     pub fn wait(&mut self) -> Instant {
         let due = self.next;

@@ -1,4 +1,4 @@
-//! Data flash as a file: NOR semantics, programmed in the background, durable when idle again.
+//! Data flash as a file: NOR semantics, programmed in the background, durable when idle.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
@@ -23,22 +23,22 @@ const IDLE: u8 = 0;
 const BUSY: u8 = 1;
 const FAILED: u8 = 2;
 
-/// How long a start waits for a file that is in use. A killed process keeps it until the kernel has
+/// How long a start waits for a file that is in use. A killed process holds it until the kernel has
 /// released its memory, some milliseconds after it has left the list of processes.
 const LAST_OWNER_ENDS: Duration = Duration::from_secs(1);
 
 /// Why the file cannot be the data flash.
 #[derive(Debug, thiserror::Error)]
 pub enum FlashFileError {
-    /// The file cannot be created, read or written.
+    /// The file could not be created, read or written.
     #[error("data flash {path}: {source}")]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The file has another size, so it is not a data flash.
+    /// The file has the wrong size, so it is not a data flash.
     #[error("data flash {path} has {found} bytes, but a data flash has {SIZE}; name another file")]
     Size {
         /// The file.
@@ -54,8 +54,8 @@ pub enum FlashFileError {
     },
 }
 
-/// The data flash of one system, locked while this process or one that it has started lives: two
-/// systems that write one flash would destroy each other's data.
+/// The data flash of one system, locked until this process and all processes that it started have
+/// ended: two systems that write one flash would destroy each other's data.
 #[derive(Debug)]
 pub struct Claimed {
     _lock: File,
@@ -63,9 +63,9 @@ pub struct Claimed {
 
 /// The data flash of a system in a file.
 ///
-/// A background thread performs the operations and calls `fdatasync`, so that "idle" means durable.
-/// If the process dies at any time, the range of the operation holds what NOR flash would hold: any
-/// mixture of old and new.
+/// A background thread performs the operations and calls `fdatasync`, so "idle" means durable. If
+/// the process dies at any time, the range of the operation holds what NOR flash could hold: any
+/// mixture of old and new bytes.
 ///
 /// Starting an operation allocates nothing and makes one system call, which wakes the thread. The
 /// thread has a lower priority than the core, so the two never compete for a lock.
@@ -78,14 +78,14 @@ pub struct HostFlash {
 #[derive(Debug)]
 struct Device {
     file: File,
-    /// [`IDLE`], [`BUSY`] or [`FAILED`]. The caller that sets it to `BUSY` owns `operation` until
-    /// the thread sets it to another value.
+    /// [`IDLE`], [`BUSY`] or [`FAILED`]. A caller that sets it to `BUSY` owns `operation` until the
+    /// thread sets another value.
     status: AtomicU8,
     /// Never contended: see `status`.
     operation: Mutex<Started>,
-    /// The operation is ready to run; the thread clears this when it begins.
+    /// The operation is ready to run; the thread clears this flag when it begins.
     requested: AtomicBool,
-    /// The flash was dropped; the thread ends.
+    /// The flash was dropped; the thread must end.
     closed: AtomicBool,
 }
 
@@ -98,7 +98,7 @@ struct Started {
 }
 
 impl HostFlash {
-    /// Creates the file, erased, if it does not exist; otherwise checks it.
+    /// Creates the file with erased content if it does not exist; otherwise checks its size.
     ///
     /// # Errors
     /// [`FlashFileError`] if it cannot be created or has a wrong size.
@@ -135,16 +135,16 @@ impl HostFlash {
                 }
                 locked => locked.map_err(|errno| failed(errno.into()))?,
             }
-            // The name may belong to another file by now: the next process to open it would lock
-            // that one.
+            // The name may belong to another file by now: then the next process to open it would
+            // lock that file instead.
             let locked = file.metadata().map_err(failed)?;
             let named = fs::metadata(path);
             if !named.is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino()))
             {
                 continue;
             }
-            // The children inherit the descriptor, and with it the lock: a launcher may die before
-            // its run.
+            // The children inherit the descriptor and thus the lock, because a launcher may die
+            // before its run ends.
             fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;
             return Ok(Claimed { _lock: file });
         }
@@ -184,7 +184,7 @@ impl HostFlash {
             requested,
             ..
         } = &*self.device;
-        // Acquire pairs with the release in `Device::work`: the thread has finished with the
+        // Acquire pairs with the Release in `Device::work`: the thread has finished with the
         // operation.
         if status.swap(BUSY, Ordering::AcqRel) == BUSY {
             return Err(FlashError::Busy);
@@ -209,7 +209,7 @@ impl Drop for HostFlash {
 }
 
 impl Device {
-    /// The background thread, from its start to its end.
+    /// Runs the background thread until the flash is dropped.
     fn work(&self) {
         // Buffer for the old content of a range; kept to avoid allocation.
         let mut present = [data_flash::ERASED; SECTOR];
@@ -238,8 +238,8 @@ impl DataFlash for HostFlash {
     const SECTORS: u32 = data_flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        // Acquire pairs with the Release in `Device::work`: everything that it has written can be
-        // read.
+        // Acquire pairs with the Release in `Device::work`: this read sees everything that the
+        // thread has written.
         if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
@@ -280,7 +280,7 @@ fn carry_out(file: &File, started: &Started, present: &mut [u8; SECTOR]) -> io::
     file.sync_data()
 }
 
-/// Prepares the file, and opens it for reading and writing.
+/// Prepares the file and opens it for reading and writing.
 fn open_prepared(path: &Path) -> Result<File, FlashFileError> {
     HostFlash::prepare(path)?;
     let mut options = OpenOptions::new();
@@ -288,7 +288,7 @@ fn open_prepared(path: &Path) -> Result<File, FlashFileError> {
     opened.map_err(refused(path))
 }
 
-/// Makes the error of an operation on this file.
+/// Returns a function that makes the error of an operation on this file.
 fn refused(path: &Path) -> impl Fn(io::Error) -> FlashFileError + Copy {
     move |source| FlashFileError::Io {
         path: path.to_owned(),
@@ -297,7 +297,7 @@ fn refused(path: &Path) -> impl Fn(io::Error) -> FlashFileError + Copy {
 }
 
 /// Creates the file completely or not at all, even at a power loss. Keeps a file that another
-/// process has created at the same time.
+/// process creates at the same time.
 fn create(path: &Path) -> io::Result<()> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -305,7 +305,7 @@ fn create(path: &Path) -> io::Result<()> {
     };
     fs::create_dir_all(folder)?;
     let mut draft = path.as_os_str().to_owned();
-    // Unique: the id of this process and the time.
+    // A unique name: the id of this process and the time.
     draft.push(format!(
         ".{}-{:x}",
         std::process::id(),
@@ -315,8 +315,8 @@ fn create(path: &Path) -> io::Result<()> {
     let written = File::create_new(&draft).and_then(|mut file| {
         file.write_all(&[data_flash::ERASED; data_flash::SIZE])?;
         file.sync_all()?;
-        // Never replaces a file that another run has claimed. Not every file system can rename in
-        // this way; the others have links.
+        // Never replaces a file that another run has claimed. Some file systems cannot rename in
+        // this way, but have links.
         let renamed = match renameat_with(CWD, &draft, CWD, path, RenameFlags::NOREPLACE) {
             Err(Errno::INVAL) => linkat(CWD, &draft, CWD, path, AtFlags::empty()),
             renamed => renamed,
@@ -327,7 +327,7 @@ fn create(path: &Path) -> io::Result<()> {
         }
         File::open(folder)?.sync_all()
     });
-    // Whether or not it was renamed.
+    // Remove the draft, whether or not it was renamed.
     let _ = fs::remove_file(&draft);
     written
 }
@@ -393,8 +393,8 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"mine");
     }
 
-    /// T-RED-1: two runs start at the same time and their data flash does not exist yet: exactly
-    /// one of them gets it.
+    /// T-RED-1: if several runs start together and a data flash does not exist yet, exactly one of
+    /// them gets it.
     #[test]
     fn a_new_data_flash_is_claimed_once() {
         for round in 0..3 {
@@ -416,14 +416,14 @@ mod tests {
         }
     }
 
-    /// A locked file whose name was given to another file is not the data flash.
+    /// A locked file is not the data flash if its name now belongs to another file.
     #[test]
     fn what_was_locked_is_what_the_name_stands_for() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("A.dflash");
         let first = HostFlash::claim(&path).unwrap();
         let renamed = thread::scope(|scope| {
-            // It waits for the first one's lock, with the first one's file open.
+            // It waits for the lock of the first claim, with that claim's file open.
             let second = scope.spawn(|| HostFlash::claim(&path));
             thread::sleep(Duration::from_millis(100));
             fs::remove_file(&path).unwrap();
@@ -436,7 +436,7 @@ mod tests {
         assert_eq!(second._lock.metadata().unwrap().ino(), there.ino());
     }
 
-    /// T-RED-1: a run beside another does not overwrite its state.
+    /// T-RED-1: a second run on the machine does not overwrite the state of the first.
     #[test]
     fn a_data_flash_belongs_to_one_system() {
         let folder = tempfile::tempdir().unwrap();
@@ -444,7 +444,7 @@ mod tests {
         let _claimed = HostFlash::claim(&path).unwrap();
         let error = HostFlash::claim(&path).unwrap_err();
         assert!(matches!(error, FlashFileError::InUse { .. }), "{error}");
-        // Its cores can still open it.
+        // The cores of its system can still open it.
         HostFlash::open(&path).unwrap();
     }
 }

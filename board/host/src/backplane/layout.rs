@@ -7,26 +7,26 @@ use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::trace_ring;
 
-/// A frame on its way to the bus: frame, number of discards before it.
+/// A frame on its way to the bus: the frame, then the number of discards before it.
 pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
 
-/// A frame for the transmit ring. `discards`: how often the sender has discarded its waiting
-/// frames.
+/// Encodes a frame for the transmit ring. `discards`: how many times the sender has discarded its
+/// waiting frames.
 pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
     let mut words = [discards; TRANSMIT_WORDS];
     words[..FRAME_WORDS].copy_from_slice(&frame.encode());
     words
 }
 
-/// The frame in the transmit ring, and the sender's discards before it.
+/// Decodes a frame of the transmit ring and the number of the sender's discards before it.
 pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
     let frame = words.first_chunk()?;
     Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
 }
 
-/// Words of a cache line. Words of different writers are on different lines.
+/// Words of a cache line. Words with different writers are on different lines.
 const LINE: usize = 16;
-/// Writers of a trace: the cores and the supplies.
+/// Number of writers of traces: the cores and the supplies.
 const TRACE_WRITERS: usize = CoreAddress::COUNT + 2;
 
 /// Registers of the run.
@@ -41,7 +41,7 @@ pub(super) enum Run {
     Cuts,
 }
 
-/// Registers of a system, by writer: supply (and launcher), then core 0.
+/// Registers of a system, grouped by writer: supply (and launcher), then core 0.
 #[derive(Clone, Copy)]
 pub(super) enum System {
     SupplyPid,
@@ -61,7 +61,7 @@ pub(super) enum System {
     LateMs,
 }
 
-/// Registers of a core, by writer: supply, then the core, then the vehicle.
+/// Registers of a core, grouped by writer: supply, then the core, then the vehicle.
 #[derive(Clone, Copy)]
 pub(super) enum Core {
     Pid,
@@ -77,7 +77,7 @@ const SYSTEMS_AT: usize = RUN_AT + LINE;
 const SYSTEM_WORDS: usize = 2 * LINE;
 const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
 const CORE_WORDS: usize = 3 * LINE;
-/// Three lines, two edges: by the sender; then the receiver's baseline.
+/// Edge counts of three lines, two types each: those of the sender, then the receiver's baseline.
 const EDGES_AT: usize = CORES_AT + CoreAddress::COUNT * CORE_WORDS;
 const EDGE_WORDS: usize = LINE;
 const RINGS_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
@@ -102,7 +102,7 @@ pub(super) const fn edge_baseline(by: SystemId, line: Line, edge_type: Edge) -> 
     2 * EDGE_WORDS + edge(by, line, edge_type)
 }
 
-/// Index of a supply's trace.
+/// Returns the index of a supply's trace.
 pub(crate) const fn supply_trace_ring(system: SystemId) -> usize {
     CoreAddress::COUNT + system.index()
 }
@@ -110,11 +110,11 @@ pub(crate) const fn supply_trace_ring(system: SystemId) -> usize {
 /// A ring in the backplane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ring {
-    /// First word.
+    /// Index of the first word.
     pub(crate) at: usize,
     /// Number of words.
     pub(crate) words: usize,
-    /// Its slots.
+    /// Number and size of the slots.
     pub(crate) shape: Shape,
 }
 
@@ -125,7 +125,7 @@ pub(crate) struct Rings {
     pub(crate) transmit: [Ring; CoreAddress::COUNT],
     /// From the bus to all cores.
     pub(crate) receive: Ring,
-    /// Out of each system.
+    /// From each system to the other.
     pub(crate) link: [Ring; 2],
     /// Watchdog services of each system.
     pub(crate) service: [Ring; 2],
@@ -133,18 +133,18 @@ pub(crate) struct Rings {
     pub(crate) trace: [Ring; TRACE_WRITERS],
 }
 
-/// Frames that wait for the bus, which each frame wakes; a disturbed bus fetches them every ms.
+/// Frames that wait for the bus. Each frame wakes the bus; a disturbed bus fetches frames every ms.
 const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
-/// Frames that a core may be behind: some hundred milliseconds at the load of the vehicle bus.
+/// Frames by which a core may lag: some hundred milliseconds at the load of the vehicle bus.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
-/// Datagrams under way.
+/// Datagrams in transit.
 const LINK: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
-/// Services that the supply may be behind.
+/// Services by which the supply may lag.
 const SERVICE: Shape = Shape::new(16, SERVICE_WORDS);
 
 /// The positions of the rings.
 pub(crate) const RINGS: Rings = RINGS_AND_END.0;
-/// Words of the backplane.
+/// Number of words of the backplane.
 pub(super) const WORDS: usize = RINGS_AND_END.1;
 
 const RINGS_AND_END: (Rings, usize) = {
@@ -182,7 +182,7 @@ const RINGS_AND_END: (Rings, usize) = {
     let mut trace = [nothing; TRACE_WRITERS];
     let mut n = 0;
     while n < TRACE_WRITERS {
-        // The trace ring defines its own slots.
+        // The trace ring defines its own slots; this shape is not used.
         trace[n] = Ring {
             at,
             words: trace_ring::WORDS,

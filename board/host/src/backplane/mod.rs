@@ -1,8 +1,8 @@
 //! The backplane of a run: the wires between the systems, the bus, the supplies' registers, the
-//! trace.
+//! traces.
 //!
 //! It holds everything that the cores of both systems, their supplies and the vehicle share, except
-//! the LMUs. Portable code sees it only through the board's traits.
+//! the LMUs. Portable code accesses it only through the board's traits.
 
 mod layout;
 
@@ -26,18 +26,18 @@ pub(crate) use layout::{
     RINGS, Ring, TRANSMIT_WORDS, decode_transmit, encode_transmit, supply_trace_ring,
 };
 
-/// "TDM" and the version of the layout, so that processes of two builds refuse each other.
+/// "TDM" and the version of the layout, so that processes of different builds reject each other.
 const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
-/// The longest delay of a disturbed connection, as of `Kind::Late` in a file of faults. A wild word
-/// in the shared memory must not hold frames back for longer: they would pile up in the vehicle's
-/// process.
+/// The longest delay of a disturbed connection, as `Kind::Late` in a file of faults has it. A
+/// corrupt word in the shared memory must not delay frames for longer: they would accumulate in the
+/// vehicle's process.
 const LATE_MOST: Duration = Duration::from_ms(1_000);
 
-/// The processes of a run have different builds of this program.
+/// Why the backplane of a run could not be created or opened.
 #[derive(Debug, thiserror::Error)]
 pub enum BackplaneError {
-    /// The shared memory failed.
+    /// The shared memory could not be created or mapped.
     #[error(transparent)]
     Segment(#[from] SegmentError),
     /// Another build made this backplane.
@@ -62,7 +62,7 @@ impl fmt::Debug for Backplane {
 struct Register(&'static AtomicU32);
 
 /// All accesses are SeqCst and pair with each other: every process sees the changes of all
-/// registers in one order, and with a change everything that its writer wrote before.
+/// registers in one order, and after a change it also sees everything that the writer wrote before.
 impl Register {
     fn get(self) -> u32 {
         self.0.load(SeqCst)
@@ -72,12 +72,12 @@ impl Register {
         self.0.store(value, SeqCst);
     }
 
-    /// Returns the value before.
+    /// Returns the previous value.
     fn replace(self, value: u32) -> u32 {
         self.0.swap(value, SeqCst)
     }
 
-    /// Adds 1, wrapping around, and returns the value before.
+    /// Adds 1, wrapping around, and returns the previous value.
     fn count(self) -> u32 {
         self.0.fetch_add(1, SeqCst)
     }
@@ -92,7 +92,7 @@ impl Register {
 }
 
 impl Backplane {
-    /// Creates the backplane of a run: both supplies connected to the battery, ignition off.
+    /// Creates the backplane of a run: both level lines high, ignition off.
     pub(crate) fn create(run: &RunName) -> Result<Self, BackplaneError> {
         let segment = Box::leak(Box::new(Segment::<WORDS>::create(run, NAME)?));
         let backplane = Self {
@@ -117,7 +117,7 @@ impl Backplane {
         Ok(backplane)
     }
 
-    /// Removes the backplane of a run that a test has created.
+    /// Removes the backplane that a test has created.
     #[cfg(test)]
     pub(crate) fn remove(run: &RunName) {
         Segment::<WORDS>::remove(run, NAME);
@@ -143,12 +143,12 @@ impl Backplane {
         Register(&self.words[layout::edge_baseline(by, line, edge)])
     }
 
-    /// The trace of a core by its index among all, or of a supply by [`supply_trace_ring`].
+    /// Returns the trace ring of a core, by its index, or of a supply, by [`supply_trace_ring`].
     pub(crate) fn trace_ring(self, index: usize) -> TraceRing {
         TraceRing::new(self.ring(RINGS.trace[index]))
     }
 
-    /// The words of a ring.
+    /// Returns the words of a ring.
     pub(crate) fn ring(self, place: Ring) -> &'static [AtomicU32] {
         &self.words[place.at..place.at + place.words]
     }
@@ -156,7 +156,7 @@ impl Backplane {
 
 /// The run as a whole.
 impl Backplane {
-    /// Publishes the ids of the run's processes, which wait for it. Launcher only.
+    /// Publishes the ids of the run's processes, which wait for that. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
             self.set_supply(system, supplies[system.index()]);
@@ -173,19 +173,19 @@ impl Backplane {
         self.run(Run::LauncherPid).set(pid);
     }
 
-    /// The process that started the run; 0 if not known.
+    /// Returns the id of the process that started the run; 0 if unknown.
     #[must_use]
     pub fn launcher_pid(self) -> u32 {
         self.run(Run::LauncherPid).get()
     }
 
-    /// The vehicle's process; 0 before it started.
+    /// Returns the id of the vehicle's process; 0 before its start.
     #[must_use]
     pub fn vehicle_pid(self) -> u32 {
         self.run(Run::VehiclePid).get()
     }
 
-    /// The process of a system's supply; 0 before it started.
+    /// Returns the id of the process of a system's supply; 0 before its start.
     #[must_use]
     pub fn supply_pid(self, system: SystemId) -> u32 {
         self.system(system, System::SupplyPid).get()
@@ -195,18 +195,18 @@ impl Backplane {
         self.run(Run::Ignition).set(u32::from(on));
     }
 
-    /// Whether the vehicle's ignition is on.
+    /// Returns whether the vehicle's ignition is on.
     #[must_use]
     pub fn ignition(self) -> bool {
         self.run(Run::Ignition).get() != 0
     }
 
-    /// Asks the vehicle to end the run.
+    /// Requests the vehicle to end the run.
     pub fn request_stop(self) {
         self.run(Run::Stop).set(1);
     }
 
-    /// Whether the run is to end.
+    /// Returns whether an end of the run was requested.
     #[must_use]
     pub fn stop_requested(self) -> bool {
         self.run(Run::Stop).get() != 0
@@ -218,17 +218,17 @@ impl Backplane {
             .change_bits(Cuts::bit(wire, from), is_cut);
     }
 
-    /// The level line of this system reads as low at the other one, though the system is on.
+    /// Makes this system's level line read low at the other system, even while this system is on.
     pub(crate) fn hold_low(self, system: SystemId, held: bool) {
         self.system(system, System::HeldLow).set(u32::from(held));
     }
 
-    /// The level of `system`'s line as the other system reads it.
+    /// Returns the level of `system`'s line as the other system reads it.
     pub(crate) fn level_at_peer(self, system: SystemId) -> bool {
         self.conditions().level(system, self.level(system))
     }
 
-    /// What is cut or disturbed.
+    /// Returns all cuts and disturbances.
     pub(crate) fn conditions(self) -> Conditions {
         Conditions {
             cuts: self.cuts(),
@@ -257,7 +257,7 @@ impl Backplane {
         }
     }
 
-    /// Which connections are cut.
+    /// Returns which connections are cut.
     #[must_use]
     pub fn cuts(self) -> Cuts {
         Cuts(self.run(Run::Cuts).get())
@@ -271,8 +271,8 @@ impl Backplane {
         self.system(system, System::PowerOns).count() + 1
     }
 
-    /// The system is to be switched on this long after the ignition. Launcher only, before the
-    /// start.
+    /// Sets how long after the ignition the system is switched on. Only the launcher calls it,
+    /// before the start.
     pub(crate) fn set_stagger(self, system: SystemId, stagger: Duration) {
         let us = u32::try_from(stagger.as_us()).unwrap_or(u32::MAX);
         self.system(system, System::StaggerUs).set(us);
@@ -282,17 +282,17 @@ impl Backplane {
         Duration::from_us(u64::from(self.system(system, System::StaggerUs).get()))
     }
 
-    /// Asks the launcher to start a supply for a system whose supply has died.
+    /// Requests the launcher to start a new supply for a system whose supply has died.
     pub(crate) fn request_power(self, system: SystemId) {
         self.system(system, System::PowerRequest).set(1);
     }
 
-    /// Takes a pending request for power. Launcher only.
+    /// Returns whether a request for power is pending, and clears it. Launcher only.
     pub(crate) fn take_power_request(self, system: SystemId) -> bool {
         self.system(system, System::PowerRequest).replace(0) != 0
     }
 
-    /// The launcher has started another supply for the system.
+    /// Records the supply that the launcher has started for the system.
     pub(crate) fn set_supply(self, system: SystemId, pid: u32) {
         self.system(system, System::SupplyPid).set(pid);
     }
@@ -301,19 +301,19 @@ impl Backplane {
         self.system(system, System::LevelLow).set(u32::from(!high));
     }
 
-    /// The level line of the system's supply; low (`false`) in reset and without power.
+    /// Returns the level line of the system's supply; low (`false`) in reset and without power.
     #[must_use]
     pub fn level(self, system: SystemId) -> bool {
         self.system(system, System::LevelLow).get() == 0
     }
 
-    /// Makes a fault of a system's hardware, or repairs it.
+    /// Injects or repairs a hardware fault of a system.
     pub fn set_fault(self, of: SystemId, fault: HardwareFault, present: bool) {
         self.system(of, System::Faults)
             .change_bits(HardwareFaults::bit(fault), present);
     }
 
-    /// The faults of a system's hardware.
+    /// Returns the hardware faults of a system.
     #[must_use]
     pub fn faults(self, of: SystemId) -> HardwareFaults {
         HardwareFaults(self.system(of, System::Faults).get())
@@ -323,7 +323,7 @@ impl Backplane {
         self.system(system, System::ResetCause).set(cause.code());
     }
 
-    /// Why the system's current incarnation began.
+    /// Returns why the system's current incarnation began.
     #[must_use]
     pub fn reset_cause(self, system: SystemId) -> ResetCause {
         let code = self.system(system, System::ResetCause).get();
@@ -336,7 +336,7 @@ impl Backplane {
             .set(1 + request.code());
     }
 
-    /// Takes a pending request. Supply only.
+    /// Returns the pending reset request, and clears it. Supply only.
     pub(crate) fn take_reset_request(self, system: SystemId) -> Option<ResetRequest> {
         let register = self.system(system, System::ResetRequest).replace(0);
         let code = register.checked_sub(1)?;
@@ -348,18 +348,18 @@ impl Backplane {
         self.system(system, System::Booted).set(slot);
     }
 
-    /// The slot that core 0 jumped to last.
+    /// Returns the slot to which core 0 jumped last.
     pub(crate) fn booted(self, system: SystemId) -> u32 {
         self.system(system, System::Booted).get()
     }
 
-    /// Core 0 requests the start of a core from the supply.
+    /// Requests the supply to start a core. Core 0 only.
     pub(crate) fn release_core(self, system: SystemId, core: CoreId) {
         self.system(system, System::Released)
             .change_bits(1 << core.index(), true);
     }
 
-    /// Takes the cores that core 0 has released. Supply only.
+    /// Returns the cores that core 0 has released since the last call. Supply only.
     pub(crate) fn take_released(self, system: SystemId) -> impl Iterator<Item = CoreId> {
         let released = self.system(system, System::Released).replace(0);
         CoreId::ALL
@@ -371,7 +371,7 @@ impl Backplane {
         self.system(system, System::Lamp).set(lamp.code());
     }
 
-    /// The role that the system shows. A system without power shows [`RoleLamp::Starting`].
+    /// Returns the role that the system shows. A system without power shows [`RoleLamp::Starting`].
     #[must_use]
     pub fn role(self, system: SystemId) -> RoleLamp {
         let code = self.system(system, System::Lamp).get();
@@ -385,7 +385,7 @@ impl Backplane {
         self.core(system, core, Core::Pid).set(pid);
     }
 
-    /// The process of a core; 0 while it has none.
+    /// Returns the id of the process of a core; 0 while it has none.
     #[must_use]
     pub fn core_pid(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::Pid).get()
@@ -395,7 +395,7 @@ impl Backplane {
         self.core(system, core, Core::Generation).set(incarnation.0);
     }
 
-    /// The incarnation of the core that the supply started last; 0 before the first.
+    /// Returns the core's incarnation that the supply started last; 0 before the first.
     #[must_use]
     pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
         Generation(self.core(system, core, Core::Generation).get())
@@ -410,24 +410,24 @@ impl Backplane {
         self.core(system, core, Core::WakeOnReceive).get() != 0
     }
 
-    /// How often the core has discarded the waiting frames in its transmit ring; wraps around.
+    /// Returns how many times the core has discarded the frames in its transmit ring; wraps around.
     pub(crate) fn discards(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::Discards).get()
     }
 
-    /// Counts one discard: the bus drops the frames that carry an older count. The ring orders a
-    /// frame that carries the new count after this.
+    /// Counts one discard: the bus drops frames that carry an older count. The ring ensures that
+    /// the bus sees this before it sees a frame that carries the new count.
     pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
         self.core(system, core, Core::Discards).count();
     }
 
-    /// The counters of a core's CAN controller, which is part of the bus. Vehicle only.
+    /// Sets the error counters of a core's CAN controller, which is part of the bus. Vehicle only.
     pub(crate) fn set_can_errors(self, system: SystemId, core: CoreId, errors: CanErrors) {
         self.core(system, core, Core::CanErrors)
             .set(errors.to_word());
     }
 
-    /// The error counters of a core's CAN controller.
+    /// Returns the error counters of a core's CAN controller.
     #[must_use]
     pub fn can_errors(self, system: SystemId, core: CoreId) -> CanErrors {
         CanErrors::from_word(self.core(system, core, Core::CanErrors).get())
@@ -438,7 +438,7 @@ impl Backplane {
         self.core(system, core, Core::TraceLost).count();
     }
 
-    /// How many trace records of the core were lost because the ring was full; wraps around.
+    /// Returns how many trace records of the core a full ring has lost; wraps around.
     pub(crate) fn lost_trace(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::TraceLost).get()
     }
@@ -452,18 +452,18 @@ impl Backplane {
         }
     }
 
-    /// Edges sent by `from` since the run began; wraps around.
+    /// Returns the number of edges that `from` has sent since the run began; wraps around.
     pub(crate) fn edges(self, from: SystemId, line: Line, edge: Edge) -> u32 {
         self.edge(from, line, edge).get()
     }
 
-    /// Edges that `by` received since it was powered on.
+    /// Returns the number of edges that `by` has received since its power-on.
     pub(crate) fn received_edges(self, by: SystemId, line: Line, edge: Edge) -> u32 {
         let before = self.edge_baseline(by, line, edge).get();
         self.edges(by.peer(), line, edge).wrapping_sub(before)
     }
 
-    /// Starts to count the edges to `by` from zero: its power-on.
+    /// Restarts the count of edges to `by` from zero, at its power-on.
     pub(crate) fn clear_received_edges(self, by: SystemId) {
         for line in Line::ALL {
             for edge in [Edge::Rising, Edge::Falling] {
@@ -474,7 +474,7 @@ impl Backplane {
     }
 }
 
-/// The backplane of a test, which is gone when the test ends, however it ends.
+/// The run of a test with its backplane. Dropping it removes the files, even if the test panics.
 #[cfg(test)]
 pub(crate) struct ScratchRun(RunName);
 

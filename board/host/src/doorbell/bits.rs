@@ -1,10 +1,9 @@
-//! The pending events: one bit for each, at a fixed position.
+//! The pending events: each has one bit at a fixed position.
 //!
 //! iceoryx2's own state (`RelocatableBitSet`) keeps a relative pointer and a capacity in memory
 //! that every notifier maps writable, and follows them: after one wrong word from a peer, the next
-//! `notify` of another process ends with SIGSEGV. Here no word in that memory is an address or a
-//! trusted index: the position of a bit follows from its number, which is checked against a
-//! constant.
+//! `notify` of another process ends with SIGSEGV. In this state no word is an address or a trusted
+//! index: the position of a bit follows from its number, which is checked against a constant.
 
 use core::ptr::NonNull;
 use core::sync::atomic::AtomicU32;
@@ -16,16 +15,16 @@ use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 use iceoryx2_cal::event::EventId;
 use iceoryx2_cal::event::event_state::{EventActivation, EventState, EventStateActivateError};
 
-/// As many events as iceoryx2 has by default.
+/// Room for as many events as iceoryx2 has by default.
 const WORDS: usize = 8;
 const BITS: usize = WORDS * u32::BITS as usize;
 
-/// The pending events of an iceoryx2 event, at most 256. Zero is its initial content.
+/// The pending events of an iceoryx2 event, at most 256. The initial content is zero.
 #[derive(Debug)]
 #[repr(C)]
 pub struct PendingBits {
     words: [AtomicU32; WORDS],
-    /// How many of the bits may be set. A peer may have written this word: the constant limits it.
+    /// How many bits may be set. A peer may overwrite this word, so the constant also limits it.
     capacity: AtomicU32,
 }
 
@@ -47,7 +46,7 @@ impl RelocatableContainer for PendingBits {
     }
 
     unsafe fn init<T: Allocate<NonNull<u8>>>(&mut self, _: &T) -> Result<(), AllocationError> {
-        // Checks nothing: a peer may already write to this memory, and a refusal would end the
+        // Checks nothing: a peer may already write to this memory, and an error would end the
         // process.
         Ok(())
     }
@@ -73,7 +72,7 @@ impl EventState for PendingBits {
         }
         let bit = 1 << (id % u32::BITS as usize);
         // Release pairs with the Acquire in `drain`: a listener that drains the event sees
-        // everything that was written before it.
+        // everything that the notifier wrote before.
         self.words[id / u32::BITS as usize].fetch_or(bit, Release);
         Ok(())
     }
@@ -104,7 +103,7 @@ mod tests {
     use super::*;
     use iceoryx2_bb_memory::bump_allocator::BumpAllocator;
 
-    /// Whatever a peer writes over the state, no event outside of it is reported.
+    /// Whatever a peer writes over the state, no event outside its range is reported.
     #[test]
     fn a_scribbled_state_is_no_address_and_no_index() {
         // SAFETY: initialized below, before any other use.
@@ -128,7 +127,7 @@ mod tests {
         }
     }
 
-    /// The same if a peer writes to the memory while the listener initializes it.
+    /// Events outside the range are refused even if a peer overwrites the memory before `init`.
     #[test]
     fn events_beyond_the_bits_are_refused_when_they_are_rung() {
         // SAFETY: initialized below, before any other use.

@@ -39,7 +39,7 @@ use crate::storage::Storage;
 pub use bits::PendingBits;
 pub use trigger::{Futex, FutexHandle, FutexWaiter};
 
-/// An iceoryx2 event with the state `E`, in reserved memory; the listener sleeps on a futex.
+/// An iceoryx2 event with state `E`, in reserved memory; the listener sleeps on a futex.
 pub type FutexEvent<E, const LASTING: bool> =
     EventImpl<E, Futex, Storage<State<E, Futex>, LASTING>, FutexHandle, FutexWaiter>;
 
@@ -48,7 +48,7 @@ type DoorbellState = State<PendingBits, Futex>;
 type DoorbellStorage = Storage<DoorbellState, true>;
 type DoorbellListener = Waiter<PendingBits, Futex, DoorbellStorage, FutexWaiter>;
 
-/// The doorbell carries one bit; its receiver finds the details in other memory.
+/// The doorbell carries one bit; its receiver reads the details from other memory.
 const RUNG: EventId = EventId::new(0);
 
 /// The doorbell of a core could not be set up.
@@ -59,11 +59,11 @@ pub struct DoorbellError {
     reason: String,
 }
 
-/// Whose doorbell it is.
+/// The owner of a doorbell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Owner {
     Core(CoreAddress),
-    /// The bus, which is in the vehicle's process.
+    /// The bus, which is part of the vehicle's process.
     Bus,
 }
 
@@ -84,7 +84,7 @@ impl Owner {
 
     fn file(self) -> FileName {
         let name = format!("doorbell-{}", self.name());
-        // Letters, digits and dashes are always a valid name; the fallback is never used.
+        // Letters, digits and dashes always form a valid name; the fallback is never used.
         FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
     }
 }
@@ -94,7 +94,7 @@ pub(crate) fn install(run: &RunName) -> Result<(), DoorbellError> {
     Owner::all().try_for_each(|of| listener(run, of).map(drop))
 }
 
-/// Removes the doorbells of a run that a test has installed.
+/// Removes the doorbells that a test has installed.
 #[cfg(test)]
 pub(crate) fn remove(run: &RunName) {
     for of in Owner::all() {
@@ -116,23 +116,23 @@ fn listener(run: &RunName, of: Owner) -> Result<DoorbellListener, DoorbellError>
         })
 }
 
-/// A doorbell: the end of its owner, which it wakes.
+/// The owner's end of a doorbell. A ring wakes the owner.
 pub(crate) struct Doorbell {
     listener: DoorbellListener,
 }
 
 impl Doorbell {
-    /// Takes over the doorbell of this owner. Earlier rings are forgotten, so the caller polls all
-    /// sources before it first sleeps.
+    /// Takes over the doorbell of this owner. Earlier rings are lost, so the caller must poll all
+    /// sources before its first sleep.
     pub(crate) fn attach(run: &RunName, of: Owner) -> Result<Self, DoorbellError> {
         let listener = listener(run, of)?;
-        // Pairs with the fence in `Ringers::ring`: if a ring was forgotten here, the owner's first
-        // poll sees everything that its ringer wrote before it.
+        // Pairs with the fence in `Ringers::ring`: if a ring was lost here, the owner's first poll
+        // sees everything that the ringer wrote before the ring.
         fence(SeqCst);
         Ok(Self { listener })
     }
 
-    /// Sleeps until rung (`true`) or until the deadline has passed (`false`).
+    /// Sleeps until rung (returns `true`) or until the deadline has passed (returns `false`).
     pub(crate) fn wait(&self, deadline: Instant) -> bool {
         loop {
             let left = deadline.since(clock::now()).as_ns();
@@ -143,10 +143,10 @@ impl Doorbell {
             };
             match woken {
                 Ok(0) if clock::now() >= deadline => return false,
-                // A leftover of a ring that was taken before, or a signal.
+                // A leftover of a ring that was already handled, or a signal.
                 Ok(0) | Err(ListenerWaitError::InterruptSignal) => {}
                 Ok(_) => return true,
-                // Never observed. The caller polls all sources, so nothing is lost.
+                // Has never been observed. The caller polls all sources, so nothing is lost.
                 Err(_) => return true,
             }
         }
@@ -159,7 +159,7 @@ impl fmt::Debug for Doorbell {
     }
 }
 
-/// All doorbells: the ends of the ringers. They ring from any context.
+/// The ringers' ends of all doorbells. They can ring from any context.
 pub(crate) struct Ringers {
     run: RunName,
     cores: [Option<DoorbellStorage>; CoreAddress::COUNT],
@@ -177,29 +177,29 @@ impl Ringers {
         }
     }
 
-    /// Rings the current incarnation of the core. Has no effect if there is none. Never waits.
+    /// Rings the current incarnation of the core. No effect if there is none. Never blocks.
     pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
         Self::wake(self.cores[CoreAddress::new(system, core).index()].as_ref());
     }
 
-    /// Rings the bus: a frame waits. Has no effect without a vehicle. Never waits.
+    /// Rings the bus because a frame waits. No effect without a vehicle. Never blocks.
     pub(crate) fn ring_bus(&self) {
         Self::wake(self.bus.as_ref());
     }
 
-    /// It does what a notifier of iceoryx2 does, with one difference: a notifier skips the trigger
-    /// if the state of the event says that the listener is notified. Another notifier sets this
-    /// state after its own trigger. If it is stalled in between, the listener may take its event
-    /// and sleep again; then the state says "notified" and the listener sleeps through every ring.
+    /// Does what a notifier of iceoryx2 does, with one difference: a notifier skips the trigger if
+    /// the state of the event says that the listener is notified. Another notifier sets this state
+    /// after its own trigger. If it stalls in between, the listener may handle its event and sleep
+    /// again; then the state is "notified" and the listener sleeps through every ring.
     fn wake(doorbell: Option<&DoorbellStorage>) {
         // Pairs with the fence in `Doorbell::attach`.
         fence(SeqCst);
         if let Some(doorbell) = doorbell {
             let doorbell: &DoorbellState = doorbell.get();
-            // Only a doorbell that a peer has overwritten refuses.
+            // Fails only if a peer has overwritten the doorbell.
             let _ = doorbell.event.activate(RUNG);
-            // SAFETY: the listener that created the event has initialized it; any bits are a
-            // `Futex`.
+            // SAFETY: the listener that created the event has initialized it; any bit pattern is a
+            // valid `Futex`.
             unsafe { doorbell.handle.assume_init_ref() }.wake();
         }
     }
@@ -211,7 +211,7 @@ impl fmt::Debug for Ringers {
     }
 }
 
-/// The memory of a doorbell, with the name that iceoryx2's event gives it.
+/// Opens the memory of a doorbell by the name that iceoryx2's event gives it.
 fn storage_of(run: &RunName, of: Owner) -> Option<DoorbellStorage> {
     let suffix = FileName::new(b".trigger_mgmt").ok()?;
     let config = crate::storage::Configuration::default()
@@ -237,7 +237,7 @@ mod tests {
     const CORE: CoreAddress = CoreAddress::new(SystemId::A, CoreId::PLANNING);
     const OF: Owner = Owner::Core(CORE);
 
-    /// A run that has only its doorbells; dropping it removes its files.
+    /// The doorbells of a run without other files; dropping it removes them.
     struct Doorbells(RunName);
 
     impl Doorbells {
@@ -258,7 +258,7 @@ mod tests {
         }
     }
 
-    /// Whether a ring wakes a sleeping listener; `harm` happens while it sleeps.
+    /// Returns whether a ring wakes a sleeping listener; `harm` is done while it sleeps.
     fn a_ring_wakes(harm: impl FnOnce(&DoorbellState)) -> bool {
         let doorbells = Doorbells::install();
         let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
@@ -280,8 +280,8 @@ mod tests {
         })
     }
 
-    /// T-SYNC-3: another notifier stalls just before it marks the listener as notified, and marks
-    /// it when the listener sleeps again. iceoryx2 would never wake it again; the ring must.
+    /// T-SYNC-3: another notifier stalls just before it marks the listener as notified, and sets
+    /// the mark when the listener sleeps again. iceoryx2 would never wake it again; `ring` must.
     #[test]
     fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
         const NOTIFIED: u8 = 2;
@@ -290,8 +290,8 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// A peer can write any value to any byte of the doorbell's memory. This harms neither ringer
-    /// nor sleeper, and the doorbell of the next incarnation works.
+    /// A peer can write any value to any byte of the doorbell's memory. This must harm neither
+    /// ringer nor sleeper, and the doorbell of the next incarnation must work.
     #[test]
     fn a_scribbled_doorbell_harms_no_ringer() {
         let doorbells = Doorbells::install();
@@ -321,7 +321,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: a ringer keeps its mapping over the incarnations of the core.
+    /// T-SYNC-3: a ringer keeps its mapping across incarnations of the core.
     #[test]
     fn the_next_incarnation_is_rung_through_the_same_end() {
         let doorbells = Doorbells::install();

@@ -1,14 +1,14 @@
 //! A futex as the trigger of an iceoryx2 event.
 //!
-//! iceoryx2 provides the event itself (its state, its name, its permissions); only the word that
-//! the listener sleeps on is defined here.
+//! iceoryx2 provides the event itself (its state, its name, its permissions); this module defines
+//! only the word on which the listener sleeps.
 //! `docs/decisions/0002-host-board-over-iceoryx2-building-blocks.md` describes and compares
 //! iceoryx2's own triggers.
 //!
-//! One word in the memory of the event: EMPTY, PENDING (rung) or SLEEPING (the listener sleeps).
-//! The kernel is called only if the listener sleeps. No process owns the word, so a death at any
-//! point leaves no harm. The word is only compared, so a peer that writes nonsense can only wake
-//! the listener or leave it asleep until its deadline.
+//! One word in the memory of the event: EMPTY, PENDING (rung) or SLEEPING (the listener sleeps). A
+//! ringer calls the kernel only if the listener sleeps. No process owns the word, so a death at any
+//! point does no harm. The word is only compared, so a peer that writes nonsense can only wake the
+//! listener or leave it asleep until its deadline.
 
 use core::mem::MaybeUninit;
 use core::ptr::NonNull;
@@ -36,7 +36,7 @@ const EMPTY: u32 = 0;
 const PENDING: u32 = 1;
 const SLEEPING: u32 = 2;
 
-/// The word that the listener sleeps on. Zero is its initial content.
+/// The word on which the listener sleeps. The initial content is zero.
 #[derive(Debug, Default)]
 #[repr(C)]
 pub struct Futex(AtomicU32);
@@ -51,20 +51,20 @@ impl Futex {
         // SLEEPING.
         match self.0.swap(PENDING, SeqCst) {
             EMPTY | PENDING => {}
-            // SLEEPING, or a value that no end of the event writes. No sleeping process is not an
-            // error: the listener may have just died.
+            // SLEEPING, or a value that neither end writes. It is no error if no process sleeps:
+            // the listener may have just died.
             _ => drop(futex::wake(&self.0, futex::Flags::empty(), 1)),
         }
     }
 
-    /// Takes a pending ring.
+    /// Clears a pending ring.
     fn take(&self) {
-        // Pairs with the swap in `wake`: a later ring finds EMPTY. A swap, not a store:
-        // it reads the PENDING that it replaces, so the bits of that ring are seen by the drain.
+        // Pairs with the swap in `wake`: a later ring finds EMPTY. A swap, not a store: it reads
+        // the PENDING that it replaces, so the drain sees the bits of that ring.
         self.0.swap(EMPTY, SeqCst);
     }
 
-    /// Returns when rung, when `timeout` has passed, or on a signal; leaves the word EMPTY or
+    /// Sleeps until rung, until `timeout` has passed, or until a signal; leaves the word EMPTY or
     /// PENDING.
     fn sleep(&self, timeout: Option<Duration>) -> Result<(), ListenerWaitError> {
         let timeout =
@@ -74,14 +74,14 @@ impl Futex {
             Ok(_) => {}
             Err(PENDING) => return Ok(()),
             Err(_) => {
-                // No end of the event wrote this value. The caller polls, and sleeps again.
+                // Neither end writes this value. The caller polls, and sleeps again.
                 self.take();
                 return Ok(());
             }
         }
         let slept = futex::wait(&self.0, futex::Flags::empty(), SLEEPING, timeout.as_ref());
-        // Pairs with the swap in `wake`: a ring in between stays PENDING and is
-        // taken by the caller.
+        // Pairs with the swap in `wake`: a ring in between stays PENDING, and the caller handles
+        // it.
         let _ = self.0.compare_exchange(SLEEPING, EMPTY, SeqCst, SeqCst);
         match slept {
             Ok(()) | Err(Errno::AGAIN | Errno::TIMEDOUT) => Ok(()),
@@ -91,15 +91,15 @@ impl Futex {
     }
 }
 
-/// The ringing end: a pointer to the futex in the storage of the event.
+/// The ringer's end: a pointer to the futex in the storage of the event.
 #[derive(Debug)]
 pub struct FutexHandle(NonNull<Futex>);
 
-/// The sleeping end: a pointer to the futex in the storage of the event.
+/// The sleeper's end: a pointer to the futex in the storage of the event.
 #[derive(Debug)]
 pub struct FutexWaiter(NonNull<Futex>);
 
-// SAFETY: it gives out shared references to an atomic.
+// SAFETY: only shared references to an atomic can be obtained from it.
 unsafe impl Send for FutexHandle {}
 // SAFETY: as above.
 unsafe impl Sync for FutexHandle {}
@@ -147,7 +147,7 @@ where
     const IS_FILE_DESCRIPTOR_BASED: bool = false;
 
     unsafe fn remove(_: &FileName, _: &Configuration) -> Result<bool, NamedConceptRemoveError> {
-        // It is removed with the storage of the event.
+        // The trigger is removed together with the storage of the event.
         Ok(true)
     }
 
@@ -184,12 +184,12 @@ where
 
 impl Abandonable for FutexHandle {
     unsafe fn abandon_in_place(_: NonNull<Self>) {
-        // It owns nothing.
+        // The handle owns nothing.
     }
 }
 
 impl Abandonable for FutexWaiter {
     unsafe fn abandon_in_place(_: NonNull<Self>) {
-        // It owns nothing.
+        // The waiter owns nothing.
     }
 }

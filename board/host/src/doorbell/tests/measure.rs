@@ -1,5 +1,4 @@
-//! How fast each trigger wakes a sleeper: those of iceoryx2 and this one. Measurements, run by
-//! hand:
+//! Measures how fast iceoryx2's triggers and this one wake a sleeper. Run by hand:
 //!
 //! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 bell`
 
@@ -22,7 +21,7 @@ use crate::{clock, realtime, segment};
 
 type State = RelocatableBitSet;
 
-/// An event of iceoryx2 whose ends may go to threads.
+/// An event of iceoryx2 whose ends can be moved to threads.
 trait Sendable: Event<State, Listener: 'static, Notifier: 'static> {}
 impl<E: Event<State, Listener: 'static, Notifier: 'static>> Sendable for E {}
 
@@ -79,7 +78,7 @@ fn print(what: &str, unit: &str, mut samples: Vec<u64>) {
     );
 }
 
-/// How late waits of 1 ms end, and the CPU share of the waiting.
+/// Returns how late waits of 1 ms end, and the CPU share of the waiting.
 fn lateness(mut wait: impl FnMut(Duration) + Send + 'static) -> (Vec<u64>, u64) {
     const WAITS: u64 = 2_000;
     let cpu_time = || {
@@ -110,7 +109,7 @@ fn print_lateness(wait: impl FnMut(Duration) + Send + 'static) {
     );
 }
 
-/// Time from a ring on one CPU until the sleeper on the other one runs.
+/// Returns the times from a ring on one CPU until the sleeper on the other CPU runs.
 fn one_way<E: Sendable>() -> Vec<u64> {
     let pair = Pair::<E>::new();
     let notifier = pair.notifier();
@@ -134,7 +133,7 @@ fn one_way<E: Sendable>() -> Vec<u64> {
         while !sleeper.is_finished() {
             thread::sleep(Duration::from_micros(200));
             rung_at.store(clock::now().as_ns(), SeqCst);
-            // Fails when the sleeper has just finished.
+            // Fails if the sleeper has just finished.
             let _ = notifier.notify(EventId::new(0));
         }
         sleeper.join().expect("samples")
@@ -142,7 +141,7 @@ fn one_way<E: Sendable>() -> Vec<u64> {
     ringer.join().expect("samples")
 }
 
-/// How often the listener stays asleep although two ringers ring at once, and of how many rings.
+/// Returns how often the listener stays asleep although two ringers ring, and the number of rings.
 fn deafness<E: Sendable>() -> (usize, u64) {
     let end = clock::now() + tandem_board::Duration::from_ms(10_000);
     let pair = Pair::<E>::new();
