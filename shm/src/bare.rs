@@ -1,8 +1,8 @@
 //! Ends over plain words whose place and shape are known only at run time: for C, for words outside
 //! an LMU (a board's own rings), and for models.
 //!
-//! Only size and alignment are checked. The caller gives each end of an object the same words,
-//! shape and payload, and attaches a unique end only once. Rust code over a map uses
+//! Only size and alignment are checked. The caller must pass the same words, shape and payload to
+//! each end of an object, and attach a unique end only once. Rust code with a map uses
 //! [`Region`](crate::region::Region), which checks all of this.
 //!
 //! # Errors
@@ -20,7 +20,7 @@ use crate::shape::{FitError, Shape};
 use crate::sync::AtomicU32;
 use crate::{broadcast, newest};
 
-/// An end of the lock in these words. `incarnation` was announced in `incarnations`.
+/// Attaches an end of the lock in these words. `incarnation` was announced in `incarnations`.
 pub fn lock<'a>(
     words: &'a [AtomicU32],
     incarnation: Incarnation,
@@ -29,7 +29,8 @@ pub fn lock<'a>(
     Lock::attach(words, incarnation, incarnations)
 }
 
-/// The pool of `blocks` blocks in these words. `incarnation` was announced in `incarnations`.
+/// Attaches to the pool of `blocks` blocks in these words. `incarnation` was announced in
+/// `incarnations`.
 ///
 /// # Panics
 /// If `blocks` is not 1 ..= [`MAX_BLOCKS`](crate::pool::MAX_BLOCKS).
@@ -42,32 +43,32 @@ pub fn pool<'a>(
     Pool::attach(words, blocks, incarnation, incarnations)
 }
 
-/// The sending end of a mailbox. Ring the receiver's doorbell once afterwards.
+/// Attaches the sending end of a mailbox. Ring the receiver's doorbell once afterwards.
 pub fn mailbox_sender(words: &[AtomicU32]) -> Result<Sender<'_>, FitError> {
     Sender::attach(words)
 }
 
-/// The receiving end of a mailbox.
+/// Attaches the receiving end of a mailbox.
 pub fn mailbox_receiver(words: &[AtomicU32]) -> Result<Receiver<'_>, FitError> {
     Receiver::attach(words)
 }
 
-/// The writing end of a newest-value channel.
+/// Attaches the writing end of a newest-value channel.
 pub fn newest_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'_, T>, FitError> {
     Ok(Writer::attach(newest::ring(words, shape)?))
 }
 
-/// A reading end of a newest-value channel.
+/// Attaches a reading end of a newest-value channel.
 pub fn newest_reader<T>(words: &[AtomicU32], shape: Shape) -> Result<Reader<'_, T>, FitError> {
     Ok(Reader::attach(newest::ring(words, shape)?))
 }
 
-/// The writing end of a broadcast ring.
+/// Attaches the writing end of a broadcast ring.
 pub fn broadcast_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'_, T>, FitError> {
     Ok(Writer::attach(broadcast::ring(words, shape)?))
 }
 
-/// A receiving end of a broadcast ring, for values published from now on.
+/// Attaches a receiving end of a broadcast ring, for values published from now on.
 pub fn broadcast_receiver<T>(
     words: &[AtomicU32],
     shape: Shape,
@@ -75,12 +76,12 @@ pub fn broadcast_receiver<T>(
     Ok(broadcast::Receiver::attach(broadcast::ring(words, shape)?))
 }
 
-/// The sending end of a queue.
+/// Attaches the sending end of a queue.
 pub fn fifo_producer<T>(words: &[AtomicU32], shape: Shape) -> Result<Producer<'_, T>, FitError> {
     Producer::attach(words, shape)
 }
 
-/// The receiving end of a queue.
+/// Attaches the receiving end of a queue.
 pub fn fifo_consumer<T>(words: &[AtomicU32], shape: Shape) -> Result<Consumer<'_, T>, FitError> {
     Consumer::attach(words, shape)
 }

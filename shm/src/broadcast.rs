@@ -4,8 +4,8 @@
 //! when it is complete. The sender never waits and overwrites the oldest slot; receivers write
 //! nothing. A receiver checks the stamp before and after it reads in place. If the sender has
 //! overtaken it, the receiver returns how many values were lost, and continues half a ring behind
-//! the newest, so that the next value is not lost at once. A sender that dies leaves all complete
-//! values, and its successor continues with the next number.
+//! the newest, so that the next value is not lost at once. If the sender dies, all complete values
+//! remain, and its successor continues with the next number.
 
 use core::marker::PhantomData;
 
@@ -30,26 +30,26 @@ pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitErr
     Ring::attach(words, shape, stride(shape))
 }
 
-/// This receiver lost values: the writer was faster, or a value was not one of the payload's type.
+/// This receiver lost values: the writer overwrote them, or a value was not of the payload's type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lost {
-    /// How many; at least 1. Not exact if the ring's words were overwritten with garbage.
+    /// Number of lost values, at least 1. Not exact if garbage overwrote the ring's words.
     pub count: u32,
 }
 
-/// A receiving end with its own cursor. Any number of them, in any core, at no cost to the writer.
+/// A receiving end with its own cursor. Any number may exist on any core, at no cost to the writer.
 #[derive(Debug)]
 pub struct Receiver<'a, T = ()> {
     ring: Ring<'a>,
     /// The number of the next value to receive.
     cursor: u32,
-    /// The last head that was seen: values below it need no new load of the head.
+    /// The head at its last load. To receive values below it, the head need not be loaded again.
     head: u32,
     payload: PhantomData<fn() -> T>,
 }
 
 impl<'a, T> Receiver<'a, T> {
-    /// Receives values that are sent from now on.
+    /// Attaches a receiver for values that are sent from now on.
     pub(crate) fn attach(ring: Ring<'a>) -> Self {
         let head = ring.head();
         Self {
@@ -63,7 +63,7 @@ impl<'a, T> Receiver<'a, T> {
     /// Moves the cursor back to the oldest value that is still in the ring.
     #[must_use]
     pub fn from_oldest(mut self) -> Self {
-        // The writer may already be filling the slot before these.
+        // The loop skips the oldest slot, because the writer may already be filling it.
         for back in (1..self.ring.slots()).rev() {
             let k = self.head.wrapping_sub(back);
             if self.ring.is_complete(k) {
@@ -74,12 +74,12 @@ impl<'a, T> Receiver<'a, T> {
         self
     }
 
-    /// The next value, to be read in place; `None` if there is none yet. Never blocks. Only
-    /// [`Incoming::finish`] confirms the read and advances the cursor.
+    /// Returns the next value, to be read in place, or `None` if there is none yet. Never blocks.
+    /// Only [`Incoming::finish`] confirms the read and advances the cursor.
     ///
     /// # Errors
     /// [`Lost`] if values were overwritten before they were received; the next call continues
-    /// behind them.
+    /// after them.
     #[inline]
     pub fn item(&mut self) -> Result<Option<Incoming<'_, 'a, T>>, Lost> {
         if !self.is_there() {
@@ -92,7 +92,7 @@ impl<'a, T> Receiver<'a, T> {
         }
     }
 
-    /// Whether the value at the cursor was published.
+    /// Returns whether the value at the cursor was published.
     #[inline]
     fn is_there(&mut self) -> bool {
         if self.cursor == self.head {
@@ -101,13 +101,13 @@ impl<'a, T> Receiver<'a, T> {
         self.cursor != self.head
     }
 
-    /// Moves the cursor to values that are available again.
+    /// Moves the cursor past lost values to one that is available.
     fn skip(&mut self) -> Lost {
         self.head = self.ring.head();
         let behind = self.head.wrapping_sub(self.cursor);
         let keep = self.ring.slots() / 2;
         let (cursor, count) = if behind == 0 || behind > u32::MAX / 2 {
-            // The head went back: the number of lost values is unknown.
+            // The head is not ahead of the cursor: the number of lost values is unknown.
             (self.head, 1)
         } else if behind <= keep {
             (self.cursor.wrapping_add(1), 1)
@@ -120,10 +120,10 @@ impl<'a, T> Receiver<'a, T> {
 }
 
 impl<T: Payload> Receiver<'_, T> {
-    /// The next value with its number; `None` if there is none yet. Never blocks.
+    /// Receives the next value with its number; `None` if there is none yet. Never blocks.
     ///
     /// # Errors
-    /// [`Lost`] as [`Receiver::item`]; also for a value whose words are not of the type.
+    /// [`Lost`] as in [`Receiver::item`], and if the words are not a value of the type.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<(Stamp, T)>, Lost> {
         let k = self.cursor;
@@ -149,19 +149,19 @@ pub struct Incoming<'r, 'a, T> {
 }
 
 impl<'a, T> Incoming<'_, 'a, T> {
-    /// The words. They may contain parts of a newer value; [`Incoming::finish`] returns an error
-    /// then.
+    /// Returns the words. They may contain parts of a newer value; then [`Incoming::finish`]
+    /// returns an error.
     #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.receiver.ring.payload(self.receiver.cursor))
     }
 
-    /// Ends the reading and returns the number of the value. Without this call the next one returns
-    /// the same value.
+    /// Ends the read and returns the number of the value. Without this call the receiver returns
+    /// the same value again.
     ///
     /// # Errors
-    /// [`Lost`] if the sender overtook: discard everything that was read.
+    /// [`Lost`] if the sender has overwritten the value: discard everything that was read.
     #[inline]
     pub fn finish(self) -> Result<Stamp, Lost> {
         let k = self.receiver.cursor;
@@ -252,7 +252,7 @@ mod tests {
         assert_eq!(receive(&mut receiver), Ok(None));
     }
 
-    /// Where a receiver continues that misses the value at its cursor, and how many it lost.
+    /// A receiver whose next value is lost continues at a later one and counts the lost values.
     #[test]
     fn a_receiver_continues_behind_what_it_lost() {
         const FAR: u32 = u32::MAX / 2;
@@ -336,7 +336,7 @@ mod tests {
             words
                 .iter()
                 .for_each(|word| word.store(scribble, Ordering::Relaxed));
-            // Each call takes a value, skips, or finds none: the loop ends.
+            // Each call receives a value, skips, or finds none, so the loop ends.
             sender.publish(&[2; 2]);
             let calls = (0..10)
                 .take_while(|_| receive(&mut receiver) != Ok(None))

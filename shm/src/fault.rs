@@ -13,7 +13,7 @@ use loom::sync::atomic::AtomicU32 as Word;
 use std::boxed::Box;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-/// The action just before the chosen access.
+/// The action that runs just before the chosen access.
 type Event = Box<dyn FnOnce()>;
 
 enum Mode {
@@ -21,7 +21,7 @@ enum Mode {
     Free,
     /// This many accesses are performed, then the action runs.
     Armed(usize, Event),
-    /// The running operation was killed: its unwinding destructors no longer access the memory.
+    /// The operation was killed: the destructors that run while it unwinds do not access memory.
     Dead,
 }
 
@@ -33,7 +33,7 @@ std::thread_local! {
 std::thread_local! {
     static SWITCHING: core::cell::Cell<bool> = const { core::cell::Cell::new(false) };
 }
-// One for each of the model's threads.
+// Each thread of the model has its own.
 #[cfg(loom)]
 loom::thread_local! {
     static MODE: RefCell<Mode> = RefCell::new(Mode::Free);
@@ -43,11 +43,10 @@ fn set_mode(mode: Mode) -> Mode {
     MODE.with(|current| current.replace(mode))
 }
 
-/// Whether this access reaches the memory.
+/// Counts one access and runs the armed action. Returns whether the access reaches the memory.
 fn step() -> bool {
     let mode = set_mode(Mode::Free);
-    // The only point at which another core of a random schedule runs. This core's mode is on its
-    // stack.
+    // Only here can another core of a random schedule run. This core keeps its mode on its stack.
     #[cfg(all(test, not(any(loom, miri))))]
     if SWITCHING.get() && !matches!(mode, Mode::Dead) {
         shuttle::thread::yield_now();
@@ -69,11 +68,11 @@ fn step() -> bool {
     }
 }
 
-/// Payload of the unwinding that stands for `kill -9`.
+/// Payload of the panic that simulates `kill -9`.
 struct Killed;
 
-/// Runs `operation` and kills it just before its access number `at` (from 0). `None` if it was
-/// killed, `Some` if it ended before that access.
+/// Runs `operation` and kills it just before its access number `at` (from 0). Returns `None` if it
+/// was killed, `Some` if it ended before that access.
 pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     let kill: Event = Box::new(|| {
         set_mode(Mode::Dead);
@@ -89,7 +88,7 @@ pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     }
 }
 
-/// Runs a shuttle model: another of its threads may run before each access.
+/// Runs a shuttle model, in which another thread may run before each access.
 #[cfg(all(test, not(any(loom, miri))))]
 pub fn switch_cores(model: impl FnOnce()) {
     SWITCHING.set(true);
@@ -98,7 +97,7 @@ pub fn switch_cores(model: impl FnOnce()) {
 }
 
 /// Runs `operation`, freezes it just before its access number `at` while `meanwhile` runs, then
-/// thaws it. The flag says whether the operation reached that access.
+/// thaws it. The flag is true if the operation reached that access.
 pub fn freeze_at<T>(
     at: usize,
     meanwhile: impl FnOnce() + 'static,
@@ -110,24 +109,24 @@ pub fn freeze_at<T>(
     (value, !unused)
 }
 
-/// An atomic word whose accesses are steps.
+/// An atomic word that calls `step` at each access.
 #[derive(Debug, Default)]
 pub struct AtomicU32(Word);
 
 impl AtomicU32 {
-    /// A word with this value.
+    /// Returns a word with this value.
     #[cfg(not(loom))]
     pub const fn new(value: u32) -> Self {
         Self(Word::new(value))
     }
 
-    /// A word with this value.
+    /// Returns a word with this value.
     #[cfg(loom)]
     pub fn new(value: u32) -> Self {
         Self(Word::new(value))
     }
 
-    /// The word, for one access; `None` for a dead operation, which then reads 0.
+    /// Returns the word for one access, or `None` for a killed operation, whose loads return 0.
     fn access(&self) -> Option<&Word> {
         step().then_some(&self.0)
     }
@@ -188,10 +187,10 @@ mod unit {
     use std::sync::Mutex;
     use std::vec::Vec;
 
-    /// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may
-    /// keep using them.
+    /// Returns zeroed words for a test, from a line boundary on. They are never freed, so that
+    /// frozen operations may still use them.
     pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
-        /// Keeps them reachable, so that Miri reports no leak.
+        /// Keeps the words reachable, so that Miri reports no leak.
         static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
         /// Bytes of a cache line.
         const LINE: usize = 64;

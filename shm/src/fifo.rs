@@ -1,28 +1,28 @@
-//! The FIFO channel: one producer, one consumer, every value in order, or full.
+//! The FIFO channel: one producer sends values to one consumer in order, or finds the queue full.
 //!
 //! Value number k (from 0, wrapping) lies in slot k mod n, followed by its stamp, !k. The stamp
-//! says that the value is complete, so the consumer polls only the next slot: a small value and its
-//! stamp share one cache line, and only that line moves (J. Giacomoni et al., "FastForward for
+//! shows that the value is complete, so the consumer polls only the next slot: a small value and
+//! its stamp share one cache line, and only that line moves (J. Giacomoni et al., "FastForward for
 //! efficient pipeline parallelism", PPoPP 2008). In the other direction the consumer publishes how
 //! many values it has released. The producer keeps a copy of that index and reads it again only
-//! when the queue is full by that copy.
+//! when the queue is full according to the copy.
 //!
-//! A queue of 64 slots and more publishes releases in groups of 8, and when the consumer finds the
-//! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free
-//! slots fewer than there are; a protocol must not rely on the last 7 slots if its consumer never
-//! polls an empty queue. Smaller queues publish every release.
+//! In a queue of 64 or more slots, the consumer publishes releases in groups of 8, and when it
+//! finds the queue empty: so a busy queue moves fewer lines. Until then up to 7 free slots look
+//! full to the producer; a protocol must not rely on the last 7 slots if its consumer never polls
+//! an empty queue. In smaller queues the consumer publishes every release.
 //!
-//! Each end trusts only its private copy of its own index. The other end's words are not trusted: a
-//! distance greater than the number of slots is impossible, and the producer then returns full. If
-//! words were overwritten with garbage, the ends repair them. A consumer that polls an empty queue
-//! publishes its index again, and in every [`LOOKS_PER_DOUBT`] polls checks one further slot, in
-//! turn. If that slot holds a complete value that is not the last one received from it, the
-//! consumer continues with the nearest such value. The producer of a full queue stamps its oldest
-//! value again.
+//! Each end trusts only its private copy of its own index, not the other end's words: if the
+//! distance between both indices is impossible (greater than the number of slots), the producer
+//! returns full. If words were overwritten with garbage, the ends repair them. A consumer that
+//! polls an empty queue publishes its index again, and after every [`LOOKS_PER_DOUBT`] empty polls
+//! checks one more slot, each in turn. If that slot holds a complete value that is not the last one
+//! received from it, the consumer continues with the nearest such value. The producer of a full
+//! queue stamps its oldest value again.
 //!
-//! A producer that dies loses its unsent values. A consumer that dies leaves the values that it had
-//! not released, or not yet published as released, to its successor: each value is received at
-//! least once.
+//! If the producer dies, only its unsent values are lost. If the consumer dies, its successor
+//! receives the values that were not released, or not yet published as released: each value is
+//! received at least once.
 
 use core::marker::PhantomData;
 
@@ -30,17 +30,17 @@ use crate::payload::{Corrupt, Payload, WordsMut, WordsRef, load, store};
 use crate::shape::{FitError, LINE_WORDS, Shape, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
-/// Line 0, written by the consumer: how many values were released.
+/// The number of released values, in line 0, which the consumer writes.
 const RELEASED_AT: usize = 0;
-/// The claims of the ends: words of that line that neither sending nor receiving reads.
+/// The claims of the ends: words of line 0 that neither sending nor receiving reads.
 pub(crate) const PRODUCER_CLAIM_AT: usize = 1;
 pub(crate) const CONSUMER_CLAIM_AT: usize = 2;
 const SLOTS_AT: usize = LINE_WORDS;
 
-/// Empty polls after which the consumer checks another slot.
+/// Number of empty polls after which the consumer checks another slot.
 #[cfg(not(loom))]
 pub const LOOKS_PER_DOUBT: u32 = 32;
-/// In loom models every poll checks, so that the repair is modelled too.
+/// In loom models every poll checks one, so that the repair is modelled too.
 #[cfg(loom)]
 pub const LOOKS_PER_DOUBT: u32 = 1;
 
@@ -51,7 +51,7 @@ pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * stride(shape)
 }
 
-/// Words from one slot to the next: a slot crosses a line only if it must.
+/// Words from one slot to the next. A slot crosses a line only if it is longer than a line.
 #[inline]
 const fn stride(shape: Shape) -> usize {
     let slot = shape.slot_words() + 1;
@@ -68,7 +68,7 @@ struct Queue<'a> {
     slots: &'a [AtomicU32],
     slot_words: usize,
     stride: usize,
-    /// Slots less 1, all bits set.
+    /// The number of slots less 1: a mask, because the number of slots is a power of two.
     mask: u32,
 }
 
@@ -89,13 +89,13 @@ impl<'a> Queue<'a> {
         tail.wrapping_sub(released) > self.mask
     }
 
-    /// The words and the stamp of value k.
+    /// Returns the words and the stamp of value k.
     #[inline]
     fn slot(&self, k: u32) -> (&'a [AtomicU32], &'a AtomicU32) {
         self.slot_of(k, self.slot_words)
     }
 
-    /// As `slot`, for slots of `slot_words` words. A constant saves instructions.
+    /// Like `slot`, for slots of `slot_words` words. A constant saves instructions.
     #[inline]
     fn slot_of(&self, k: u32, slot_words: usize) -> (&'a [AtomicU32], &'a AtomicU32) {
         let first = (k & self.mask) as usize * self.stride;
@@ -108,14 +108,14 @@ impl<'a> Queue<'a> {
         self.slot(k).1
     }
 
-    /// Whether this number of released values is to be published at once.
+    /// Returns whether the consumer publishes this number of released values at once.
     #[inline]
     const fn is_group(&self, released: u32) -> bool {
         released.is_multiple_of(8) || self.mask < 63
     }
 
-    /// The number of the first value that does not fit: `tail` if the queue is full, or if the
-    /// consumer's index is impossible for a queue of this size.
+    /// Returns the number of the first value that does not fit: `tail` if the queue is full, or if
+    /// the consumer's index is impossible for a queue of this size.
     #[inline]
     const fn limit(&self, tail: u32, released: u32) -> u32 {
         if self.is_full(tail, released) {
@@ -136,18 +136,18 @@ impl<'a> Queue<'a> {
         }
     }
 
-    /// How far the complete value in this slot is ahead of `head`; `None` if there is no such
-    /// value. The slots of an empty queue hold the last received values, one turn behind.
+    /// Returns how far the complete value in this slot is ahead of `head`; `None` if its value is
+    /// not complete or was received: an empty queue's slots hold the values of the turn before.
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
-        // Acquire pairs with the Release in `complete`: a core that sees a value sees those before
-        // it.
+        // Acquire pairs with the Release in `complete`: a core that sees a value sees all earlier
+        // values.
         let k = complete(self.stamp(slot).load(Ordering::Acquire));
         let ahead = k.wrapping_sub(head);
         let is_ahead = k & self.mask == slot & self.mask && ahead < !self.mask;
         is_ahead.then_some(ahead)
     }
 
-    /// The number of the value with which a consumer continues that cannot find value `head`.
+    /// Returns the number of the value with which a consumer continues if value `head` is missing.
     #[cold]
     fn nearest(self, head: u32) -> u32 {
         let ahead = (0..=self.mask).filter_map(|slot| self.ahead(slot, head));
@@ -160,31 +160,31 @@ impl<'a> Queue<'a> {
     }
 }
 
-/// The stamp of value k; and the number of the value that has this stamp. Not k + 1: the compiler
-/// would derive the next index from it, and each poll would wait for the line of the one before.
+/// Converts a value's number to its stamp, and back. The stamp is not k + 1: the compiler would
+/// derive the next index from it, and each poll would wait for the line of the previous value.
 #[inline]
 const fn complete(k: u32) -> u32 {
     !k
 }
 
-/// Every slot holds a value that is not yet released.
+/// The queue is full: every slot holds a value that is not yet released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
-/// The sending end. It exists once.
+/// The sending end. Each queue has one.
 #[derive(Debug)]
 pub struct Producer<'a, T = ()> {
     queue: Queue<'a>,
     /// The number of the next value.
     tail: u32,
-    /// The number of the first value that does not fit, as far as this end knows.
+    /// The number of the first value that does not fit, by this end's copy of the released index.
     limit: u32,
     payload: PhantomData<fn(&T)>,
 }
 
 impl<'a, T> Producer<'a, T> {
-    /// Attaches behind the values that earlier incarnations have sent. Loads the stamp of each slot
-    /// once.
+    /// Attaches the producer. It continues after the last value that an earlier incarnation sent.
+    /// Loads the stamp of each slot at most once.
     pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         // Acquire pairs with the Release in `publish`.
@@ -203,14 +203,14 @@ impl<'a, T> Producer<'a, T> {
         })
     }
 
-    /// How many values were sent, wrapping, over all incarnations of the producer.
+    /// Returns the number of values, wrapping, that all incarnations of the producer have sent.
     #[must_use]
     pub const fn sent(&self) -> u32 {
         self.tail
     }
 
-    /// Lends the next slot, to be filled in place. Its words hold an old value. Without
-    /// [`Loan::send`] nothing is sent. Never blocks.
+    /// Lends the next slot to the caller, which fills it in place. Its words hold an old value.
+    /// Only [`Loan::send`] sends the value. Never blocks.
     ///
     /// # Errors
     /// [`Full`]
@@ -286,19 +286,19 @@ impl<'a, T> Loan<'_, 'a, T> {
     }
 }
 
-/// The receiving end. It exists once.
+/// The receiving end. Each queue has one.
 #[derive(Debug)]
 pub struct Consumer<'a, T = ()> {
     queue: Queue<'a>,
     /// The number of the next value.
     head: u32,
-    /// Polls that found the queue empty.
+    /// Number of polls that found the queue empty.
     empty_polls: u32,
     payload: PhantomData<fn() -> T>,
 }
 
 impl<'a, T> Consumer<'a, T> {
-    /// Attaches at the oldest value that earlier incarnations have not released.
+    /// Attaches the consumer. It continues with the oldest value that is not released.
     pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         let head = queue.released.load(Ordering::Relaxed);
@@ -310,8 +310,8 @@ impl<'a, T> Consumer<'a, T> {
         })
     }
 
-    /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
-    /// the next one until [`Incoming::release`].
+    /// Returns the next value, to be read in place, or `None` if the queue is empty. Later calls
+    /// return the same value until [`Incoming::release`]. Never blocks.
     #[inline]
     pub fn item(&mut self) -> Option<Incoming<'_, 'a, T>> {
         let (words, stamp) = self.queue.slot(self.head);
@@ -357,10 +357,10 @@ impl<'a, T> Consumer<'a, T> {
 }
 
 impl<T: Payload> Consumer<'_, T> {
-    /// The next value, if there is one. Never blocks.
+    /// Receives the next value, or returns `None` if the queue is empty. Never blocks.
     ///
     /// # Errors
-    /// [`Corrupt`] if it is not a value of the type; it is released nevertheless.
+    /// [`Corrupt`] if the words are not a value of the type; the slot is released all the same.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
         let (words, stamp) = self.queue.slot_of(self.head, T::WORDS);
@@ -384,7 +384,7 @@ pub struct Incoming<'c, 'a, T> {
 }
 
 impl<'a, T> Incoming<'_, 'a, T> {
-    /// The words; the producer does not write to them until the release.
+    /// Returns the words. The producer does not write to them before the release.
     #[inline]
     #[must_use]
     pub const fn words(&self) -> WordsRef<'a> {

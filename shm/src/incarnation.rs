@@ -1,20 +1,19 @@
-//! The incarnation table: which incarnation of each core is the current one, and whether it still
-//! runs.
+//! The incarnation table holds the current incarnation of each core, and whether it still runs.
 //!
-//! One word for each core: `generation << 1 | dead`, 0 before the first incarnation. A core
+//! It has one word for each core: `generation << 1 | dead`, 0 before the first incarnation. A core
 //! announces its generation when it starts; a supervisor that has seen it die marks it dead. An
 //! incarnation is alive while it is the announced one and not marked. Any core may take over words
 //! in the LMU whose owner is not alive.
 //!
 //! An owner word of a lock or a pool has room for only a few bits of a generation. Beside it,
-//! `Attached` keeps for each core the whole generation of the last incarnation that attached. The
-//! first attachment of an incarnation disowns everything that its predecessors left. So no later
-//! incarnation is mistaken for the owner, however many incarnations are between them.
+//! `Attached` keeps for each core the whole generation of the last incarnation that attached. When
+//! an incarnation first attaches, it disowns everything that its predecessors left. So a later
+//! incarnation is never taken for the owner, however many incarnations are between them.
 
 use crate::shape::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering};
 
-/// How many cores share an LMU.
+/// Number of cores that share an LMU.
 pub const CORES: usize = 3;
 
 /// The largest generation: 30 bits. At one reset a second that is 34 years.
@@ -22,8 +21,8 @@ pub const MAX_GENERATION: u32 = (1 << 30) - 1;
 
 const DEAD: u32 = 1;
 
-/// How many incarnations a straggler may be behind and still be refused. A word that is further
-/// ahead of a core's generation is garbage: it must not lock the core out.
+/// An incarnation that is at most this far behind the announced one is refused as a straggler. A
+/// word that is further ahead is garbage, which must not keep the core from starting.
 const MAX_LIVES_BEHIND: u32 = 7;
 
 /// One incarnation of one core.
@@ -34,8 +33,8 @@ pub struct Incarnation {
 }
 
 impl Incarnation {
-    /// Incarnation number `generation` (1 ..= [`MAX_GENERATION`]) of core `core` (below [`CORES`]);
-    /// `None` if a number is out of its range.
+    /// Returns incarnation `generation` (1 ..= [`MAX_GENERATION`]) of core `core` (below
+    /// [`CORES`]), or `None` if a number is out of its range.
     #[must_use]
     pub const fn new(core: usize, generation: u32) -> Option<Self> {
         if core < CORES && generation >= 1 && generation <= MAX_GENERATION {
@@ -48,20 +47,20 @@ impl Incarnation {
         }
     }
 
-    /// The core, below [`CORES`].
+    /// Returns the core, below [`CORES`].
     #[must_use]
     pub const fn core(self) -> usize {
         self.core as usize
     }
 
-    /// Which of the core's incarnations, from 1 on.
+    /// Returns the number of this incarnation of the core, from 1.
     #[must_use]
     pub const fn generation(self) -> u32 {
         self.generation
     }
 }
 
-/// A later incarnation of the same core is already announced: this one was given up and must stop.
+/// A later incarnation of the same core is announced, or this one was marked dead: it must stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outdated {
     /// The announced generation.
@@ -75,10 +74,10 @@ pub struct Incarnations<'a> {
 }
 
 impl<'a> Incarnations<'a> {
-    /// Words that the table takes.
+    /// Words of the table.
     pub const WORDS: usize = LINE_WORDS;
 
-    /// The table in these words.
+    /// Attaches to the table in these words.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -88,17 +87,16 @@ impl<'a> Incarnations<'a> {
         })
     }
 
-    /// The table in words that come from a map.
+    /// Attaches to the table in words of a map, which have the right size and alignment.
     pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
         Self { words }
     }
 
-    /// Announces an incarnation at its start. From here on other cores may take over objects that
-    /// earlier incarnations of this core owned. Announcing the same incarnation again changes
-    /// nothing, unless it was marked dead.
+    /// Announces an incarnation when it starts. From then on other cores may take over objects that
+    /// earlier incarnations of this core owned. A second announcement changes nothing.
     ///
-    /// A generation that is more than 7 ahead of this one does not belong to a later incarnation:
-    /// the word is garbage, and is overwritten. Smaller garbage costs the core at most 8 resets.
+    /// A word whose generation is more than 7 ahead of this one is garbage and is overwritten.
+    /// Garbage that is less far ahead costs the core at most 8 resets.
     ///
     /// # Errors
     /// [`Outdated`] if this incarnation is not the latest, or was marked dead: it must stop.
@@ -106,8 +104,8 @@ impl<'a> Incarnations<'a> {
         let word = &self.words[incarnation.core()];
         let new = incarnation.generation << 1;
         let mut seen = word.load(Ordering::Relaxed);
-        // Only a supervisor's mark or a competing incarnation can change the word here; both are
-        // rare.
+        // A retry is rare: only a supervisor that marks the core dead, or another incarnation of
+        // the core, changes the word between load and exchange.
         for _ in 0..4 {
             if seen == new {
                 return Ok(());
@@ -125,8 +123,8 @@ impl<'a> Incarnations<'a> {
         Err(Outdated { current: seen >> 1 })
     }
 
-    /// Marks an incarnation as dead: it was seen to end and will not run again. Returns whether it
-    /// was the announced incarnation; if not, nothing changes. For the supervisor of the cores.
+    /// Marks an incarnation as dead. The supervisor of the cores calls this when it has seen the
+    /// incarnation end. Returns whether it was announced and alive; if not, nothing changes.
     pub fn mark_dead(&self, incarnation: Incarnation) -> bool {
         let alive = incarnation.generation << 1;
         // Release pairs with the Acquire in `is_announced`: a core that sees the mark sees what the
@@ -136,13 +134,13 @@ impl<'a> Incarnations<'a> {
             .is_ok()
     }
 
-    /// Whether this is the announced incarnation of its core and not marked dead.
+    /// Returns whether this is the announced incarnation of its core and not marked dead.
     #[must_use]
     pub fn is_alive(&self, incarnation: Incarnation) -> bool {
         self.is_announced(incarnation.core(), incarnation.generation)
     }
 
-    /// The announced incarnation of a core, if it is not marked dead.
+    /// Returns the announced incarnation of a core, or `None` if it is marked dead.
     ///
     /// # Panics
     /// If `core` is not below [`CORES`].
@@ -157,7 +155,7 @@ impl<'a> Incarnations<'a> {
         }
     }
 
-    /// Whether this generation of the core is announced and not marked dead. False for 0.
+    /// Returns whether this generation of the core is announced and not marked dead. False for 0.
     ///
     /// # Panics
     /// If `core` is not below [`CORES`].
@@ -168,7 +166,7 @@ impl<'a> Incarnations<'a> {
     }
 }
 
-/// The incarnations that use one object: for each core the generation that attached last.
+/// The incarnations that use one object: the generation of each core that attached last.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Attached<'a> {
     generations: &'a [AtomicU32; CORES],
@@ -190,23 +188,23 @@ impl<'a> Attached<'a> {
         self.incarnations
     }
 
-    /// The argument for [`Attached::insert`]. `None` if this incarnation has attached, or is not
-    /// alive: a later incarnation may have attached, which must not be disowned.
+    /// Returns the generation that attached last, for [`Attached::insert`]. `None` if that is this
+    /// incarnation, or if this one is not alive: a later one, if attached, must not be disowned.
     pub(crate) fn earlier(&self, incarnation: Incarnation) -> Option<u32> {
         // Acquire pairs with the Release in `insert`: a core that sees a later incarnation attached
-        // sees below that it was announced.
+        // also sees its announcement, so `is_alive` below returns false.
         let generation = self.generations[incarnation.core()].load(Ordering::Acquire);
         (generation != incarnation.generation && self.incarnations.is_alive(incarnation))
             .then_some(generation)
     }
 
-    /// Marks this incarnation as attached, after everything that earlier incarnations of its core
-    /// left in the object is disowned. `false` if another incarnation, or another end of this one,
-    /// was first: then check again.
+    /// Marks this incarnation as attached. The caller has disowned everything that earlier
+    /// incarnations of its core left in the object. Returns `false` if another incarnation, or
+    /// another end of this one, attached first: then check again.
     #[must_use]
     pub(crate) fn insert(&self, incarnation: Incarnation, earlier: u32) -> bool {
         // Release pairs with the Acquire in `earlier`: a core that sees this incarnation attached
-        // sees what was disowned, and that this incarnation was announced.
+        // also sees what was disowned and that the incarnation was announced.
         self.generations[incarnation.core()]
             .compare_exchange(
                 earlier,
@@ -217,16 +215,16 @@ impl<'a> Attached<'a> {
             .is_ok()
     }
 
-    /// Whether the incarnation of this core that attached last is alive. A later incarnation that
+    /// Returns whether the incarnation of this core that attached last is alive. A later one that
     /// is announced but has not attached does not count.
     pub(crate) fn has_living(&self, core: usize) -> bool {
         let generation = self.generations[core].load(Ordering::Relaxed);
         self.incarnations.is_announced(core, generation)
     }
 
-    /// Whether an owner word with `core` and these bits of a generation belongs to an incarnation
-    /// that is alive. False for a core that does not exist. The caller has acquired the owner word,
-    /// and its owner has released that word after it was announced and had attached.
+    /// Returns whether an owner word with `core` and these bits of a generation belongs to a living
+    /// incarnation. False for a core that does not exist. The caller loaded the owner word with
+    /// Acquire; its owner stored it with Release after it was announced and had attached.
     #[inline]
     pub(crate) fn is_alive(&self, core: usize, bits: u32, mask: u32) -> bool {
         let Some(word) = self.generations.get(core) else {
@@ -286,7 +284,8 @@ mod tests {
         assert_eq!(Incarnation::new(0, 0x4000_0000), None);
     }
 
-    /// After garbage in its word, a core is alive again after a few resets.
+    /// If the word of a core is overwritten with garbage, the core is alive again after at most 8
+    /// refused resets.
     #[test]
     fn a_scribbled_word_locks_no_core_out() {
         let words = zeroed(Incarnations::WORDS);

@@ -1,48 +1,48 @@
 //! The LMU: map, lock, sync mailbox, pool, channels (no_std).
 //!
 //! The LMU is a slice of 32-bit atomic words that every core maps, each at its own address. All
-//! primitives use sub-slices of it with word-wise atomics. So this crate has no `unsafe` code and
-//! needs no atomic wider than 32 bit, and Miri and loom can check it. Only indices with stamps
-//! cross between cores, never addresses.
+//! primitives use sub-slices of it and access single words. So this crate has no `unsafe` code and
+//! needs no atomic wider than 32 bits, and Miri and loom can check it. Cores exchange only indices
+//! with stamps, never addresses.
 //!
 //! | module | what it is | who writes |
 //! |---|---|---|
 //! | [`map`] | header, regions | boot core |
-//! | [`region`] | what lies in which region, by types | at attachment |
+//! | [`region`] | the content of each region, as a type | at attachment |
 //! | [`incarnation`] | which incarnation of each core is the current one | each core, supervisor |
 //! | [`lock`] | mutual exclusion, recovered from a dead owner | any core |
 //! | [`mailbox`] | signals to tasks of another core, none lost | one sender, one receiver |
-//! | [`pool`] | words to borrow and give back | any core |
+//! | [`pool`] | words that cores borrow and give back | any core |
 //! | [`newest`] | the newest value, never torn | one writer, any number of readers |
 //! | [`fifo`] | every value, in order, or full | one producer, one consumer |
 //! | [`broadcast`] | every value, in order, or how many were lost | one writer, many receivers |
 //! | [`wait`] | spin, spin then sleep, sleep | no core |
 //!
-//! # What every module holds to
+//! # Rules for every module
 //!
 //! - **All zero is a valid initial state**: the LMU is zero at power-on, and [`map::Map::format`]
 //!   zeroes it.
 //! - **Another core may die, freeze or write garbage between any two instructions.** Whatever the
 //!   words hold, nothing here panics, indexes out of bounds or loops without bound.
-//! - **A successor attaches where its predecessor stopped**: the private memory of an end is only a
-//!   copy of words that this end alone writes.
+//! - **A successor continues where its predecessor stopped**: the private memory of an end is only
+//!   a copy of words that this end alone writes.
 //! - **Two incarnations of one core do not run at once**: a reset ends an incarnation before the
-//!   next one begins, and everything that the old incarnation wrote is visible to the new one (a
+//!   next one starts, and everything that the old incarnation wrote is visible to the new one (a
 //!   reset drains store buffers and, where they are not coherent, caches). [`lock`] and [`pool`]
 //!   also tolerate a *straggler*: an old incarnation that was declared dead and still runs.
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers are on
 //!   different lines.
 //!
-//! A core attaches to a [`region`], a constant that knows kind, shape and payload. A unique end is
-//! claimed there, and a second one is refused. [`bare`] is for C and for words outside an LMU: the
-//! ends are the same, so a core in Rust and one in C can share a region, but such an end is not
-//! claimed, and claims do not see it.
+//! A core attaches to a [`region`], a constant that defines kind, shape and payload. The region
+//! records who claimed a unique end, and refuses a second claim. [`bare`] is for C and for words
+//! outside an LMU. Its ends are the same, so a core in Rust and one in C can share a region, but it
+//! neither makes nor checks claims.
 //!
 //! # Example
 //!
-//! Two cores hand over a value: one publishes and signals, the other reads when it is called. The
-//! map is a chain of constants; a region knows its shape and its payload, and a sender, a receiver
-//! or a writer exists once. More in [`region`].
+//! Core 0 passes a value to core 1: core 0 publishes and signals, core 1 reads when it is
+//! signalled. The map is a chain of constants; a region defines its shape and its payload, and has
+//! one sender, receiver or writer. See also [`region`].
 //!
 //! ```
 //! use tandem_shm::incarnation::Incarnation;
@@ -71,7 +71,7 @@
 //!     Ok(speed)
 //! }
 //!
-//! // The LMU begins on a cache line; on a chip the linker or the board sees to that.
+//! // The LMU begins on a cache line; on a chip the linker or the board ensures that.
 //! # use core::sync::atomic::AtomicU32;
 //! # #[repr(align(64))]
 //! # struct Lmu([AtomicU32; 512]);

@@ -1,36 +1,34 @@
 //! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, fair turns.
 //!
-//! One cache line. Word 0 is the *token* of the last acquisition: which core took the lock, in
-//! which of its incarnations, in which turn (one more with each acquisition), and which cores wait.
+//! The lock is one cache line. Word 0 is the *token* of the last acquisition: the core that took
+//! the lock, its incarnation, the turn (incremented by each acquisition), and which cores wait.
 //! Words 1 to 12 are one *released* word for each core and incarnation (by its generation mod 4):
-//! the owner gives the lock back by storing its token there. So the lock is free if the token's
-//! owner has released exactly that token, and a core takes it by one compare-and-swap from that
-//! token to its own. Words 13 to 15 say which incarnation of each core attached last. T-LOCK-1,
-//! T-LOCK-3
+//! the owner releases the lock by storing its token there. So the lock is free if the token's owner
+//! has released exactly that token, and a core takes it by one compare-and-swap from that token to
+//! its own. Words 13 to 15 hold the incarnation of each core that attached last. T-LOCK-1, T-LOCK-3
 //!
-//! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
-//!   token into a word of its own incarnation. The next three incarnations of its core use other
-//!   words.
+//! - **Release is a plain store, yet a straggler cannot release another core's lock**: it stores
+//!   its old token into a word of its own incarnation. The next three incarnations of its core use
+//!   other words.
 //! - **Recovery**: a token that is not released and whose incarnation is not alive is an orphan.
-//!   Any core may take over from it by the same compare-and-swap, and gets [`Acquired::Recovered`].
-//!   The token has 4 bits of the generation; the first attachment of an incarnation marks a token
-//!   of an earlier incarnation with equal bits as an orphan.
+//!   Any core may replace it by the same compare-and-swap, and gets [`Acquired::Recovered`]. The
+//!   token has 4 bits of the generation; when an incarnation first attaches, it marks a token of an
+//!   earlier incarnation with equal bits as an orphan.
 //! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
 //!   performance of spin lock alternatives", 1990): waiting cores read, and give up after the given
 //!   number of polls.
-//! - **Turns**: a waiting core sets its bit in the token. Of the waiting cores the next one after
-//!   the last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so the
-//!   core that takes the lock has seen the bit, and the cyclic distance from the last owner to a
-//!   waiting core shrinks with each turn: **a waiting core is passed at most [`MAX_WAITED_TURNS`] =
-//!   2 times**.
-//! - A waiting core that does not poll (frozen, pre-empted, dead) would stop the others. After
+//! - **Turns**: a waiting core sets its bit in the token. Only the waiting core that follows the
+//!   last owner in the cyclic order 0, 1, 2 may take the lock. The token is one word, so the core
+//!   that takes the lock has seen the bit, and the cyclic distance from the last owner to a waiting
+//!   core shrinks with each turn: **others take the lock at most [`MAX_WAITED_TURNS`] = 2 times
+//!   before a waiting core gets it**.
+//! - A waiting core that does not poll (frozen, pre-empted, dead) would block the others. After
 //!   [`PATIENCE`] polls of a free lock, a waiter takes it out of turn and clears the bit of the
-//!   absent one. The bound above holds for cores that poll at least once in that time.
+//!   absent waiter. The bound above holds for cores that poll at least once in that time.
 //!
-//! Limit: the turn has 23 bits. Suppose a core is stopped between its read of the token and its
-//! compare-and-swap, for exactly a multiple of 2^23 turns, and the last of them has the same owner.
-//! Then it would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such
-//! a core.
+//! Limit: the turn has 23 bits. If a core is stopped between its read of the token and its
+//! compare-and-swap for exactly a multiple of 2^23 turns, and the last of them has the same owner,
+//! it takes a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such a core.
 
 use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
 use crate::shape::{FitError, LINE_WORDS, fit_exactly};
@@ -39,21 +37,21 @@ use crate::sync::{AtomicU32, Ordering, fence};
 /// Words of a lock.
 pub const WORDS: usize = LINE_WORDS;
 
-/// How many turns others take at most while a core waits and polls.
+/// The largest number of turns that others take while a core waits and polls.
 pub const MAX_WAITED_TURNS: u32 = CORES as u32 - 1;
 
-/// Polls of a free lock that is another's turn before a waiting core takes it anyway. With the
-/// back-off below about 2000 spins, tens of microseconds; longer than any polling core needs.
+/// After this many polls of a free lock, a waiting core takes it out of turn. With the back-off
+/// below that is about 2000 spins (tens of microseconds), longer than any polling core needs.
 pub const PATIENCE: u32 = 32;
 
 /// The longest pause between two polls, in spins.
 const MAX_PAUSE: u32 = 64;
-/// How often an attachment tries to replace a token that its core's earlier incarnation left. After
-/// that many failures, others have changed the token so often that it cannot be the old one.
+/// Attempts of an attachment to replace a token that an earlier incarnation of its core left. After
+/// this many failures, other cores have changed the token: it is no longer the old one.
 const DISOWN_ATTEMPTS: u32 = 16;
 
 const TOKEN_AT: usize = 0;
-/// How many incarnations of a core have separate released words.
+/// Released words of each core, one for each of this many consecutive incarnations.
 const RELEASED_LIVES: usize = 4;
 const ATTACHED_AT: usize = 1 + CORES * RELEASED_LIVES;
 
@@ -66,12 +64,12 @@ const WAITING: u32 = 0b111 << WAITING_SHIFT;
 const TURN_SHIFT: u32 = 9;
 const ONE_TURN: u32 = 1 << TURN_SHIFT;
 
-/// Core and generation of a token whose owner is dead: no core.
+/// The core and generation bits of a token whose owner is dead: core 0 names no core.
 const ORPHAN: u32 = GENERATION_MASK << GENERATION_SHIFT;
 
 const _: () = assert!(CORES == 3 && MAX_WAITED_TURNS == 2 && ATTACHED_AT + CORES == WORDS);
 
-/// The core that the token names; [`CORES`] if it names none.
+/// Returns the core that the token names, or [`CORES`] if it names none.
 const fn core_of(token: u32) -> usize {
     match token & CORE_MASK {
         0 => CORES,
@@ -87,27 +85,27 @@ const fn waiting_bit(core: usize) -> u32 {
     1 << (WAITING_SHIFT + core as u32)
 }
 
-/// The index of the word in which this incarnation of the core releases.
+/// Returns the index of the word in which this incarnation of the core releases.
 const fn released_at(core: usize, generation: u32) -> usize {
     1 + core * RELEASED_LIVES + generation as usize % RELEASED_LIVES
 }
 
-/// The lock was not free for this core within the given number of polls.
+/// This core could not take the lock within the given number of polls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LockTimedOut;
 
 /// Why one poll did not take the lock.
 enum Missed {
-    /// Another core holds it, or was faster.
+    /// Another core holds the lock, or took it first.
     Held,
-    /// It is free, but in this turn reserved for another core.
+    /// The lock is free, but it is another core's turn.
     Passed { turn: u32 },
 }
 
 /// The lock as one incarnation of one core sees it. Several tasks of a core may each attach.
 ///
-/// For tasks; a handler uses only [`Lock::try_lock`], because waiting would wait for the task that
-/// it interrupts.
+/// An interrupt handler may call only [`Lock::try_lock`]: [`Lock::lock`] could wait for the task
+/// that the handler interrupted.
 #[derive(Debug)]
 pub struct Lock<'a> {
     words: &'a [AtomicU32; WORDS],
@@ -115,7 +113,7 @@ pub struct Lock<'a> {
     own_released: &'a AtomicU32,
     attached: Attached<'a>,
     core: usize,
-    /// Core and generation in their places.
+    /// Core and generation, shifted to their places in a token.
     identity: u32,
     /// The token of the last acquisition through this end, without waiting bits.
     mine: u32,
@@ -151,7 +149,7 @@ impl<'a> Lock<'a> {
         Ok(lock)
     }
 
-    /// For models, in which 32 polls are too many.
+    /// Sets the patience for loom models, in which 32 polls take too long.
     #[cfg(loom)]
     pub fn set_patience(&mut self, polls: u32) {
         self.patience = polls;
@@ -165,15 +163,15 @@ impl<'a> Lock<'a> {
         PATIENCE
     }
 
-    /// Undoes what earlier incarnations of this core left: a waiting bit, and perhaps a token that
-    /// looks like one of this incarnation.
+    /// Clears the waiting bit that an earlier incarnation of this core left, and marks a token as
+    /// an orphan if its bits equal those of this incarnation.
     #[cold]
     fn disown_earlier_incarnations(&self, incarnation: Incarnation) {
-        // Each failed attempt is a change by one of two other cores, which takes the orphan or
-        // begins or ends waiting, or by an earlier incarnation that attaches late.
+        // An attempt fails only if the token changed: another core took the orphan or started or
+        // stopped waiting, or an earlier incarnation attached late.
         for attempt in 1..=2 * DISOWN_ATTEMPTS {
-            // Acquire pairs with the Release in `take`. Read before `earlier`: a token that was
-            // there before this incarnation had attached is not its own.
+            // Acquire pairs with the Release in `take`. The token is read before `earlier`: a token
+            // from before this incarnation attached belongs to an earlier one.
             let token = self.token().load(Ordering::Acquire);
             let Some(earlier) = self.attached.earlier(incarnation) else {
                 return;
@@ -196,20 +194,19 @@ impl<'a> Lock<'a> {
         &self.words[TOKEN_AT]
     }
 
-    /// Replaces the token, if it is still the expected one.
+    /// Replaces the token if it is still the expected one. Returns whether it did.
     #[inline]
     fn take(&self, expected: u32, new: u32) -> bool {
         // Release pairs with the Acquire in `look`: a core that sees this token sees that its owner
-        // was announced and had attached. Not Acquire: `is_released` acquired everything that the
-        // last owner did, and since the token is the expected one, no other core has had the lock
-        // since.
+        // was announced and had attached. Acquire is not needed: `is_released` acquired the last
+        // owner's writes, and the expected token shows that no other core took the lock since.
         self.token()
             .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
             .is_ok()
     }
 
-    /// Takes the lock if it is free and no waiting core is before this one; otherwise returns
-    /// `None`. Never blocks.
+    /// Takes the lock if it is free and no waiting core's turn is before this core's; otherwise
+    /// returns `None`. Never blocks.
     #[inline]
     #[must_use]
     pub fn try_lock(&mut self) -> Option<Acquired<'_, 'a>> {
@@ -222,9 +219,9 @@ impl<'a> Lock<'a> {
         self.look(false).ok().map(|orphan| self.acquired(orphan, 0))
     }
 
-    /// Takes the lock, with at most `polls` polls. `relax(n)` is called between two polls to pass
-    /// the time of n spins (1 ..= 64): use [`spin`](crate::sync::spin) on a core that runs nothing
-    /// else, and a function that yields the CPU on a shared one. Task context.
+    /// Takes the lock, with at most `polls` polls. Between two polls it calls `relax(n)`, which
+    /// should wait for the time of n spins (1 ..= 64): pass [`spin`](crate::sync::spin) on a core
+    /// with its own CPU, and a function that yields on a shared CPU. Task context.
     ///
     /// # Errors
     /// [`LockTimedOut`] after `polls` polls.
@@ -254,11 +251,11 @@ impl<'a> Lock<'a> {
         }
     }
 
-    /// The fast path: if the token is still this end's own (or the lock was never taken), the lock
-    /// is free.
+    /// The fast path: takes the lock if the token is still the one that this end released last (or
+    /// if the lock was never taken).
     #[inline]
     fn retake(&mut self) -> bool {
-        // Another task of this core may hold the lock by the same token, 2^23 turns later.
+        // 2^23 turns later, another task of this core may hold the lock with the same token.
         if self.own_released.load(Ordering::Relaxed) != self.mine {
             return false;
         }
@@ -275,8 +272,8 @@ impl<'a> Lock<'a> {
         (token & !(ONE_TURN - 1)).wrapping_add(ONE_TURN) | self.identity
     }
 
-    /// Returns whether it took the lock from an orphan, and how many turns others took while it
-    /// waited.
+    /// Waits for the lock and takes it. Returns whether its last owner died with it, and how many
+    /// turns others took during the wait.
     #[cold]
     fn wait(
         &mut self,
@@ -311,14 +308,14 @@ impl<'a> Lock<'a> {
         Err(LockTimedOut)
     }
 
-    /// Polls once and takes the lock if that is possible, with `impatient` also out of turn.
-    /// Returns whether it was an orphan's.
+    /// Polls once and takes the lock if it is free; `impatient` also takes it out of turn. Returns
+    /// whether its last owner died with it.
     fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
         let token = self.token().load(Ordering::Relaxed);
         let mut free = self.is_released(token);
         if !free {
-            // Acquire pairs with the Release in `take`: the owner's announcement and attachment are
-            // seen with its token.
+            // Acquire pairs with the Release in `take`: a core that sees the token sees its owner's
+            // announcement and attachment.
             fence(Ordering::Acquire);
             let bits = generation_of(token);
             if self
@@ -327,8 +324,8 @@ impl<'a> Lock<'a> {
             {
                 return Err(Missed::Held);
             }
-            // The owner may have released and died after the first read of its released word. Its
-            // end was acquired, so this read sees the release.
+            // The owner may have released the lock and died after the first read of its released
+            // word. Its death was read with Acquire, so this second read sees the release.
             free = self.is_released(token);
         }
         let before = self.waiting_before(token);
@@ -338,7 +335,7 @@ impl<'a> Lock<'a> {
             });
         }
         let mut mine = self.token_after(token);
-        // After exactly 2^23 turns the last release would already release the new token.
+        // After exactly 2^23 turns the new token equals the last released one: skip a turn.
         if mine == self.own_released.load(Ordering::Relaxed) {
             mine = mine.wrapping_add(ONE_TURN);
         }
@@ -353,7 +350,7 @@ impl<'a> Lock<'a> {
     fn is_released(&self, token: u32) -> bool {
         let core = core_of(token);
         if core == CORES {
-            // Never taken; any other token without a core is garbage, and treated as an orphan.
+            // 0: never taken. Any other token without a core is garbage, treated as an orphan.
             return token & !WAITING == 0;
         }
         // Acquire pairs with the Release in `Guard::drop`.
@@ -361,8 +358,8 @@ impl<'a> Lock<'a> {
         released == token & !WAITING
     }
 
-    /// The waiting bits of living cores whose turn is before this core's. A bit that an earlier
-    /// incarnation left does not count before its successor attaches, which clears it.
+    /// Returns the waiting bits of living cores whose turn is before this core's. A bit that an
+    /// earlier incarnation left is ignored until its successor attaches and clears it.
     fn waiting_before(&self, token: u32) -> u32 {
         if token & WAITING & !waiting_bit(self.core) == 0 {
             return 0;
@@ -378,19 +375,19 @@ impl<'a> Lock<'a> {
     }
 }
 
-/// The lock is taken.
+/// The result of taking the lock.
 #[derive(Debug)]
 #[must_use = "dropping it releases the lock"]
 pub enum Acquired<'l, 'a> {
-    /// From an owner that had released it.
+    /// The last owner had released the lock.
     Clean(Guard<'l, 'a>),
-    /// From an owner that died with it: the data under the lock may be half-changed. Repair it; if
-    /// this core dies too, the next owner gets `Recovered` again.
+    /// The last owner died while it held the lock: the data under the lock may be half-changed.
+    /// Repair it; if this core dies too, the next owner gets `Recovered` again.
     Recovered(Guard<'l, 'a>),
 }
 
 impl<'l, 'a> Acquired<'l, 'a> {
-    /// The guard, for data that no death can leave in a bad state.
+    /// Returns the guard, for data that stays consistent even if an owner dies at any point.
     #[inline]
     pub fn into_guard(self) -> Guard<'l, 'a> {
         match self {
@@ -398,14 +395,14 @@ impl<'l, 'a> Acquired<'l, 'a> {
         }
     }
 
-    /// Whether the last owner died with the lock.
+    /// Returns whether the last owner died while it held the lock.
     #[must_use]
     pub const fn is_recovered(&self) -> bool {
         matches!(self, Self::Recovered(_))
     }
 }
 
-/// Holds the lock; dropping it releases.
+/// Holds the lock; dropping it releases the lock.
 #[derive(Debug)]
 #[must_use = "dropping it releases the lock"]
 pub struct Guard<'l, 'a> {
@@ -415,14 +412,14 @@ pub struct Guard<'l, 'a> {
 }
 
 impl<'a> Guard<'_, 'a> {
-    /// How many turns others took between this core's announcement that it waits and its own turn.
+    /// Returns how many turns others took after this core set its waiting bit.
     #[must_use]
     pub const fn waited_turns(&self) -> u32 {
         self.waited
     }
 
-    /// Keeps the lock beyond the borrow of this end: for a caller that cannot hold a guard, such as
-    /// C. Until the result is dropped, this end cannot take the lock again.
+    /// Converts the guard to a value that does not borrow this end: for a caller that cannot hold a
+    /// guard, such as C. Until that value is dropped, this end cannot take the lock again.
     #[inline]
     pub fn detach(self) -> Held<'a> {
         let guard = core::mem::ManuallyDrop::new(self);
@@ -433,8 +430,8 @@ impl<'a> Guard<'_, 'a> {
     }
 }
 
-/// Holds the lock as a [`Guard`] does, without borrowing the end that took it; dropping it
-/// releases.
+/// Holds the lock as a [`Guard`] does, without borrowing the end that took it; dropping it releases
+/// the lock.
 #[derive(Debug)]
 #[must_use = "dropping it releases the lock"]
 pub struct Held<'a> {

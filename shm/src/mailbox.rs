@@ -1,27 +1,27 @@
-//! The sync mailbox: one core names tasks of another core by id; no signal is lost. T-SYNC-1..3
+//! The sync mailbox: one core signals tasks of another core by id; no signal is lost. T-SYNC-1..3
 //!
-//! One mailbox for each ordered pair of cores, so each word has one writer and no operation is a
-//! read-modify-write. For each id (1 ..= 15; 0 is none) the sender counts the signals it has sent
-//! and the receiver those it has handled; the difference is the number of open signals. One word,
-//! *posted*, holds the number of all signals so far and the id of the last one. The sender counts
-//! first and posts then, so each count that the receiver reads after a post includes all signals up
-//! to that post.
+//! Each ordered pair of cores has one mailbox, so each word has one writer and no operation is a
+//! read-modify-write. For each id (1 ..= 15; 0 means none) the sender counts the signals that it
+//! has sent and the receiver those that it has handled; the difference is the number of open
+//! signals. One word, *posted*, holds the number of all signals so far and the id of the last one.
+//! The sender counts a signal before it posts it, so each count that the receiver reads after a
+//! post includes all signals up to that post.
 //!
 //! The receiver compares that number with the number of signals that it has handled. If it is
 //! higher by one, exactly one signal is open, and its id is the posted one: the receiver handles it
 //! without reading a count. Otherwise it compares all counts. It may then handle a signal that is
-//! counted but not posted, and has handled more than was posted: until it finds the two equal
-//! again, it compares all counts at each new post, because it cannot know which signal a post
-//! means.
+//! counted but not yet posted, so that it has handled more signals than were posted. Until both
+//! numbers are equal again, it compares all counts at each new post, because it cannot know which
+//! signal a post stands for.
 //!
 //! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
-//! task gets the newest one. Count and value of the ids 1 ..= 7 lie in the same cache line as the
-//! posted word, so for such a signal with its value only *one* line moves from core to core, the
+//! task gets the newest value. Count and value of the ids 1 ..= 7 lie in the same cache line as the
+//! posted word, so such a signal with its value moves only *one* line from core to core, the
 //! minimum on this hardware.
 //!
-//! Order: signals with the same id are handled together, with their number. Of different ids that
-//! are open at one poll the lower is handled first: the id is a priority; the order of sending is
-//! not kept.
+//! Order: the receiver handles all open signals of one id together and passes their number. If
+//! several ids are open at one poll, it handles the lower id first: the id is a priority; the order
+//! of sending is not kept.
 //!
 //! The doorbell is rung only when the receiver may be asleep. Sender: post, fence, read `asleep`.
 //! Receiver: set `asleep`, fence, read what is posted. With sequentially consistent fences at least
@@ -29,13 +29,13 @@
 //! 2.1). While the receiver is awake its flag does not change, so the sender's read stays in its
 //! own cache.
 //!
-//! A successor of either end continues with the counters: a signal whose handler had not returned
-//! when the receiver died is handled by its successor, so handlers run at least once a signal.
+//! A successor of either end continues with the counters: if the receiver dies before a handler has
+//! returned, its successor handles that signal, so a handler runs at least once for each signal.
 //!
 //! Limit: a sender keeps private copies of its counters and only stores. If an incarnation that was
 //! declared dead still runs and signals beside its successor, it stores an old count: a signal of
-//! the successor may wait for the next one to that task, or a handler gets a wrong count. A board
-//! must end an incarnation before it starts the next; the host's supply kills it, a chip resets it.
+//! the successor may be handled only after the next signal to that task, or a handler gets a wrong
+//! count. A board must end an incarnation (kill it on the host, reset the chip) before the next.
 
 use crate::shape::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
@@ -46,56 +46,57 @@ pub const WORDS: usize = 4 * LINE_WORDS;
 /// The largest task id.
 pub const MAX_TASK: u8 = 15;
 
-/// A task's index is its id less 1: below this.
+/// Number of tasks. The index of a task is its id - 1, so it is below this.
 const TASKS: usize = MAX_TASK as usize;
-/// Length of tables by index, so that a mask brings an index into range.
+/// Length of the tables by index: a power of two, so that a mask keeps an index in range.
 const SLOTS: usize = TASKS + 1;
 
-/// Lines 0 and 1, written by the sender: the posted word, the claim of the sending end, and for
-/// each task how many signals were sent to it and their newest value.
+/// The sender writes lines 0 and 1: the posted word, the claim of the sending end, and for each
+/// task the number of signals sent and their newest value.
 const POSTED_AT: usize = 0;
 pub(crate) const SENDER_CLAIM_AT: usize = 1;
-/// Line 2, written by the receiver: whether it may be asleep.
+/// The receiver writes line 2: whether it may be asleep.
 const ASLEEP_AT: usize = 2 * LINE_WORDS;
-/// Line 3, written by the receiver: for each task how many of its signals were handled, and the
-/// claim of the receiving end.
+/// The receiver writes line 3: for each task the number of handled signals, and the claim of the
+/// receiving end.
 const HANDLED_AT: usize = 3 * LINE_WORDS;
 pub(crate) const RECEIVER_CLAIM_AT: usize = handled_at(TASKS);
 
-/// The word that counts the signals to this task.
+/// Returns the index of the word that counts the signals sent to this task.
 #[inline]
 const fn sent_at(index: usize) -> usize {
     2 * index + 2
 }
 
-/// The word of its newest value.
+/// Returns the index of the word with the newest value sent to this task.
 #[inline]
 const fn value_at(index: usize) -> usize {
     sent_at(index) + 1
 }
 
-/// The word that counts its signals that were handled.
+/// Returns the index of the word that counts the handled signals of this task.
 #[inline]
 const fn handled_at(index: usize) -> usize {
     HANDLED_AT + index
 }
 
-/// The posted word: in the low bits the index of the last signal's task; one bit that is 0; above
-/// it the number of signals, 27 bits.
+/// The posted word, from the lowest bit: the index of the last signal's task (4 bits), a bit that
+/// is always 0, the number of signals (27 bits).
 const NUMBER_SHIFT: u32 = 5;
-/// In place of an index: a new sender posts that some signals may never have been posted.
+/// Stands in place of an index. A new sender posts it, because its predecessor may have counted
+/// signals without posting them.
 const NO_TASK: u32 = TASKS as u32;
 
-/// The posted word after this one, without an index.
+/// Returns the next posted word, without an index.
 #[inline]
 const fn next_post(posted: u32) -> u32 {
     (posted | ((1 << NUMBER_SHIFT) - 1)).wrapping_add(1)
 }
 
-/// What no posted word is, whatever its index: the bit that is 0 in each is set.
+/// Differs from every posted word, whatever its index: the bit that is always 0 is set.
 const NO_POST: u32 = 1 << (NUMBER_SHIFT - 1);
 
-/// The posted word, without an index, when these signals were counted.
+/// Returns the posted word, without an index, for these counts.
 fn post_of(counts: &[u32; SLOTS]) -> u32 {
     let sum = counts[..TASKS]
         .iter()
@@ -103,9 +104,9 @@ fn post_of(counts: &[u32; SLOTS]) -> u32 {
     sum << NUMBER_SHIFT
 }
 
-/// Every 65,536 polls the receiver compares all counts: the 27-bit number may have wrapped. A
-/// receiver that was stopped for a multiple of 2^27 signals, or for one more, reads in the posted
-/// word that there was none, or one.
+/// Every 65,536 polls the receiver compares all counts: the 27-bit number may have wrapped. If the
+/// receiver was stopped for n × 2^27 signals, the posted word shows no new signal; one more signal
+/// looks like the only one.
 #[cfg(not(loom))]
 const POLLS_UNTIL_SURE: u32 = 1 << 16;
 /// Disabled under loom, so that comparing all counts cannot hide a lost post.
@@ -125,10 +126,10 @@ impl core::fmt::Debug for TaskId {
 }
 
 impl TaskId {
-    /// TaskFn 1, which has priority over all others.
+    /// Task 1, which has priority over all others.
     pub const FIRST: Self = Self { index: 0 };
 
-    /// The task with this number; `None` for 0 and above [`MAX_TASK`].
+    /// Returns the task with this number, or `None` for 0 and above [`MAX_TASK`].
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {
         if number >= 1 && number <= MAX_TASK {
@@ -138,19 +139,19 @@ impl TaskId {
         }
     }
 
-    /// 1 ..= 15.
+    /// Returns the id, 1 ..= 15.
     #[must_use]
     pub const fn index(self) -> usize {
         self.index as usize + 1
     }
 
-    /// From 0.
+    /// Returns the index in tables, from 0.
     const fn at(self) -> usize {
         self.index as usize % SLOTS
     }
 }
 
-/// Whether the receiver's doorbell must be rung now.
+/// Whether the caller must ring the receiver's doorbell now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use = "a receiver that sleeps must be rung"]
 pub enum Ring {
@@ -160,13 +161,13 @@ pub enum Ring {
     NotNeeded,
 }
 
-/// The sending end. There is one at a time; tasks and handlers that share it must exclude each
-/// other, for example by a critical section of their kernel.
+/// The sending end. Each mailbox has one; tasks and handlers that share it must exclude each other,
+/// for example by a critical section of their kernel.
 #[derive(Debug)]
 pub struct Sender<'a> {
     words: &'a [AtomicU32; WORDS],
-    /// Copies of the words that only this end writes. On Intel, a core that reads its own words
-    /// waits if the receiver has just taken the line; a core that only stores does not.
+    /// Copies of the words that only this end writes. On Intel, a core that loads its own words
+    /// waits if the receiver has just fetched the line; a core that only stores does not.
     posted: u32,
     sent: [u32; SLOTS],
 }
@@ -174,7 +175,7 @@ pub struct Sender<'a> {
 impl<'a> Sender<'a> {
     /// Attaches to the mailbox. Posts the signals that an earlier incarnation of the sending core
     /// had counted but not posted. Ring the receiver's doorbell once afterwards: that incarnation
-    /// may have died before it did.
+    /// may have died before it rang.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -202,8 +203,8 @@ impl<'a> Sender<'a> {
         self.look_for_sleeper()
     }
 
-    /// Signals a task and passes it a value. Of several values the task gets the newest. Never
-    /// blocks; task or handler context.
+    /// Signals a task and passes it a value. If several values are sent before the task runs, it
+    /// gets the newest. Never blocks; task or handler context.
     #[inline]
     pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
         // Before the count: a core that sees this count sees this value or a newer one.
@@ -236,8 +237,8 @@ impl<'a> Sender<'a> {
         }
     }
 
-    /// How many signals to this task are not yet handled. At 0 its handler has returned, and its
-    /// writes to the LMU are visible.
+    /// Returns the number of signals to this task that are not yet handled. If it is 0, the handler
+    /// has returned, and its writes to the LMU are visible.
     #[must_use]
     pub fn open(&self, task: TaskId) -> u32 {
         let sent = self.sent[task.at()];
@@ -251,9 +252,9 @@ impl<'a> Sender<'a> {
 pub struct Signals {
     /// The task.
     pub task: TaskId,
-    /// How many signals; at least 1.
+    /// Number of signals; at least 1.
     pub count: u32,
-    /// The newest value that was sent to the task; 0 if there never was one.
+    /// The newest value that was sent to the task; 0 if none was sent.
     pub value: u32,
 }
 
@@ -266,20 +267,20 @@ fn signals(words: &[AtomicU32; WORDS], index: usize, count: u32) -> Signals {
     }
 }
 
-/// The receiving end. There is one at a time.
+/// The receiving end. Each mailbox has one.
 #[derive(Debug)]
 pub struct Receiver<'a> {
     words: &'a [AtomicU32; WORDS],
     /// The posted word at the last poll.
     posted: u32,
-    /// The next posted word, without an index, if all signals up to `posted` and no other are
-    /// handled; else [`NO_POST`].
+    /// The next posted word, without an index, if exactly the signals up to `posted` are handled;
+    /// otherwise [`NO_POST`].
     next: u32,
-    /// Polls until all counts are compared.
+    /// Number of polls until all counts are compared.
     polls_left: u32,
-    /// The counts from this task on are compared whatever is posted; [`TASKS`]: none.
+    /// The next poll compares the counts from this task on, even without a post; [`TASKS`]: none.
     compare_from: usize,
-    /// How many signals to each task were handled.
+    /// Number of handled signals of each task.
     handled: [u32; SLOTS],
 }
 
@@ -307,8 +308,8 @@ impl<'a> Receiver<'a> {
     }
 
     /// Passes the open signals of each task to `handle`, the lowest id first, and counts them as
-    /// handled when it returns. Returns how many signals there were (wrapping). Bounded: a signal
-    /// that arrives during the call is left to the next one. Never blocks.
+    /// handled when it returns. Returns the number of signals (wrapping). Bounded: a signal that
+    /// arrives after its task was handled is left to the next call. Never blocks.
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         let words = self.words;
@@ -316,7 +317,7 @@ impl<'a> Receiver<'a> {
         let posted = words[POSTED_AT].load(Ordering::Acquire);
         let index = posted ^ self.next;
         if index < u32::from(MAX_TASK) {
-            // Exactly one signal is open, and it is this task's.
+            // Exactly one signal is open, and it is for this task.
             handle(signals(words, index as usize, 1));
             self.handled(index as usize, 1);
             self.posted = posted;
@@ -338,7 +339,7 @@ impl<'a> Receiver<'a> {
         sum
     }
 
-    /// Notes that these signals are handled.
+    /// Counts these signals as handled.
     #[inline]
     fn handled(&mut self, index: usize, count: u32) {
         let handled = &mut self.handled[index];
@@ -347,8 +348,8 @@ impl<'a> Receiver<'a> {
         self.words[handled_at(index)].store(*handled, Ordering::Release);
     }
 
-    /// The first task whose count says that signals are open. Not inlined: the loop around `poll`
-    /// keeps its registers for one signal, which is the rule.
+    /// Returns the open signals of the first task that has any. Not inlined, so that the loop
+    /// around `poll` keeps its registers for the usual case, one signal.
     #[inline(never)]
     fn compare(&mut self, posted: u32) -> Option<Signals> {
         if posted != self.posted {
@@ -364,7 +365,7 @@ impl<'a> Receiver<'a> {
             }
         }
         self.compare_from = TASKS;
-        // All that was posted is handled. If the numbers are equal, nothing else is.
+        // All posted signals are handled. If both numbers are equal, no unposted one was handled.
         let next = next_post(posted);
         if next == next_post(post_of(&self.handled)) {
             self.next = next;
@@ -389,8 +390,8 @@ impl<'a> Receiver<'a> {
         self.next = NO_POST;
     }
 
-    /// Announces that this core is going to sleep: from now on a signal needs the doorbell. `false`
-    /// if signals are already there: do not sleep, poll. After the sleep call [`Receiver::awake`].
+    /// Announces that this core is going to sleep: from now on a signal needs the doorbell. Returns
+    /// `false` if signals are open: then poll instead. After the sleep, call [`Receiver::awake`].
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
@@ -399,7 +400,7 @@ impl<'a> Receiver<'a> {
         fence(Ordering::SeqCst);
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.compare_from == TASKS && posted == self.posted {
-            // A sleep may be long: compare all counts, as above. Disabled under loom as well.
+            // A sleep may be long, so compare all counts first. Disabled under loom, as above.
             if cfg!(loom) || !self.is_any_open() {
                 return true;
             }
@@ -414,37 +415,37 @@ impl<'a> Receiver<'a> {
         (0..TASKS).any(|index| sent(index) != self.handled[index])
     }
 
-    /// Announces that this core is awake: signals need no doorbell.
+    /// Announces that this core is awake: a signal does not need the doorbell.
     #[inline]
     pub fn awake(&mut self) {
         self.words[ASLEEP_AT].store(0, Ordering::Relaxed);
     }
 }
 
-/// The arguments of a task: two words, which are passed in registers.
+/// The arguments of a task: two words, passed in registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Call {
-    /// How many signals this call handles; at least 1.
+    /// Number of signals that this call handles; at least 1.
     pub count: u32,
-    /// The newest value that was sent to the task; 0 if there never was one.
+    /// The newest value that was sent to the task; 0 if none was sent.
     pub value: u32,
 }
 
-/// A task: runs to completion in the receiver's context `C`. The number is the argument that it was
-/// added with.
+/// A task. It runs to completion in the receiver's context `C`. The number is the argument that was
+/// passed to [`TaskTable::add`].
 pub type TaskFn<C> = fn(&mut C, u32, Call);
 
 /// The id already has a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken;
 
-/// The receiver's table of tasks. It holds function pointers, so it is in private memory; only ids
-/// cross the LMU. T-SYNC-3
+/// The receiver's table of tasks. It holds function pointers, so it stays in private memory; only
+/// ids are passed through the LMU. T-SYNC-3
 #[derive(Debug)]
 pub struct TaskTable<C> {
-    /// An id without a task has one that does nothing.
+    /// The function and the argument of each id. An id without a task has an empty function.
     tasks: [(TaskFn<C>, u32); SLOTS],
-    /// A bit for each id that has a task.
+    /// One bit for each id that has a task.
     known: u32,
 }
 
@@ -455,7 +456,7 @@ impl<C> Default for TaskTable<C> {
 }
 
 impl<C> TaskTable<C> {
-    /// A table without tasks.
+    /// Returns a table without tasks.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -464,10 +465,11 @@ impl<C> TaskTable<C> {
         }
     }
 
-    /// Gives the id a task and its argument, for example a handle of the pool (`sync_task_add`).
+    /// Adds a task for the id, with its argument, for example a handle of the pool
+    /// (`sync_task_add`).
     ///
     /// # Errors
-    /// [`Taken`] if the id has one.
+    /// [`Taken`] if the id already has a task.
     pub fn add(&mut self, id: TaskId, task: TaskFn<C>, arg: u32) -> Result<(), Taken> {
         if self.known & 1 << id.at() != 0 {
             return Err(Taken);
@@ -477,8 +479,7 @@ impl<C> TaskTable<C> {
         Ok(())
     }
 
-    /// Polls the mailbox and runs the tasks that were signalled. Returns how many signals there
-    /// were.
+    /// Polls the mailbox and runs the tasks that were signalled. Returns the number of signals.
     #[inline]
     pub fn run(&mut self, receiver: &mut Receiver<'_>, context: &mut C) -> u32 {
         receiver.poll(|Signals { task, count, value }| {
@@ -561,7 +562,7 @@ mod tests {
             .add(task(3), |calls, arg, call| calls.push((arg, call)), 77)
             .unwrap();
         assert_eq!(table.add(task(3), |_, _, _| (), 0), Err(Taken));
-        // TaskFn 4 is not in the table: its signal is taken, and nothing runs.
+        // Task 4 is not in the table: its signal counts as handled, and nothing runs.
         for (number, value) in [(3, 4), (4, 7), (3, 5)] {
             let _ = sender.signal_with(task(number), value);
         }
@@ -594,8 +595,8 @@ mod tests {
         assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
     }
 
-    /// T-SYNC-3: a receiver that was stopped for exactly 2^27 signals finds the posted word
-    /// unchanged.
+    /// T-SYNC-3: after a stop of exactly 2^27 signals the posted word is unchanged; the receiver
+    /// finds the signals all the same.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_polling() {
@@ -623,8 +624,8 @@ mod tests {
         assert!((1..=POLLS_UNTIL_SURE).contains(&polls));
     }
 
-    /// T-SYNC-3: the same if after that there is always exactly one signal between two polls. Each
-    /// of these is handled by its post alone, until all counts are compared.
+    /// T-SYNC-3: the same if exactly one signal follows between any two polls. The receiver handles
+    /// each of these by its post alone, until it compares all counts.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_among_others() {
@@ -641,7 +642,7 @@ mod tests {
         assert_eq!(words[handled_at(task(5).at())].load(Ordering::Relaxed), 1);
     }
 
-    /// T-SYNC-3: a handler that signals its own task does not keep the receiver in one poll.
+    /// T-SYNC-3: a poll ends even if a handler signals its own task each time it runs.
     #[test]
     fn a_signal_that_arrives_during_a_poll_is_left_to_the_next_one() {
         let words = zeroed(WORDS);
@@ -678,8 +679,8 @@ mod tests {
         assert!(used.last() < Some(&WORDS));
     }
 
-    /// T-SYNC-3: the sender is killed at any step; its successor delivers every signal that it had
-    /// counted.
+    /// T-SYNC-3: if the sender is killed at any step, its successor delivers every signal that the
+    /// sender had counted.
     #[test]
     fn a_sender_killed_at_every_step_loses_nothing_that_it_has_counted() {
         for at in 0.. {
@@ -714,8 +715,8 @@ mod tests {
         assert_eq!(poll(&mut receiver), []);
     }
 
-    /// T-SYNC-3: signals that fall between the receiver's readings of two counts, so that it finds
-    /// the later one and not the earlier one, are each handled once.
+    /// T-SYNC-3: two signals are sent between any two steps of a poll, so that it may find the
+    /// second and not the first: each is handled once.
     #[test]
     fn signals_between_any_two_steps_of_a_poll_are_handled_once() {
         for at in 0.. {
@@ -738,7 +739,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: the receiver is killed at any step; its successor handles the open signals.
+    /// T-SYNC-3: if the receiver is killed at any step, its successor handles the open signals.
     #[test]
     fn a_receiver_killed_at_every_step_leaves_the_open_signals_to_its_successor() {
         for at in 0.. {

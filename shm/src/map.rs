@@ -2,9 +2,9 @@
 //!
 //! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [incarnation
 //! table](crate::incarnation). Then the regions in the order of the [`Layout`], each from a line
-//! boundary on. The boot core (or the supply) formats once at power-on: it zeroes everything,
-//! writes the header, and publishes `ready` last; if it dies on the way, its successor formats
-//! again. The others attach, which checks that they were built with the same layout.
+//! boundary on. The boot core (or the supply) formats the LMU once at power-on: it zeroes it,
+//! writes the header, and publishes `ready` last; if it dies before that, its successor formats
+//! again. The other cores attach, which checks that they were built with the same layout.
 
 use crate::incarnation::Incarnations;
 use crate::shape::{FitError, LINE_WORDS, fit, whole_lines};
@@ -24,8 +24,8 @@ const VERSION: u32 = 2;
 /// A value that zeroed or erased memory does not have.
 const READY: u32 = 0x5EAD_1E55;
 
-/// The regions of an LMU, in order: the same in every image of a system. In Rust a constant made by
-/// a chain of [regions](crate::region); C makes it at run time.
+/// The regions of an LMU, in order. Every image of a system must have the same layout. In Rust it
+/// is a constant made by a chain of [regions](crate::region); C makes it at run time.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     words: usize,
@@ -33,14 +33,14 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// The header alone.
+    /// A layout of the header without regions.
     pub const EMPTY: Self = Self {
         words: HEADER_WORDS,
         hash: 0x811C_9DC5,
     };
 
-    /// This layout with one more region of `words` words, which begins where the layout ended. The
-    /// hash is FNV-1a over names and sizes: images with different layouts must not share an LMU.
+    /// Returns this layout with a further region of `words` words at its end. The hash is FNV-1a
+    /// over names and sizes: images with different layouts must not share an LMU.
     #[must_use]
     pub const fn with(self, name: &str, words: usize) -> Self {
         let mut hash = self.hash;
@@ -64,13 +64,13 @@ impl Layout {
         }
     }
 
-    /// Words of the LMU that the layout takes, header included.
+    /// Returns the number of words that the layout needs, including the header.
     #[must_use]
     pub const fn total_words(&self) -> usize {
         self.words
     }
 
-    /// Very probably differs between layouts with other names, sizes or order.
+    /// Returns a hash. It very probably differs if names, sizes or order of the regions differ.
     #[must_use]
     pub const fn hash(&self) -> u32 {
         self.hash
@@ -84,17 +84,17 @@ const fn fnv(hash: u32, byte: u8) -> u32 {
 /// Why a core cannot attach to an LMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapError {
-    /// The LMU has fewer words than the layout.
+    /// The LMU has fewer words than the layout needs.
     TooSmall,
     /// The LMU does not begin at a boundary of 64 bytes.
     Misaligned,
-    /// Not formatted yet: try again later.
+    /// The LMU is not formatted yet: try again later.
     NotReady,
     /// The ready word is set, but this is not an LMU of this project.
     WrongMagic,
-    /// It was formatted by another version of this crate.
+    /// Another version of this crate formatted the LMU.
     WrongVersion,
-    /// It was formatted by an image with another layout.
+    /// An image with another layout formatted the LMU.
     WrongLayout,
 }
 
@@ -115,8 +115,8 @@ pub struct Map<'a> {
 }
 
 impl<'a> Map<'a> {
-    /// Formats an LMU: zeroes it and publishes the layout. For the boot core or the supply, at
-    /// power-on, before any other core uses it; a boot core that is reset alone must
+    /// Formats an LMU: zeroes it and publishes the layout. The boot core or the supply calls this
+    /// at power-on, before any other core uses the LMU. If only the boot core is reset, it must
     /// [attach](Map::attach) instead.
     ///
     /// # Errors
@@ -130,7 +130,7 @@ impl<'a> Map<'a> {
         words[MAGIC_AT].store(MAGIC, Ordering::Relaxed);
         words[VERSION_AT].store(VERSION, Ordering::Relaxed);
         words[LAYOUT_AT].store(layout.hash(), Ordering::Relaxed);
-        // Release pairs with the Acquire in `attach`: a core that sees ready sees all the rest.
+        // Release pairs with the Acquire in `attach`: a core that sees ready sees all other words.
         words[READY_AT].store(READY, Ordering::Release);
         Ok(Self { words, layout })
     }
@@ -138,7 +138,7 @@ impl<'a> Map<'a> {
     /// Attaches to an LMU that was formatted with the same layout. Never blocks.
     ///
     /// # Errors
-    /// [`MapError`]; only [`MapError::NotReady`] can end without a change of the images.
+    /// [`MapError`]. Only [`MapError::NotReady`] can disappear without a change of the images.
     pub fn attach(words: &'a [AtomicU32], layout: Layout) -> Result<Self, MapError> {
         let words = fit(words, layout.total_words())?;
         // Acquire pairs with the Release in `format`.
@@ -157,9 +157,9 @@ impl<'a> Map<'a> {
         Ok(Self { words, layout })
     }
 
-    /// The words of a region of `count` words that begins at word `begin`, rounded up to whole
-    /// cache lines: for a layout that was made at run time. A [`Region`](crate::region::Region)
-    /// knows both.
+    /// Returns the words of a region of `count` words that begins at word `begin`, rounded up to
+    /// whole cache lines. For a layout that was made at run time: a
+    /// [`Region`](crate::region::Region) holds both numbers.
     ///
     /// # Errors
     /// [`FitError`] if the layout ends before this region does.
@@ -169,7 +169,7 @@ impl<'a> Map<'a> {
         words.get(begin..end).ok_or(FitError::TooSmall)
     }
 
-    /// The incarnation table of the cores.
+    /// Returns the incarnation table of the cores.
     #[must_use]
     pub fn incarnations(&self) -> Incarnations<'a> {
         Incarnations::new(&self.words[INCARNATIONS_AT..INCARNATIONS_AT + Incarnations::WORDS])
@@ -207,7 +207,7 @@ mod tests {
         assert_ne!(Layout::EMPTY.hash(), A.hash());
     }
 
-    /// A value of FNV-1a that its authors publish.
+    /// The hash of "foobar" equals the test value that the authors of FNV-1a publish.
     #[test]
     fn the_hash_is_fnv_1a() {
         let hash = b"foobar"

@@ -1,11 +1,11 @@
-//! The newest-value channel: one writer, any number of readers, in place, never torn.
+//! The newest-value channel: one writer, any number of readers that read in place, no torn values.
 //!
-//! A ring of stamped slots (with the stamps of [`broadcast`](crate::broadcast)). The writer fills
-//! the slot after the newest one and then publishes it. It never waits, and its cost does not
-//! depend on readers; readers write nothing, so a dead reader leaves no trace. A reader reads the
-//! newest slot in place and then checks that it was not overwritten during the read: with n slots
-//! that takes n - 1 new values. A writer that dies while it fills a slot leaves the newest value
-//! unchanged; its successor continues with the next number.
+//! The channel is a ring of stamped slots (stamps as in [`broadcast`](crate::broadcast)). The
+//! writer fills the slot after the newest one and then publishes it. It never waits, and its cost
+//! does not depend on readers; readers write nothing, so a dead reader affects no core. A reader
+//! reads the newest slot in place and then checks that it was not overwritten during the read: with
+//! n slots, only the n-th newer value overwrites it. If the writer dies while it fills a slot, the
+//! newest value does not change; its successor continues with the next number.
 
 use core::marker::PhantomData;
 
@@ -15,11 +15,11 @@ pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape, whole_lines};
 use crate::sync::AtomicU32;
 
-/// How often [`Reader::read`] retries when the writer overtakes it.
+/// How often [`Reader::read`] tries, if the writer overtakes it each time.
 const ATTEMPTS: u32 = 4;
 
-/// Words of a channel of this shape. A small channel, as 4 slots of 2 words, is one cache line;
-/// otherwise each slot has its own lines. 4 slots are a good number.
+/// Words of a channel of this shape. A small channel, for example 4 slots of 2 words, is one cache
+/// line; otherwise each slot has its own lines. Use 4 slots if in doubt.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
@@ -38,11 +38,11 @@ const fn stride(shape: Shape) -> usize {
 /// Why there was no value to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadError {
-    /// No value was ever published. (Also returned, once in 2^32 values, while the very first value
-    /// of the next round is overwritten.)
+    /// No value was published. (Also returned, once in 2^32 values, while the number of values is
+    /// 0 again and the last value is overwritten.)
     Empty,
-    /// The writer overtook the reader every time, or the channel's words hold garbage: discard
-    /// everything that was read. The next read may succeed.
+    /// The writer overtook the reader at every attempt, or the channel's words hold garbage:
+    /// discard everything that was read. The next read may succeed.
     Overrun,
     /// The words are not a value of the payload's type.
     Corrupt,
@@ -58,7 +58,7 @@ pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitErr
     Ring::attach(words, shape, stride(shape))
 }
 
-/// A reading end. Any number of them, in any core, at no cost to the writer.
+/// A reading end. Any number may exist, on any core, at no cost to the writer.
 #[derive(Debug)]
 pub struct Reader<'a, T = ()> {
     ring: Ring<'a>,
@@ -75,8 +75,8 @@ impl<'a, T> Reader<'a, T> {
         }
     }
 
-    /// The stamp of the newest value; `None` if there is none yet. To check whether there is a new
-    /// value.
+    /// Returns the stamp of the newest value, or `None` if there is none yet. The stamp changes
+    /// with each new value.
     #[inline]
     #[must_use]
     pub fn newest(&self) -> Option<Stamp> {
@@ -84,15 +84,15 @@ impl<'a, T> Reader<'a, T> {
         self.ring.is_complete(k).then_some(Stamp(k))
     }
 
-    /// Requests the channel's line and does not use it. A core that spins on the mailbox through
-    /// which the writer's core signals calls this before each poll: both lines then move at the
-    /// same time, not one after the other. It changes no result. Never blocks.
+    /// Loads the channel's line into the cache. Call it before each poll of the mailbox through
+    /// which the writer's core signals: both lines then move at the same time, not one after the
+    /// other. It changes no result. Never blocks.
     #[inline]
     pub fn prefetch(&self) {
         self.ring.prefetch();
     }
 
-    /// The newest value, to be read in place; the read is valid only after [`View::finish`].
+    /// Returns the newest value, to be read in place. [`View::finish`] says if the read was valid.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -109,9 +109,9 @@ impl<'a, T> Reader<'a, T> {
         }
     }
 
-    /// Reads the newest value in place by `f`. The result is returned only if `f` saw one whole
-    /// value. `f` may run up to four times and, in a discarded run, see parts of different values.
-    /// Bounded.
+    /// Calls `f` with the words of the newest value, and returns its result only if all words
+    /// belonged to one value. `f` runs up to four times; in a discarded run it may see parts of
+    /// different values. Bounded.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -141,7 +141,7 @@ impl<'a, T> Reader<'a, T> {
 }
 
 impl<T: Payload> Reader<'_, T> {
-    /// The newest value, even if it was read before. Never blocks.
+    /// Reads the newest value, even if it was read before. Never blocks.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -151,7 +151,7 @@ impl<T: Payload> Reader<'_, T> {
         Ok((stamp, value?))
     }
 
-    /// The newest value, if there is one that was not fetched before. Never blocks.
+    /// Reads the newest value; `None` if it was fetched before or there is none. Never blocks.
     ///
     /// # Errors
     /// [`Corrupt`] if the words are not a value of the type.
@@ -179,17 +179,17 @@ pub struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// The words. They may contain parts of a newer value; [`View::finish`] returns an error then.
+    /// Returns the words. If they have parts of a newer value, [`View::finish`] returns an error.
     #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.ring.payload(self.k))
     }
 
-    /// Whether everything that was read through this view belonged to one value.
+    /// Returns the stamp if everything that was read through this view belonged to one value.
     ///
     /// # Errors
-    /// [`ReadError::Overrun`] if the writer overtook: discard everything that was read.
+    /// [`ReadError::Overrun`] if the writer has overwritten it: discard everything that was read.
     #[inline]
     pub fn finish(self) -> Result<Stamp, ReadError> {
         if self.ring.is_intact(self.k) {
@@ -257,7 +257,8 @@ mod tests {
         assert_eq!(reader.newest().unwrap().since(Stamp(17)), 3);
     }
 
-    /// A small channel is one line, a larger one has a line for the head and lines for each slot.
+    /// A small channel is one cache line; a larger one has one line for the head and separate lines
+    /// for each slot.
     #[test]
     fn small_values_share_the_line_of_the_head() {
         assert_eq!(words(Shape::new(4, 2)), 4 * 3 + 1);
@@ -286,8 +287,7 @@ mod tests {
         }
     }
 
-    /// The value that overtakes a view lies in the same slot and has a stamp of its own, also in
-    /// the smallest channel.
+    /// The value that overwrites a viewed slot has another stamp, also in the smallest channel.
     #[test]
     fn the_next_value_in_its_slot_makes_a_view_void() {
         let shape = Shape::new(2, 1);
@@ -303,7 +303,7 @@ mod tests {
         }
     }
 
-    /// The writer never waits for a view; an overtaken view returns an error.
+    /// The writer never waits for a view; a view of an overwritten value returns an error.
     #[test]
     fn a_view_that_was_overtaken_is_void() {
         let (_, mut writer, reader) = channel();
@@ -321,7 +321,8 @@ mod tests {
         assert_eq!(again.finish(), Err(ReadError::Overrun));
     }
 
-    /// A reader that is frozen at any step while the writer laps it returns one whole value.
+    /// A reader that is frozen at any step, while the writer overwrites all slots, returns one
+    /// whole value.
     #[test]
     fn a_reader_frozen_at_every_step_returns_no_torn_value() {
         for at in 0.. {

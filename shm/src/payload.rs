@@ -1,4 +1,4 @@
-//! Payloads in the LMU: the words of a slot, for access in place, and the codec of a payload.
+//! Payloads in the LMU: access to the words of a slot in place, and the codec of a payload.
 
 use crate::sync::{AtomicU32, Ordering};
 
@@ -8,14 +8,14 @@ pub struct Corrupt;
 
 /// A type that crosses the LMU as a fixed number of words: the codec of a payload.
 pub trait Payload: Sized {
-    /// How many words it takes; at least 1.
+    /// Words of a value; at least 1.
     const WORDS: usize;
 
-    /// Writes all words, in order, by `put`.
+    /// Writes the value: calls `put` with each word, in order.
     fn store(&self, put: &mut impl FnMut(u32));
 
-    /// Reads the words, in order, by `take`. Another core wrote them and they may be garbage:
-    /// refuse each value that is not of the type.
+    /// Reads a value: calls `take` for each word, in order. Another core wrote the words and they
+    /// may be garbage: refuse words that are not a value of the type.
     ///
     /// # Errors
     /// [`Corrupt`] if a word has an impossible value.
@@ -50,11 +50,11 @@ impl<const N: usize> Payload for [u32; N] {
     }
 }
 
-/// Words of a slot to read in place. Another core wrote them; they may be garbage.
+/// Words of a slot that the caller reads in place. Another core wrote them; they may be garbage.
 #[derive(Clone, Copy, Debug)]
 pub struct WordsRef<'a>(&'a [AtomicU32]);
 
-/// Words of a slot to fill in place. No other core sees them as a value yet.
+/// Words of a slot that the caller fills in place. They are not yet a value for other cores.
 #[derive(Debug)]
 pub struct WordsMut<'a>(&'a [AtomicU32]);
 
@@ -63,7 +63,7 @@ impl<'a> WordsRef<'a> {
         Self(words)
     }
 
-    /// The word at `index`.
+    /// Returns the word at `index`.
     ///
     /// # Panics
     /// If the slot has no such word.
@@ -73,13 +73,13 @@ impl<'a> WordsRef<'a> {
         self.0[index].load(Ordering::Relaxed)
     }
 
-    /// All words in order.
+    /// Returns all words in order.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = u32> + use<'a> {
         self.0.iter().map(|word| word.load(Ordering::Relaxed))
     }
 
-    /// The words themselves, for a caller that cannot keep a view, such as C. They stay mapped, but
-    /// they are this value only while the view is valid.
+    /// Returns the words as a slice, for a caller that cannot keep a view, such as C. They stay
+    /// mapped, but they hold this value only while the view is valid.
     #[inline]
     #[must_use]
     pub const fn as_slice(&self) -> &'a [AtomicU32] {
@@ -101,8 +101,8 @@ impl<'a> WordsMut<'a> {
         self.0[index].store(value, Ordering::Relaxed);
     }
 
-    /// The words themselves, for a caller that cannot keep a view, such as C. The caller may write
-    /// to them only until the value is sent.
+    /// Returns the words as a slice, for a caller that cannot keep a view, such as C. The caller
+    /// may write to them only until the value is sent.
     #[inline]
     #[must_use]
     pub const fn as_slice(&self) -> &'a [AtomicU32] {

@@ -1,35 +1,35 @@
-//! The pool: words of the LMU to borrow, hand over and give back. T-SHM-1..4
+//! The pool: cores borrow words of the LMU, hand them over and give them back. T-SHM-1..4
 //!
-//! One line of counters, then one *state* word for each block of 16 words, then the blocks. An
-//! allocation is a run of neighbouring blocks. The state of its first block, the *head*, says which
-//! incarnation owns the run, how many blocks it has, and which allocation it is: a stamp, the
-//! number of the allocation. The state of each further block names the first block and carries the
-//! same stamp; it counts only while the head has that stamp and an owner. So one compare-and-swap
-//! of the head gives all blocks of a run back, hands them over, or takes them from the dead.
+//! The pool is one line of counters, then one *state* word for each block of 16 words, then the
+//! blocks. An allocation is a run of neighbouring blocks. The state of its first block, the *head*,
+//! holds the incarnation that owns the run, the number of its blocks, and a stamp: the number of
+//! the allocation. The state of each further block holds the first block and the same stamp; it
+//! counts only while the head has that stamp and an owner. So one compare-and-swap of the head
+//! gives all blocks of a run back, hands them over, or takes them from a dead owner.
 //!
-//! There is no lock. A core that borrows takes the blocks one after the other, each by a
-//! compare-and-swap from the state in which it has seen the block to be free:
+//! There is no lock. A core that borrows takes one block after the other, each by a
+//! compare-and-swap from the state in which it read the block as free:
 //!
 //! 1. the head, marked as *gathering* if the run has more than one block,
 //! 2. the further blocks,
 //! 3. the head again, to clear the mark.
 //!
-//! If one of them fails, the core frees the head, and with it all blocks of the run, and begins
-//! again. A failure means that another core was faster. So one core always makes progress, and a
-//! core that is pre-empted, frozen or dead delays no other.
+//! If one of them fails, the core frees the head, and with it all blocks of the run, and starts
+//! again. A step fails only if another core changed the block first. So one core always makes
+//! progress, and a core that is pre-empted, frozen or dead delays no other.
 //!
-//! **Stragglers**: an incarnation that was declared dead and still runs takes nothing from the
-//! living. A block that it saw free and that was borrowed since has another state. Blocks that it
-//! took before became free by a change of its head, so step 3 fails.
+//! **Stragglers**: an incarnation that was declared dead and still runs takes no block of a living
+//! owner. If it read a block as free and another core has borrowed it since, the block's state has
+//! changed. If its own run was reclaimed, its head has changed, so step 3 fails.
 //!
-//! **Deaths**: blocks of a dead incarnation are free. The next walk that needs them takes them, or
-//! [`Pool::reclaim_dead`] does; the first attachment of an incarnation frees the blocks of earlier
-//! incarnations of its core.
+//! **Deaths**: blocks of a dead incarnation are free. The next [`Pool::get`] that needs them takes
+//! them, or [`Pool::reclaim_dead`] frees them; when an incarnation first attaches, it frees the
+//! blocks of earlier incarnations of its core.
 //!
-//! First fit; neighbouring free blocks form one free space without further work.
+//! The search is first fit; neighbouring free blocks need no merging.
 //!
 //! Limit: a stamp has 16 bits. A stale handle is accepted, or a straggler's compare-and-swap
-//! succeeds, if exactly a multiple of 2^16 allocations of the pool lie between and the block is in
+//! succeeds, if the pool has made exactly a multiple of 2^16 allocations since and the block has
 //! the same state again.
 
 use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
@@ -39,22 +39,22 @@ use crate::sync::{AtomicU32, Ordering};
 /// Words of a block, the unit of allocation: a cache line.
 pub const BLOCK_WORDS: usize = LINE_WORDS;
 
-/// The largest number of blocks, which are counted in 9 bits. One less than the LMU of a TC297 has.
+/// The largest number of blocks: the count has 9 bits. It is one less than the LMU of a TC297 has.
 pub const MAX_BLOCKS: usize = 511;
 
-/// How often [`Pool::get`] retries after another core took a block that it had found free, and
-/// [`Pool::attach`] after another incarnation attached.
+/// Attempts of [`Pool::get`], which fail if another core takes a block that was found free, and of
+/// [`Pool::attach`], which fail if another incarnation attaches.
 const ATTEMPTS: u32 = 4;
 
-/// How many allocations were started.
+/// The word that counts the allocations that were started.
 const ALLOCATIONS_AT: usize = 0;
 const ATTACHED_AT: usize = 1;
 const STATES_AT: usize = LINE_WORDS;
 
-// The state of a block, from the lowest bit: core + 1 of the owner (0: no head), a mark, generation
-// of the owner, number, stamp. In a head the mark says that the run is being gathered, and the
-// number is its number of blocks. Otherwise the mark says that the block belongs to a run, and the
-// number is the first block of that run; without the mark the block is free.
+// The state of a block, from the lowest bit: core + 1 of the owner (0: not a head), a mark, the
+// owner's generation, a number, the stamp. In a head the mark is set while the run is being
+// gathered, and the number is the run's length in blocks. In another block the mark is set if the
+// block belongs to a run, and the number is the run's first block; without the mark it is free.
 const CORE_MASK: u32 = 0x3;
 const MARK: u32 = 0x4;
 const GENERATION_SHIFT: u32 = 3;
@@ -77,7 +77,7 @@ const fn blocks_at(blocks: usize) -> usize {
     STATES_AT + whole_lines(blocks)
 }
 
-/// The head of a run that `incarnation` owns.
+/// Returns the head of a run that `incarnation` owns.
 const fn owned(incarnation: Incarnation, blocks: usize, stamp: u16) -> u32 {
     (incarnation.core() as u32 + 1)
         | (incarnation.generation() & GENERATION_MASK) << GENERATION_SHIFT
@@ -85,12 +85,12 @@ const fn owned(incarnation: Incarnation, blocks: usize, stamp: u16) -> u32 {
         | (stamp as u32) << STAMP_SHIFT
 }
 
-/// The state of a further block of the run that begins at `first`.
+/// Returns the state of a further block of the run that begins at `first`.
 const fn further(first: usize, stamp: u16) -> u32 {
     MARK | (first as u32) << NUMBER_SHIFT | (stamp as u32) << STAMP_SHIFT
 }
 
-/// The state of a free block.
+/// Returns the state of a free block.
 const fn free(stamp: u16) -> u32 {
     (stamp as u32) << STAMP_SHIFT
 }
@@ -111,8 +111,8 @@ const fn number_of(state: u32) -> usize {
     (state >> NUMBER_SHIFT & NUMBER_MASK) as usize
 }
 
-/// Names an allocation. It is plain data and may cross the LMU. Every use checks it, because it may
-/// be stale or forged.
+/// Names an allocation. It is plain data that cores may pass through the LMU. The pool checks it at
+/// every use, because it may be stale or forged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Handle {
     block: u16,
@@ -122,13 +122,13 @@ pub struct Handle {
 
 #[allow(clippy::len_without_is_empty, reason = "an allocation is never empty")]
 impl Handle {
-    /// How many words were requested, 1 or more. Not trusted in a handle from another core.
+    /// Returns how many words were requested (1 or more); may be wrong in a handle from elsewhere.
     #[must_use]
     pub const fn len(self) -> usize {
         self.words as usize
     }
 
-    /// As two words, to be sent to another core.
+    /// Returns the handle as two words, to be sent to another core.
     #[must_use]
     pub const fn to_words(self) -> [u32; 2] {
         [
@@ -137,7 +137,7 @@ impl Handle {
         ]
     }
 
-    /// The inverse of [`Handle::to_words`]. Checks nothing: each use of the handle does.
+    /// The inverse of [`Handle::to_words`]. Checks nothing: the pool checks each use of the handle.
     #[must_use]
     pub const fn from_words([place, stamp]: [u32; 2]) -> Self {
         Self {
@@ -153,20 +153,20 @@ impl Handle {
 pub enum GetError {
     /// No free run of blocks is long enough, or zero words were requested.
     Full,
-    /// Other cores took the blocks that this one had found free, or hold blocks while they gather a
-    /// run: try again later.
+    /// Other cores took the blocks that this one found free, or are gathering a run: try again
+    /// later.
     Busy,
 }
 
-/// Why a handle is refused. Of the length only the number of blocks is checked: the owner of a
-/// block owns all of it.
+/// Why a handle is refused. A wrong length is refused only if it needs another number of blocks:
+/// the owner of a block owns all of its words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandleError {
-    /// This pool never made such an allocation: the handle is forged or garbage.
+    /// This pool never made the allocation: the handle is forged or garbage.
     Invalid,
     /// The words were already given back, or reclaimed from a dead owner.
     Stale,
-    /// They belong to another core, or to an earlier incarnation of this one.
+    /// The words belong to another core, or to an earlier incarnation of this one.
     NotOwner,
 }
 
@@ -196,7 +196,7 @@ pub struct Pool<'a> {
 }
 
 impl<'a> Pool<'a> {
-    /// Attaches to a pool of `blocks` blocks. The first attachment of an incarnation frees the
+    /// Attaches to a pool of `blocks` blocks. When `incarnation` first attaches, this frees the
     /// blocks of earlier incarnations of its core. `incarnation` must have been
     /// [announced](Incarnations::announce). Never blocks.
     ///
@@ -230,14 +230,14 @@ impl<'a> Pool<'a> {
     /// attached or is not alive.
     #[cold]
     fn disown_earlier_incarnations(&self, incarnation: Incarnation) {
-        // Retries only if another core, or an earlier incarnation, attached the core in between.
+        // Retries only if another core, or an earlier incarnation, attached at the same time.
         for _ in 0..ATTEMPTS {
             let Some(earlier) = self.attached.earlier(incarnation) else {
                 return;
             };
             for block in 0..self.states.len() {
-                // Acquire pairs with the Release in `replace`. Read before `earlier`: a head that
-                // was there before this incarnation had attached is not its own.
+                // Acquire pairs with the Release in `replace`. The head is read before `earlier`: a
+                // head from before this incarnation attached belongs to an earlier one.
                 let state = self.states[block].load(Ordering::Acquire);
                 if self.attached.earlier(incarnation).is_none() {
                     return;
@@ -264,8 +264,8 @@ impl<'a> Pool<'a> {
         }
         for _ in 0..ATTEMPTS {
             let (first, state) = self.find_free(need)?;
-            // Relaxed: only the number matters. Each attempt has its own, so that leftovers of a
-            // failed attempt never belong to a later one.
+            // Relaxed: only the number matters. Each attempt has its own number, so that blocks
+            // left by a failed attempt never count as part of a later one.
             let stamp = self.allocations.fetch_add(1, Ordering::Relaxed) as u16;
             let stamp = stamp.wrapping_add(1);
             if self.gather(first, state, need, stamp) {
@@ -279,8 +279,8 @@ impl<'a> Pool<'a> {
         Err(GetError::Busy)
     }
 
-    /// The words of an allocation that this incarnation owns. The slice outlives the ownership: its
-    /// content belongs to this incarnation only until it is given back or handed over.
+    /// Returns the words of an allocation that this incarnation owns. The slice may be used only
+    /// until the words are given back or handed over, although its lifetime is longer.
     ///
     /// # Errors
     /// [`HandleError`]
@@ -293,33 +293,33 @@ impl<'a> Pool<'a> {
     /// Gives words back. T-SHM-2
     ///
     /// # Errors
-    /// [`HandleError`]; also when they were already given back.
+    /// [`HandleError`], also if they were already given back.
     pub fn give_back(&self, handle: Handle) -> Result<(), HandleError> {
         let head = self.checked(handle)?;
         self.change(handle, head, free(handle.stamp))
     }
 
-    /// Makes another core the owner. That core [opens](Pool::open) the words with the same handle
-    /// and sees everything that this core wrote. The caller sends the handle there. Any context.
+    /// Makes another core the owner. The caller sends it the handle. With the same handle that core
+    /// [opens](Pool::open) the words and sees everything that this core wrote. Any context.
     /// T-SHM-3
     ///
     /// # Errors
     /// [`HandOverError`]
     ///
     /// # Panics
-    /// If `to` is no core (see [`CORES`]).
+    /// If `to` is not below [`CORES`].
     pub fn hand_over(&self, handle: Handle, to: usize) -> Result<(), HandOverError> {
         let head = self.checked(handle)?;
         let receiver = self.attached.incarnations().current(to);
         let receiver = receiver.ok_or(HandOverError::ReceiverDead)?;
-        // The receiver may not have attached yet; then this core does it for the receiver.
+        // If the receiver has not attached yet, this core disowns the receiver's predecessors.
         self.disown_earlier_incarnations(receiver);
         let new = owned(receiver, number_of(head), handle.stamp);
         Ok(self.change(handle, head, new)?)
     }
 
-    /// Frees everything owned by incarnations that are not alive, and returns how many words that
-    /// were. [`Pool::get`] does the same where it needs the words. Any context; bounded.
+    /// Frees all words owned by incarnations that are not alive, and returns their number.
+    /// [`Pool::get`] does the same where it needs the words. Any context; bounded.
     pub fn reclaim_dead(&self) -> usize {
         let mut reclaimed = 0;
         for block in 0..self.states.len() {
@@ -335,7 +335,7 @@ impl<'a> Pool<'a> {
         reclaimed * BLOCK_WORDS
     }
 
-    /// How many words are free, in whole blocks, according to one pass over the blocks
+    /// Returns the number of free words, in whole blocks, counted in one pass over the blocks
     /// (`size_remain`).
     #[must_use]
     pub fn free_words(&self) -> usize {
@@ -350,7 +350,7 @@ impl<'a> Pool<'a> {
             * BLOCK_WORDS
     }
 
-    /// The head of an allocation that this incarnation owns.
+    /// Returns the head of an allocation that this incarnation owns.
     fn checked(&self, handle: Handle) -> Result<u32, HandleError> {
         let block = handle.block as usize;
         let need = handle.len().div_ceil(BLOCK_WORDS);
@@ -380,19 +380,19 @@ impl<'a> Pool<'a> {
         }
     }
 
-    /// Replaces the state of a block, if it is still the expected one.
+    /// Replaces the state of a block if it is still the expected one. Returns whether it did.
     #[inline]
     fn replace(&self, block: usize, expected: u32, new: u32) -> bool {
         // Release pairs with the Acquire of each load of a state: this incarnation's accesses to
-        // the words come before those of the next owner, and a core that sees a run sees that its
+        // the words happen before those of the next owner, and a core that sees a run sees that its
         // owner was announced and had attached.
         self.states[block]
             .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
             .is_ok()
     }
 
-    /// The first of `need` free blocks in a row, and its state, after freeing blocks of dead owners
-    /// that are in the way.
+    /// Returns the first of `need` free blocks in a row, and its state. Frees blocks of dead owners
+    /// on the way.
     fn find_free(&self, need: usize) -> Result<(usize, u32), GetError> {
         let mut error = GetError::Full;
         let mut block = 0;
@@ -420,8 +420,9 @@ impl<'a> Pool<'a> {
         Err(error)
     }
 
-    /// Takes `need` blocks that were free, from `first` on, whose state was `state`. On `false` it
-    /// has taken none: another core was faster, or this incarnation was declared dead.
+    /// Takes `need` blocks from `first` on, which were found free; `first` had state `state`. If it
+    /// returns `false`, it has taken none: another core took a block first, or this incarnation was
+    /// declared dead.
     #[inline]
     fn gather(&self, first: usize, state: u32, need: usize, stamp: u16) -> bool {
         let head = owned(self.incarnation, need, stamp);
@@ -443,7 +444,7 @@ impl<'a> Pool<'a> {
         false
     }
 
-    /// Checks one block, and frees the run in which it lies if its owner is dead.
+    /// Checks one block. If it belongs to a run whose owner is dead, frees the run.
     #[inline]
     fn look(&self, block: usize) -> Look {
         // Acquire pairs with the Release in `replace`.
@@ -476,7 +477,7 @@ impl<'a> Pool<'a> {
         }
     }
 
-    /// The run in which a block with this state lies: its first block and its head. `None` if the
+    /// Returns the run of a block with this state: its first block and its head. `None` if the
     /// block is free.
     #[inline]
     fn run_of(&self, block: usize, state: u32) -> Option<(usize, u32)> {
@@ -487,8 +488,8 @@ impl<'a> Pool<'a> {
             return None;
         }
         let first = number_of(state);
-        // Acquire pairs with the Release in `replace`: the last owner of the run has finished with
-        // it.
+        // Acquire pairs with the Release in `replace`: if the run has ended, its last owner no
+        // longer accesses its words.
         let head = self.states.get(first)?.load(Ordering::Acquire);
         let is_there = is_head(head)
             && stamp_of(head) == stamp_of(state)
@@ -496,8 +497,8 @@ impl<'a> Pool<'a> {
         is_there.then_some((first, head))
     }
 
-    /// The block after the run that begins at `first`. While the run is being gathered, its further
-    /// blocks may belong to others, so it ends after its first block.
+    /// Returns the block after the run that begins at `first`. While the run is being gathered, its
+    /// further blocks may belong to other runs, so only the first block counts.
     fn end_of(&self, first: usize, head: u32) -> usize {
         let blocks = if is_marked(head) { 1 } else { number_of(head) };
         first + blocks.clamp(1, self.states.len() - first)
@@ -510,16 +511,16 @@ impl<'a> Pool<'a> {
     }
 }
 
-/// The state of a block in a walk.
+/// The result of a check of one block.
 enum Look {
-    /// It is free; this is its state.
+    /// The block is free; this is its state.
     Free(u32),
-    /// It belongs to a run of a living owner.
+    /// The block belongs to a run of a living owner.
     Owned {
         /// The block after the run; not below this block.
         end: usize,
     },
-    /// Another core is just changing it.
+    /// Another core is changing the block.
     Moving,
 }
 

@@ -1,12 +1,12 @@
-//! Typed regions: one `const` map of the LMU, and each region gives only its own ends.
+//! Typed regions: one `const` map of the LMU, in which each region has only the ends of its kind.
 //!
-//! A [`Region`] knows its place and, by its type, its kind, shape and payload. So a mailbox cannot
-//! be attached to a scene, and all ends of a region have the same shape. The map is a chain of
-//! constants; its end is the [`Layout`] by which images recognise each other.
+//! A [`Region`] holds its place; its type gives its kind, shape and payload. So a mailbox cannot be
+//! attached to the region of a scene, and all ends of a region have the same shape. The map is a
+//! chain of constants; its end is the [`Layout`], whose hash must be equal in all images.
 //!
-//! A unique end (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a word of
-//! the region, which has no other use, names the incarnation that attached it. A second attachment
-//! is refused while that incarnation is alive; a successor of a dead incarnation may attach.
+//! A unique end (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a separate
+//! word of the region names the incarnation that attached it. A second attachment is refused while
+//! that incarnation is alive; a successor of a dead incarnation may attach.
 //!
 //! ```
 //! use core::sync::atomic::AtomicU32;
@@ -55,7 +55,7 @@ use crate::{broadcast, fifo, mailbox, newest, ring};
 
 /// The kind of a region.
 pub trait RegionKind {
-    /// How many words it takes.
+    /// Words of a region of this kind.
     const WORDS: usize;
 }
 
@@ -75,8 +75,8 @@ pub enum SharedPool<const BLOCKS: usize> {}
 #[derive(Debug)]
 pub enum Words<const COUNT: usize> {}
 
-/// A newest-value channel: see [`newest`]. With 4 slots a reader that has begun with the newest
-/// value can finish while three further values are written.
+/// A newest-value channel: see [`newest`]. With 4 slots a reader that has started to read the
+/// newest value can finish while the writer writes three more.
 #[derive(Debug)]
 pub struct Newest<T, const SLOTS: usize = 4>(PhantomData<fn() -> T>);
 
@@ -149,9 +149,9 @@ impl<K> Copy for Region<K> {}
 /// Why an end of a region cannot be attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndError {
-    /// This end is unique, and this incarnation, which is alive, has it.
+    /// The end is unique, and this living incarnation holds it.
     Claimed(Incarnation),
-    /// The region is not of this map's layout.
+    /// The region is not part of this map's layout.
     Fit(FitError),
 }
 
@@ -176,13 +176,13 @@ impl<K: RegionKind> Region<K> {
         }
     }
 
-    /// The region behind this one.
+    /// Returns the region that follows this one.
     #[must_use]
     pub const fn then<L: RegionKind>(self, name: &'static str) -> Region<L> {
         Region::after(self.layout, name)
     }
 
-    /// The layout that ends with this region.
+    /// Returns the layout that ends with this region.
     #[must_use]
     pub const fn end(self) -> Layout {
         self.layout
@@ -192,7 +192,7 @@ impl<K: RegionKind> Region<K> {
         map.words(self.begin, K::WORDS)
     }
 
-    /// The words, after the end whose claim is in word `at` is claimed.
+    /// Claims the end whose claim word is `at`, and returns the words of the region.
     fn claimed<'a>(
         &self,
         map: &Map<'a>,
@@ -205,7 +205,7 @@ impl<K: RegionKind> Region<K> {
     }
 }
 
-/// Claims the end whose claim is in `word` for this incarnation.
+/// Claims the end whose claim word is `word` for this incarnation.
 fn claim(
     word: &AtomicU32,
     incarnation: Incarnation,
@@ -213,7 +213,7 @@ fn claim(
 ) -> Result<(), EndError> {
     // Core + 1 in the low bits: a zeroed region has no claims.
     let own = incarnation.generation() << 2 | (incarnation.core() as u32 + 1);
-    // A core that claims at the same time makes this one retry: there are three cores.
+    // Another core that claims at the same time causes a retry: there are three cores.
     for _ in 0..4 {
         // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
         let seen = word.load(Ordering::Acquire);
@@ -221,7 +221,7 @@ fn claim(
         if let Some(holder) = holder.filter(|&holder| incarnations.is_alive(holder)) {
             return Err(EndError::Claimed(holder));
         }
-        // Not Acquire: `is_alive` made everything that the last holder did to the region visible.
+        // Acquire is not needed: the call of `is_alive` made the last holder's writes visible.
         let claimed = word.compare_exchange(seen, own, Ordering::Release, Ordering::Relaxed);
         if claimed.is_ok() {
             return Ok(());
@@ -231,20 +231,20 @@ fn claim(
 }
 
 impl<const COUNT: usize> Region<Words<COUNT>> {
-    /// The words.
+    /// Returns the words of the region.
     ///
     /// # Errors
-    /// [`FitError`] if the region is not of this map's layout.
+    /// [`FitError`] if the region is not part of this map's layout.
     pub fn attach<'a>(&self, map: &Map<'a>) -> Result<&'a [AtomicU32], FitError> {
         Ok(&self.words(map)?[..COUNT])
     }
 }
 
 impl Region<SharedLock> {
-    /// An end of the lock. Each task that takes the lock attaches one.
+    /// Attaches an end of the lock. Each task that takes the lock attaches its own end.
     ///
     /// # Errors
-    /// [`FitError`] if the region is not of this map's layout.
+    /// [`FitError`] if the region is not part of this map's layout.
     pub fn attach<'a>(
         &self,
         map: &Map<'a>,
@@ -255,10 +255,10 @@ impl Region<SharedLock> {
 }
 
 impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
-    /// The pool, for this incarnation.
+    /// Attaches this incarnation to the pool.
     ///
     /// # Errors
-    /// [`FitError`] if the region is not of this map's layout.
+    /// [`FitError`] if the region is not part of this map's layout.
     pub fn attach<'a>(
         &self,
         map: &Map<'a>,
@@ -269,8 +269,8 @@ impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
 }
 
 impl Region<Mailbox> {
-    /// The sending end. Ring the receiver's doorbell once after it is attached: an earlier
-    /// incarnation of this core may have died between its signal and its ring.
+    /// Attaches the sending end. Ring the receiver's doorbell once afterwards: an earlier
+    /// incarnation of this core may have died after it signalled and before it rang.
     ///
     /// # Errors
     /// [`EndError`]
@@ -283,7 +283,8 @@ impl Region<Mailbox> {
         Ok(mailbox::Sender::attach(words)?)
     }
 
-    /// The receiving end. It first handles the open signals of earlier incarnations.
+    /// Attaches the receiving end. Its first poll returns the signals that earlier incarnations of
+    /// this core left open.
     ///
     /// # Errors
     /// [`EndError`]
@@ -298,7 +299,7 @@ impl Region<Mailbox> {
 }
 
 impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
-    /// The writing end.
+    /// Attaches the writing end.
     ///
     /// # Errors
     /// [`EndError`]
@@ -312,10 +313,10 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
         Ok(newest::Writer::attach(ring))
     }
 
-    /// A reading end; there may be any number of them.
+    /// Attaches a reading end; there may be any number of them.
     ///
     /// # Errors
-    /// [`FitError`] if the region is not of this map's layout.
+    /// [`FitError`] if the region is not part of this map's layout.
     pub fn reader<'a>(&self, map: &Map<'a>) -> Result<newest::Reader<'a, T>, FitError> {
         let words = self.words(map)?;
         let ring = newest::ring(words, Newest::<T, SLOTS>::SHAPE)?;
@@ -324,7 +325,7 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
 }
 
 impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
-    /// The sending end.
+    /// Attaches the sending end.
     ///
     /// # Errors
     /// [`EndError`]
@@ -337,7 +338,7 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
         Ok(fifo::Producer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
     }
 
-    /// The receiving end.
+    /// Attaches the receiving end.
     ///
     /// # Errors
     /// [`EndError`]
@@ -352,7 +353,7 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
 }
 
 impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
-    /// The writing end.
+    /// Attaches the writing end.
     ///
     /// # Errors
     /// [`EndError`]
@@ -366,10 +367,10 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
         Ok(broadcast::Writer::attach(ring))
     }
 
-    /// A receiving end, for values published from now on; there may be any number of them.
+    /// Attaches a receiving end for values published from now on; there may be any number of them.
     ///
     /// # Errors
-    /// [`FitError`] if the region is not of this map's layout.
+    /// [`FitError`] if the region is not part of this map's layout.
     pub fn receiver<'a>(&self, map: &Map<'a>) -> Result<broadcast::Receiver<'a, T>, FitError> {
         let words = self.words(map)?;
         let ring = broadcast::ring(words, Broadcast::<T, SLOTS>::SHAPE)?;
@@ -404,7 +405,8 @@ mod tests {
         Map::format(zeroed(LAYOUT.total_words()), LAYOUT).unwrap()
     }
 
-    /// A small channel is one line; a slot of another crosses a line only if it must.
+    /// A small newest-value or broadcast channel fits in one cache line. In a larger newest-value
+    /// channel and in a queue, a slot crosses a line only if it is longer than a line.
     #[test]
     fn a_channel_takes_no_more_words_than_it_needs() {
         for (slots, slot_words, expected) in [
@@ -453,12 +455,12 @@ mod tests {
         let handle = POOL.attach(&map, one).unwrap().get(48).unwrap();
         assert!(POOL.attach(&map, two).unwrap().open(handle).is_err());
         assert_eq!(GUARDED.attach(&map).unwrap().len(), 2);
-        // The claims, which lie beside the words of each end, are still valid.
+        // The claim words, which lie beside the words of each end, were not overwritten.
         assert!(SMALL.writer(&map, two).is_err() && NEWS.sender(&map, two).is_ok());
     }
 
-    /// A unique end is refused while its holder is alive, even to the holder itself, and given to a
-    /// successor.
+    /// While its holder is alive, a unique end cannot be claimed again, even by the holder. A
+    /// successor of the holder gets the end.
     #[test]
     fn an_end_exists_once() {
         let map = map();
@@ -487,7 +489,7 @@ mod tests {
         }
     }
 
-    /// Claims do not disturb the communication of the ends.
+    /// A mailbox does not take a claim word for a signal.
     #[test]
     fn claims_are_no_signals() {
         let map = map();

@@ -4,11 +4,11 @@
 //! value is written and `k << 1 | 1` when it is complete; `head` counts the complete values. A
 //! reader checks the stamp, reads the words, and checks the stamp again: a sequence lock for each
 //! slot, after H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC
-//! 2012), fig. 6. In zeroed memory no stamp is one of a complete value.
+//! 2012), fig. 6. In zeroed memory no slot has the stamp of a complete value.
 //!
 //! Limit: a reader that is stopped between its two checks for exactly a multiple of 2^31 values
-//! would not notice. At one value a microsecond that is 36 minutes; the watchdog resets a core that
-//! stands still for so long.
+//! does not detect that its value was overwritten. At one value per microsecond that is 36 minutes;
+//! the watchdog resets a core that stops for that long.
 
 use core::marker::PhantomData;
 
@@ -35,7 +35,7 @@ impl<'a> Ring<'a> {
         Self::first_slot(shape, stride) + shape.slots() * stride
     }
 
-    /// Small slots share the line of the head, so that only one line moves for each value.
+    /// Small slots share the line of the head, so that each value moves only one line.
     const fn first_slot(shape: Shape, stride: usize) -> usize {
         if shape.slots() * stride < CLAIM_AT {
             1
@@ -66,17 +66,17 @@ impl<'a> Ring<'a> {
         self.shape.slots() as u32
     }
 
-    /// How many values are complete, as published by the writer.
+    /// Returns the number of complete values that the writer has published.
     #[inline]
     pub(crate) fn head(&self) -> u32 {
         // Acquire pairs with the Release in `complete`.
         self.head.load(Ordering::Acquire)
     }
 
-    /// Reader: requests the head's line.
+    /// Reader: loads the line of the head into the cache.
     #[inline]
     pub(crate) fn prefetch(&self) {
-        // Relaxed: the value is not used.
+        // Relaxed, because the value is not used.
         core::hint::black_box(self.head.load(Ordering::Relaxed));
     }
 
@@ -90,20 +90,20 @@ impl<'a> Ring<'a> {
         &self.slots[self.at(k)]
     }
 
-    /// The words of value k.
+    /// Returns the words of value k.
     #[inline]
     pub(crate) fn payload(&self, k: u32) -> &'a [AtomicU32] {
         self.slot(k, self.shape.slot_words()).1
     }
 
-    /// The stamp and the first `count` words of value k. A constant `count` saves instructions.
+    /// Returns the stamp and `count` words of value k. A constant `count` saves instructions.
     #[inline]
     fn slot(&self, k: u32, count: usize) -> (&'a AtomicU32, &'a [AtomicU32]) {
         let slot = &self.slots[self.at(k)..][..1 + count];
         (&slot[0], &slot[1..])
     }
 
-    /// Writer: value k begins to be written.
+    /// Writer: marks value k as being written.
     #[inline]
     fn begin(&self, k: u32) {
         self.stamp(k).store(k << 1, Ordering::Relaxed);
@@ -112,7 +112,7 @@ impl<'a> Ring<'a> {
         fence(Ordering::Release);
     }
 
-    /// Writer: value k is complete.
+    /// Writer: marks value k as complete and publishes it.
     #[inline]
     fn complete(&self, k: u32) {
         self.stamp(k).store(complete(k), Ordering::Relaxed);
@@ -121,8 +121,8 @@ impl<'a> Ring<'a> {
         self.head.store(k.wrapping_add(1), Ordering::Release);
     }
 
-    /// Reader: the result of `f` for the first `count` words of value k, which is below a head that
-    /// the reader has seen. `None` if the value is not, or no longer, in its slot.
+    /// Reader: returns the result of `f` for the first `count` words of value k, or `None` if its
+    /// slot does not hold it. The caller has read a head above k.
     #[inline]
     pub(crate) fn read<R>(
         &self,
@@ -131,7 +131,7 @@ impl<'a> Ring<'a> {
         f: impl FnOnce(&'a [AtomicU32]) -> R,
     ) -> Option<R> {
         let (stamp, words) = self.slot(k, count);
-        // Relaxed: as in `is_complete`.
+        // Relaxed, as in `is_complete`.
         if stamp.load(Ordering::Relaxed) != complete(k) {
             return None;
         }
@@ -139,15 +139,15 @@ impl<'a> Ring<'a> {
         self.is_intact(k).then_some(value)
     }
 
-    /// Reader, before the read: whether value k, which is below a head that the reader has seen, is
-    /// in its slot.
+    /// Reader, before the read: returns whether value k is in its slot. The caller has read a head
+    /// above k.
     #[inline]
     pub(crate) fn is_complete(&self, k: u32) -> bool {
-        // Relaxed: the head was acquired, so the words are those of value k or later ones.
+        // Relaxed: the head was read with Acquire, so the words belong to value k or to later ones.
         self.stamp(k).load(Ordering::Relaxed) == complete(k)
     }
 
-    /// Reader, after the read: whether all that was read belongs to value k.
+    /// Reader, after the read: returns whether all words that were read belong to value k.
     #[inline]
     pub(crate) fn is_intact(&self, k: u32) -> bool {
         // Acquire pairs with the Release fence in `begin`.
@@ -156,25 +156,25 @@ impl<'a> Ring<'a> {
     }
 }
 
-/// The stamp of value k when it is complete.
+/// Returns the stamp of value k when it is complete.
 #[inline]
 const fn complete(k: u32) -> u32 {
     k << 1 | 1
 }
 
-/// The number of a value: the writer counts them, wrapping around, over all its incarnations.
+/// The number of a value. The count wraps around and continues over all incarnations of the writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp(pub u32);
 
 impl Stamp {
-    /// How many values were published after `earlier` up to this one.
+    /// Returns how many values were published after `earlier`, up to and including this one.
     #[must_use]
     pub const fn since(self, earlier: Self) -> u32 {
         self.0.wrapping_sub(earlier.0)
     }
 }
 
-/// The writing end. It is unique.
+/// The writing end. Each ring has one.
 #[derive(Debug)]
 pub struct Writer<'a, T = ()> {
     ring: Ring<'a>,
@@ -183,8 +183,8 @@ pub struct Writer<'a, T = ()> {
 }
 
 impl<'a, T> Writer<'a, T> {
-    /// Continues after the values of earlier incarnations. An earlier one may have begun or even
-    /// completed the next value; no reader has seen that value, because the head does not count it.
+    /// Attaches the writer. It continues after the published values. An earlier incarnation may
+    /// have written the next value, but no reader saw it: the head does not count it.
     pub(crate) fn attach(ring: Ring<'a>) -> Self {
         Self {
             ring,
@@ -201,8 +201,8 @@ impl<'a, T> Writer<'a, T> {
         stamp
     }
 
-    /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
-    /// Without [`Loan::publish`] nothing is published. Never blocks.
+    /// Lends the slot of the next value to the caller, which fills it in place. Its words hold an
+    /// old value. Only [`Loan::publish`] publishes the value. Never blocks.
     #[inline]
     pub fn loan(&mut self) -> Loan<'_, 'a, T> {
         self.ring.begin(self.next);
@@ -214,7 +214,7 @@ impl<'a, T> Writer<'a, T> {
 }
 
 impl<T: Payload> Writer<'_, T> {
-    /// Makes `value` the newest. Never blocks.
+    /// Publishes `value` as the newest and returns its number. Never blocks.
     #[inline]
     pub fn publish(&mut self, value: &T) -> Stamp {
         self.ring.begin(self.next);
@@ -238,7 +238,7 @@ impl<'a, T> Loan<'_, 'a, T> {
         &mut self.words
     }
 
-    /// Publishes the value.
+    /// Publishes the value and returns its number.
     #[inline]
     pub fn publish(self) -> Stamp {
         self.writer.complete()

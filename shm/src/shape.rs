@@ -1,11 +1,11 @@
-//! Regions of the LMU: size, alignment, and the shape of a region that is a ring of slots.
+//! Size and alignment of regions of the LMU, and the shape of a region that is a ring of slots.
 
 use crate::sync::AtomicU32;
 
 /// Words of a cache line of 64 bytes, the unit in which regions are laid out.
 pub const LINE_WORDS: usize = 16;
 
-/// `words` rounded up to whole cache lines.
+/// Returns `words` rounded up to whole cache lines.
 #[inline]
 pub(crate) const fn whole_lines(words: usize) -> usize {
     words.div_ceil(LINE_WORDS) * LINE_WORDS
@@ -20,7 +20,7 @@ pub enum FitError {
     Misaligned,
 }
 
-/// The first `needed` words, if there are enough and they start at a cache line.
+/// Returns the first `needed` words, if there are enough and they start at a cache line.
 #[inline]
 pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {
     // loom's atomics are larger than a word, so lines have no meaning for them.
@@ -30,14 +30,14 @@ pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], Fi
     words.get(..needed).ok_or(FitError::TooSmall)
 }
 
-/// The first `WORDS` words, as [`fit`]; their number is known when they are indexed.
+/// Like [`fit`], but returns an array, so that an index into it can be checked at compile time.
 pub(crate) fn fit_exactly<const WORDS: usize>(
     words: &[AtomicU32],
 ) -> Result<&[AtomicU32; WORDS], FitError> {
     fit(words, WORDS)?.first_chunk().ok_or(FitError::TooSmall)
 }
 
-/// How many slots a channel has and how many words each carries. All ends of a channel must get the
+/// The number of slots of a channel and of words in each slot. All ends of a channel must get the
 /// same shape; it is part of the build, not of the shared memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
@@ -46,8 +46,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words (at least 1) each, 2^28
-    /// words in all at most.
+    /// Returns the shape with `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words
+    /// each (at least 1), at most 2^28 words in all.
     ///
     /// # Panics
     /// If a number is out of its range; in a constant that is a compile error.
@@ -59,14 +59,14 @@ impl Shape {
         Self { slots, slot_words }
     }
 
-    /// How many slots.
+    /// Returns the number of slots.
     #[must_use]
     #[inline]
     pub const fn slots(self) -> usize {
         self.slots
     }
 
-    /// Words of one slot.
+    /// Returns the number of words of one slot.
     #[must_use]
     #[inline]
     pub const fn slot_words(self) -> usize {

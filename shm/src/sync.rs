@@ -1,4 +1,4 @@
-//! The one switch point between the atomics of the machine, of loom and of the step injector.
+//! Selects the atomics: those of the machine, of loom, or of the step injector in `fault`.
 
 pub use core::sync::atomic::Ordering;
 

@@ -1,33 +1,33 @@
 //! The waiting policy: spin, spin and then sleep, or sleep.
 //!
-//! A core with its own CPU spins and waits only for a cache line. On a shared CPU it must sleep, so
-//! that the core that it waits for can run. The policy decides when to poll and when to sleep; the
-//! caller's [`Awaited`] defines what to poll and how to sleep.
+//! A core with its own CPU can spin: it waits only for a cache line. On a shared CPU it must sleep,
+//! so that the core that it waits for can run. The policy decides when to poll and when to sleep;
+//! the caller's [`Awaited`] defines what to poll and how to sleep.
 
 use crate::sync::spin;
 
-/// The event that a core waits for, and its way to sleep.
+/// The event that a core waits for, and how the core sleeps.
 pub trait Awaited {
     /// The result of the wait.
     type Output;
 
-    /// Polls once, without blocking. A caller with a deadline also returns here when the deadline
-    /// has passed: this ends the wait.
+    /// Polls once, without blocking. `Some` ends the wait; an event with a deadline also returns
+    /// `Some` when the deadline has passed.
     fn check(&mut self) -> Option<Self::Output>;
 
     /// Announces to the cores that may wake this one that it is going to sleep (see
-    /// [`Receiver::prepare_sleep`](crate::mailbox::Receiver::prepare_sleep)). `false` if something
-    /// has just arrived; then the announcement is undone.
+    /// [`Receiver::prepare_sleep`](crate::mailbox::Receiver::prepare_sleep)). If something has just
+    /// arrived, withdraws the announcement and returns `false`.
     fn prepare_sleep(&mut self) -> bool;
 
-    /// Sleeps until another core wakes this one or the deadline has passed; may end early.
+    /// Sleeps until another core wakes this one or the deadline has passed; may return early.
     fn sleep(&mut self);
 
     /// Announces that this core is awake.
     fn awake(&mut self);
 }
 
-/// How to wait.
+/// How a core waits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WaitPolicy {
     /// Poll continuously; never sleep. Only for a core with its own CPU.
@@ -75,7 +75,7 @@ impl WaitPolicy {
 mod tests {
     use super::*;
 
-    /// `check` succeeds at poll number `after`; a sleep makes it succeed at once.
+    /// An event whose `check` returns the number of sleeps after `after` polls without a result.
     struct Script {
         after: u32,
         polls: u32,
@@ -97,7 +97,7 @@ mod tests {
         }
 
         fn prepare_sleep(&mut self) -> bool {
-            // At the first attempt something arrives in between.
+            // The first attempt is refused, as if a signal had just arrived.
             let first = !core::mem::replace(&mut self.refused, true);
             self.announced = !first;
             !first

@@ -1,5 +1,5 @@
-//! loom models of incarnations that begin while others run: nothing is taken from an incarnation
-//! that is alive.
+//! loom models of incarnations that start while others run: no core takes a lock or words from a
+//! living incarnation.
 #![cfg(loom)]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -23,15 +23,15 @@ fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
     Incarnations::attach(&words[LIVES_AT..]).unwrap()
 }
 
-/// A new incarnation of this core: announced, then attached.
+/// Announces a new incarnation of this core and attaches it to the lock.
 fn start_lock(words: &[AtomicU32], core: usize, generation: u32) -> Lock<'_> {
     let incarnation = Incarnation::new(core, generation).unwrap();
     incarnations(words).announce(incarnation).unwrap();
     bare::lock(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
 }
 
-/// T-LOCK-1: a core announces itself and takes the lock by its first acquisition while another core
-/// polls it. No core reports a death, and two are never inside.
+/// T-LOCK-1: a core announces itself and takes the lock for the first time while another core polls
+/// it. No core reports a death, and at most one core is inside.
 #[test]
 fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
     model(3, || {
@@ -56,8 +56,7 @@ fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
     });
 }
 
-/// T-LOCK-1: the same by a token that the core did not find as its own: `look` instead of
-/// `retake`.
+/// T-LOCK-1: the same if another core had the lock before: `look` takes the lock, not `retake`.
 #[test]
 fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
     model(3, || {
@@ -83,8 +82,8 @@ fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
     });
 }
 
-/// A core gives the lock back, is reset, and announces its next incarnation while another core
-/// wants the lock: that core reports no death.
+/// A core releases the lock, is reset, and announces its next incarnation while another core polls
+/// the lock: that core reports no death.
 #[test]
 fn a_release_before_the_next_incarnation_is_no_recovery() {
     model(3, || {
@@ -121,8 +120,8 @@ fn start_pool(words: &[AtomicU32], core: usize, generation: u32) -> Pool<'_> {
     .unwrap()
 }
 
-/// T-SHM-2: a core announces itself and borrows while another core reclaims what dead incarnations
-/// own: that core frees nothing.
+/// T-SHM-2: a core announces itself and borrows words while another core reclaims the words of dead
+/// incarnations: no words of the living core are freed.
 #[test]
 fn the_words_of_a_new_incarnation_are_not_reclaimed() {
     model(3, || {

@@ -1,4 +1,4 @@
-//! loom models of the channels: newest value, broadcast, FIFO; and of formatting the map.
+//! loom models of the channels (newest value, broadcast, FIFO) and of `Map::format`.
 #![cfg(loom)]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -20,8 +20,8 @@ use tandem_shm::{LINE_WORDS, Shape, fifo};
 const SHAPE: Shape = Shape::new(2, 2);
 type Value = [u32; 2];
 
-/// The reader gets whole values, never an older one after a newer one, while the writer laps it and
-/// is replaced by a successor in the middle of a value.
+/// The reader gets whole values, never an older one after a newer one, while the writer overwrites
+/// all slots and a successor replaces it in the middle of a value.
 #[test]
 fn newest_is_never_torn_and_never_goes_back() {
     model(4, || {
@@ -56,8 +56,8 @@ fn newest_is_never_torn_and_never_goes_back() {
     });
 }
 
-/// A core that requests the channel's line before it polls the mailbox, and so may have seen an
-/// older head, still reads the value that was signalled.
+/// A core that prefetches the channel's line before it polls the mailbox may have loaded an older
+/// head. After a signal it still reads the signalled value.
 #[test]
 fn a_value_is_there_with_its_signal_whatever_was_prefetched() {
     model(3, || {
@@ -204,8 +204,8 @@ fn fifo_values_arrive_in_order() {
     });
 }
 
-/// No slot is refilled before it was read. loom lets no load see a later store, so a cell that both
-/// ends touch stands for the words of each slot.
+/// The producer refills no slot before the consumer has read it. In loom a load never sees a later
+/// store, so a cell that both ends access stands for the words of each slot.
 #[test]
 fn fifo_slots_are_refilled_after_they_were_read() {
     model(3, || {
@@ -217,7 +217,7 @@ fn fifo_slots_are_refilled_after_they_were_read() {
                 let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                 for k in 0..4 {
                     if k == 3 {
-                        // A successor may refill what its predecessor might have.
+                        // A successor may refill the slots that its predecessor could refill.
                         producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                     }
                     let loan = loop {
@@ -246,8 +246,7 @@ fn fifo_slots_are_refilled_after_they_were_read() {
     });
 }
 
-/// A stamp was overwritten, and the producer restores it: a core that sees the restored stamp sees
-/// the words.
+/// The producer restores an overwritten stamp: a core that sees the restored stamp sees the words.
 #[test]
 fn fifo_values_behind_a_restored_stamp_are_whole() {
     const STAMP_AT: usize = fifo::words(SHAPE) - 6;
@@ -307,8 +306,8 @@ fn fifo_survives_a_new_consumer() {
     });
 }
 
-/// A producer that is replaced after each value continues behind the values that were sent. A value
-/// that was only lent is not sent.
+/// If the producer is replaced after each value, its successor continues after the sent values. A
+/// slot that was only lent sends no value.
 #[test]
 fn fifo_survives_new_producers() {
     model(3, || {
@@ -337,7 +336,7 @@ fn fifo_survives_new_producers() {
     });
 }
 
-/// A core that attaches sees a formatted LMU, whatever was in it before.
+/// A core that attaches sees a fully formatted LMU and no earlier content.
 #[test]
 fn map_is_seen_whole_or_not_at_all() {
     const ALONE: Region<Words<1>> = Region::first("alone");

@@ -1,4 +1,4 @@
-//! loom models of deaths at each access to shared memory, beside running threads.
+//! loom models in which a core dies at each access to shared memory while other threads run.
 #![cfg(loom)]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -44,9 +44,9 @@ fn pool(words: &[AtomicU32], incarnation: Incarnation) -> Pool<'_> {
     .unwrap()
 }
 
-/// T-LOCK-3: the owner dies at any access of taking and releasing, while another core wants the
-/// lock. One core at a time is inside; the waiter learns of the death if and only if the owner died
-/// between the two.
+/// T-LOCK-3: the owner dies at any access while it takes and releases the lock, and another core
+/// polls the lock. At most one core is inside; the waiter is told of the death if and only if the
+/// owner died inside.
 #[test]
 fn a_lock_survives_its_owner_at_every_access() {
     for at in 0..7 {
@@ -83,14 +83,14 @@ fn a_lock_survives_its_owner_at_every_access() {
             take(2);
             let died_inside = dying.join().unwrap();
             take(1);
-            // If it was killed at its compare-and-swap or before, it was never inside.
+            // If it was killed before its compare-and-swap succeeded, it was never inside.
             assert_eq!(recovered, u32::from(died_inside));
         });
     }
 }
 
-/// T-SHM-2: a core dies at any access of borrowing two blocks and giving them back, while another
-/// borrows. Nothing is lent twice, and everything comes back.
+/// T-SHM-2: a core dies at any access while it borrows two blocks and gives them back, and another
+/// core borrows. No block is lent twice, and all blocks become free again.
 #[test]
 fn a_pool_survives_a_borrower_at_every_access() {
     for at in 0..14 {
@@ -131,8 +131,8 @@ fn a_pool_survives_a_borrower_at_every_access() {
     }
 }
 
-/// T-SYNC-3: a sender dies at any access of a signal and is replaced while the receiver polls. What
-/// it had counted is handled, exactly once.
+/// T-SYNC-3: a sender dies at any access of a signal and is replaced while the receiver polls. Each
+/// signal that it had counted is handled exactly once.
 #[test]
 fn a_mailbox_survives_its_sender_at_every_access() {
     let task = TaskId::new(1).unwrap();

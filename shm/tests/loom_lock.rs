@@ -14,7 +14,7 @@ use tandem_shm::lock::{self, Acquired, MAX_WAITED_TURNS};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
-/// Polls before a core gives up: enough to wait for two turns.
+/// Number of polls before a core gives up: enough to wait for two turns.
 const LOOKS: u32 = 8;
 
 const LIVES_AT: usize = lock::WORDS;
@@ -27,7 +27,7 @@ fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
     Incarnations::attach(&words[LIVES_AT..]).unwrap()
 }
 
-/// The words of a lock and its incarnation table, with these cores alive.
+/// Returns the words of a lock and its incarnation table, with the first `cores` cores alive.
 fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
     let words = zeroed(LIVES_AT + Incarnations::WORDS);
     for core in 0..cores {
@@ -36,15 +36,15 @@ fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
     words
 }
 
-/// Core `n` takes the lock `times[n]` times, or gives up. loom sees whether
-/// two are inside at once and whether the one inside sees what the last one did.
+/// Core `n` takes the lock `times[n]` times, or gives up. loom checks that at most one core is
+/// inside, and that it sees what the last owner did.
 fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
     model(preemptions, move || {
         let words = lock_words(CORES);
         let guarded = Arc::new(UnsafeCell::new(0u32));
         let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
             let mut lock = bare::lock(&words, incarnation(core), incarnations(&words)).unwrap();
-            // The bound holds for cores that poll: more polls than a model has.
+            // The bound holds for cores that poll in time: the patience exceeds a model's polls.
             lock.set_patience(u32::MAX);
             for _ in 0..times[core] {
                 if let Ok(acquired) = lock.lock(LOOKS, spin) {
@@ -104,8 +104,8 @@ fn three_cores_exclude_each_other() {
     contend([1, 1, 1], 3);
 }
 
-/// T-LOCK-3: two cores pass a waiting core at most twice, even if one of them takes the lock again.
-/// The others take the lock four times: once perhaps before the wait, and three times are too many.
+/// T-LOCK-3: others take the lock at most twice while a core waits, even if one of them takes it
+/// again. They take it four times in all: at most once before the wait, so three would be too many.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
     contend([1, 1, 3], 2);
@@ -118,7 +118,7 @@ fn three_cores_that_come_back_wait_two_turns_at_most() {
     contend([1, 2, 2], 2);
 }
 
-/// T-LOCK-3: the owner dies. Of the two cores that take the lock next, only the first learns of it.
+/// T-LOCK-3: the owner dies. Of the two cores that take the lock next, only the first is told.
 #[test]
 fn one_waiter_learns_of_the_death() {
     model(3, || {
@@ -156,8 +156,8 @@ fn one_waiter_learns_of_the_death() {
     });
 }
 
-/// The patience path: a core waits and stops polling. Two others lose patience, or see it poll
-/// again: one at a time is inside.
+/// A core waits and stops polling. Two other cores run out of patience, or see it poll again: at
+/// most one core is inside.
 #[test]
 fn a_core_that_loses_patience_excludes_the_others() {
     model(2, || {
@@ -171,7 +171,7 @@ fn a_core_that_loses_patience_excludes_the_others() {
                 guarded.with_mut(|_| ());
             }
         };
-        // Core 1 waits, as its bit says, and polls again late.
+        // Core 1 waits: its bit is set. It polls again late.
         take(&words, &guarded, 0, 1);
         words[0].fetch_or(1 << 7, Ordering::Relaxed);
         let others: Vec<_> = [(1, 1), (2, 3)]
@@ -191,7 +191,7 @@ fn a_core_that_loses_patience_excludes_the_others() {
 
 const BLOCKS: usize = 2;
 
-/// The words of a pool and an incarnation table with cores 0 and 1 alive.
+/// Returns the words of a pool and an incarnation table with cores 0 and 1 alive.
 fn pool_words() -> Arc<Vec<AtomicU32>> {
     let words = zeroed(pool::words(BLOCKS) + Incarnations::WORDS);
     for core in 0..2 {
@@ -210,7 +210,7 @@ fn attach(words: &[AtomicU32], core: usize) -> Pool<'_> {
     bare::pool(words, BLOCKS, incarnation(core), pool_incarnations(words)).unwrap()
 }
 
-/// T-SHM-1, T-SHM-2: two cores get and give back at the same time; nothing is given twice or lost.
+/// T-SHM-1, T-SHM-2: two cores get and give back at the same time; no block is lent twice or lost.
 #[test]
 fn two_cores_get_different_blocks() {
     model(3, || {
@@ -236,8 +236,8 @@ fn two_cores_get_different_blocks() {
     });
 }
 
-/// T-SHM-1: three cores borrow from two blocks, one of them both at once. No block is lent twice,
-/// and each core gets its words or a reason why not.
+/// T-SHM-1: three cores borrow from a pool of two blocks, and one of them borrows both. No block is
+/// lent twice, and all blocks become free again.
 #[test]
 fn three_cores_borrow_without_overlap() {
     model(2, || {
@@ -268,8 +268,7 @@ fn three_cores_borrow_without_overlap() {
     });
 }
 
-/// T-SHM-2: two cores reclaim and borrow what a third one, dead, owns. It is freed once, and lent
-/// once.
+/// T-SHM-2: two cores reclaim and borrow the words of a dead core, which are freed and lent once.
 #[test]
 fn the_words_of_the_dead_are_reclaimed_once() {
     model(3, || {
@@ -301,7 +300,7 @@ fn the_words_of_the_dead_are_reclaimed_once() {
     });
 }
 
-/// T-SHM-3: a core that can open words that were handed over sees what the last owner wrote, also
+/// T-SHM-3: a core that opens words that were handed over sees what the last owner wrote, also
 /// after they were handed back.
 #[test]
 fn handing_over_carries_the_words() {

@@ -12,9 +12,9 @@ use tandem_shm::bare;
 use tandem_shm::mailbox::{Ring, TaskId, WORDS};
 use tandem_shm::sync::Ordering;
 
-/// T-SYNC-3: a receiver that goes to sleep is rung for each signal that it has not seen. A lost
-/// wake-up is a deadlock of the model. The payload that was written before the signal is visible,
-/// and the value is not older than the count.
+/// T-SYNC-3: the doorbell wakes a sleeping receiver for each signal that it has not seen. A lost
+/// wake-up is a deadlock of the model. The receiver sees the payload that was written before the
+/// signal, and a value that is not older than the count.
 #[test]
 fn no_wake_up_is_lost() {
     model(3, || {
@@ -54,7 +54,7 @@ fn no_wake_up_is_lost() {
     });
 }
 
-/// T-SYNC-3: a receiver that polls only the posted word misses none of several tasks, however its
+/// T-SYNC-3: a receiver that polls the posted word misses no signal of several tasks, wherever its
 /// polls fall between the sender's steps.
 #[test]
 fn no_task_is_missed() {
@@ -80,7 +80,7 @@ fn no_task_is_missed() {
     });
 }
 
-/// A sender that sees no signal open may reuse what the handler has read.
+/// After `open` returns 0, the sender may reuse the payload that the handler has read.
 #[test]
 fn what_a_handler_has_read_may_be_reused() {
     model(3, || {
@@ -108,8 +108,8 @@ fn what_a_handler_has_read_may_be_reused() {
     });
 }
 
-/// T-SYNC-3: both ends are replaced while the other one works: each signal is handled once, since
-/// no end dies inside an operation, and a sleeping successor is rung.
+/// T-SYNC-3: each end is replaced between operations while the other one runs: each signal is
+/// handled once, and the doorbell wakes a sleeping successor.
 #[test]
 fn replaced_ends_lose_no_signal() {
     model(3, || {

@@ -1,4 +1,4 @@
-//! loom models of typed regions: an end that exists once is claimed by one living core.
+//! loom models of typed regions: one living core at a time can claim a unique end.
 #![cfg(loom)]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -14,7 +14,7 @@ use tandem_shm::sync::AtomicU32;
 const NEWS: Region<Mailbox> = Region::first("news");
 const LAYOUT: Layout = NEWS.end();
 
-/// An incarnation of this core that is announced only now, and whether it got the sending end.
+/// Announces an incarnation of this core, which claims the sending end. Returns whether it got it.
 fn claim(words: &[AtomicU32], core: usize, generation: u32) -> bool {
     let map = Map::attach(words, LAYOUT).unwrap();
     let incarnation = Incarnation::new(core, generation).unwrap();

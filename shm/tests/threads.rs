@@ -1,4 +1,4 @@
-//! The primitives between threads, without a model: for Miri's weak memory, and at full speed.
+//! Tests of the primitives between threads, without a model: under Miri or at full speed.
 #![cfg(not(loom))]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -14,7 +14,7 @@ use tandem_shm::pool::{self, Handle};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
-/// How often a thread does its work.
+/// Number of times that a thread repeats its work.
 const TIMES: u32 = if cfg!(miri) { 60 } else { 20_000 };
 
 const SHAPE: Shape = Shape::new(4, 3);
@@ -125,7 +125,7 @@ fn fifo_values_arrive_once_and_in_order() {
     });
 }
 
-/// T-SYNC-3: a receiver that sleeps whenever it may handles every signal.
+/// T-SYNC-3: a receiver that sleeps as often as it can handles every signal.
 #[test]
 fn signals_wake_a_sleeping_receiver() {
     with_words(mailbox::WORDS, |words| {
@@ -151,7 +151,7 @@ fn signals_wake_a_sleeping_receiver() {
     });
 }
 
-/// T-LOCK-1, T-SHM-3: two cores work on the words of the pool that they hand to each other, under
+/// T-LOCK-1, T-SHM-3: two cores hand words of the pool to each other, and increment a counter under
 /// the lock.
 #[test]
 fn words_go_round_and_the_lock_guards_a_counter() {

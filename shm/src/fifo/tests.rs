@@ -1,4 +1,4 @@
-//! The channel in one thread, and with a reader and a writer that stop at any step.
+//! Tests of the queue in one thread, with a producer and a consumer that stop at any step.
 
 mod interleavings;
 
@@ -114,7 +114,7 @@ fn a_consumer_killed_at_every_step_leaves_the_values_that_it_has_not_released() 
     }
 }
 
-/// All slots are used: each that is released takes the next value.
+/// All slots are used: after each release the producer can send one more value.
 #[test]
 fn a_full_queue_takes_a_value_for_each_that_is_released() {
     let (_, mut producer, mut consumer) = queue();
@@ -155,8 +155,8 @@ fn a_large_queue_publishes_releases_in_groups() {
     (0..64).for_each(|k| producer.send(&[k]).unwrap());
 }
 
-/// After garbage in one word, in all words, or in an index and then another word: never more
-/// values than slots, and later values pass again, in order.
+/// After garbage in one word, in all words, or in all slots, the consumer gets at most five values
+/// at once, and later values arrive in order again.
 #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
 #[test]
 fn scribbled_words_are_repaired() {
@@ -186,8 +186,8 @@ fn scribbled_words_are_repaired() {
     }
 }
 
-/// A consumer that searches for the next value finds it if its stamp is restored before the
-/// search ends: it skips no value that is there.
+/// If a missing stamp is restored before the consumer's search for the next value ends, the
+/// consumer receives that value and does not skip it.
 #[test]
 fn a_value_that_is_restored_during_the_search_is_not_skipped() {
     for at in 0.. {

@@ -21,7 +21,7 @@ impl Bench {
         }
     }
 
-    /// A new incarnation of a core, at this lock.
+    /// Announces a new incarnation of a core and attaches it to the lock.
     fn start(&self, core: usize, generation: u32) -> Lock<'static> {
         let incarnation = Incarnation::new(core, generation).unwrap();
         self.incarnations.announce(incarnation).unwrap();
@@ -40,7 +40,7 @@ impl Bench {
     }
 }
 
-/// T-LOCK-1: one owner at a time, of three cores.
+/// T-LOCK-1: of three cores, one at a time owns the lock.
 #[test]
 fn the_lock_is_taken_once() {
     let bench = Bench::new();
@@ -56,8 +56,8 @@ fn the_lock_is_taken_once() {
     }
 }
 
-/// After a release the next core that waits has its turn. One that lives and does not wait is not
-/// waited for, though another waits behind.
+/// After a release the next waiting core has its turn. A living core that does not wait has no
+/// turn.
 #[test]
 fn a_core_that_does_not_wait_has_no_turn() {
     for (waiting, takes) in [([0, 0], true), ([0, 1], false)] {
@@ -101,8 +101,8 @@ fn two_ends_of_one_incarnation_exclude_each_other() {
     assert!(one.try_lock().is_some());
 }
 
-/// T-LOCK-3: a lock whose owner died is recovered by the next owner, which learns of the death. If
-/// that one dies in the middle of the repair, the next one learns of a death again.
+/// T-LOCK-3: if the owner dies, the next owner recovers the lock and is told of the death. If it
+/// dies too while it repairs the data, the next owner is told again.
 #[test]
 fn a_dead_owner_is_replaced_and_the_next_owner_learns_of_it() {
     let bench = Bench::new();
@@ -130,8 +130,8 @@ fn a_death_after_the_release_is_no_recovery() {
     assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
 }
 
-/// An incarnation that attaches after its successor has attached, at once or frozen at any step of
-/// it: the successor keeps the lock that it holds. T-LOCK-3
+/// If an incarnation attaches after its successor, or is frozen at any step of its attachment while
+/// the successor attaches, the successor keeps the lock that it holds. T-LOCK-3
 #[test]
 fn a_incarnation_that_attaches_late_opens_no_lock() {
     for at in 0.. {
@@ -155,7 +155,7 @@ fn a_incarnation_that_attaches_late_opens_no_lock() {
     }
 }
 
-/// The bit of a killed waiter whose successor has not attached delays no other core.
+/// The waiting bit of a killed core delays no other core, even before its successor attaches.
 #[test]
 fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
     let bench = Bench::new();
@@ -170,8 +170,8 @@ fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
     assert!(three.try_lock().is_some(), "its successor does not");
 }
 
-/// An owner releases and then dies, while another core is frozen at any step of its own attempt:
-/// the next owner learns of no death.
+/// If an owner releases the lock and then dies, while another core is frozen at any step of its
+/// attempt, the lock is not reported as recovered.
 #[test]
 fn a_release_before_the_death_is_no_recovery_for_a_waiter_frozen_at_every_step() {
     for at in 0.. {
@@ -195,8 +195,8 @@ fn a_release_before_the_death_is_no_recovery_for_a_waiter_frozen_at_every_step()
     }
 }
 
-/// T-LOCK-3: generations that are equal in the token's bits do not make a dead owner alive, whether
-/// or not the incarnations between them attach to the lock.
+/// T-LOCK-3: a dead owner counts as dead even if a later generation has the same bits in the token,
+/// whether or not the incarnations between them attach to the lock.
 #[test]
 fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
     let all = [16, 1, 3, 4, 15, 17, 32, 64];
@@ -223,8 +223,8 @@ fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
     }
 }
 
-/// An incarnation that attaches takes back its predecessors' waiting bit, and disowns a token that
-/// looks like its own and is not released. The turn and the other waiting bits stay.
+/// An incarnation that attaches clears its predecessors' waiting bit, and marks a token with its
+/// own bits as an orphan if it is not released. The turn and the other bits do not change.
 #[test]
 fn an_incarnation_disowns_what_its_predecessors_left_and_no_more() {
     for first in 1..=16 {
@@ -253,7 +253,7 @@ fn an_incarnation_disowns_what_its_predecessors_left_and_no_more() {
     }
 }
 
-/// T-LOCK-3: an owner killed at any step leaves a lock that the next core gets.
+/// T-LOCK-3: if the owner is killed at any step, the next core gets the lock.
 #[test]
 fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
     for at in 0.. {
@@ -279,7 +279,7 @@ fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
     }
 }
 
-/// A waiting core killed at any step keeps no other core from the lock.
+/// If a waiting core is killed at any step, other cores still get the lock.
 #[test]
 fn a_waiter_killed_at_every_step_keeps_no_other_out() {
     for at in 0.. {
@@ -290,7 +290,7 @@ fn a_waiter_killed_at_every_step_keeps_no_other_out() {
             assert_eq!(b.lock(3, |_| ()).unwrap_err(), LockTimedOut)
         });
         drop(guard);
-        // Before the death is known: patience.
+        // Before the death is marked, C waits until its patience ends.
         assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
         assert!(a.try_lock().is_some());
         assert!(c.try_lock().is_some(), "its bit is struck");
@@ -313,8 +313,8 @@ fn a_waiter_killed_at_every_step_keeps_no_other_out() {
     );
 }
 
-/// A straggler: frozen at any step of its critical section, declared dead, replaced in all its
-/// words by a busy lock, thawed. It cannot release another's lock.
+/// A straggler is frozen at any step of its critical section, declared dead, and thawed after
+/// successors have used the lock. It cannot release the lock of another core.
 #[test]
 fn a_straggler_releases_no_other_cores_lock() {
     for incarnations in 1..RELEASED_LIVES as u32 {
@@ -352,7 +352,7 @@ fn a_straggler_releases_no_other_cores_lock() {
     }
 }
 
-/// T-LOCK-3: starvation is bounded. The lock rotates; a waiting core is passed at most twice.
+/// T-LOCK-3: starvation is bounded. Turns rotate; others go before a waiting core at most twice.
 #[test]
 fn the_lock_goes_round_among_waiting_cores() {
     let bench = Bench::new();
@@ -372,7 +372,7 @@ fn the_lock_goes_round_among_waiting_cores() {
     assert!(cores[1].try_lock().is_some(), "no core waits any more");
 }
 
-/// T-LOCK-3: waiting is bounded, backs off, and only reads.
+/// T-LOCK-3: waiting is bounded, backs off, and leaves the token unchanged.
 #[test]
 fn waiting_backs_off_and_ends() {
     let bench = Bench::new();
@@ -393,10 +393,8 @@ fn waiting_backs_off_and_ends() {
     drop(guard);
 }
 
-/// The number of turns wraps around; a core whose turn returns to the same number does not hold a
-/// lock that its last release has already released.
-/// T-LOCK-3: a free lock that is another's turn is taken after `PATIENCE` polls, not before. A new
-/// turn, or an owner, begins the count anew.
+/// T-LOCK-3: a core takes a free lock out of turn after `PATIENCE` polls, not before. A new turn or
+/// a new owner restarts the count.
 #[test]
 fn a_waiting_core_is_patient_in_each_turn() {
     const AT: u32 = 10;
@@ -448,6 +446,8 @@ fn a_guard_counts_the_turns_that_it_waited() {
     }
 }
 
+/// If the number of turns wraps around to that of a core's last release, its next acquisition does
+/// not count as released.
 #[test]
 fn turns_wrap_around() {
     let bench = Bench::new();
@@ -486,22 +486,22 @@ fn scribbled_words_cost_time_and_no_more() {
     }
 }
 
-/// What a core does with the lock.
+/// One step of the random test.
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Take(usize),
     Leave(usize),
-    /// It dies, wherever it is, and starts again.
+    /// The core dies, inside or outside, and starts again.
     Die(usize),
-    /// Those who died with the lock release it after all, as a frozen core may.
+    /// Dead owners release the lock late, as a core that was frozen may.
     LeaveLate,
 }
 
-/// The lock as one value.
+/// The model: the lock as one value.
 #[derive(Clone, Copy, Debug)]
 struct Owner {
     core: Option<usize>,
-    /// The last owner died with it.
+    /// Whether the last owner died while it held the lock.
     orphaned: bool,
 }
 
@@ -531,7 +531,7 @@ impl ReferenceStateMachine for Owner {
         match event {
             Event::Take(_) | Event::Die(_) => true,
             Event::Leave(core) => owner.core == Some(*core),
-            // Until a core learns of the death, the release counts.
+            // Excluded: after a late release, no core recovers an orphaned lock.
             Event::LeaveLate => !owner.orphaned,
         }
     }
@@ -558,9 +558,9 @@ struct Cores {
     locks: [Lock<'static>; 3],
     generations: [u32; 3],
     held: [Option<Held<'static>>; 3],
-    /// Of dead incarnations, by core and generation.
+    /// What dead incarnations held, with core and generation.
     late: Vec<(usize, u32, Held<'static>)>,
-    /// As the model was before the event.
+    /// The state of the model before the event.
     before: Owner,
 }
 
@@ -601,7 +601,7 @@ impl StateMachineTest for Cores {
                 let held = cores.held[core].take();
                 cores.late.extend(held.map(|held| (core, generation, held)));
                 cores.generations[core] += 1;
-                // No core stays frozen for more incarnations than the lock has words for.
+                // Forget releases that are too late: the lock has four released words for a core.
                 let too_late = |(of, generation, _): &mut (usize, u32, _)| {
                     *of == core && *generation + 3 < cores.generations[core]
                 };
@@ -625,8 +625,8 @@ prop_state_machine! {
         ..ProptestConfig::default()
     })]
 
-    /// T-LOCK-1, T-LOCK-3: between any takings, releases, deaths and late releases one core is
-    /// inside, and exactly the next owner learns of a death.
+    /// T-LOCK-1, T-LOCK-3: in any order of acquisitions, releases, deaths and late releases, at
+    /// most one core is inside, and exactly the next owner is told of a death.
     #[test]
     fn the_lock_does_what_its_model_does(sequential 1..60 => Cores);
 }

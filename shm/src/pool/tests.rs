@@ -1,4 +1,4 @@
-//! The pool against its model, against deaths and freezes at every access, and against garbage.
+//! Tests of the pool against a model, with deaths and freezes at every access, and with garbage.
 
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
@@ -7,7 +7,8 @@ use std::vec::Vec;
 
 const BLOCKS: usize = 8;
 
-/// The accesses to kill or freeze at; Miri, which takes long for each, gets some of them.
+/// Returns the accesses at which to kill or freeze. Miri takes long for each, so it gets some of
+/// them.
 fn steps() -> impl Iterator<Item = usize> {
     (0..).step_by(if cfg!(miri) { 7 } else { 1 })
 }
@@ -34,7 +35,7 @@ impl Bench {
     }
 }
 
-/// T-SHM-1: a request that does not fit is refused; a granted one has the requested length.
+/// T-SHM-1: the pool refuses a request that does not fit, and lends at least the requested length.
 #[test]
 fn words_are_given_until_they_are_gone() {
     let pool = Bench::new().start(0, 1);
@@ -49,7 +50,7 @@ fn words_are_given_until_they_are_gone() {
     assert!(one.as_ptr_range().end <= rest.as_ptr_range().start);
 }
 
-/// A run ends within the pool, whatever length was written over the one in its head.
+/// A run ends within the pool, even if its length was overwritten.
 #[test]
 fn a_run_of_the_dead_ends_within_the_pool() {
     for (length, blocks) in [(0, 1), (1, 1), (2, 2), (3, 2), (300, 2)] {
@@ -61,7 +62,7 @@ fn a_run_of_the_dead_ends_within_the_pool() {
     }
 }
 
-/// T-SHM-2, T-SHM-4: memory is given back, and a stale or forged handle is an error.
+/// T-SHM-2, T-SHM-4: an owner gives memory back; the pool refuses a stale or forged handle.
 #[test]
 fn stale_and_forged_handles_are_errors() {
     let bench = Bench::new();
@@ -113,7 +114,7 @@ fn ownership_is_handed_over() {
     assert_eq!(pool.free_words(), BLOCKS * BLOCK_WORDS);
 }
 
-/// T-SHM-2: the words of a dead core are freed, and no others.
+/// T-SHM-2: only the words of a dead core are freed.
 #[test]
 fn the_words_of_the_dead_are_reclaimed() {
     let bench = Bench::new();
@@ -132,7 +133,7 @@ fn the_words_of_the_dead_are_reclaimed() {
     let successor = bench.start(0, 2);
     assert_eq!(successor.open(old).unwrap_err(), HandleError::Stale);
     assert!(other.open(kept).is_ok() && other.open(handed).is_ok());
-    // Also without an explicit call, where the words are needed.
+    // `get` also frees them without a call of `reclaim_dead`.
     let lent = bench.start(2, 1).get(48).unwrap();
     assert!(
         bench
@@ -143,7 +144,7 @@ fn the_words_of_the_dead_are_reclaimed() {
     assert_eq!(taken.stamp, lent.stamp + 1, "at the first attempt");
 }
 
-/// Killed at any step of get, hand over and give back: no word stays lost, and none is given twice.
+/// A core is killed at any step of get, hand over and give back: no word is lost or lent twice.
 #[test]
 fn killed_at_every_step_everything_comes_back() {
     for at in steps() {
@@ -162,7 +163,7 @@ fn killed_at_every_step_everything_comes_back() {
                 .mark_dead(Incarnation::new(0, 1).unwrap())
         );
         other.reclaim_dead();
-        // Words still owned were handed over to the living.
+        // Words that are not free were handed over to the living core.
         let lost = (BLOCKS - 1) * BLOCK_WORDS - other.free_words();
         assert!(
             lost == 0 || lost == 3 * BLOCK_WORDS,
@@ -176,7 +177,7 @@ fn killed_at_every_step_everything_comes_back() {
     }
 }
 
-/// A straggler that thaws in the middle of a call takes nothing from the living.
+/// A straggler that is thawed in the middle of a call takes no words of a living core.
 #[test]
 fn a_straggler_takes_nothing_from_the_living() {
     for at in steps() {
@@ -208,7 +209,7 @@ fn a_straggler_takes_nothing_from_the_living() {
     }
 }
 
-/// The same with runs of several blocks, between blocks that the living borrow.
+/// The same with runs of several blocks, between blocks that living cores borrow.
 #[test]
 fn a_straggler_gets_no_run_in_the_middle_of_another() {
     for (kept, living) in [(1, 4), (1, 7), (2, 3), (2, 6), (0, 8), (4, 1), (1, 1)] {
@@ -229,7 +230,7 @@ fn a_straggler_gets_no_run_in_the_middle_of_another() {
                             .incarnations
                             .mark_dead(Incarnation::new(0, 1).unwrap())
                     );
-                    // The blocks before the straggler's become free: the run begins there.
+                    // Free the blocks before the straggler's, so that the run begins there.
                     let head =
                         |block: usize| bench.words[STATES_AT + block].load(Ordering::Relaxed);
                     for block in 0..kept {
@@ -261,7 +262,7 @@ fn a_straggler_gets_no_run_in_the_middle_of_another() {
     }
 }
 
-/// A core that is frozen at any step of its own call delays no other. T-SHM-1
+/// A core that is frozen at any step of a call delays no other core. T-SHM-1
 #[test]
 fn a_frozen_core_delays_no_other() {
     for blocks in [1, 3] {
@@ -287,7 +288,7 @@ fn a_frozen_core_delays_no_other() {
     }
 }
 
-/// Generations that are equal in a head's bits do not make a dead owner alive.
+/// A dead owner counts as dead even if a later generation has the same bits in the head.
 #[test]
 fn the_words_of_the_dead_come_back_after_any_number_of_incarnations() {
     let all = [16, 1, 15, 31, 32, 64];
@@ -355,15 +356,15 @@ fn op() -> impl Strategy<Value = Op> {
     ]
 }
 
-/// One allocation of the whole test.
+/// One allocation that was made during the test.
 #[derive(Clone, Copy)]
 struct Known {
     handle: Handle,
-    /// Core and generation; `None` once it was given back or reclaimed.
+    /// Core and generation; `None` after it was given back or reclaimed.
     owner: Option<(usize, u32)>,
 }
 
-/// The pool as a list of all allocations, first fit.
+/// The model: a list of all allocations, first fit.
 struct Model {
     generations: [u32; 3],
     known: Vec<Known>,
@@ -457,7 +458,7 @@ proptest! {
     }
 }
 
-/// An incarnation that attaches after its successor has attached takes nothing from it.
+/// An incarnation that attaches after its successor takes none of the successor's words.
 #[test]
 fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     let bench = Bench::new();
@@ -473,8 +474,8 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     assert!(living.open(next).is_ok());
 }
 
-/// The same if the late incarnation attaches at any step, and if another core attaches for it when
-/// it hands over.
+/// The same if the late incarnation is frozen at any step of its attachment, or another core at any
+/// step of handing words over to it.
 #[test]
 fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     for by_hand_over in [false, true] {
@@ -519,7 +520,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     }
 }
 
-/// Counting the free words ends, even while a run is being gathered or its owner was killed there.
+/// `free_words` returns even while a run is being gathered, or after its owner was killed.
 #[test]
 fn free_words_end_wherever_a_core_is_killed() {
     for at in steps() {

@@ -1,4 +1,4 @@
-//! Unit tests only: three cores in random schedules, by shuttle, where loom's search is too large.
+//! Unit tests: shuttle runs three cores in random schedules, where loom's search is too large.
 //!
 //! shuttle switches between cores before each access to shared memory. Each access takes effect at
 //! once (sequential consistency): loom checks the memory orderings.
@@ -16,9 +16,9 @@ use shuttle::rand::{Rng, thread_rng};
 use shuttle::thread;
 use std::vec::Vec;
 
-/// Schedules of each model.
+/// Number of schedules of each model.
 const SCHEDULES: usize = 3_000;
-/// Incarnations of each core in one schedule.
+/// Number of incarnations of each core in one schedule.
 const INCARNATIONS: u32 = 4;
 
 fn below(limit: u32) -> u32 {
@@ -52,8 +52,8 @@ fn announce(
 
 const OBJECT_AT: usize = Incarnations::WORDS;
 
-/// T-LOCK-1, T-LOCK-3: cores die at any access and restart while others use the lock. One at a time
-/// is inside, and the next owner learns of a death exactly when a core died inside.
+/// T-LOCK-1, T-LOCK-3: cores die at any access and restart while others use the lock. At most one
+/// core is inside, and the next owner is told of the death if a core died inside.
 #[test]
 fn the_lock_in_random_schedules_with_deaths() {
     const INSIDE_AT: usize = OBJECT_AT + lock::WORDS;
@@ -84,8 +84,8 @@ fn the_lock_in_random_schedules_with_deaths() {
     in_random_schedules(INSIDE_AT + 1, core);
 }
 
-/// T-SHM-1, T-SHM-2: cores borrow runs of several blocks, die at any access or still run after they
-/// were declared dead. No block is lent to two living owners, and all blocks become free again.
+/// T-SHM-1, T-SHM-2: cores borrow runs of several blocks, and die at any access or still run after
+/// they were declared dead. No two living owners get the same block, and all blocks become free.
 #[test]
 fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
     const BLOCKS: usize = 6;
@@ -93,7 +93,7 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
         let Ok(handle) = pool.get((1 + below(3) as usize) * BLOCK_WORDS) else {
             return;
         };
-        // A straggler may be refused; an owner that is alive may not.
+        // The pool may refuse a straggler.
         let Ok(own) = pool.open(handle) else {
             return;
         };
@@ -106,7 +106,7 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
         }
         let _ = pool.give_back(handle);
     }
-    /// As `borrow`, without writing: a straggler's writes would be its own fault.
+    /// Like `borrow`, but does not write: nothing protects the next owner from those writes.
     fn straggle(pool: &Pool<'static>) {
         if let Ok(handle) = pool.get((1 + below(3) as usize) * BLOCK_WORDS) {
             let _ = pool.give_back(handle);
@@ -189,8 +189,8 @@ fn the_mailbox_in_random_schedules_with_deaths() {
 
 type Value = [u32; 2];
 
-/// Lives of a core: each but the last ends at any of its first accesses, if `life` is not over
-/// before.
+/// Runs the incarnations of a core. Each one except the last is killed at one of its first
+/// `accesses` accesses; if `life` returns before that, there is no further one.
 fn lives(accesses: u32, mut life: impl FnMut()) {
     for left in (0..INCARNATIONS).rev() {
         let at = if left == 0 { u32::MAX } else { below(accesses) };
@@ -200,8 +200,8 @@ fn lives(accesses: u32, mut life: impl FnMut()) {
     }
 }
 
-/// A queue from core 0 to core 1, and one from there to core 2; each core dies at any access and
-/// restarts. Each value arrives whole, in order, at least once.
+/// One queue goes from core 0 to core 1, another from core 1 to core 2. Each core dies at any
+/// access and restarts. Each value arrives whole, in order, at least once.
 #[test]
 fn the_queues_in_random_schedules_with_deaths() {
     const SHAPE: Shape = Shape::new(2, 2);
@@ -264,13 +264,13 @@ fn the_queues_in_random_schedules_with_deaths() {
 }
 
 /// Core 0 publishes, dies at any access and restarts; core 1 reads the newest value, core 2
-/// receives all. Values are whole; the newest never goes back; each other one is received in order
-/// or counted as lost.
+/// receives all. Core 1 never reads a torn value, or an older one after a newer one. Core 2
+/// receives each value in order, or counts it as lost.
 #[test]
 fn newest_and_broadcast_in_random_schedules_with_deaths() {
     const SHAPE: Shape = Shape::new(2, 2);
     const BROADCAST_AT: usize = newest::words(SHAPE).next_multiple_of(LINE_WORDS);
-    // Holds the last value, once it is published; before, 0.
+    // The word at this index holds the last value after it was published, and 0 before.
     const DONE_AT: usize = (BROADCAST_AT + broadcast::words(SHAPE)).next_multiple_of(LINE_WORDS);
     fn publish(newest: &'static [AtomicU32], broadcast: &'static [AtomicU32], k: &mut u32) {
         let mut newest = bare::newest_writer::<Value>(newest, SHAPE).unwrap();

@@ -1,9 +1,9 @@
-//! What the loom models share.
+//! Functions that the loom models share.
 
 use loom::sync::Arc;
 use tandem_shm::sync::AtomicU32;
 
-/// This number of zeroed words, new in each execution.
+/// Returns this number of zeroed words, new in each execution.
 pub(crate) fn zeroed(words: usize) -> Arc<Vec<AtomicU32>> {
     Arc::new((0..words).map(|_| AtomicU32::new(0)).collect())
 }

@@ -1,4 +1,4 @@
-//! Real processes over one piece of shared memory: what an LMU is on the host, without a board.
+//! Real processes with one shared memory, which is how the host implements an LMU; without a board.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -6,14 +6,14 @@ use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{Acquired, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
-/// Longest incarnation of a child, in seconds: the watchdog against a test that hangs.
+/// Longest lifetime of a child, in seconds: a watchdog that ends a test that hangs.
 const WATCHDOG_S: u32 = 120;
 
-/// Zeroed words that all children share; there until the test process ends.
+/// Returns zeroed words that all children share. They exist until the test process ends.
 pub(crate) fn shared(words: usize) -> &'static [AtomicU32] {
     let bytes = words * 4;
     // SAFETY: a new anonymous mapping, page-aligned and zeroed, never unmapped; atomics have
-    // interior mutability, so that other processes may write it.
+    // interior mutability, so other processes may write to it.
     unsafe {
         let at = libc::mmap(
             core::ptr::null_mut(),
@@ -32,7 +32,7 @@ pub(crate) fn shared(words: usize) -> &'static [AtomicU32] {
 pub(crate) struct Child(libc::pid_t);
 
 impl Child {
-    /// Runs `f` in a child, which ends with it.
+    /// Runs `f` in a child process, which ends when `f` returns.
     ///
     /// # Panics
     /// If this process has another thread. That thread may hold a lock, for example of the
@@ -40,8 +40,8 @@ impl Child {
     pub(crate) fn start(f: impl FnOnce()) -> Self {
         let threads = std::fs::read_dir("/proc/self/task").unwrap().count();
         assert_eq!(threads, 1, "only a process with one thread is forked");
-        // SAFETY: this process has one thread, so the child is a whole copy of it, with no lock
-        // held by a thread that is not there. It ends without running the parent's destructors.
+        // SAFETY: this process has one thread, so the child is a complete copy of it: no lock is
+        // held by a thread that the child lacks. It ends without running the parent's destructors.
         unsafe {
             let parent = libc::getpid();
             match libc::fork() {
@@ -76,10 +76,10 @@ impl Child {
         status
     }
 
-    /// Whether the child has not ended.
+    /// Returns whether the child still runs.
     pub(crate) fn is_running(&self) -> bool {
-        // SAFETY: an all-zero `siginfo_t` is valid; `waitid` fills it and leaves the child to be
-        // waited for.
+        // SAFETY: an all-zero `siginfo_t` is valid; `waitid` fills it, and with WNOWAIT the child
+        // can be waited for again.
         unsafe {
             let mut info: libc::siginfo_t = core::mem::zeroed();
             let options = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
@@ -93,7 +93,7 @@ impl Child {
         assert!(libc::WIFSTOPPED(self.wait(libc::WUNTRACED)));
     }
 
-    /// Waits until the child ends, which it must do without an error.
+    /// Waits until the child ends, and checks that it ended without an error.
     pub(crate) fn join(self) {
         assert_eq!(self.wait(0), 0, "the child failed or its watchdog ended it");
         core::mem::forget(self);
@@ -112,7 +112,7 @@ impl Drop for Child {
 
 /// Gives the CPU to another process.
 pub(crate) fn give_way() {
-    // SAFETY: no arguments, no memory.
+    // SAFETY: the call takes no arguments and accesses no memory.
     unsafe { libc::sched_yield() };
 }
 
@@ -120,7 +120,7 @@ pub(crate) fn sleep_us(us: u64) {
     std::thread::sleep(std::time::Duration::from_micros(us));
 }
 
-/// Takes the lock, however long it takes. The three processes may have to share a CPU.
+/// Waits for the lock without a time limit. The three processes may have to share a CPU.
 pub(crate) fn take<'l, 'a>(lock: &'l mut Lock<'a>) -> Acquired<'l, 'a> {
     lock.lock(u32::MAX, |pause| {
         spin(pause);
@@ -131,7 +131,7 @@ pub(crate) fn take<'l, 'a>(lock: &'l mut Lock<'a>) -> Acquired<'l, 'a> {
     .unwrap()
 }
 
-/// An incarnation that is announced in the incarnation table in these words.
+/// Announces an incarnation in this table and returns it.
 pub(crate) fn announce(
     incarnations: Incarnations<'_>,
     core: usize,

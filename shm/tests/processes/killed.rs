@@ -1,4 +1,4 @@
-//! Processes that are killed and frozen at random moments while they use what is in the LMU.
+//! Processes are killed and frozen at random times while they use the primitives in the LMU.
 
 use crate::child::{Child, announce, give_way, shared, sleep_us, take};
 use tandem_shm::bare;
@@ -9,7 +9,7 @@ use tandem_shm::newest::{ReadError, Reader};
 use tandem_shm::sync::{AtomicU32, Ordering};
 use tandem_shm::{LINE_WORDS, Shape, fifo, newest};
 
-/// All tests, by their names.
+/// All tests, with their names.
 pub(crate) const TESTS: [(&str, fn()); 4] = [
     (
         "a_lock_whose_owner_is_killed_is_recovered",
@@ -31,24 +31,24 @@ pub(crate) const TESTS: [(&str, fn()); 4] = [
 
 const CORES: usize = 3;
 
-/// A sequence without a pattern, the same in each run.
+/// Returns number `i` of a pseudo-random sequence, which is the same in each run.
 fn scatter(i: u64, below: u64) -> u64 {
     ((i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33) % below
 }
 
 const LOCK_AT: usize = Incarnations::WORDS;
 const GUARDED_AT: usize = LOCK_AT + lock::WORDS;
-/// Who is inside: core + 1.
+/// The core that is inside, plus 1; 0 if none is.
 const INSIDE: usize = GUARDED_AT;
 /// Two numbers that are equal while no core is inside.
 const PAIR: [usize; 2] = [GUARDED_AT + 1, GUARDED_AT + 2];
 const RECOVERIES: usize = GUARDED_AT + 3;
 const STOP: usize = GUARDED_AT + LINE_WORDS;
-/// How often each core was inside.
+/// Counts for each core how often it was inside.
 const PROGRESS: usize = STOP + 1;
 const WORDS: usize = STOP + LINE_WORDS;
 
-/// One stay inside: checks that the core is alone and the pair whole, and changes both halves.
+/// Checks that the core is alone inside and that the pair is equal, and increments both numbers.
 fn stay_inside(words: &[AtomicU32], core: usize, acquired: Acquired<'_, '_>) {
     let [a, b] = PAIR.map(|at| &words[at]);
     let add = |word: &AtomicU32| word.store(word.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
@@ -88,8 +88,8 @@ fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Chil
     })
 }
 
-/// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced.
-/// Two are never inside at once, a half-done change is always reported, and all continue.
+/// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced. At
+/// most one is inside, a half-done change is always reported, and all of them continue.
 fn a_lock_whose_owner_is_killed_is_recovered() {
     const KILLS: u64 = 120;
     let words = shared(WORDS);
@@ -104,8 +104,8 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
         if let Some(child) = children[core].take() {
             child.kill();
         }
-        // Every second time the supervisor marks the death; otherwise the successor's announcement
-        // shows it.
+        // Every second time the supervisor marks the death; otherwise only the successor's
+        // announcement shows it.
         if i.is_multiple_of(2) {
             incarnations.mark_dead(Incarnation::new(core, generations[core]).unwrap());
         }
@@ -145,7 +145,7 @@ fn a_thawed_owner_does_not_release_anothers_lock() {
         )
         .unwrap();
         let guard = take(&mut lock);
-        // SAFETY: sends a signal to this very process.
+        // SAFETY: sends a signal to this process itself.
         unsafe { libc::raise(libc::SIGSTOP) };
         drop(guard);
     });
@@ -214,11 +214,11 @@ fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
     assert!(seen > 0);
 }
 
-/// Producer and consumer are killed (-9) in turn; no value is lost, none comes out of order, and
-/// only the one that a killed consumer had in hand comes twice.
+/// Producer and consumer are killed (-9) in random order. No value is lost or out of order, and
+/// only a value that a killed consumer had not released is received twice.
 fn a_queue_whose_ends_are_killed_loses_nothing() {
     const SHAPE: Shape = Shape::new(8, 4);
-    /// Behind the queue: the last value that was taken out.
+    /// The word after the queue: the last value that was received.
     const LAST_AT: usize = fifo::words(SHAPE);
     let words = shared(LAST_AT + 2);
     let produce = || {
@@ -255,7 +255,7 @@ fn a_queue_whose_ends_are_killed_loses_nothing() {
         sleep_us(200 + scatter(i, 2_000));
         assert!(all_running(&ends), "an end failed");
         let end = scatter(i, 2) as usize;
-        // The successor starts when the predecessor has ended.
+        // The first assignment kills the predecessor and waits for its end.
         ends[end] = None;
         ends[end] = Some(start(end));
     }

@@ -1,4 +1,4 @@
-//! Three processes increment one counter: without the lock some get lost, with it none. T-LOCK-2
+//! Three processes increment a counter: without the lock some increments are lost. T-LOCK-2
 
 use crate::child::{Child, announce, give_way, meet, shared, take};
 use tandem_shm::bare;
@@ -6,7 +6,7 @@ use tandem_shm::incarnation::Incarnations;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering};
 
-/// All tests, by their names.
+/// All tests, with their names.
 pub(crate) const TESTS: [(&str, fn()); 2] = [
     (
         "without_the_lock_increments_are_lost",
@@ -16,10 +16,10 @@ pub(crate) const TESTS: [(&str, fn()); 2] = [
 ];
 
 const CORES: u32 = 3;
-/// Increments of each process.
+/// Number of increments of each process.
 const INCREMENTS: u32 = 20_000;
-/// Now and then the process gives its CPU away between load and store, so that the
-/// control group shows its loss on a single CPU, too.
+/// After this many increments the process yields its CPU between load and store, so that the
+/// control group loses increments on a single CPU, too.
 const GIVE_WAY_EVERY: u32 = 64;
 
 const LIVES_AT: usize = 0;
@@ -28,7 +28,7 @@ const COUNTER_AT: usize = LOCK_AT + lock::WORDS;
 const START_AT: usize = COUNTER_AT + 16;
 const WORDS: usize = START_AT + 16;
 
-/// The counter's way up: a load, perhaps a pause, a store.
+/// Increments the counter by a load and a store, sometimes with a pause between them.
 fn increment(counter: &AtomicU32, i: u32) {
     let value = counter.load(Ordering::Relaxed);
     if i.is_multiple_of(GIVE_WAY_EVERY) {
@@ -37,8 +37,7 @@ fn increment(counter: &AtomicU32, i: u32) {
     counter.store(value + 1, Ordering::Relaxed);
 }
 
-/// Three processes, each with `work(words, core, i)` for i up to [`INCREMENTS`]; returns the
-/// counter.
+/// Runs `work` [`INCREMENTS`] times in each of three processes. Returns the counter.
 fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) -> u32 {
     let words = shared(WORDS);
     let children: Vec<_> = (0..CORES as usize)
@@ -58,14 +57,14 @@ fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) ->
     words[COUNTER_AT].load(Ordering::Relaxed)
 }
 
-/// T-LOCK-2: the control group. That increments get lost is likely, not certain: it has many tries.
+/// T-LOCK-2: the control group. Lost increments are likely, not certain, so it has 50 tries.
 fn without_the_lock_increments_are_lost() {
     let lost =
         (0..50).any(|_| count(|words, _, i| increment(&words[COUNTER_AT], i)) < CORES * INCREMENTS);
     assert!(lost, "the test cannot show what the lock is for");
 }
 
-/// T-LOCK-2: with the lock none is lost.
+/// T-LOCK-2: with the lock no increment is lost.
 fn with_the_lock_none_is_lost() {
     let counted = count(|words, lock, i| {
         let acquired = take(lock);

@@ -1,7 +1,7 @@
-//! Processes over one piece of shared memory.
+//! Tests with several processes that share memory.
 //!
-//! The children are forked, which is sound only in a process with one thread. The harness of the
-//! test runner has threads, so this program is its own: its tests run one after the other.
+//! The children are forked, which is sound only in a process with one thread. The standard test
+//! harness has threads, so this program has its own harness: its tests run one after the other.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 #[cfg(all(target_os = "linux", not(loom), not(miri)))]

@@ -6,7 +6,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::vec::Vec;
 
-/// A small pseudo-random generator with the same numbers in every run.
+/// A small pseudo-random generator that returns the same numbers in every run.
 struct Random(Cell<u64>);
 
 impl Random {
@@ -14,7 +14,7 @@ impl Random {
         Self(Cell::new(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1))
     }
 
-    /// From 0 to `limit` - 1.
+    /// Returns a number from 0 to `limit` - 1.
     fn below(&self, limit: u32) -> u32 {
         let mut x = self.0.get();
         x ^= x << 13;
@@ -24,13 +24,13 @@ impl Random {
         (x >> 20) as u32 % limit
     }
 
-    /// The access at which to kill or freeze. Most operations have fewer accesses: they end before.
+    /// Returns the access at which to kill or freeze. Many operations end before that access.
     fn access(&self) -> usize {
         self.below(14) as usize
     }
 }
 
-/// When an end acts.
+/// The time at which an end acts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Time {
     /// In its own turn.
@@ -39,27 +39,27 @@ enum Time {
     Others,
 }
 
-/// A value in which tearing is visible.
+/// Returns a value whose words show whether it is torn.
 const fn whole(first: u32) -> [u32; 2] {
     [first, !first]
 }
 
-/// A queue with both ends, and the values that it must deliver. Numbers count from `base`.
+/// A queue with both ends, and the values that it must deliver. Numbers are relative to `base`.
 struct Play {
     words: &'static [AtomicU32],
     shape: Shape,
     base: u32,
-    /// `None` while it is in the middle of an operation.
+    /// `None` during an operation of the producer.
     producer: Cell<Option<Producer<'static, [u32; 2]>>>,
-    /// `None` while it is in the middle of an operation.
+    /// `None` during an operation of the consumer.
     consumer: Cell<Option<Consumer<'static, [u32; 2]>>>,
-    /// The first words of the values sent, and of the one that is being sent.
+    /// The first word of each value that was sent or is being sent.
     values: RefCell<Vec<u32>>,
-    /// The number of the next value.
+    /// The number of the next value to receive.
     next: Cell<u32>,
-    /// How many values were received at least once.
+    /// Number of values that were received at least once.
     received: Cell<u32>,
-    /// How many values were received again by a successor.
+    /// Number of values that a successor received again.
     repeated: Cell<u32>,
     killed: Cell<u32>,
     last_first: Cell<u32>,
@@ -67,7 +67,7 @@ struct Play {
 }
 
 impl Play {
-    /// A queue through which `base` values, wrapping, have passed.
+    /// Returns an empty queue that has already delivered `base` values, wrapping.
     fn new(slots: usize, base: u32, seed: u64) -> Rc<Self> {
         let shape = Shape::new(slots, 2);
         let words = zeroed(words(shape));
@@ -98,7 +98,7 @@ impl Play {
         k.wrapping_sub(self.base)
     }
 
-    /// The actions during a freeze: the other end acts fewer than `limit` times.
+    /// Returns the action during a freeze: `act` runs fewer than `limit` times.
     fn others(self: &Rc<Self>, limit: u32, act: fn(&Rc<Self>, Time)) -> impl FnOnce() + 'static {
         let play = Rc::clone(self);
         move || (0..play.random.below(limit)).for_each(|_| act(&play, Time::Others))
@@ -148,7 +148,7 @@ impl Play {
         self.producer.set(Some(producer));
     }
 
-    /// The successor of a killed producer. It may be frozen while it attaches.
+    /// Attaches the successor of a killed producer. It may be frozen while it attaches.
     fn next_producer(self: &Rc<Self>, time: Time) -> Producer<'static, [u32; 2]> {
         let attach = || Producer::attach(self.words, self.shape).unwrap();
         if time == Time::Others {
@@ -186,8 +186,8 @@ impl Play {
         self.consumer.set(Some(consumer));
     }
 
-    /// The successor of a killed consumer resumes after the last value that was published as
-    /// released.
+    /// Attaches the successor of a killed consumer, which resumes after the last value that was
+    /// published as released.
     fn next_consumer(self: &Rc<Self>, time: Time) -> Consumer<'static, [u32; 2]> {
         if time == Time::Own {
             self.others(4, Self::produce)();
@@ -201,7 +201,7 @@ impl Play {
         consumer
     }
 
-    /// A received value must be the next one, and whole.
+    /// Checks that a received value is the next one, and whole.
     fn check(&self, value: Option<[u32; 2]>) {
         let Some(value) = value else {
             return;
@@ -213,7 +213,7 @@ impl Play {
         self.received.set(self.received.get().max(next + 1));
     }
 
-    /// In the end all sent values were received, and every slot is free.
+    /// Receives the rest, and checks that all sent values were received and every slot is free.
     fn finish(&self) {
         let mut consumer = self.consumer.take().unwrap();
         let mut producer = self.producer.take().unwrap();
@@ -228,9 +228,9 @@ impl Play {
     }
 }
 
-/// Either end is killed or frozen at any access while the other continues, also across the wrap of
-/// the numbers: every sent value is received whole and in order, none is left out, and only values
-/// that a killed consumer had not published as released are repeated.
+/// Either end is killed or frozen at any access while the other continues, also when the numbers
+/// wrap around: every sent value is received whole and in order, and only values that a killed
+/// consumer had not published as released are received again.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]
 fn values_come_in_order_whatever_end_is_killed_or_frozen() {
@@ -268,8 +268,8 @@ fn receive(consumer: &mut Consumer<'_, u32>, most: u32) -> Vec<u32> {
     (0..most).map_while(next).collect()
 }
 
-/// Overwrites a word of a queue of `n` slots of one word. Often with an index or a stamp up to
-/// three turns from `tail`, or half of all numbers away.
+/// Overwrites a word of a queue of `n` slots of one word. Often writes an index or a stamp that is
+/// up to three turns from `tail`, or 2^31 away from that.
 fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     let near = tail.wrapping_add(random.below(6 * n)).wrapping_sub(3 * n);
     let scribble = match random.below(4) {
@@ -285,9 +285,9 @@ fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     words[at].store(scribble, Ordering::Relaxed);
 }
 
-/// After garbage in up to six words, and whichever end attaches again: never more values than slots
-/// without a send, and in the end the queue takes as many values as it has slots and delivers them
-/// in order.
+/// After garbage in up to six words, and after a new attachment of either end: the consumer never
+/// gets more values at once than there are slots, and in the end the queue accepts one value for
+/// each slot and delivers them in order.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]
 fn random_scribbles_heal() {
@@ -314,7 +314,7 @@ fn random_scribbles_heal() {
         if random.below(2) == 0 {
             consumer = Consumer::attach(words, shape).unwrap();
         }
-        // The consumer keeps pace, polls more often, or takes one value for each one sent.
+        // The producer sends each time or every third time; the consumer takes all values or one.
         let (every, most) = [(1, n + 1), (3, n + 1), (1, 1)][random.below(3) as usize];
         for k in 0..8 * LOOKS_PER_DOUBT * n {
             if k % every == 0 {
