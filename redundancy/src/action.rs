@@ -42,10 +42,10 @@ pub enum Action {
     Record(RedundancyEvent),
 }
 
-/// A takeover, for the record.
+/// Describes a takeover, for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Takeover {
-    /// On what evidence.
+    /// The evidence that caused it.
     pub cause: Evidence,
     /// Time since the last heartbeat of the failed master.
     pub since_heartbeat: Duration,
@@ -60,11 +60,11 @@ pub struct Takeover {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ClockOwner {
-    /// This system's: it differs from both others alike.
+    /// This system's clock: it differs from both others by about the same amount.
     Own = 0,
-    /// The other system's.
+    /// The other system's clock.
     Peer = 1,
-    /// The vehicle's.
+    /// The vehicle's clock.
     Vehicle = 2,
 }
 
@@ -77,7 +77,7 @@ pub enum RedundancyEvent {
         from: Phase,
         /// The new phase.
         to: Phase,
-        /// On what evidence.
+        /// The evidence that caused the change.
         on: Evidence,
     },
     /// This system took over.
@@ -86,10 +86,10 @@ pub enum RedundancyEvent {
     LineSilent(u8),
     /// Heartbeat line 1 or 2 carries edges again.
     LineBack(u8),
-    /// Both heartbeat lines are silent, but another witness shows that the other system lives: the
+    /// Both heartbeat lines are silent, but another witness shows that the other system runs: the
     /// lines are cut.
     LinesSplit,
-    /// The other system now counts as failed (`true`), or no longer does.
+    /// The other system now counts as failed (`true`), or no longer does (`false`).
     PeerFailed(bool),
     /// A frame arrived that no correct peer sends; it was ignored.
     Implausible,
@@ -98,12 +98,12 @@ pub enum RedundancyEvent {
     /// This system takes a higher term without a change of role, because the other knows a higher
     /// one.
     TermRaised(Term),
-    /// No frame is received on CAN (`true`), or frames are received again.
+    /// No frame is received on CAN (`true`), or frames are received again (`false`).
     CanSilent(bool),
     /// The state in flash was lost; this system began with the factory state.
     StateLost,
-    /// The power level line was low while the other system lived (`true`): it is ignored from now
-    /// on. Or it has been high for long enough to be used again (`false`).
+    /// The power level line was low while the other system was running (`true`): it is now ignored.
+    /// Or it has been high for long enough to be used again (`false`).
     LevelBroken(bool),
     /// No edge ever arrived on the start line, although the other system runs: the line is cut.
     StartLineSilent,
@@ -112,7 +112,7 @@ pub enum RedundancyEvent {
 }
 
 impl RedundancyEvent {
-    /// Kind and two details, for a trace record.
+    /// Returns the kind and two details, for a trace record.
     #[must_use]
     pub fn to_words(&self) -> [u32; 3] {
         let us = |span: Duration| u32::try_from(span.as_us()).unwrap_or(u32::MAX);
@@ -141,16 +141,16 @@ impl RedundancyEvent {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actions {
     list: [Option<Action>; Self::CAPACITY],
-    /// How many the list has, from its start.
+    /// The number of actions; they stand at the start of the list.
     count: u8,
     deadline: Instant,
 }
 
 impl Actions {
-    /// Room for this many actions: every kind once, heartbeats on both lines, and
+    /// The largest number of actions: every kind once, heartbeats on both lines, and
     /// [`Actions::EVENTS`] events.
     pub const CAPACITY: usize = 18;
-    /// Room for this many events, more than one call causes. Further events are lost; other actions
+    /// The largest number of events; one call causes fewer. Further events are lost; other actions
     /// never are.
     pub const EVENTS: usize = 8;
 
@@ -162,7 +162,7 @@ impl Actions {
         }
     }
 
-    /// Adds an action unless it is in the list.
+    /// Adds an action unless it is already in the list.
     pub(crate) fn push(&mut self, action: Action) {
         if !self.contains(action)
             && let Some(place) = self.list.get_mut(usize::from(self.count))
@@ -182,13 +182,13 @@ impl Actions {
         self.deadline = deadline;
     }
 
-    /// The actions, in order.
+    /// Returns the actions, in order.
     pub fn iter(&self) -> impl Iterator<Item = Action> + '_ {
         let list = self.list.iter().take(usize::from(self.count));
         list.flatten().copied()
     }
 
-    /// The events among them.
+    /// Returns the events among the actions.
     pub fn events(&self) -> impl Iterator<Item = RedundancyEvent> + '_ {
         self.iter().filter_map(|action| match action {
             Action::Record(event) => Some(event),
@@ -196,7 +196,7 @@ impl Actions {
         })
     }
 
-    /// The takeover among the events.
+    /// Returns the takeover, if one is among the events.
     #[must_use]
     pub fn takeover(&self) -> Option<Takeover> {
         self.events().find_map(|event| match event {
@@ -205,7 +205,7 @@ impl Actions {
         })
     }
 
-    /// Whether this action is among them.
+    /// Returns whether the list contains this action.
     #[must_use]
     pub fn contains(&self, action: Action) -> bool {
         self.iter().any(|one| one == action)
@@ -223,7 +223,7 @@ mod tests {
     use super::*;
     use RedundancyEvent as E;
 
-    /// The words of each event are as firmware in C and old traces know them.
+    /// The words of each event stay the same, because firmware in C and old traces use them.
     #[test]
     fn events_have_these_words() {
         let term = Term::from_bits(77);
@@ -261,7 +261,7 @@ mod tests {
         }
     }
 
-    /// Each action is listed once; of the events there are the first eight.
+    /// Each action is listed once; only the first eight events are kept.
     #[test]
     fn actions_are_listed_once_and_events_leave_room() {
         let mut actions = Actions::none();

@@ -2,11 +2,11 @@
 
 use tandem_board::{Duration, ResetCause, SystemId};
 
-/// While a control frame is overdue, the vehicle repeats this often which term it obeys. It starts
-/// at the shortest third witness's limit of all profiles.
+/// Time between two echoes of the vehicle while a control frame is overdue. The first such echo is
+/// sent at the shortest third witness's limit of all profiles.
 pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 
-/// After this many changes of the driver the hold-down stops growing: it is 32 times the first one.
+/// The hold-down stops growing after this many changes of the driver, at 32 times the first.
 const MAX_CHANGES: u8 = 6;
 
 /// Periods and limits of the redundancy. Both systems must use the same.
@@ -19,17 +19,17 @@ pub struct Config {
     pub heartbeat_period: Duration,
     /// How many heartbeats in a row must be missing before a line counts as silent.
     pub heartbeat_misses: u32,
-    /// How much later than due a heartbeat may arrive in addition: lateness of the sender's timer
-    /// and of the receiver's poll.
+    /// How late a heartbeat may arrive in addition: lateness of the sender's timer and of the
+    /// receiver's poll.
     pub heartbeat_jitter: Duration,
     /// Longest time between two polls in normal operation.
     pub poll_interval: Duration,
-    /// After how long a silence of both lines the *master* gives up its standby. Losing the standby
-    /// is not urgent: the bus has all its frames. May be longer than [`Config::silent_limit`].
+    /// The *master* gives up its standby when both lines are silent for this long. This is not
+    /// urgent, because control frames continue. May be longer than [`Config::silent_limit`].
     pub standby_limit: Duration,
     /// Period of the control frames.
     pub control_period: Duration,
-    /// How much later than due a control frame may arrive: lateness of its sender, time on the bus.
+    /// How late a control frame may arrive: lateness of its sender, time on the bus.
     pub control_margin: Duration,
     /// For how many control periods the vehicle may be silent before its last echo is out of date,
     /// and before this system counts as deaf. If the vehicle sends no echo, a master whose control
@@ -48,17 +48,17 @@ pub struct Config {
     /// How long a standby that has heard a handshake waits for the sync edge before it leads
     /// itself. B waits twice as long.
     pub promote_limit: Duration,
-    /// How long heartbeats must have been back before the other system counts as recovered.
+    /// How long heartbeats must have arrived again before the other system counts as recovered.
     pub recover_after: Duration,
-    /// Whether dual operation resumes at run time when the other system has recovered; else at the
-    /// next power cycle, as in the thesis.
+    /// Whether dual operation resumes at run time when the other system has recovered. Otherwise it
+    /// resumes at the next power cycle, as in the thesis.
     pub reintegrate: bool,
     /// How many abnormal resets in a row are tolerated.
     pub abnormal_limit: u8,
-    /// Each such time without a reset subtracts one from the count of abnormal resets.
+    /// Each period of this length without a reset subtracts one from the count of abnormal resets.
     pub healthy_after: Duration,
-    /// No frame received on CAN for this long, while the other system reports a live bus, is an
-    /// open circuit.
+    /// If no frame is received on CAN for this long, while the other system reports a live bus,
+    /// this system's CAN connection is an open circuit.
     pub can_open_limit: Duration,
     /// Time between two reports over the link.
     pub report_period: Duration,
@@ -79,22 +79,22 @@ impl Config {
     }
 
     /// A power level that is low for this long, without a heartbeat, means that the other system is
-    /// off. One heartbeat, seen a poll later at most: a live system would have sent one. The level
-    /// alone is one wire, and must not overrule two contrary witnesses.
+    /// off: a running system would have sent one, seen at most one poll later. The level is only
+    /// one wire, and must not overrule two other witnesses.
     #[must_use]
     pub fn level_limit(&self) -> Duration {
         self.heartbeat_period + self.heartbeat_jitter.min(self.poll_interval)
     }
 
-    /// A link without a report for longer than this is silent. It is a witness that the master is
-    /// dead if both heartbeat lines fell silent with it. Used where it is shorter than the third
+    /// A link without a report for longer than this is silent. If both heartbeat lines fell silent
+    /// with it, this shows that the master has failed. Used where it is shorter than the third
     /// witness's limit.
     #[must_use]
     pub fn link_limit(&self) -> Duration {
         self.report_period.times(self.heartbeat_misses) + self.heartbeat_jitter
     }
 
-    /// After this time without a control frame, the third witness says that no system drives.
+    /// After this time without a control frame, the third witness reports that no system drives.
     #[must_use]
     pub fn witness_limit(&self) -> Duration {
         self.control_period + self.control_margin
@@ -107,8 +107,8 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
-    /// For how long a master that hears nothing on CAN may transmit beside the one that relieved
-    /// it. It hears the other's claim over the link only, and believes it when it has lasted for
+    /// How long a master that hears nothing on CAN may transmit after the other has taken over. It
+    /// hears the other's claim only over the link, and accepts it when it has lasted for
     /// [`Config::mute_limit`]. The vehicle refuses its frames.
     #[must_use]
     pub fn deaf_hand_over(&self) -> Duration {
@@ -119,15 +119,15 @@ impl Config {
         self.report_period.times(1 + reports) + self.control_period + self.poll_interval
     }
 
-    /// The number of changes of the driver with which a system starts. A reset may be the
-    /// consequence of one, which the system has forgotten.
+    /// Returns the number of changes of the driver with which a system starts. A reset may follow a
+    /// change that the system no longer remembers.
     #[must_use]
     pub fn changes_at_start(cause: ResetCause) -> u8 {
         u8::from(cause != ResetCause::PowerOn)
     }
 
-    /// The number of changes of the driver that followed each other since a system started, after
-    /// one more; `ago`: time since the last one before. See [`Phase::changes_driver`].
+    /// Returns the number of consecutive changes of the driver after one more change. `ago` is the
+    /// time between the last two. See [`Phase::changes_driver`].
     ///
     /// [`Phase::changes_driver`]: crate::Phase::changes_driver
     #[must_use]
@@ -139,9 +139,9 @@ impl Config {
         }
     }
 
-    /// For how long a system that has become standby takes over only if the vehicle's echo demands
-    /// it. `changes` counts those of the driver ([`Config::changes_after`]). The time doubles with
-    /// each further change, up to 32 times the first; without a change there is no hold-down.
+    /// Returns how long a new standby takes over only if the vehicle's echo demands it. `changes`
+    /// is the result of [`Config::changes_after`]. The time doubles with each further change, up to
+    /// 32 times the first; without a change there is no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {
         match changes.min(MAX_CHANGES) {
@@ -150,14 +150,14 @@ impl Config {
         }
     }
 
-    /// How long a new standby waits for the first control frame of its master: longer than any
-    /// takeover that may be under way, and B longer than A.
+    /// Returns how long a new standby waits for the first control frame of its master: longer than
+    /// any possible takeover, and for B longer than for A.
     #[must_use]
     pub fn no_master_limit(&self, system: SystemId) -> Duration {
         self.mute_limit().times(2) + self.stagger_of(system)
     }
 
-    /// How long a system that expects no handshake listens for a running master.
+    /// Returns how long a system that expects no handshake listens for a running master.
     #[must_use]
     pub fn listen_limit(&self, system: SystemId) -> Duration {
         self.silent_limit().max(self.witness_limit()) + self.stagger_of(system)
@@ -166,14 +166,14 @@ impl Config {
     /// The time after a poll for which a master may transmit without the next poll.
     ///
     /// The other system takes over no earlier than [`Config::silent_limit`] after the last
-    /// heartbeat, and that was sent at most one period before the last poll.
+    /// heartbeat, and the master sent that at most one period before the last poll.
     #[must_use]
     pub fn lease(&self) -> Duration {
         self.silent_limit() - self.heartbeat_period
     }
 
     /// The longest time between two polls that counts as running. After a longer time the system
-    /// was held up, and its own absence is no evidence against the other.
+    /// was held up, and the silence that it saw is no evidence against the other.
     #[must_use]
     pub fn stall_limit(&self) -> Duration {
         self.poll_interval + self.heartbeat_jitter
@@ -186,17 +186,17 @@ impl Config {
         self.silent_limit() + self.poll_interval
     }
 
-    /// From the failure of a master to the takeover, by silence of heartbeats, and of control
-    /// frames or the link.
+    /// From the failure of a master to the takeover, if its heartbeats fall silent, and its control
+    /// frames or the link too.
     #[must_use]
     pub fn takeover_bound(&self) -> Duration {
         let third = self.witness_limit().min(self.link_limit());
         self.silent_limit().max(third) + self.poll_interval
     }
 
-    /// From the last control frame of a failed master to the first one of its successor, when each
-    /// leaves its system, if the power level did not show the failure: the master fails just before
-    /// a frame is due.
+    /// From the last control frame of a failed master to the first one of the new master, each when
+    /// it leaves its system, if the power level did not show the failure. In the worst case the
+    /// master fails just before a frame is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
         let third = self
@@ -205,21 +205,21 @@ impl Config {
         (self.control_period + self.silent_limit()).max(third) + self.poll_interval
     }
 
-    /// The same if the power level falls.
+    /// The bound of the gap if the power level falls.
     #[must_use]
     pub fn gap_bound_power(&self) -> Duration {
         self.control_period + self.level_limit() + self.poll_interval
     }
 
-    /// The same if the master is alive but cannot transmit. The vehicle decides: the first echo
-    /// that reports no frame for the third witness's limit. While a frame is overdue, an echo is
-    /// sent every millisecond.
+    /// The bound of the gap if the master runs but cannot transmit. The first echo that reports no
+    /// frame for the third witness's limit decides. While a frame is overdue, an echo is sent every
+    /// millisecond.
     #[must_use]
     pub fn gap_bound_mute(&self) -> Duration {
         self.witness_limit() + OVERDUE_ECHO + self.poll_interval
     }
 
-    /// Whether the values fit together: each limit's assumptions about the others.
+    /// Returns whether the values fit together: each limit makes assumptions about the others.
     #[must_use]
     pub fn check(&self) -> bool {
         let hears_other = self.heartbeat_period.times(4) + self.poll_interval.times(2);
@@ -246,8 +246,8 @@ impl Config {
 mod tests {
     use super::*;
 
-    /// T-RED-8: where nothing stalls, the times of the thesis hold without the level line too, with
-    /// the execution up to the first control frame.
+    /// T-RED-8: if nothing stalls, the times of the thesis hold without the level line too. They
+    /// include the execution up to the first control frame.
     #[test]
     fn a_chip_keeps_the_times_of_the_thesis() {
         let (chip, ms) = (Config::chip(), Duration::from_ms);
@@ -275,8 +275,8 @@ mod tests {
         }
     }
 
-    /// T-RED-2: two systems never act at once: B waits longer than A, by the stagger. How long they
-    /// listen follows from the slower of two witnesses.
+    /// T-RED-2: two systems never act at once: B waits longer than A, by the stagger. The slower of
+    /// two witnesses determines how long they listen.
     #[test]
     fn b_waits_longer_than_a_by_the_stagger() {
         let (rt, ms) = (Config::rt(), Duration::from_ms);
@@ -292,8 +292,8 @@ mod tests {
         }
     }
 
-    /// T-RED-8: the gap of a silent master ends with the last of: both lines silent, and either the
-    /// control frames missed or the link silent.
+    /// T-RED-8: after a master falls silent, the gap ends when both lines are silent and either the
+    /// control frames are missed or the link is silent.
     #[test]
     fn the_slowest_witness_that_is_needed_bounds_the_gap() {
         let (rt, ms) = (Config::rt(), Duration::from_ms);
@@ -319,7 +319,7 @@ mod tests {
         }
     }
 
-    /// A limit is permitted up to its bound, and not a nanosecond (or one) beyond.
+    /// A limit is permitted up to its bound; one nanosecond (or one count) more is refused.
     #[test]
     fn check_refuses_limits_that_do_not_fit() {
         let (rt, ms, ns) = (Config::rt(), Duration::from_ms, Duration::from_ns(1));

@@ -1,4 +1,4 @@
-//! The driving phases `Master` and `DegradedMaster`, and `Thawed`, which drove.
+//! The driving phases `Master` and `DegradedMaster`, and `Thawed` after a stall.
 
 use crate::witness::Witnesses;
 use crate::{Config, Evidence, SystemState, Term};
@@ -15,7 +15,7 @@ pub(crate) struct Driving {
     refused: bool,
     /// The last echo said that the vehicle refuses this term, and that no system drives.
     refused_by_vehicle: bool,
-    /// Since when this system drives.
+    /// When this system began to drive.
     since: Instant,
 }
 
@@ -46,7 +46,7 @@ impl Driving {
         core::mem::replace(&mut self.refused_by_vehicle, refused) && refused
     }
 
-    /// Whether a frame may be sent `since_poll` after the last poll.
+    /// Returns whether a frame may be sent `since_poll` after the last poll.
     pub(crate) fn may_transmit(
         &mut self,
         config: &Config,
@@ -61,18 +61,18 @@ impl Driving {
         leased
     }
 
-    /// Whether the last transmission was refused.
+    /// Returns whether the last transmission was refused.
     pub(crate) const fn is_refused(&self) -> bool {
         self.refused
     }
 
-    /// Whether a transmission was refused since the last call.
+    /// Returns whether a transmission was refused since the last call.
     pub(crate) fn take_refused(&mut self) -> bool {
         core::mem::take(&mut self.refused)
     }
 
-    /// Whether the other may have taken over since this master's last sign of life. It cannot have
-    /// while the third witness was not yet silent for its limit, nor if the other is not there.
+    /// Whether the other may have taken over since this master was last permitted to transmit. It
+    /// cannot have before the third witness's limit has passed, nor if the other is off.
     pub(crate) fn may_be_deposed(
         &self,
         config: &Config,
@@ -85,7 +85,7 @@ impl Driving {
         others && !off && now >= earliest
     }
 
-    /// In dual operation: is the standby lost?
+    /// Judges in dual operation whether the standby is lost.
     pub(crate) fn judge_dual(
         &self,
         config: &Config,
@@ -98,14 +98,14 @@ impl Driving {
         if witnesses.standby_is_gone(config, now) {
             return Some(Evidence::BeatsSilent);
         }
-        // Heartbeats show that the standby lives, not that it can transmit.
+        // Heartbeats show that the standby runs, not that it can transmit.
         let limit = config.status_limit;
         let heard = witnesses.reports.standby_within(now, limit) || now.since(self.since) <= limit;
         (!heard).then_some(Evidence::StandbyMute)
     }
 
-    /// Alone: has the other recovered, and may it be the standby again? `peer_sound_for`: time
-    /// since the last evidence of its failure.
+    /// Judges, while this system drives alone, whether the other has recovered and may be the
+    /// standby again. `peer_sound_for`: time since the last evidence of its failure.
     pub(crate) fn judge_alone(
         &self,
         config: &Config,
@@ -136,16 +136,16 @@ pub(crate) struct Thawed {
     /// The mastership to resume. After a stall no new term is taken: if the other took over
     /// unheard, a new term would depose it.
     pub(crate) driving: Driving,
-    /// It was in dual operation.
+    /// This master was in dual operation.
     pub(crate) dual: bool,
-    /// Since when it listens.
+    /// When it began to listen.
     pub(crate) since: Instant,
 }
 
 impl Thawed {
-    /// Whether the other has not taken over and is not about to. The vehicle accepted the last
-    /// frame of this mastership `age` ago: either too recently for a takeover, or so long ago that
-    /// a takeover would have happened.
+    /// Returns whether the other has not taken over and is not about to. `age` ago the vehicle
+    /// accepted the last frame of this mastership: either too recently for a takeover, or so long
+    /// ago that a takeover would already have happened.
     pub(crate) fn is_kept(&self, config: &Config, age: Duration) -> bool {
         let under_way = config.poll_interval.times(2);
         age + under_way < config.witness_limit() || age > config.gap_bound() + under_way

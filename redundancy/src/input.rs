@@ -3,8 +3,8 @@
 use crate::{FailureMode, LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 
-/// The state of the lines and the CAN receiver at one moment. Counts run and wrap around; their
-/// first value does not matter.
+/// The state of the lines and the CAN receiver at one moment. Counts increase and wrap around; only
+/// their differences matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineSnapshot {
     /// Rising edges on [`Line::Start`].
@@ -20,8 +20,8 @@ pub struct LineSnapshot {
 }
 
 impl LineSnapshot {
-    /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
-    /// valid frames received on CAN from third parties.
+    /// Creates a snapshot. `received`: the count of edges of one type on one line. `can_frames`:
+    /// running count of the valid frames received on CAN from third parties.
     ///
     /// First take all frames from the CAN receiver and pass them to the machine. Otherwise the
     /// machine sees silence while evidence waits in a buffer.
@@ -45,7 +45,7 @@ pub struct ControlHeader {
     pub system: SystemId,
     /// Its mastership term.
     pub term: Term,
-    /// Its role; a control frame of anything but a master is implausible.
+    /// Its role; a control frame with any role but master is implausible.
     pub role: Role,
     /// The function that produced the command.
     pub mode: Mode,
@@ -67,7 +67,7 @@ pub struct ObeyedTerm {
 /// One input of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
-    /// The periodic poll of the lines; also immediately when an edge or the power level interrupts.
+    /// The lines at a poll: periodic, and at once when an edge or the power level interrupts.
     Poll(LineSnapshot),
     /// A control frame was received on CAN.
     ControlFrame(ControlHeader),
@@ -90,7 +90,7 @@ pub enum Input {
     HandOver,
 }
 
-/// The differences at a poll.
+/// The differences between a poll and the one before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Seen {
     pub(crate) handshakes: u32,
@@ -103,13 +103,13 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
-    /// Heartbeats: on the line that carried more of them.
+    /// Returns the number of heartbeats: the count of the line that carried more.
     pub(crate) fn heartbeats(&self) -> u32 {
         self.beats[0].max(self.beats[1])
     }
 }
 
-/// Takes differences between two snapshots.
+/// Computes the differences between two snapshots.
 #[derive(Clone, Debug)]
 pub(crate) struct Polls {
     last: Option<LineSnapshot>,
@@ -124,7 +124,7 @@ impl Polls {
         }
     }
 
-    /// When the last poll was, or the start.
+    /// Returns the time of the last poll, or of the start if there was none.
     pub(crate) const fn last(&self) -> Instant {
         self.at
     }
@@ -148,7 +148,7 @@ impl Polls {
 mod tests {
     use super::*;
 
-    /// T-RED-3: only differences count, also where a count wraps around; the first snapshot is the
+    /// T-RED-3: only differences count, even if a count wraps around; the first snapshot is the
     /// reference.
     #[test]
     fn differences_across_the_wrap_around() {

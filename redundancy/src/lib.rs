@@ -7,10 +7,10 @@
 //!
 //! One cycle of core 0:
 //!
-//! 1. hand every received control frame, status frame and link report to [`Redundancy::on`];
-//! 2. take a [`LineSnapshot`] of the lines and hand it over as [`Input::Poll`];
+//! 1. pass every received control frame, status frame and link report to [`Redundancy::on`];
+//! 2. take a [`LineSnapshot`] of the lines and pass it as [`Input::Poll`];
 //! 3. carry out each [`Action`]; call again no later than [`Actions::deadline`];
-//! 4. ask [`Redundancy::may_transmit`] right before each control frame.
+//! 4. call [`Redundancy::may_transmit`] right before each control frame.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -18,17 +18,17 @@ use crate::{
 };
 use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
-/// The first term after a start is this far above the highest known one: more masterships than can
-/// have gone unwritten when the power failed.
+/// The first term after a start exceeds the highest known one by this much: more masterships than
+/// can be missing from the flash after a loss of power.
 const TERM_STEP_AT_START: u32 = 8;
-/// The same if no system has reported the highest term since power-on: more masterships than the
-/// other is likely to have had while this system was off. If the term were too low, the vehicle
+/// The same step if no system has reported the highest term since power-on: more masterships than
+/// the other is likely to have had while this system was off. If the term were too low, the vehicle
 /// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
 
-/// "This system is ready."
+/// Tells the other system that this one is ready.
 const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
-/// "The other system begins now, as standby."
+/// Tells the other system to begin now, as standby.
 const SYNC: Action = Action::SendEdge(Line::Start, Edge::Falling);
 
 /// The phase, with the data of this phase.
@@ -56,7 +56,7 @@ impl PhaseState {
         }
     }
 
-    /// The mastership, while the output is open.
+    /// Returns the mastership while the output is open.
     const fn driving(&mut self) -> Option<&mut Driving> {
         match self {
             Self::Master(driving) | Self::DegradedMaster(driving) => Some(driving),
@@ -64,7 +64,7 @@ impl PhaseState {
         }
     }
 
-    /// The mastership that this system has, open or interrupted by a stall.
+    /// Returns the mastership that this system holds, even if a stall has interrupted it.
     const fn mastership(&self) -> Option<Driving> {
         match self {
             Self::Master(driving) | Self::DegradedMaster(driving) => Some(*driving),
@@ -76,25 +76,25 @@ impl PhaseState {
 
 /// The redundancy of one system.
 ///
-/// Any context, never blocks, never panics for any input. Times must not go back.
+/// May be called in any context; never blocks; no input makes it panic. Times must not go back.
 #[derive(Clone, Debug)]
 pub struct Redundancy {
     config: Config,
     system: SystemId,
     phase: PhaseState,
     state: SystemState,
-    /// The fault of this system, from the record or since the start.
+    /// The fault of this system, from the record in flash or found since the start.
     fault: Option<FailureMode>,
     /// When the other was last found to have failed.
     peer_failed_at: Instant,
-    /// Changes of the driver that followed each other, and when the last one was.
+    /// The number of consecutive changes of the driver, and the time of the last one.
     changes: u8,
     changed_at: Instant,
     /// An edge arrived on the start line, or its absence was reported.
     start_line_tested: bool,
     /// The last state passed to the store.
     persisted: Option<SystemState>,
-    /// The record was lost, and this is not yet reported.
+    /// The record in flash was lost, and this is not yet reported.
     unreported_loss: bool,
     /// The highest term is known well enough: the vehicle or a running system has reported it since
     /// the start, or this system was not off before and its record is whole.
@@ -102,21 +102,21 @@ pub struct Redundancy {
     /// The last stale term that was reported.
     stale_reported: Term,
     beats: BeatSender,
-    /// When the last report went over the link, µs; wraps around.
+    /// The time of sending of the last report over the link, µs; wraps around.
     reported_us: u32,
     polls: Polls,
     witnesses: Witnesses,
     /// When this system was first ready for a role.
     running_since: Option<Instant>,
-    /// Until when this master offers its role to the standby.
+    /// This master offers its role to the standby until this time.
     hands_over_until: Option<Instant>,
-    /// This incarnation has counted that its command is wrong.
+    /// This incarnation has already counted that its command is wrong.
     wrong_counted: bool,
 }
 
 impl Redundancy {
-    /// A system after the checks of T-RED-7. `loaded` is the store's result, `now` the time of the
-    /// start.
+    /// Creates a system after the checks of T-RED-7. `loaded` is the store's result, `now` the time
+    /// of the start.
     #[must_use]
     pub fn new(
         config: Config,
@@ -156,7 +156,7 @@ impl Redundancy {
         }
     }
 
-    /// Takes one input at time `now`.
+    /// Handles one input at time `now`.
     pub fn on(&mut self, now: Instant, input: Input) -> Actions {
         let mut actions = Actions::none();
         if core::mem::take(&mut self.unreported_loss) {
@@ -183,9 +183,9 @@ impl Redundancy {
         actions
     }
 
-    /// When the next poll is due: after the poll interval, for a heartbeat, or when a limit ends
-    /// after which the master counts as failed. A takeover does not wait for the next poll of the
-    /// grid, whose phase to the other system's polls is arbitrary.
+    /// Returns when the next poll is due: after the poll interval, for a heartbeat, or at the end
+    /// of a limit after which the master counts as failed. A takeover does not wait for the next
+    /// periodic poll, whose phase to the other system's polls is arbitrary.
     fn deadline(&self, now: Instant) -> Instant {
         let due = self.beats.due();
         let due = due.min(self.polls.last() + self.config.poll_interval);
@@ -197,8 +197,8 @@ impl Redundancy {
         }
     }
 
-    /// Whether a control frame may be sent now. Check right before sending, for every frame, and
-    /// send at once if the answer is yes.
+    /// Returns whether a control frame may be sent now. Check right before sending, for every
+    /// frame, and send at once if the answer is yes.
     ///
     /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a
     /// core that was held up must first poll, to learn whether the other system has taken over. If
@@ -214,19 +214,19 @@ impl Redundancy {
             .is_some_and(|driving| driving.may_transmit(config, now, since_poll))
     }
 
-    /// The phase.
+    /// Returns the phase.
     #[must_use]
     pub const fn phase(&self) -> Phase {
         self.phase.phase()
     }
 
-    /// The role, as in the frames.
+    /// Returns the role, as in the frames.
     #[must_use]
     pub const fn role(&self) -> Role {
         self.phase().role()
     }
 
-    /// The driving function to run. A standby runs the function of the master.
+    /// Returns the driving function to run. A standby runs the function of the master.
     #[must_use]
     pub const fn mode(&self) -> Mode {
         match &self.phase {
@@ -241,7 +241,7 @@ impl Redundancy {
         }
     }
 
-    /// The term for control frames; [`Term::NONE`] unless the system has a mastership.
+    /// Returns the term for control frames; [`Term::NONE`] unless the system has a mastership.
     #[must_use]
     pub fn term(&self) -> Term {
         self.phase
@@ -249,40 +249,40 @@ impl Redundancy {
             .map_or(Term::NONE, |driving| driving.term())
     }
 
-    /// The highest term seen or used, for the status frame.
+    /// Returns the highest term seen or used, for the status frame.
     #[must_use]
     pub const fn highest_term(&self) -> Term {
         self.state.term
     }
 
-    /// Whether resets have not cured this system's command, so that it only drives to stop the
-    /// vehicle. It then sends commands though they differ from what the vehicle obeys, if they
-    /// differ little: a stop that steers is better than one that does not.
+    /// Returns whether resets have not cured a wrong command, so that this system drives only to
+    /// stop the vehicle. It then sends commands even if they differ a little from what the vehicle
+    /// obeys: a stop with steering is better than one without.
     #[must_use]
     pub fn stops_for_its_command(&self) -> bool {
         self.state.sys_failure && self.state.wrong_in_a_row >= start_checks::WRONG_COMMANDS
     }
 
-    /// The persistent state as it is now; it is in flash when the store is settled.
+    /// Returns the current persistent state; it is in flash when the store is settled.
     #[must_use]
     pub const fn state(&self) -> &SystemState {
         &self.state
     }
 
-    /// Whether heartbeat line 1 and 2 are silent.
+    /// Returns whether heartbeat line 1 and 2 are silent.
     #[must_use]
     pub fn lines_silent(&self) -> [bool; 2] {
         self.witnesses.beats.silent()
     }
 
-    /// Heartbeats sent, and received on line 1 and 2; wrap around. T-RED-3
+    /// Returns the heartbeats sent, and received on line 1 and 2; the counts wrap around. T-RED-3
     #[must_use]
     pub fn heartbeat_counts(&self) -> (u32, [u32; 2]) {
         (self.beats.sent(), self.witnesses.beats.received())
     }
 
     /// Whether the vehicle can do without this system: it is standby, and the other has driven
-    /// without a fault for longer than the hold-down. All witnesses must say so. T-BOOT-1
+    /// without a fault for longer than the hold-down. All witnesses must confirm it. T-BOOT-1
     #[must_use]
     pub fn may_leave(&self, now: Instant) -> bool {
         let (config, witnesses) = (&self.config, &self.witnesses);
@@ -290,9 +290,9 @@ impl Redundancy {
             if standby.is_dispensable(config, now, witnesses))
     }
 
-    /// The report to send to the other system over the link now, every control cycle. Call it after
-    /// [`Redundancy::may_transmit`]: a master whose frame was refused does not report that it
-    /// drives.
+    /// Returns the report to send to the other system over the link now, every control cycle. Call
+    /// it after [`Redundancy::may_transmit`]: a master whose frame was refused does not report that
+    /// it drives.
     #[must_use]
     pub fn link_report(&mut self, now: Instant) -> LinkReport {
         let now_us = (now.as_ns() / 1_000) as u32;
@@ -345,7 +345,7 @@ impl Redundancy {
             .since_last
             .is_none_or(|span| span > self.config.stall_limit());
         if late && self.witnesses.forgive(now) {
-            // Only polled time counts as silence: this system's own absence is no evidence.
+            // Only polled time counts as silence: a stall of this system is no evidence.
             if let PhaseState::Standby(standby) = &mut self.phase {
                 standby.forgive(now);
             }
@@ -372,8 +372,8 @@ impl Redundancy {
                 actions.push(Action::Transmit);
             }
             if seen.handshakes > 0 {
-                // The other starts while this system drives: make it follow. Not by a handshake,
-                // because another driving system would answer that in turn.
+                // The other starts while this system drives: the sync edge makes it follow. A
+                // handshake would be answered in turn by another driving system.
                 actions.push(SYNC);
             }
         }
@@ -384,7 +384,7 @@ impl Redundancy {
         }
     }
 
-    /// The evidence of the witnesses in this phase.
+    /// Returns the evidence of the witnesses in this phase.
     fn judge(&mut self, now: Instant, seen: &Seen) -> Option<Evidence> {
         let (config, witnesses) = (&self.config, &self.witnesses);
         if let Some(driving) = self.phase.driving()
@@ -409,9 +409,9 @@ impl Redundancy {
         }
     }
 
-    /// Whether this system's CAN connection is open: it hears no third party, but the other system
-    /// does. If no system hears any, the whole bus may be dead, and both would suspend. Each reset
-    /// without success doubles the limit. T-RED-6
+    /// Returns whether this system's CAN connection is open: it hears no third party, but the other
+    /// system does. If no system hears any, the whole bus may be dead, and both would suspend. Each
+    /// reset without success doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
         let attempts = u32::from(self.state.abn_in_a_row.min(3));
         let limit = self.config.can_open_limit.times(1 << attempts);
@@ -423,7 +423,7 @@ impl Redundancy {
                 .is_some_and(|report| report.can_alive)
     }
 
-    /// A fault that this system found in itself. T-RED-5, T-RED-6
+    /// Handles a fault that this system found in itself. T-RED-5, T-RED-6
     fn own_fault(&mut self, now: Instant, mode: FailureMode, actions: &mut Actions) {
         if mode == FailureMode::None || self.phase() == Phase::Suspended {
             return;
@@ -432,7 +432,7 @@ impl Redundancy {
             self.state.wrong_in_a_row = self.state.wrong_in_a_row.saturating_add(1);
         }
         let stays = !mode.reset_may_cure();
-        // The first fault counts, and after it the first permanent one.
+        // The first fault counts; the first permanent one replaces it.
         if self.fault.is_none() || stays && !self.state.sys_failure {
             self.state.failure_mode = mode;
             self.fault = Some(mode);
@@ -507,7 +507,7 @@ impl Redundancy {
         }
     }
 
-    /// Enters a phase: the only place that changes it.
+    /// Enters a phase. The phase changes only here.
     fn enter(&mut self, now: Instant, to: Phase, on: Evidence, actions: &mut Actions) {
         let from = self.phase();
         self.note_change(now, from, to);
@@ -551,7 +551,7 @@ impl Redundancy {
             }
             Phase::DegradedMaster => {
                 self.state.is_master = true;
-                // A system that stops the vehicle for its own fault says nothing about the other.
+                // An own fault is no evidence against the other system.
                 if on != Evidence::FaultStop {
                     self.set_peer_failed(now, true, actions);
                 }
@@ -561,7 +561,7 @@ impl Redundancy {
         }
     }
 
-    /// The phase `to` with its data. Fails if it needs a term and none is left.
+    /// Returns the phase `to` with its data. Fails if it needs a term and none is left.
     fn prepare(&mut self, now: Instant, to: Phase, on: Evidence) -> Result<PhaseState, NoTermLeft> {
         Ok(match to {
             Phase::Standby => {
@@ -593,8 +593,8 @@ impl Redundancy {
         })
     }
 
-    /// The mastership in which to drive: the current one, or a new one in a term above all known
-    /// ones.
+    /// Returns the mastership in which to drive: the current one, or a new one in a term above all
+    /// known ones.
     fn drive(&mut self, now: Instant) -> Result<Driving, NoTermLeft> {
         if let Some(driving) = self.phase.mastership() {
             return Ok(driving);
@@ -608,7 +608,7 @@ impl Redundancy {
         Ok(Driving::new(term, now))
     }
 
-    /// A term `step` masterships above the highest known one; it becomes the highest.
+    /// Returns a term `step` masterships above the highest known one; it becomes the highest.
     fn next_term(&mut self, step: u32) -> Result<Term, NoTermLeft> {
         let term = self.state.term.above(step, self.system).ok_or(NoTermLeft)?;
         self.state.term = term;
@@ -624,8 +624,8 @@ impl Redundancy {
         }
     }
 
-    /// The self-test of the start line: an edge of the other must have arrived since the start.
-    /// Reported once, when both have run for long enough.
+    /// Tests the start line: an edge of the other must have arrived since the start. A missing edge
+    /// is reported once, when both systems have run for long enough.
     fn note_start_line(&mut self, now: Instant, seen: &Seen, actions: &mut Actions) {
         self.start_line_tested |= seen.handshakes > 0 || seen.syncs > 0;
         let alive_for = self.witnesses.beats.alive_for(now);
@@ -636,8 +636,8 @@ impl Redundancy {
     }
 
     /// A long time without a reset subtracts one from the counts of abnormal resets and of wrong
-    /// commands. A system that crashes more often than that suspends in the end, even if it crashes
-    /// regularly. T-RED-5
+    /// commands. A system that crashes more often than that suspends eventually, even if the
+    /// crashes are far apart. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since

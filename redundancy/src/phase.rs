@@ -7,7 +7,7 @@ use tandem_board::RoleLamp;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Role {
-    /// Not yet in a role.
+    /// Has no role yet.
     Starting = 0,
     /// Drives the vehicle.
     Master = 1,
@@ -21,7 +21,7 @@ pub enum Role {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
 pub enum Mode {
-    /// None.
+    /// No driving function.
     None = 0,
     /// Automated driving with both systems healthy.
     L3 = 1,
@@ -43,10 +43,10 @@ pub enum Phase {
     Master = 2,
     /// Drives alone. Output open, heartbeats.
     DegradedMaster = 3,
-    /// Was master, was held up longer than its lease, and listens to find out whether the other
+    /// Was master and was held up longer than its lease. Listens to find out whether the other
     /// drives. Output closed, no heartbeats.
     Thawed = 4,
-    /// Has requested a reset that may cure it. Output closed, no heartbeats.
+    /// Has requested a reset that may cure its fault. Output closed, no heartbeats.
     Resetting = 5,
     /// Has failed. Output closed, no heartbeats.
     Suspended = 6,
@@ -65,14 +65,14 @@ impl Phase {
         matches!(self, Self::Standby | Self::Master | Self::DegradedMaster)
     }
 
-    /// Whether a system that goes from this phase to `to` has taken over, or was relieved.
+    /// Returns whether the driver changes when a system enters `to` from this phase.
     #[must_use]
     pub fn changes_driver(self, to: Self) -> bool {
         let drove = self.is_driving() || self == Self::Thawed;
         self == Self::Standby && to.is_driving() || drove && to == Self::Standby
     }
 
-    /// The role that the frames show.
+    /// Returns the role that the frames show.
     #[must_use]
     pub const fn role(self) -> Role {
         match self {
@@ -83,7 +83,7 @@ impl Phase {
         }
     }
 
-    /// What the digital outputs show.
+    /// Returns what the digital outputs show.
     #[must_use]
     pub const fn lamp(self) -> RoleLamp {
         match self {
@@ -111,16 +111,16 @@ pub enum Evidence {
     NoAnswer = 3,
     /// The other system's power level is low and its heartbeats have ended: it cannot transmit.
     PeerOff = 4,
-    /// Both heartbeat lines are silent, or were since the master's last control frame, and no
+    /// Both heartbeat lines are silent, or have been since the master's last control frame, and no
     /// control frame has arrived for the third witness's limit.
     PeerSilent = 5,
-    /// Both heartbeat lines are silent, and nothing is known from control frames.
+    /// Both heartbeat lines are silent; control frames are not considered.
     BeatsSilent = 6,
     /// The vehicle says that no control frame reaches it.
     MasterMute = 7,
     /// A control frame of the other in a higher term arrived: it drives.
     HigherTerm = 8,
-    /// Heartbeats of a failed system have been back for long enough.
+    /// Heartbeats of a failed system have arrived again for long enough.
     BeatsBack = 9,
     /// The recovered system is also heard on CAN, and the configuration permits dual operation
     /// again. Or the vehicle still obeys this master, which was held up in dual operation.
@@ -129,12 +129,12 @@ pub enum Evidence {
     Stalled = 11,
     /// The time for listening after a stall is over: the other did not take over.
     ListenOver = 12,
-    /// An own fault that a reset may cure, while this system does not drive and the other does.
+    /// This system has a fault that a reset may cure; it does not drive, and the other does.
     FaultReset = 13,
-    /// An own fault while this system drives: it continues to drive, to stop the vehicle, until the
-    /// other drives.
+    /// This system has a fault while it drives: it continues to drive, to stop the vehicle, until
+    /// the other drives.
     FaultStop = 14,
-    /// A permanent own fault, while the other system drives.
+    /// This system has a permanent fault, and the other system drives.
     FaultSuspend = 15,
     /// The standby is not heard on CAN: it could not take over.
     StandbyMute = 16,

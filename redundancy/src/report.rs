@@ -13,18 +13,18 @@ pub struct PeerReport {
     pub mode: Mode,
     /// The highest term that it knows.
     pub term: Term,
-    /// It hears frames on CAN.
+    /// Whether it hears frames on CAN.
     pub can_alive: bool,
 }
 
 /// A report as sent over the link. It contains its time of sending: a report that is repeated, or
-/// was on its way for too long, is no sign of life. The time also gives the sender's clock to the
-/// other system.
+/// arrives far too late, is no sign of life. The time also shows the sender's clock to the other
+/// system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkReport {
     /// The content.
     pub report: PeerReport,
-    /// Which start of its sender this is: the last eleven bits of the count of starts.
+    /// Identifies the start of its sender: the last eleven bits of the count of starts.
     pub start: u16,
     /// When it was sent, µs on the sender's clock; wraps around. Of two reports of one start the
     /// later one has the larger time.
@@ -37,7 +37,7 @@ impl LinkReport {
     const MAGIC: u32 = 0x5E90_0000;
     const STARTS: u16 = 0x7FF;
 
-    /// The datagram for the link: head, term, time, CRC-32 of these.
+    /// Returns the datagram for the link: head, term, time, CRC-32 of these.
     #[must_use]
     pub fn to_words(&self) -> [u32; Self::WORDS] {
         let report = &self.report;
@@ -59,7 +59,7 @@ impl LinkReport {
         digest.finalize()
     }
 
-    /// The report in a datagram; `None` if the datagram is invalid.
+    /// Returns the report in a datagram; `None` if the datagram is invalid.
     #[must_use]
     pub fn from_words(words: &[u32]) -> Option<Self> {
         let &[head, term, sent_us, check] = words else {

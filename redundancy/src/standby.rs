@@ -1,4 +1,4 @@
-//! The phase `Standby`: is the master there? Its control frames are the deciding witness.
+//! The phase `Standby`: judges the master, whose control frames are the deciding witness.
 
 use crate::input::Seen;
 use crate::starting::Starting;
@@ -23,8 +23,8 @@ pub(crate) struct Standby {
     start: Option<Starting>,
     /// The function that this system computes: the master's, as far as a standby can follow it.
     mode: Mode,
-    /// The driver has just changed: until then this system takes over only if the vehicle's echo
-    /// demands it.
+    /// After a change of the driver, this system takes over only if the vehicle's echo demands it,
+    /// until this time.
     hold_until: Instant,
 }
 
@@ -56,12 +56,12 @@ impl Standby {
         self.last_control
     }
 
-    /// The start that a stray sync edge interrupted; it continues.
+    /// Returns the start that a stray sync edge interrupted, so that it continues.
     pub(crate) fn interrupted_start(&self) -> Option<Starting> {
         self.start.clone()
     }
 
-    /// A valid control frame of the master, in the highest term.
+    /// Handles a valid control frame of the master, in the highest term.
     pub(crate) fn on_control_frame(&mut self, now: Instant, mode: Mode) {
         self.start = None;
         self.last_control = now;
@@ -73,8 +73,8 @@ impl Standby {
         };
     }
 
-    /// The vehicle accepted a frame of the master `age` ago. Used if this system has heard no frame
-    /// since about then: it has lost frames, and the master drives.
+    /// Handles an echo: the vehicle accepted a frame of the master `age` ago. If this system has
+    /// heard no frame since about then, it has lost frames, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
         self.start = None;
         // Also if this system began to listen only just before that frame.
@@ -86,14 +86,14 @@ impl Standby {
         }
     }
 
-    /// This system was held up: its own absence is no evidence against the master.
+    /// Restarts the time limit: a stall of this system is no evidence against the master.
     pub(crate) fn forgive(&mut self, now: Instant) {
         self.last_control = self.last_control.max(now);
     }
 
-    /// Whether the master drove within the third witness's limit: heard on CAN by this system or by
-    /// the vehicle, or reported by itself over the link. A system that has just become standby
-    /// knows of none: what made it one may be a disturbance, or a system that has failed as well.
+    /// Returns whether the master drove within the third witness's limit: this system or the
+    /// vehicle received its frame, or it reported so over the link. A new standby does not know: a
+    /// disturbance, or a system that has failed too, may have made it standby.
     pub(crate) fn master_drives(
         &self,
         config: &Config,
@@ -104,7 +104,7 @@ impl Standby {
             || witnesses.reports.drives(now, config.witness_limit())
     }
 
-    /// Whether the master drives without a fault, and has not just begun to: by its heartbeats, its
+    /// Whether the master drives without a fault and for long enough, by its heartbeats, its
     /// control frames, its report over the link, and the vehicle's echo. None of them may be late.
     pub(crate) fn is_dispensable(
         &self,
@@ -124,7 +124,7 @@ impl Standby {
         now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
     }
 
-    /// The evidence about the master. `sound`: this system has no fault of its own.
+    /// Returns the evidence about the master. `sound`: this system has no fault of its own.
     pub(crate) fn judge(
         &mut self,
         config: &Config,
@@ -187,7 +187,7 @@ impl Standby {
         let unheard = ended || now.since(self.last_control) > config.witness_limit();
         if unheard {
             let says_master = !ended && witnesses.reports.drives(now, config.witness_limit());
-            // Heartbeats arrive again: the vehicle must not contradict the suspicion.
+            // If heartbeats arrive again, the vehicle's echo can contradict the suspicion.
             let verdict = witnesses.gate.verdict(config, now);
             let obeyed = !silent && matches!(verdict, GateVerdict::Obeys(_));
             let contradicted = says_master || obeyed;
@@ -198,8 +198,8 @@ impl Standby {
                 return Some(Evidence::MasterMute);
             }
         }
-        // Acts on a report that has just arrived. The master sent it in a control cycle, so it is
-        // deposed before its next one.
+        // Only a recent report counts. The master sent it in a control cycle, so it is deposed
+        // before its next one.
         let resigns = witnesses.reports.resigns(now, config.stall_limit());
         if resigns && sound && now >= self.hold_until && !witnesses.is_deaf(config, now) {
             return Some(Evidence::MasterResigns);
@@ -224,16 +224,16 @@ impl Standby {
             .unwrap_or(Instant::NEVER)
     }
 
-    /// Whether, for long enough, neither the other system nor the vehicle has reported that a
-    /// system drives.
+    /// Returns whether neither the other system nor the vehicle has reported a driving system for
+    /// long enough.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
         let listened = now.since(self.last_control) > config.witness_limit();
         listened && !obeys && !witnesses.reports.drives(now, config.report_limit)
     }
 
-    /// Whether the evidence of the lines is enough: the driver has not changed for long enough, or
-    /// the vehicle does not contradict.
+    /// Returns whether the evidence of the lines is enough: the driver has not changed for long
+    /// enough, or the vehicle does not contradict.
     fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         now >= self.hold_until
             || matches!(
@@ -242,8 +242,8 @@ impl Standby {
             )
     }
 
-    /// The master lives, but its control frames do not reach the vehicle. The vehicle decides,
-    /// because this system may be the one that does not hear.
+    /// Returns whether the master runs, but its control frames do not reach the vehicle. The
+    /// vehicle decides, because this system may be the one that does not hear.
     fn master_is_mute(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let age = now.since(self.last_control);
         let verdict = witnesses.gate.verdict(config, now);
@@ -257,7 +257,7 @@ impl Standby {
             GateVerdict::Uncontrolled => {
                 witnesses.can.alive_for(now) > config.control_period + config.poll_interval
             }
-            // A vehicle that sends no echo. After an outage of the whole bus the master needs a
+            // The vehicle sends no echo. After an outage of the whole bus the master needs a
             // control period to be heard again.
             GateVerdict::Unknown => {
                 witnesses.can.alive_for(now) > config.witness_limit()

@@ -4,11 +4,11 @@ use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
-/// A system that has found its command wrong in this many incarnations in a row is not cured by a
-/// further reset. It starts into the safe stop, or suspends beside a system that drives.
+/// If this many incarnations in a row found a wrong command, a further reset does not cure the
+/// system. It starts into the safe stop, or suspends beside a system that drives.
 pub(crate) const WRONG_COMMANDS: u8 = 2;
 
-/// How to begin the start protocol, as the result of the checks.
+/// The result of the checks: how to begin the start protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct StartDecision {
     pub(crate) kind: StartKind,
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(boot(PowerOn, slave).1, start(StartKind::Handshake, false));
     }
 
-    /// T-RED-5: every start is counted, abnormal ones twice; beyond the limit in a row it suspends.
+    /// T-RED-5: every start and every abnormal reset is counted; too many in a row suspend.
     #[test]
     fn abnormal_resets_are_counted_and_limited() {
         let mut state = SystemState::factory(SystemId::A);

@@ -9,7 +9,7 @@ use crate::input::Seen;
 use crate::{Config, Evidence};
 use tandem_board::{Duration, Instant, SystemId};
 
-/// This many heartbeats show that the other system runs: more than a stray edge or two.
+/// This many heartbeats show that the other system runs: more than one or two stray edges.
 const BEATS_OF_A_RUNNING_SYSTEM: u32 = 3;
 /// This many handshakes show that the other system starts: more than one stray edge.
 const HANDSHAKES_OF_A_STARTING_SYSTEM: u32 = 2;
@@ -57,12 +57,12 @@ impl Starting {
         }
     }
 
-    /// A control frame of the other system was heard: it drives.
+    /// Notes that a control frame of the other system was heard: it drives.
     pub(crate) fn on_control_frame(&mut self) {
         self.control_frame = true;
     }
 
-    /// Whether to send a handshake now.
+    /// Returns whether to send a handshake now.
     pub(crate) fn handshake_due(&mut self, config: &Config, now: Instant) -> bool {
         let due = now >= self.next_handshake;
         if due {
@@ -71,7 +71,7 @@ impl Starting {
         due
     }
 
-    /// The evidence that ends the start, if there is any.
+    /// Returns the evidence that ends the start, if there is any.
     pub(crate) fn judge(&mut self, config: &Config, now: Instant, seen: &Seen) -> Option<Evidence> {
         self.handshakes = self.handshakes.saturating_add(seen.handshakes.min(1));
         if self.handshakes >= HANDSHAKES_OF_A_STARTING_SYSTEM && self.heard_at.is_none() {
@@ -91,7 +91,7 @@ impl Starting {
         self.is_over(config, now).then_some(Evidence::NoAnswer)
     }
 
-    /// Whether the other system is known to run, after the heartbeats of this poll.
+    /// Returns whether the other system is known to run, after the heartbeats of this poll.
     pub(crate) fn peer_runs(&mut self, seen: &Seen) -> bool {
         // Edges that arrive together are one heartbeat, or a disturbance.
         self.beats = self.beats.saturating_add(seen.heartbeats().min(1));
@@ -105,9 +105,8 @@ impl Starting {
         now.since(self.since) >= self.alone_after(config) + more
     }
 
-    /// How long after the other's handshake this system leads. A before B if both are equal, so
-    /// that two systems that both claim (or both do not claim) to be master agree: the first sync
-    /// edge decides.
+    /// Returns how long after the other's handshake this system leads. If both claim to be master,
+    /// or neither does, A leads before B, so that the first sync edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
             (true, SystemId::A) => Duration::ZERO,
@@ -117,8 +116,8 @@ impl Starting {
         }
     }
 
-    /// How long this system waits for the other. Staggered, so that with a cut start line the first
-    /// system that gives up already runs, and is heard on other lines, before the second gives up.
+    /// How long this system waits for the other. The times are staggered: with a cut start line,
+    /// the first system to stop waiting runs, and is heard on other lines, before the second stops.
     fn alone_after(&self, config: &Config) -> Duration {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),

@@ -31,8 +31,8 @@ pub enum FailureMode {
     Deadline = 6,
     /// No mastership term is left.
     TermsExhausted = 7,
-    /// The system's command is not the one that its own inputs demand, or not the one that reaches
-    /// the vehicle.
+    /// The system's command differs from what its own inputs demand, or from what reaches the
+    /// vehicle.
     WrongCommand = 8,
     /// Its clock has drifted away from the vehicle's and the other system's.
     Clock = 9,
@@ -46,8 +46,8 @@ impl FailureMode {
     /// All modes, in the order of their numbers.
     pub const ALL: &'static [Self] = Self::VARIANTS;
 
-    /// The mode with this number in flash or in the status frame; [`FailureMode::Unknown`] for a
-    /// number that this software does not know.
+    /// Returns the mode with this number in flash or in the status frame; [`FailureMode::Unknown`]
+    /// for a number that this software does not know.
     #[must_use]
     pub fn from_code(code: u8) -> Self {
         Self::from_repr(code).unwrap_or(Self::Unknown)
@@ -68,15 +68,15 @@ impl FailureMode {
         )
     }
 
-    /// Whether a system that has suspended for this fault gets one more attempt after a power
-    /// cycle. Faults that a diagnosis has found in the hardware stay until they are repaired.
+    /// Returns whether a system that has suspended for this fault gets one more attempt after a
+    /// power cycle. Faults that a diagnosis has found in the hardware stay until they are repaired.
     #[must_use]
     pub const fn power_cycle_may_cure(self) -> bool {
         self.reset_may_cure() || matches!(self, Self::AbnormalResets)
     }
 }
 
-/// A system's knowledge about itself and the other that must outlive its incarnation. T-RED-1
+/// What a system knows about itself and the other, kept across restarts. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemState {
     /// This system was master last, or was initialised as master.
@@ -105,7 +105,7 @@ pub struct SystemState {
 pub enum StateDecodeError {
     /// All ones: erased flash.
     Blank,
-    /// Anything else that is not a whole record of this layout.
+    /// Any other bytes that are not a complete record of this layout.
     Invalid,
 }
 
@@ -113,8 +113,8 @@ impl SystemState {
     /// Length of a record in flash: four pages of 8 bytes.
     pub const BYTES: usize = 32;
 
-    /// The state that a new system is initialised with: A is master, B is standby, the rest is
-    /// zero.
+    /// Returns the state with which a new system is initialised: A is master, B is standby, the
+    /// rest is zero.
     #[must_use]
     pub const fn factory(system: SystemId) -> Self {
         Self {
@@ -130,7 +130,8 @@ impl SystemState {
         }
     }
 
-    /// The record for the flash: magic, sequence, flags, counters, term, CRC-32; little endian.
+    /// Encodes the record for the flash: magic, sequence, flags, counters, term, CRC-32; little
+    /// endian.
     #[must_use]
     pub fn encode(&self, sequence: u32) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
@@ -150,11 +151,11 @@ impl SystemState {
         bytes
     }
 
-    /// The state and its sequence number, from a record.
+    /// Returns the state and its sequence number, from a record.
     ///
     /// # Errors
-    /// [`StateDecodeError::Blank`] for erased flash, [`StateDecodeError::Invalid`] for everything
-    /// else that is not a record that [`SystemState::encode`] can have written.
+    /// [`StateDecodeError::Blank`] for erased flash, [`StateDecodeError::Invalid`] for any other
+    /// bytes that [`SystemState::encode`] cannot have written.
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), StateDecodeError> {
         if bytes.iter().all(|&byte| byte == 0xFF) {
             return Err(StateDecodeError::Blank);
@@ -263,7 +264,7 @@ mod tests {
         );
     }
 
-    /// T-RED-1: a whole record with a bit that this layout does not use is of another layout.
+    /// T-RED-1: a record that sets a bit unused in this layout is of another layout and is refused.
     #[test]
     fn a_record_of_another_layout_is_refused() {
         let good = SystemState::factory(SystemId::A).encode(7);

@@ -101,8 +101,8 @@ struct Sector {
 }
 
 impl StateStore {
-    /// Reads both sectors. `read` copies bytes from an offset of the flash; a slot that cannot be
-    /// read counts as invalid. Takes as long as reading two sectors; for the start of a system.
+    /// Reads both sectors, at the start of a system. `read` copies bytes from an offset of the
+    /// flash; a slot that cannot be read counts as invalid.
     pub fn load(
         geometry: Geometry,
         mut read: impl FnMut(u32, &mut [u8]) -> Result<(), FlashError>,
@@ -147,8 +147,8 @@ impl StateStore {
         self.wanted = Some(state);
     }
 
-    /// The operation to start now, for this state of the flash. Start it before the next call, or
-    /// call [`StateStore::refused`].
+    /// Returns the operation to start now, for this state of the flash. Start it before the next
+    /// call, or call [`StateStore::refused`].
     #[must_use = "an operation that is returned counts as started"]
     pub fn poll(&mut self, status: FlashStatus) -> Option<FlashOp> {
         if status == FlashStatus::Busy {
@@ -181,8 +181,8 @@ impl StateStore {
         })
     }
 
-    /// The operation of the last [`StateStore::poll`] was not started; a later poll returns it
-    /// again.
+    /// Reports that the operation of the last [`StateStore::poll`] was not started; a later poll
+    /// returns it again.
     pub fn refused(&mut self) {
         match core::mem::replace(&mut self.running, Running::Nothing) {
             Running::Nothing => {}
@@ -191,7 +191,7 @@ impl StateStore {
         }
     }
 
-    /// Whether every requested state is durable, or never will be.
+    /// Returns whether every requested state is in flash, or the flash is broken.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         self.is_broken() || (self.wanted.is_none() && self.running == Running::Nothing)
@@ -204,7 +204,7 @@ impl StateStore {
         self.failures >= MAX_FAILURES
     }
 
-    /// The newest state that is known to be in flash.
+    /// Returns the newest state that is known to be in flash.
     #[must_use]
     pub fn durable(&self) -> Option<&SystemState> {
         self.durable.as_ref()
@@ -231,15 +231,15 @@ impl StateStore {
         self.failures = if failed { self.failures + 1 } else { 0 };
     }
 
-    /// Back to the full sector, because the other one is not erased.
+    /// Makes the full sector active again, because the other one is not erased.
     fn step_back(&mut self) {
         self.sector ^= 1;
         self.slot = self.geometry.slots();
     }
 }
 
-/// Whether the record with the first sequence number was written after that with the second. The
-/// numbers wrap; the records of two sectors are near each other.
+/// Returns whether the record with the first sequence number was written after that with the
+/// second. The numbers wrap around; the numbers in the two sectors are close to each other.
 const fn is_newer(sequence: u32, than: u32) -> bool {
     (sequence.wrapping_sub(than) as i32) > 0
 }

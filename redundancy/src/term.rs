@@ -15,22 +15,22 @@ use tandem_board::SystemId;
 pub struct Term(u32);
 
 impl Term {
-    /// Below every term in which a system drives.
+    /// No mastership: lower than every term in which a system drives.
     pub const NONE: Self = Self(0);
 
-    /// The term with this number, from a frame or from the flash.
+    /// Returns the term with this number, from a frame or from the flash.
     #[must_use]
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
 
-    /// The number for a frame.
+    /// Returns the number for a frame.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
     }
 
-    /// The system that may drive in this term.
+    /// Returns the system that may drive in this term.
     #[must_use]
     pub const fn system(self) -> SystemId {
         if self.0 & 1 == 0 {
@@ -40,8 +40,8 @@ impl Term {
         }
     }
 
-    /// The lowest term of `system` whose count is `step` (at least 1) above that of `self`; always
-    /// higher than `self`. `None` when the numbers are used up.
+    /// Returns the lowest term of `system` whose count is `step` (at least 1) above that of `self`;
+    /// it is higher than `self`. `None` when the numbers are used up.
     #[must_use]
     pub const fn above(self, step: u32, system: SystemId) -> Option<Self> {
         match (self.0 >> 1).checked_add(if step == 0 { 1 } else { step }) {
@@ -55,7 +55,7 @@ impl Term {
 mod tests {
     use super::*;
 
-    /// T-RED-9: terms of the two systems never coincide and each new one is above all known.
+    /// T-RED-9: terms of the two systems never coincide, and each new term is above all known ones.
     #[test]
     fn terms_are_unique_and_rise() {
         for bits in [0, 1, 2, 3, 1000, 1001, u32::MAX - 2] {

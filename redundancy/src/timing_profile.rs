@@ -10,13 +10,13 @@ const MS: Duration = Duration::from_ms(1);
 const CONTROL_PERIOD: Duration = Duration::from_ms(10);
 /// The gap after a failed master's last control frame is shorter than this.
 const GOAL: Duration = CONTROL_PERIOD.times(2);
-/// Losing the standby is not urgent: the bus has all its frames.
+/// The least standby limit. Losing the standby is not urgent, because control frames continue.
 const STANDBY_LIMIT: Duration = Duration::from_ms(8);
-/// No order of switching on, and no takeover, may depend on less than this.
+/// The least stagger: neither the order of switching on nor a takeover may depend on less.
 const STAGGER: Duration = Duration::from_ms(20);
 const REPORT_LIMIT: Duration = Duration::from_ms(100);
 const SYNC_STAGGER: Duration = Duration::from_ms(5);
-/// How long after its start a running chain of cores 1 and 2 sends its first handshake.
+/// Longest time from the end of the start of cores 1 and 2 to the first handshake.
 const AFTER_BOOT: Duration = Duration::from_ms(500);
 
 /// The timing of a machine: its periods, and how long it stalls.
@@ -35,8 +35,8 @@ pub struct Budget {
     pub handshake_period: Duration,
     /// How long cores 1 and 2, and the sensors, may take to start.
     pub boot_limit: Duration,
-    /// For this long a core may not run, although it is due and nothing has failed: late timers,
-    /// other processes, a hypervisor.
+    /// The longest time for which a core does not run although it is due and nothing has failed:
+    /// late timers, other processes, a hypervisor.
     pub stall: Duration,
 }
 
@@ -44,8 +44,8 @@ impl Budget {
     /// Chips: nothing stalls, and link reports are as frequent as heartbeats.
     pub const CHIP: Self = Self {
         report_period: MS,
-        // Timers are exact: the observer polls when the limit ends. Of the third millisecond 0.2
-        // are left for the execution up to the first control frame.
+        // Timers are exact: the observer polls when the limit ends. This leaves 0.2 ms of the third
+        // millisecond for the execution up to the first control frame.
         lateness: Duration::from_us(800),
         stall: Duration::ZERO,
         ..Self::RT
@@ -57,11 +57,11 @@ impl Budget {
         poll_interval: MS,
         // Once a control cycle.
         report_period: CONTROL_PERIOD,
-        // A tick of the kernel: waits end with one.
+        // One tick of the kernel: waits end at a tick.
         lateness: MS,
         handshake_period: Duration::from_ms(5),
         boot_limit: Duration::from_ms(2_000),
-        // A virtual machine sometimes loses its CPU for some milliseconds: seen, up to 6.
+        // A virtual machine sometimes loses its CPU for some milliseconds; 6 ms were observed.
         stall: Duration::from_ms(6),
     };
 
@@ -76,8 +76,8 @@ impl Budget {
         ..Self::RT
     };
 
-    /// The same with a measured stall, in whole milliseconds. The longest stall of a short
-    /// measurement is exceeded some time later: it counts four times, plus a millisecond.
+    /// Returns this budget with a measured stall, in whole milliseconds. Stalls longer than in a
+    /// short measurement occur later, so the measured one counts four times, plus a millisecond.
     #[must_use]
     pub const fn measured(self, longest: Duration) -> Self {
         let ms = longest.as_us().div_ceil(250) + 1;
@@ -87,20 +87,20 @@ impl Budget {
         }
     }
 
-    /// Silence of a line that the machine needs: two periods, the lateness, and the stall.
+    /// The silence of a line that the machine needs: two periods, the lateness, and the stall.
     const fn silence_needed(&self) -> Duration {
         let late = self.lateness.as_ns() + self.stall.as_ns();
         Duration::from_ns(self.heartbeat_period.as_ns() * 2 + late)
     }
 
-    /// Silence of a line that the goal permits: two control periods, less the one since the last
-    /// frame, the poll, and 1 ms of margin.
+    /// The silence of a line that the goal permits: two control periods, minus the one since the
+    /// last frame, the poll, and 1 ms of margin.
     const fn silence_permitted(&self) -> Duration {
         let rest = GOAL.as_ns() - CONTROL_PERIOD.as_ns() - MS.as_ns();
         Duration::from_ns(rest - self.poll_interval.as_ns())
     }
 
-    /// Why no limits fit, if none do.
+    /// Returns the reason if no limits fit this budget.
     const fn impossible(&self) -> Option<&'static str> {
         let (polls, beats) = (self.poll_interval.as_ns(), self.heartbeat_period.as_ns());
         let needed = beats * 2 + self.lateness.as_ns() + polls + MS.as_ns();
@@ -119,11 +119,11 @@ impl Budget {
         }
     }
 
-    /// The longest stall of the master that does not count as its death. A longer one only costs an
-    /// unnecessary takeover.
+    /// Returns the longest stall of the master that does not count as a failure. A longer one only
+    /// costs an unnecessary takeover.
     ///
     /// # Panics
-    /// As [`Budget::config`].
+    /// The same as [`Budget::config`].
     #[must_use]
     pub const fn tolerated_stall(&self) -> Duration {
         self.refuse_impossible();
@@ -132,17 +132,17 @@ impl Budget {
         shorter(permitted, self.stall)
     }
 
-    /// The limits that follow. [`Config::check`] accepts them.
+    /// Returns the limits that follow from this budget. [`Config::check`] accepts them.
     ///
     /// # Panics
     /// If no limits fit: polls are rarer than heartbeats, or even without a stall a takeover on
-    /// silence takes longer than two control periods. A constant is refused by the compiler.
+    /// silence takes longer than two control periods. For a constant, the compiler reports it.
     #[must_use]
     pub const fn config(self) -> Config {
         self.refuse_impossible();
         let silence = shorter(self.silence_needed(), self.silence_permitted());
-        // Lateness and a short stall are not a missing heartbeat: the rest is a number of them, at
-        // least two.
+        // Lateness and a short stall are not a missing heartbeat. The rest of the silence is a
+        // whole number of heartbeats, at least two.
         let jitter = Duration::from_ns(self.lateness.as_ns() + shorter(self.stall, MS).as_ns());
         let beyond_two = Duration::from_ns(silence.as_ns() - self.heartbeat_period.as_ns() * 2);
         let beats = silence.as_ns() - shorter(jitter, beyond_two).as_ns();
@@ -150,13 +150,13 @@ impl Budget {
         let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
 
         // A control frame is late by the bus and the poll, 1 ms together, and by the stall. The
-        // standby drives one echo and one poll after its limit, before the goal.
+        // standby drives one echo and one poll after its limit, and still meets the goal.
         let margin_needed = Duration::from_ns(MS.as_ns() + self.stall.as_ns());
         let after = self.poll_interval.as_ns() + OVERDUE_ECHO.as_ns() + MS.as_ns();
         let margin_permitted = Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);
 
-        // A system that waits for the other must have time to hear four of its heartbeats, two
-        // polls and a stall later.
+        // A system that waits for the other must have time to hear four of its heartbeats, plus two
+        // polls and a stall.
         let heard = self.heartbeat_period.as_ns() * 4 + self.poll_interval.as_ns() * 2;
         let tens = (heard + self.stall.as_ns()).div_ceil(10 * MS.as_ns());
         let stagger = longer(STAGGER, Duration::from_ms(10 * tens));
@@ -177,8 +177,8 @@ impl Budget {
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: self.handshake_period,
-            // As long as the other may take to start, and then to its first handshake. The level
-            // line shows at once a system without power.
+            // The longest time the other may take to start and to send its first handshake. The
+            // level line shows a system without power at once.
             start_limit: Duration::from_ns(self.boot_limit.as_ns() + AFTER_BOOT.as_ns()),
             stagger,
             // In this time the other system polls at least three times.
@@ -222,8 +222,8 @@ impl Config {
 
     /// The limits of [`Budget::DESKTOP`].
     ///
-    /// They do not grow with its stalls, because a takeover within two control periods permits no
-    /// longer ones. It is safe nevertheless, because a takeover on silence also needs the control
+    /// They do not grow with the stalls of a desktop, because a takeover within two control periods
+    /// permits no longer limits. This is safe, because a takeover on silence also needs the control
     /// frames to be missing.
     #[must_use]
     pub const fn desktop() -> Self {
@@ -268,7 +268,7 @@ mod tests {
                 let needed = budget.heartbeat_period.times(2) + budget.lateness + tolerated;
                 assert_eq!(silent, needed, "{us} us");
 
-                // Each limit is the machine's need, or the least or greatest that is permitted.
+                // Each limit is what the machine needs, or the smallest or largest permitted value.
                 let need = MS + budget.stall;
                 let until_goal = GOAL - config.gap_bound_mute() == MS;
                 assert!(
@@ -288,7 +288,7 @@ mod tests {
         }
     }
 
-    /// Each budget by hand gives limits that fit together, or is impossible.
+    /// Each budget with values set by hand gives limits that fit together, or is impossible.
     #[test]
     fn a_possible_budget_gives_limits_that_fit() {
         let quarters = |n: u64| Duration::from_us(250 * n);

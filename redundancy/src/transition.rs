@@ -5,7 +5,7 @@ use crate::{Evidence, Phase};
 /// One cell of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Rule {
-    /// The first effect.
+    /// The effect that is applied before the phase changes.
     pub(crate) effect: Option<Effect>,
     /// The phase that the system enters; `None` leaves it in its phase.
     pub(crate) enter: Option<Phase>,
@@ -52,7 +52,7 @@ const fn both(effect: Effect, phase: Phase) -> Rule {
     }
 }
 
-/// The cell of this phase and this evidence.
+/// Returns the cell of this phase and this evidence.
 pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
     use Evidence as E;
     use Phase as P;

@@ -9,7 +9,7 @@ use crate::{
 use tandem_board::{Duration, Instant};
 
 impl Redundancy {
-    /// Whether a correct peer can have sent this.
+    /// Returns whether a correct peer can have sent this frame.
     fn is_of_peer(&self, frame: ControlHeader) -> bool {
         let peer = self.system.peer();
         frame.system == peer && frame.term.system() == peer && frame.role == Role::Master
@@ -31,7 +31,7 @@ impl Redundancy {
             starting.on_control_frame();
         }
         if frame.term < self.state.term {
-            // The vehicle refuses it, so it drives nothing.
+            // The vehicle refuses this frame, so its sender does not drive.
             if self.stale_reported != frame.term {
                 self.stale_reported = frame.term;
                 actions.record(RedundancyEvent::StaleTerm(frame.term));
@@ -53,9 +53,9 @@ impl Redundancy {
         self.report_of_peer(now, report, true, actions);
     }
 
-    /// The other's claim to drive counts after it has lasted long enough. A system that is cut off
-    /// from the bus assumes for some time that the bus is alive, and takes over because it hears no
-    /// master.
+    /// Handles a report over the link. The other's claim to drive counts only after it has lasted
+    /// long enough: a system that is cut off from the bus assumes for some time that the bus is
+    /// alive, and takes over because it hears no master.
     pub(super) fn link_report_of_peer(
         &mut self,
         now: Instant,
@@ -113,13 +113,13 @@ impl Redundancy {
         }
     }
 
-    /// The other system drives in a higher term.
+    /// Handles evidence that the other system drives in a higher term.
     fn peer_drives(&mut self, now: Instant, actions: &mut Actions) {
         self.witnesses.on_drive(actions);
         self.apply(now, Evidence::HigherTerm, actions);
     }
 
-    /// A control frame with a right CRC and a wrong counter.
+    /// Handles a control frame with a right CRC and a wrong counter.
     pub(super) fn stale_frame(
         &mut self,
         now: Instant,
@@ -137,9 +137,9 @@ impl Redundancy {
         }
     }
 
-    /// The vehicle obeys a term. If that is above this master's term, the vehicle refuses this
-    /// master: it follows if the other drives, and takes a higher term if no system drives in that
-    /// term any more. For a standby the vehicle is a witness of the master.
+    /// Handles the vehicle's echo. If the obeyed term is above this master's term, the vehicle
+    /// refuses this master: it follows if the other drives, and takes a higher term if no system
+    /// drives in that term any more. For a standby the echo is a witness of the master.
     pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
         let ObeyedTerm { term, age, sent } = obeyed;
         let ago = |span: Duration| Instant::from_ns(now.as_ns().saturating_sub(span.as_ns()));

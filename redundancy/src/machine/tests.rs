@@ -54,7 +54,7 @@ impl Bench {
         self.machine.on(self.now, Input::Poll(self.snapshot))
     }
 
-    /// A machine that inputs have led to this phase.
+    /// Returns a machine that inputs have brought into this phase.
     fn of(phase: Phase) -> Self {
         let mut bench = Self::starting();
         match phase {
@@ -123,7 +123,7 @@ fn follow(phase: Phase, evidence: Evidence, peer_failed: bool) -> Cell {
     }
 }
 
-/// Every cell of the table, with the flag clear and set.
+/// Returns every cell of the table, with the flag clear and set.
 fn cells() -> impl Iterator<Item = (Phase, Evidence, [Cell; 2])> {
     Phase::VARIANTS.iter().copied().flat_map(|phase| {
         Evidence::VARIANTS.iter().copied().map(move |evidence| {
@@ -134,7 +134,7 @@ fn cells() -> impl Iterator<Item = (Phase, Evidence, [Cell; 2])> {
 }
 
 impl Cell {
-    /// What was done, beyond the phase.
+    /// Returns the effects of the cell other than the change of phase.
     fn effects(&self) -> BTreeSet<&'static str> {
         let mut effects = BTreeSet::new();
         for action in self.actions.iter() {
@@ -196,7 +196,7 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-/// The behaviour of a machine in each phase.
+/// Returns a table of the behaviour of a machine in each phase.
 fn phases() -> String {
     let mut page = String::from(
         "| phase | output open | heartbeats | role in frames | mode | master in record \
@@ -233,8 +233,7 @@ fn tables_in_the_docs_are_what_the_machine_does() {
     page::check(&[("transitions", transitions()), ("phases", phases())]);
 }
 
-/// T-RED-9: an output opens only on evidence that the other system does not drive, or wants to
-/// leave.
+/// T-RED-9: an output opens only on evidence that the other system does not drive, or resigns.
 #[test]
 fn only_the_absence_of_a_master_opens_an_output() {
     use Evidence as E;
@@ -322,8 +321,8 @@ fn faults_and_higher_terms_work_in_every_phase() {
     }
 }
 
-/// T-RED-9: a failed system does not suspend for one that may have failed as well. A disturbed
-/// start line looks like a system that runs.
+/// T-RED-9: a failed standby suspends only when it has heard the other drive, because the other may
+/// have failed too. A disturbed start line looks like a system that runs.
 #[test]
 fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
     let mut bench = Bench::of(Phase::Standby);
@@ -341,7 +340,7 @@ fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
     assert_eq!(bench.machine.phase(), Phase::Suspended);
 }
 
-/// T-RED-5, T-RED-9: without a term left, every cell that would open an output suspends instead.
+/// T-RED-5, T-RED-9: if no term is left, every cell that would open an output suspends instead.
 #[test]
 fn no_cell_drives_without_a_term() {
     let mut suspended = 0;
@@ -422,9 +421,9 @@ fn every_input() -> Vec<Input> {
     inputs
 }
 
-/// T-RED-9: every input in every phase, at once and after a stall, twice: the machine does not
-/// panic, reports each change of phase in order, opens and closes its output as reported, and never
-/// has more actions than the list holds.
+/// T-RED-9: the test gives every input in every phase, at once and after a stall, twice. The
+/// machine does not panic, reports each change of phase in order, opens and closes its output as
+/// reported, and never has more actions than the list holds.
 #[test]
 fn every_input_in_every_phase() {
     for &phase in Phase::VARIANTS {

@@ -1,5 +1,5 @@
-//! The witness of the CAN bus: whether frames of third parties are received, and since when without
-//! a pause.
+//! The witness of the CAN bus: whether frames of third parties are received, and for how long
+//! without a pause.
 //!
 //! Frames of the other system do not count. Two systems that hear only each other know nothing
 //! about the bus: the rest of it may be off, or the fault may be between them.
@@ -25,7 +25,7 @@ impl CanWatch {
         }
     }
 
-    /// Takes the number of new frames. After a pause longer than `pause` a new time of traffic
+    /// Takes the number of new frames. After a pause longer than `pause`, a new period of traffic
     /// begins.
     pub(crate) fn update(&mut self, now: Instant, new: u32, pause: Duration) {
         let paused = now.since(self.last) > pause;
@@ -40,12 +40,12 @@ impl CanWatch {
         }
     }
 
-    /// A stall of the receiver is not a silence of the bus.
+    /// Restarts the time limit: a stall of the receiver is not a silence of the bus.
     pub(crate) fn forgive(&mut self, now: Instant) {
         self.last = now;
     }
 
-    /// For how long frames have arrived without a pause; zero if none arrive.
+    /// Returns how long frames have arrived without a pause; zero if none arrive.
     pub(crate) fn alive_for(&self, now: Instant) -> Duration {
         self.since.map_or(Duration::ZERO, |since| now.since(since))
     }
@@ -60,13 +60,13 @@ impl CanWatch {
         now.since(self.last) > limit
     }
 
-    /// Whether frames arrived before and have not for `limit`: this system is deaf, or the bus is
-    /// dead.
+    /// Returns whether frames arrived before, but none for `limit`: this system is deaf, or the bus
+    /// is dead.
     pub(crate) fn is_deaf(&self, now: Instant, limit: Duration) -> bool {
         self.heard && self.is_silent(now, limit)
     }
 
-    /// Whether `silent` differs from the last reported value, which it replaces.
+    /// Returns whether `silent` differs from the last reported value, and replaces that value.
     pub(crate) fn is_news(&mut self, silent: bool) -> bool {
         core::mem::replace(&mut self.reported_silent, silent) != silent
     }
@@ -76,7 +76,7 @@ impl CanWatch {
 mod tests {
     use super::*;
 
-    /// Traffic begins anew after more than the pause, and counts from its first frame.
+    /// A new period of traffic begins after more than the pause, and counts from its first frame.
     #[test]
     fn a_pause_ends_the_traffic() {
         let at = |ms: u64| Instant::from_ns(ms * 1_000_000);
@@ -94,7 +94,7 @@ mod tests {
                 assert_eq!(can.is_alive(), alive);
             }
             assert!(can.is_deaf(at(last + 18), pause));
-            // A stall of the receiver, until now, is no silence of the bus.
+            // A stall of the receiver, until now, is not a silence of the bus.
             can.forgive(at(last + 18));
             assert!(!can.is_deaf(at(last + 35), pause) && can.is_deaf(at(last + 36), pause));
         }

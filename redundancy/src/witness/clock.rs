@@ -10,13 +10,13 @@ use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
 
 /// A clock that has drifted by more than this beyond what is permitted is wrong, µs. Half of what
-/// the vehicle's gate tolerates: a system leaves before its frames look late.
+/// the vehicle's gate tolerates, so that a system leaves before its frames seem late.
 const WRONG_US: i32 = 20_000;
 /// The largest difference within this time is the offset. Ten control periods.
 const WINDOW: Duration = Duration::from_ms(100);
 /// Permitted drift, µs in each window: 0.1 %, ten times that of a quartz.
 const PERMITTED_US: i32 = 100;
-/// The first windows give the offset to begin with.
+/// This many windows at the beginning determine the initial offset.
 const SETTLING_WINDOWS: u8 = 2;
 /// A larger step of the offset means that the clock was set or has restarted, µs.
 const SET_US: i32 = 1_000_000;
@@ -48,7 +48,7 @@ impl Offset {
     }
 
     /// Takes the difference between the other clock at sending and the own clock at `at`, µs.
-    /// Returns how much longer than usual the frame was on its way, µs.
+    /// Returns how much longer than usual the frame took, µs.
     fn update(&mut self, at: Instant, difference: u32) -> i32 {
         let beyond = difference.wrapping_sub(self.reference) as i32;
         if at.since(self.heard) > WINDOW || !(-SET_US..SET_US).contains(&beyond) {
@@ -100,8 +100,8 @@ const fn us(at: Instant) -> u32 {
     (at.as_ns() / 1_000) as u32
 }
 
-/// Updates one offset. `other` is that of the third clock: both restart together, so that both
-/// cover the same time.
+/// Updates one offset. `other` is the offset of the third clock: both restart together, so that
+/// both cover the same time.
 fn update(
     offset: &mut Option<Offset>,
     other: &mut Option<Offset>,
@@ -118,22 +118,22 @@ fn update(
 }
 
 impl Clocks {
-    /// The vehicle's clock showed this when it sent what arrived at `at`: milliseconds, the last
-    /// eight bits.
+    /// Handles the vehicle's clock when it sent the frame that arrived at `at`: the last eight bits
+    /// of its milliseconds.
     pub(crate) fn on_vehicle(&mut self, at: Instant, sent_ms: u8) {
         let passed = sent_ms.wrapping_sub(core::mem::replace(&mut self.vehicle_ms, sent_ms));
         self.vehicle_us = self.vehicle_us.wrapping_add(u32::from(passed) * 1_000);
         let _delay = update(&mut self.vehicle, &mut self.peer, at, self.vehicle_us);
     }
 
-    /// The other system's clock showed this when it sent what arrived at `at`, µs; wraps around.
-    /// Returns for how much longer than usual that was on its way.
+    /// Handles the other system's clock when it sent the report that arrived at `at`, µs; wraps
+    /// around. Returns how much longer than usual the report took.
     pub(crate) fn on_peer(&mut self, at: Instant, sent_us: u32) -> Duration {
         let late = update(&mut self.peer, &mut self.vehicle, at, sent_us);
         Duration::from_us(late.max(0) as u64)
     }
 
-    /// The other system's clock begins anew.
+    /// Forgets the other system's clock, because it has restarted.
     pub(crate) fn forget_peer(&mut self) {
         self.peer = None;
     }
@@ -176,9 +176,8 @@ mod tests {
         Instant::from_ns(u64::from(ms) * 1_000_000)
     }
 
-    /// Of three clocks the one that differs from both others is wrong, and reported once. A drift
-    /// of
-    /// 0.05 % is permitted.
+    /// Of three clocks the one that differs from both others is wrong, and is reported once. A
+    /// drift of 0.05 % is permitted.
     #[test]
     fn the_clock_that_differs_from_both_others_is_wrong() {
         for (peer, vehicle, expected) in [
@@ -209,7 +208,7 @@ mod tests {
         }
     }
 
-    /// The first windows find the offset: a report that was late at first is no drift.
+    /// The first windows find the offset: a first report that was late does not count as drift.
     #[test]
     fn a_late_first_report_is_no_drift() {
         let mut clocks = Clocks::default();
@@ -221,8 +220,8 @@ mod tests {
         }
     }
 
-    /// An own clock that is ahead of both others is found when a window shows nothing else: already
-    /// the first one after those that give the offsets.
+    /// If this system's clock is ahead of both others, one window is enough to find it: the first
+    /// one after those that determine the offsets.
     #[test]
     fn a_clock_that_is_ahead_is_found_after_one_window() {
         let mut clocks = Clocks::default();
@@ -235,7 +234,7 @@ mod tests {
         assert_eq!(found, Some(300));
     }
 
-    /// After more than a window without a report its clock is compared anew.
+    /// After more than a window without a report, the comparison with its clock starts again.
     #[test]
     fn a_clock_that_paused_is_compared_anew() {
         const LATE_US: u32 = 50_000;

@@ -10,9 +10,9 @@ pub(crate) enum GateVerdict {
     Unknown,
     /// The vehicle was heard before, but no longer: it is off, or this system is deaf.
     Unheard,
-    /// No system has reached it for the third witness's limit.
+    /// No control frame has reached the vehicle for the third witness's limit.
     Uncontrolled,
-    /// It obeys this term.
+    /// The vehicle obeys this term.
     Obeys(Term),
 }
 
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
     use tandem_board::Duration;
 
-    /// An echo is valid up to its limit, and so is the frame that it reports; not a nanosecond
+    /// An echo, and the frame that it reports, is valid up to its limit and not a nanosecond
     /// longer.
     #[test]
     fn an_echo_counts_up_to_its_limit() {

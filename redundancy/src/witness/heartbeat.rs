@@ -12,7 +12,7 @@ pub(crate) struct BeatSender {
 }
 
 impl BeatSender {
-    /// A sender that is off.
+    /// Creates a sender that is off.
     pub(crate) const fn new(period: Duration) -> Self {
         Self {
             period,
@@ -32,8 +32,8 @@ impl BeatSender {
         self.next = None;
     }
 
-    /// The edge to send now on both lines, if a heartbeat is due. The schedule does not drift.
-    /// After a stall it continues from `now`, without a burst of the missed heartbeats.
+    /// Returns the edge to send now on both lines, if a heartbeat is due. The schedule does not
+    /// drift. After a stall it continues from `now`, without a burst of the missed heartbeats.
     pub(crate) fn poll(&mut self, now: Instant) -> Option<Edge> {
         let due = self.next.filter(|&due| due <= now)?;
         let following = due + self.period;
@@ -51,12 +51,12 @@ impl BeatSender {
         Some(edge)
     }
 
-    /// When the next heartbeat is due; [`Instant::NEVER`] while off.
+    /// Returns when the next heartbeat is due; [`Instant::NEVER`] while off.
     pub(crate) fn due(&self) -> Instant {
         self.next.unwrap_or(Instant::NEVER)
     }
 
-    /// How many heartbeats were sent; wraps around.
+    /// Returns the number of heartbeats sent; wraps around.
     pub(crate) const fn sent(&self) -> u32 {
         self.sent
     }
@@ -91,7 +91,7 @@ pub(crate) struct BeatReceiver {
 }
 
 impl BeatReceiver {
-    /// A receiver for lines that go silent after `limit` without an edge. Both begin silent.
+    /// A receiver for lines that are silent after `limit` without an edge. Both begin silent.
     pub(crate) const fn new(limit: Duration, now: Instant) -> Self {
         let line = LineState {
             last_edge: now,
@@ -129,7 +129,7 @@ impl BeatReceiver {
     }
 
     /// Assumes an edge on both lines at `from`, which may be in the future: the other system begins
-    /// now, and has until then for its first heartbeat.
+    /// now, and its silence counts only from then on.
     pub(crate) fn expect(&mut self, from: Instant) {
         for line in &mut self.lines {
             line.silent = false;
@@ -138,8 +138,8 @@ impl BeatReceiver {
         self.alive_since = Some(from);
     }
 
-    /// Restarts the time limits of the lines that are not silent. For a stall of this system: its
-    /// own absence is no evidence against the other.
+    /// Restarts the time limits of the lines that are not silent. For a stall of this system, which
+    /// is no evidence against the other.
     pub(crate) fn forgive(&mut self, now: Instant) {
         for line in self.lines.iter_mut().filter(|line| !line.silent) {
             line.last_edge = line.last_edge.max(now);
@@ -156,23 +156,23 @@ impl BeatReceiver {
         self.lines[0].silent && self.lines[1].silent
     }
 
-    /// The last edge on either line.
+    /// Returns the time of the last edge on either line.
     pub(crate) fn last_edge(&self) -> Instant {
         self.lines[0].last_edge.max(self.lines[1].last_edge)
     }
 
-    /// Time since the last edge on either line.
+    /// Returns the time since the last edge on either line.
     pub(crate) fn silent_for(&self, now: Instant) -> Duration {
         now.since(self.last_edge())
     }
 
-    /// Time since the lines were last both silent; zero while they are.
+    /// Returns the time since the lines were last both silent; zero while they are.
     pub(crate) fn alive_for(&self, now: Instant) -> Duration {
         self.alive_since
             .map_or(Duration::ZERO, |since| now.since(since))
     }
 
-    /// Heartbeats received on each line so far; wraps around.
+    /// Returns the number of heartbeats received on each line so far; wraps around.
     pub(crate) fn received(&self) -> [u32; 2] {
         self.lines.map(|line| line.received)
     }
@@ -219,8 +219,8 @@ mod tests {
         assert_eq!(sender.poll(at_us(30_000)), None);
     }
 
-    /// Feeds one edge per millisecond on the whole lines; returns the receiver after `ms`
-    /// milliseconds.
+    /// Sends one edge per millisecond to the receiver on the intact lines; returns the receiver
+    /// after `ms` milliseconds.
     fn fed(whole: [bool; 2], ms: u64) -> BeatReceiver {
         let mut receiver = BeatReceiver::new(LIMIT, at_us(0));
         receiver.expect(at_us(0));
@@ -230,8 +230,7 @@ mod tests {
         receiver
     }
 
-    /// T-RED-3: line 1, and only if it fails line 2; one broken line is not a failure but is
-    /// reported.
+    /// T-RED-3: line 2 counts if line 1 fails; one broken line is not a failure but is reported.
     #[test]
     fn one_silent_line_is_no_failure() {
         for (whole, silent, failed) in [

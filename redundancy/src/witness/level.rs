@@ -12,13 +12,14 @@ pub(crate) struct Level {
     is_low: bool,
     /// Heartbeats arrived until the line fell, so they must end with it.
     beats_at_fall: bool,
-    /// The last heartbeat, and the last sign of life of any kind, since the line fell.
+    /// The times of the last heartbeat, and of the last sign of any kind, that the other system
+    /// runs.
     last_beat: Instant,
     last_sign: Instant,
-    /// The line was low while the other system showed life. It is ignored until it has been high
+    /// The line was low while the other system was running. It is ignored until it has been high
     /// for long enough.
     broken: bool,
-    /// Since when the line is high.
+    /// When the line last rose.
     high_since: Instant,
 }
 
@@ -69,8 +70,8 @@ impl Level {
         (self.broken != was_broken).then_some(self.broken)
     }
 
-    /// The other system showed life at `at`, on CAN or over the link. Returns whether that shows
-    /// the line to be broken.
+    /// Handles a sign of life of the other system at `at`, on CAN or over the link. Returns whether
+    /// it shows that the line is broken.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant) -> bool {
         let Some(fell) = self.fell else {
             return false;
@@ -86,13 +87,14 @@ impl Level {
         !core::mem::replace(&mut self.broken, true)
     }
 
-    /// The other system drives in a new term, which needs power. Returns whether that shows the
-    /// line to be broken.
+    /// The other system drives in a new term, which needs power. Returns whether this shows that
+    /// the line is broken.
     pub(crate) fn on_drive(&mut self) -> bool {
         self.is_low && !core::mem::replace(&mut self.broken, true)
     }
 
-    /// When the fallen line has been low for long enough, if no heartbeat arrives until then.
+    /// Returns when the fallen line has been low for long enough, if no heartbeat arrives until
+    /// then.
     pub(crate) fn limit(&self, config: &Config) -> Instant {
         match self.fell {
             Some(_) => self.last_beat + config.level_limit(),
@@ -100,10 +102,10 @@ impl Level {
         }
     }
 
-    /// Whether the other system is without power, or was and has not restarted yet: the line fell,
-    /// and the heartbeats, which arrived before, have ended with it. If there were no heartbeats
-    /// before, the line must be low, and all other signs of life must have ended for the third
-    /// witness's limit.
+    /// Returns whether the other system is without power, or was and has not restarted yet: the
+    /// line fell, and the heartbeats, which arrived before, have ended with it. If there were no
+    /// heartbeats before, the line must be low, and no other sign of life may have arrived for the
+    /// third witness's limit.
     pub(crate) fn is_off(&self, config: &Config, now: Instant) -> bool {
         let last_sign = self.last_sign.max(self.last_beat);
         self.fell.is_some()
@@ -119,7 +121,7 @@ mod tests {
     use tandem_board::Duration;
 
     /// A system whose level fell is off when its heartbeats have ended with the level. If there
-    /// were none before, the level must be low, and every sign of life missing for longer than the
+    /// were none before, the level must be low, and no sign of life may arrive for longer than the
     /// third witness's limit.
     #[test]
     fn a_fallen_level_counts_when_the_signs_of_life_have_ended() {

@@ -1,4 +1,4 @@
-//! This system's knowledge of the other one. Each witness is one type; rules combine them.
+//! The evidence about the other system. Each witness is one type; rules combine them.
 
 mod can;
 mod clock;
@@ -19,7 +19,7 @@ use level::Level;
 use reports::{Next, Reports};
 use tandem_board::Instant;
 
-/// All witnesses but one: the control frames of the master belong to the phases `Starting` and
+/// All witnesses except one: the control frames of the master belong to the phases `Starting` and
 /// `Standby`.
 #[derive(Clone, Debug)]
 pub(crate) struct Witnesses {
@@ -29,7 +29,7 @@ pub(crate) struct Witnesses {
     pub(crate) reports: Reports,
     pub(crate) gate: Gate,
     pub(crate) clocks: Clocks,
-    /// A stall was forgiven since the last sign of life.
+    /// The time limits were restarted after a stall, and no sign of life has arrived since.
     forgiven: bool,
 }
 
@@ -46,9 +46,9 @@ impl Witnesses {
         }
     }
 
-    /// This system was held up, or has just begun: silence counts from now on. Only once between
-    /// two signs of life, because a system that always polls late must also detect a dead one.
-    /// Returns whether it was done.
+    /// Restarts the time limits, because this system was held up or has just begun. Only once
+    /// between two signs of life, because a system that always polls late must also detect a failed
+    /// one. Returns whether it was done.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
             return false;
@@ -58,7 +58,7 @@ impl Witnesses {
         true
     }
 
-    /// Takes the differences of a poll.
+    /// Updates the witnesses with the differences of a poll.
     pub(crate) fn update(
         &mut self,
         config: &Config,
@@ -90,8 +90,8 @@ impl Witnesses {
         }
     }
 
-    /// Whether a report over the link is new: neither repeated nor too long on its way. If all
-    /// reports are late for a second, their delay counts as the usual one.
+    /// Returns whether a report over the link is new: neither repeated nor too late. If all reports
+    /// are late for a second, their delay counts as the usual one.
     pub(crate) fn is_new(&mut self, config: &Config, now: Instant, link: &LinkReport) -> bool {
         let clocks = &mut self.clocks;
         match self.reports.is_next(link) {
@@ -110,7 +110,7 @@ impl Witnesses {
         true
     }
 
-    /// The other system showed life at `at`, on CAN or over the link.
+    /// Handles a sign of life of the other system at `at`, on CAN or over the link.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant, actions: &mut Actions) {
         if self.level.on_life(config, at) {
             actions.record(RedundancyEvent::LevelBroken(true));
@@ -118,21 +118,21 @@ impl Witnesses {
         self.forgiven = false;
     }
 
-    /// The other system drives in a new term.
+    /// Notes that the other system drives in a new term.
     pub(crate) fn on_drive(&mut self, actions: &mut Actions) {
         if self.level.on_drive() {
             actions.record(RedundancyEvent::LevelBroken(true));
         }
     }
 
-    /// Whether the other system is without power.
+    /// Returns whether the other system is without power.
     pub(crate) fn peer_is_off(&self, config: &Config, now: Instant) -> bool {
         self.level.is_off(config, now)
     }
 
-    /// Whether the link and both heartbeat lines fell silent together: three wires that fail at the
-    /// same time show a dead master, unless a control frame was heard since. A link that was cut
-    /// before, or that is too slow, is no witness.
+    /// Returns whether the link and both heartbeat lines fell silent together: three wires that
+    /// fail at the same time show a failed master, unless a control frame was heard since. A link
+    /// that was cut before, or that is too slow, is no witness.
     pub(crate) fn link_ended(&self, config: &Config, now: Instant, last_control: Instant) -> bool {
         let limit = config.link_limit();
         let lines = self.beats.silent_for(now);
@@ -142,9 +142,9 @@ impl Witnesses {
             && now.since(last_control) + limit >= lines
     }
 
-    /// Returns when heartbeats, link and power level will count as silent or off, judging by what
-    /// was last seen of them. In the past if they already do; [`Instant::NEVER`] for a witness that
-    /// has seen nothing.
+    /// Returns when heartbeats, link and power level will count as silent or off if no further sign
+    /// arrives. In the past if they already do; [`Instant::NEVER`] for a witness that has seen
+    /// nothing.
     pub(crate) fn limits(&self, config: &Config) -> [Instant; 3] {
         let link = self.reports.heard_at();
         [
@@ -154,18 +154,19 @@ impl Witnesses {
         ]
     }
 
-    /// Whether this system heard third parties before and no longer does: it has no input for
-    /// driving, and must not relieve a master that can still stop the vehicle.
+    /// Returns whether this system heard third parties before and no longer does: it has no input
+    /// for driving, and must not relieve a master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {
         self.can.is_deaf(now, config.mute_limit())
     }
 
-    /// No frame was received on CAN for too long.
+    /// Returns whether no frame was received on CAN for too long.
     pub(crate) fn can_is_silent(&self, config: &Config, now: Instant) -> bool {
         self.can.is_silent(now, config.can_open_limit)
     }
 
-    /// Both heartbeat lines have been silent for so long that a master gives up its standby.
+    /// Returns whether both heartbeat lines are silent for so long that a master gives up its
+    /// standby.
     pub(crate) fn standby_is_gone(&self, config: &Config, now: Instant) -> bool {
         self.beats.both_silent() && self.beats.silent_for(now) > config.standby_limit
     }

@@ -12,7 +12,7 @@ pub(crate) struct Reports {
     last_sent: Option<(u16, u32)>,
     /// Its last report over any path.
     newest: Option<(PeerReport, Instant)>,
-    /// Since when it reports over the link, without a pause, that it drives in a higher term than
+    /// When it began to report over the link, without a pause, that it drives in a higher term than
     /// this system and hears the bus.
     claims_since: Option<Instant>,
     /// When its status frame last reported on CAN that it is standby.
@@ -30,7 +30,7 @@ pub(crate) enum Next {
 }
 
 impl Reports {
-    /// Takes note of a datagram's time.
+    /// Compares a datagram's time with that of the last one, and stores it.
     pub(crate) fn is_next(&mut self, link: &LinkReport) -> Next {
         let next = match self.last_sent {
             Some((start, _)) if start != link.start => Next::Restarted,
@@ -43,8 +43,8 @@ impl Reports {
         next
     }
 
-    /// A report over the link. `own`: the term of this system. Returns for how long the other has
-    /// claimed to drive in a higher one, if it claims that now.
+    /// Handles a report over the link. `own`: the term of this system. Returns how long the other
+    /// has claimed to drive in a higher one, if it claims that now.
     pub(crate) fn on_link(
         &mut self,
         now: Instant,
@@ -65,43 +65,43 @@ impl Reports {
         }
     }
 
-    /// The last report over the link, unless it is older than `limit`.
+    /// Returns the last report over the link, unless it is older than `limit`.
     pub(crate) fn fresh(&self, now: Instant, limit: Duration) -> Option<PeerReport> {
         self.link
             .filter(|(_, at)| now.since(*at) <= limit)
             .map(|(report, _)| report)
     }
 
-    /// When the last report over the link arrived; `None` if there was none.
+    /// Returns when the last report over the link arrived; `None` if there was none.
     pub(crate) fn heard_at(&self) -> Option<Instant> {
         self.link.map(|(_, at)| at)
     }
 
-    /// Time since then.
+    /// Returns the time since the last report over the link.
     pub(crate) fn silent_for(&self, now: Instant) -> Option<Duration> {
         self.heard_at().map(|at| now.since(at))
     }
 
-    /// Whether the other reported over the link within `limit` that it drives.
+    /// Returns whether the other reported over the link within `limit` that it drives.
     pub(crate) fn drives(&self, now: Instant, limit: Duration) -> bool {
         self.fresh(now, limit)
             .is_some_and(|report| report.role == Role::Master)
     }
 
-    /// Whether the other's last report, if not older than `limit`, says that it drives with its own
-    /// fault.
+    /// Returns whether the other's last report, if not older than `limit`, says that it drives and
+    /// stops the vehicle.
     pub(crate) fn resigns(&self, now: Instant, limit: Duration) -> bool {
         self.newest.is_some_and(|(report, at)| {
             now.since(at) <= limit && report.role == Role::Master && report.mode == Mode::SafeStop
         })
     }
 
-    /// Whether the other was heard on CAN as standby within `limit`.
+    /// Returns whether the other was heard on CAN as standby within `limit`.
     pub(crate) fn standby_within(&self, now: Instant, limit: Duration) -> bool {
         self.standby_at.is_some_and(|at| now.since(at) <= limit)
     }
 
-    /// Whether the other was ever heard on CAN as standby.
+    /// Returns whether the other was ever heard on CAN as standby.
     pub(crate) const fn was_standby(&self) -> bool {
         self.standby_at.is_some()
     }
