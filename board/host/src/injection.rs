@@ -1,7 +1,7 @@
 //! Access to a run from outside: its wires, its power, its memory.
 //!
-//! A run has its own `/dev/shm`. Another process of the same user enters the run's namespaces
-//! permanently, and maps the backplane from there.
+//! A run has a separate `/dev/shm`. Another process of the same user enters the run's namespaces
+//! permanently and maps the backplane there.
 
 use std::fs::{self, File};
 use std::io;
@@ -23,28 +23,28 @@ use crate::process_list::{self, Process, RunError};
 use crate::segment::SegmentError;
 use crate::supply::{poke, poke_launcher};
 
-/// How long the launcher may take to start a supply.
+/// Maximum time for the launcher to start a supply.
 const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 /// Why a run cannot be reached.
 #[derive(Debug, thiserror::Error)]
 pub enum InjectionError {
-    /// There is no such run, or there are several.
+    /// The run does not exist, or several runs are active.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The place of the run's files cannot be entered.
+    /// The namespaces of the run could not be entered.
     #[error("cannot enter the place of {run}: {source}")]
     Place {
         /// The run.
         run: RunName,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Its backplane cannot be mapped.
+    /// The run's backplane could not be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
-    /// Its LMU cannot be mapped.
+    /// A system's LMU could not be mapped.
     #[error("LMU: {0}")]
     Lmu(#[from] SegmentError),
     /// The system is already without power.
@@ -53,10 +53,10 @@ pub enum InjectionError {
     /// The system already has power.
     #[error("system {0} is on")]
     IsOn(SystemId),
-    /// The process that starts supplies has ended, or does not answer.
+    /// The process that starts supplies has ended or does not respond.
     #[error("system {0} is not switched on: the `tandem run` of this run has ended or is stopped")]
     NoLauncher(SystemId),
-    /// A process cannot be killed.
+    /// The supply could not be killed.
     #[error("cannot kill the supply: {0}")]
     Kill(io::Error),
 }
@@ -81,11 +81,11 @@ pub struct Injection {
 
 impl Injection {
     /// Enters the run of this name, or the one that `tandem run` with this process id started;
-    /// without a name, the only run that is active. The calling process must have one thread, and
-    /// stays in the run's namespaces.
+    /// without a name, the only active run. The calling process must have one thread, and stays in
+    /// the run's namespaces.
     ///
     /// # Errors
-    /// [`InjectionError`] if there is no such run, there are several, or it cannot be entered.
+    /// [`InjectionError`] if the run does not exist, several match, or it cannot be entered.
     pub fn on(name: Option<&str>) -> Result<Self, InjectionError> {
         let process = process_list::process_of(name)?;
         let run = process.run.clone();
@@ -97,18 +97,18 @@ impl Injection {
         Ok(Self { run, backplane })
     }
 
-    /// The injection of the process that started the run.
+    /// Makes the injection for the process that started the run.
     pub(crate) const fn of(run: RunName, backplane: Backplane) -> Self {
         Self { run, backplane }
     }
 
-    /// The backplane of the run.
+    /// Returns the backplane of the run.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
     }
 
-    /// Sends a signal to a process of the run; `false` if there is none.
+    /// Sends a signal to a process of the run; returns `false` if the process does not exist.
     pub fn signal(&self, to: Target, signal: Signal) -> bool {
         let pid = match to {
             Target::Supply(system) => self.backplane.supply_pid(system),
@@ -119,36 +119,36 @@ impl Injection {
         pid.is_some_and(|pid| kill_process(pid, signal).is_ok())
     }
 
-    /// The level line of this system reads as low at the other one, though the system is on.
+    /// Makes this system's level line read low at the other system, even while this system is on.
     pub fn hold_level_low(&self, system: SystemId, held: bool) {
         self.backplane.hold_low(system, held);
         Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
     }
 
-    /// Asks the launcher to switch a system on, and does not wait. No effect if it is on.
+    /// Requests the launcher to switch a system on, and does not wait. No effect if it is on.
     pub fn request_power(&self, system: SystemId) {
         self.backplane.request_power(system);
         poke_launcher(self.backplane);
     }
 
-    /// The supply resets the system, as after an orderly request of its core 0.
+    /// Makes the supply reset the system, as after a software request of core 0.
     pub fn reset(&self, system: SystemId) {
         self.backplane.request_reset(system, ResetRequest::Software);
         poke(self.backplane, system);
     }
 
-    /// Cuts or restores the connections of these systems over this wire.
+    /// Cuts or restores this wire of these systems.
     pub fn set_cut(&self, wire: Wire, from: &[SystemId], is_cut: bool) {
         for system in from {
             self.backplane.set_cut(wire, *system, is_cut);
             if wire == Wire::Level {
-                // A change of the level interrupts the other system.
+                // A change of the level must interrupt the other system.
                 Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
             }
         }
     }
 
-    /// Takes the power from a system: its supply dies, and its cores with it.
+    /// Cuts the power of a system: kills its supply, and thus its cores.
     ///
     /// # Errors
     /// [`InjectionError::IsOff`], [`InjectionError::Kill`].
@@ -178,7 +178,7 @@ impl Injection {
         Ok(())
     }
 
-    /// The process of a system's supply, if it lives.
+    /// Returns the process of a system's supply, if it is alive.
     fn supply(&self, system: SystemId) -> Option<Pid> {
         let is_supply = |process: &Process| {
             process.system == Some(system) && process.kind == process_list::ProcessKind::Supply
@@ -190,8 +190,7 @@ impl Injection {
         i32::try_from(pid).ok().and_then(Pid::from_raw)
     }
 
-    /// Overwrites the whole LMU of a system, as a core out of control does. `seed` selects the
-    /// words.
+    /// Overwrites the whole LMU of a system, as a faulty core might. `seed` determines the words.
     ///
     /// # Errors
     /// [`InjectionError::Lmu`].
@@ -200,13 +199,13 @@ impl Injection {
         Ok(())
     }
 
-    /// Makes a fault of a system's hardware, or repairs it.
+    /// Injects or repairs a hardware fault of a system.
     pub fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
         self.backplane.set_fault(of, fault, present);
         poke(self.backplane, of);
     }
 
-    /// Sends an edge that this system did not send to the other one.
+    /// Delivers to the other system an edge that this system did not send.
     pub fn stray_edge(&self, from: SystemId, line: Line, edge: Edge) {
         self.backplane.send_edge(from, line, edge);
         if line.interrupts() {
@@ -215,7 +214,7 @@ impl Injection {
     }
 }
 
-/// Enters the namespaces of a process that differ from those of this one.
+/// Enters those namespaces of a process that differ from this process's own.
 fn enter(process: &Process) -> io::Result<()> {
     let of = |pid: &str, name: &str| PathBuf::from(format!("/proc/{pid}/ns/{name}"));
     let pid = process.pid.to_string();

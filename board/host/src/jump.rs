@@ -1,7 +1,7 @@
-//! The jump from the first program of a core to the one in a slot: same process, another image.
+//! The jump from the first program of a core to the program in a slot: the process stays the same.
 //!
-//! A slot holds a file that Linux can execute: an ELF file, or a script. The script
-//! `#!/proc/self/exe __application NAME` is the application NAME of the running executable.
+//! A slot holds a file that Linux can execute: an ELF file or a script. The script
+//! `#!/proc/self/exe __application NAME` starts the application NAME of the running executable.
 
 use std::io::{self, Write as _};
 use std::os::fd::AsRawFd as _;
@@ -13,17 +13,17 @@ use rustix::fs::{MemfdFlags, memfd_create};
 use crate::args::{APPLICATION, CoreArgs, ProcessArgs};
 use crate::backplane::{Backplane, BackplaneError};
 
-/// The content of a slot that starts an application of the running executable.
+/// Returns the content of a slot that starts an application of the running executable.
 #[must_use]
 pub fn script(application: &str) -> Vec<u8> {
     format!("#!/proc/self/exe {APPLICATION}{application}\n").into_bytes()
 }
 
 /// Replaces the program of this process. The process keeps its id and its priority, and still dies
-/// with its supply; nothing else of the old program remains. Returns only if it fails.
+/// with its supply; the rest of the old program's state is lost. Returns only if it fails.
 #[must_use]
 pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
-    // Stays open over the exec: the interpreter of a script gets this path.
+    // The file stays open across the exec: the interpreter of a script gets this path.
     let execute = || -> io::Result<core::convert::Infallible> {
         let mut file = std::fs::File::from(memfd_create("slot", MemfdFlags::empty())?);
         file.write_all(image)?;
@@ -37,19 +37,19 @@ pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
     }
 }
 
-/// Publishes the slot to which core 0 is about to jump: the other cores of its system follow.
+/// Publishes the slot to which core 0 is about to jump; the other cores of its system will follow.
 ///
 /// # Errors
-/// [`BackplaneError`] if the run is over.
+/// [`BackplaneError`] if the run has ended.
 pub fn set_booted(args: &CoreArgs, slot: u32) -> Result<(), BackplaneError> {
     Backplane::open(&args.common.run)?.set_booted(args.identity.system, slot);
     Ok(())
 }
 
-/// The slot that core 0 of this core's system has jumped to.
+/// Returns the slot to which core 0 of this core's system has jumped.
 ///
 /// # Errors
-/// [`BackplaneError`] if the run is over.
+/// [`BackplaneError`] if the run has ended.
 pub fn booted(args: &CoreArgs) -> Result<u32, BackplaneError> {
     Ok(Backplane::open(&args.common.run)?.booted(args.identity.system))
 }

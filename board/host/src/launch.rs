@@ -1,6 +1,6 @@
-//! Starts a run, and ends it without leaving anything behind.
+//! Starts a run and ends it without leaving processes or files behind.
 //!
-//! Neither driving nor failover needs the launcher: after the start it only waits. If it is killed,
+//! Driving and failover do not need the launcher: after the start it only waits. If it is killed,
 //! the run continues until the vehicle ends; all other processes end with the vehicle.
 
 use std::ffi::OsString;
@@ -28,39 +28,39 @@ use crate::process_list::{self, Process};
 use crate::spawn::{self, Watched};
 use crate::supply::{self, Pokes};
 
-/// How long the vehicle may take to end after a request, for instance to write its report.
+/// How long the vehicle may take to end after a request, for example to write its report.
 const STOP_GRACE: Duration = Duration::from_secs(30);
-/// How long supplies may take to power down.
+/// How long the supplies may take to power down.
 const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
 /// How long killed processes may take to disappear.
 const KILL_GRACE: Duration = Duration::from_secs(5);
-/// How long a supply that was killed may take to end.
+/// How long a killed supply may take to end.
 const POWER_OFF_WITHIN: Duration = Duration::from_millis(50);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
-/// The same during the run, in which signals, pokes and the vehicle's end wake it at once.
+/// Poll interval during the run. Signals, pokes and the vehicle's end wake the launcher earlier.
 const LOOK_AGAIN_IN_RUN: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
 
 /// Why a run did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
-    /// The run's files have no place.
+    /// No place is available for the run's files.
     #[error(transparent)]
     Isolation(#[from] IsolationError),
-    /// The run's shared memory cannot be created, or has no room.
+    /// The run's shared memory could not be created, or there is not enough room.
     #[error(transparent)]
     Memory(#[from] MemoryError),
-    /// The data flash of a system cannot be used.
+    /// The data flash of a system could not be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
-    /// A process cannot be started.
+    /// A process could not be started.
     #[error("cannot start the {what}: {source}")]
     Spawn {
         /// The process.
         what: String,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// Signals cannot be received.
+    /// The signal handlers could not be installed.
     #[error("cannot listen to signals: {0}")]
     Signals(io::Error),
 }
@@ -68,11 +68,11 @@ pub enum LaunchError {
 /// The configuration of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LaunchPlan {
-    /// How the processes are scheduled.
+    /// The scheduling of the processes.
     pub schedule: Schedule,
-    /// The files that are the data flashes of A and B; created if missing.
+    /// The files of the data flashes of A and B; created if missing.
     pub flash: [PathBuf; 2],
-    /// What the program passes on to all of its processes.
+    /// Arguments that the program passes on to all of its processes.
     pub extra: Vec<OsString>,
 }
 
@@ -85,7 +85,7 @@ pub struct Ended {
     pub interrupted: bool,
 }
 
-/// What a run has left behind; empty in a good run.
+/// Processes and files that a run has left behind; empty after a good run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Leftovers {
     /// Processes that could not be killed.
@@ -95,32 +95,32 @@ pub struct Leftovers {
 }
 
 impl Leftovers {
-    /// How many.
+    /// Returns the number of processes and files.
     #[must_use]
     pub fn count(&self) -> usize {
         self.processes.len() + self.files.len()
     }
 }
 
-/// A run, on the side of the process that starts it. Dropping it ends the run.
+/// A run, as seen by the process that started it. Dropping this ends the run.
 #[derive(Debug)]
 pub struct Launcher {
     isolation: Isolation,
     backplane: Backplane,
     /// Supply A, supply B, vehicle.
     children: Vec<Child>,
-    /// Locked while a process of the run lives.
+    /// Locked until all processes of the run have ended.
     flash: Vec<Claimed>,
-    /// A signal that requests the end has arrived and is not yet handled.
+    /// A signal that requests the end has arrived and has not been handled yet.
     signalled: Arc<AtomicBool>,
     pokes: Pokes,
     is_over: bool,
 }
 
 impl Launcher {
-    /// Prepares a run: its place, its backplane, and Ctrl-C.
+    /// Prepares a run: its place, its backplane, and the handling of Ctrl-C.
     ///
-    /// Call it before the process has threads (see [`isolation::enter`]).
+    /// Call it before the process starts threads (see [`isolation::enter`]).
     ///
     /// # Errors
     /// [`LaunchError`] if shared memory or signals are not available.
@@ -133,10 +133,10 @@ impl Launcher {
     /// # Errors
     /// [`LaunchError`] if shared memory or signals are not available.
     pub fn prepare_in(isolation: Isolation) -> Result<Self, LaunchError> {
-        // If there is not room for all, removes it again.
+        // If there is not enough room, remove what was created.
         let backplane = memory::create(isolation.run()).inspect_err(|_| isolation.wipe())?;
         backplane.set_launcher(std::process::id());
-        // Cores whose supply was killed become children of this process, which then waits for them.
+        // Cores whose supply was killed become children of this process, which waits for them.
         let _ = set_child_subreaper(Pid::from_raw(1));
         let signalled = Arc::new(AtomicBool::new(false));
         let signals = [SIGINT, SIGTERM, SIGHUP];
@@ -144,7 +144,7 @@ impl Launcher {
             signal_hook::flag::register(signal, Arc::clone(&signalled))
                 .map_err(LaunchError::Signals)?;
         }
-        // After the flags: a sleep that this ends finds them set.
+        // After the flags: when a signal ends a sleep, its flag is already set.
         let pokes = Pokes::receive(&signals).map_err(LaunchError::Signals)?;
         Ok(Self {
             isolation,
@@ -157,35 +157,35 @@ impl Launcher {
         })
     }
 
-    /// The place of the run's files; its display is the line that says what was granted.
+    /// Returns the place of the run's files; displayed, it is the line that says what was granted.
     #[must_use]
     pub const fn isolation(&self) -> &Isolation {
         &self.isolation
     }
 
-    /// The backplane of the run.
+    /// Returns the backplane of the run.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
     }
 
-    /// Injects faults into this run, from this process.
+    /// Returns access for fault injection into this run from this process.
     #[must_use]
     pub fn injection(&self) -> Injection {
         Injection::of(self.isolation.run().clone(), self.backplane)
     }
 
-    /// Switches a system on this long after the ignition. To be called before the start.
+    /// Delays the power-on of a system by this time after the ignition. Call it before the start.
     pub fn stagger(&self, system: SystemId, by: tandem_board::Duration) {
         self.backplane.set_stagger(system, by);
     }
 
     /// Starts both supplies and the vehicle. `command` makes the command that starts this program
-    /// with these arguments; it may set standard streams and environment.
+    /// with these arguments; it may set standard streams and environment variables.
     ///
     /// # Errors
-    /// [`LaunchError::Flash`], also if a data flash belongs to another run; [`LaunchError::Spawn`];
-    /// what was started is killed when the launcher is dropped.
+    /// [`LaunchError::Flash`], also if a data flash belongs to another run; [`LaunchError::Spawn`].
+    /// Processes that were started are killed when the launcher is dropped.
     pub fn start(
         &mut self,
         plan: &LaunchPlan,
@@ -228,13 +228,13 @@ impl Launcher {
         Ok(())
     }
 
-    /// Waits until the vehicle has ended. The first Ctrl-C asks it to end, the second kills it.
+    /// Waits until the vehicle has ended. The first Ctrl-C requests it to end, the second kills it.
     pub fn wait(&mut self) -> Ended {
         self.wait_with(&mut |_| {})
     }
 
-    /// As [`Launcher::wait`]; starts a killed supply again when a user asks for it.
-    /// `command` as for [`Launcher::start`]. A supply that does not start is one without power.
+    /// Like [`Launcher::wait`], but starts a killed supply again on request. `command` is that of
+    /// [`Launcher::start`]. A supply that does not start leaves its system without power.
     pub fn wait_and_switch(
         &mut self,
         plan: &LaunchPlan,
@@ -258,7 +258,7 @@ impl Launcher {
         let Some(supply) = self.children.get_mut(system.index()) else {
             return;
         };
-        // One that was just killed ends within milliseconds; one that lives is on already.
+        // A supply that was just killed ends within milliseconds; else it is already on.
         let patience = Instant::now() + POWER_OFF_WITHIN;
         while matches!(supply.try_wait(), Ok(None)) {
             if Instant::now() > patience {
@@ -270,7 +270,7 @@ impl Launcher {
         if let Ok(child) = spawn::spawn_free(&mut command(&args)) {
             self.backplane.set_supply(system, child.id());
             *supply = child;
-            // It watches this one from now on.
+            // The other supply must watch the new one from now on.
             supply::poke(self.backplane, system.peer());
         }
     }
@@ -318,14 +318,14 @@ impl Launcher {
             .iter()
             .map(|watched| PollFd::new(watched.fd(), PollFlags::IN));
         let mut fds: Vec<_> = vehicle.chain([self.pokes.fd()]).collect();
-        // Interrupted or not: everything is read anyway.
+        // An interrupted poll needs no handling: the loop checks everything anyway.
         let _ = poll(&mut fds, Some(&clock::timespec(LOOK_AGAIN_IN_RUN.as_ns())));
         drop(fds);
         self.pokes.take();
     }
 
-    /// Ends the run: powers the systems down, kills the remaining processes, waits for all, removes
-    /// the files, and reports what is still left.
+    /// Ends the run: powers the systems down, kills the remaining processes, waits for all of them,
+    /// removes the files, and reports what is still left.
     pub fn finish(mut self) -> Leftovers {
         self.end()
     }
@@ -338,8 +338,7 @@ impl Launcher {
         let mut processes = process_list::of_run(self.isolation.run());
         if !all_gone || !processes.is_empty() {
             let deadline = Instant::now() + KILL_GRACE;
-            // Killing the supplies once would be enough, except that a supply may just be starting
-            // a core.
+            // Killing the supplies once would be enough, but a supply may be about to start a core.
             while !processes.is_empty() && Instant::now() < deadline {
                 for process in &processes {
                     spawn::signal(process.pid, Signal::KILL);
@@ -357,7 +356,7 @@ impl Launcher {
         }
     }
 
-    /// Whether all processes that this one started have ended within the time.
+    /// Waits for all processes that this one started; returns whether they ended within the time.
     fn wait_for_children(&mut self, grace: Duration) -> bool {
         let deadline = Instant::now() + grace;
         loop {
@@ -397,7 +396,7 @@ impl Drop for Launcher {
     }
 }
 
-/// Waits for cores whose supply was killed: they are children of this process now.
+/// Waits for cores whose supply was killed: they have become children of this process.
 fn reap_orphans() {
     while let Ok(Some(_)) = wait(WaitOptions::NOHANG) {}
 }

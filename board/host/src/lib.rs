@@ -7,11 +7,11 @@
 //! ```
 //!
 //! A system's LMU is a segment of iceoryx2 storage that its cores map read-write; a doorbell is an
-//! iceoryx2 event; the wires between the systems, the bus and the supplies' registers are the
-//! [`Backplane`], one more segment. All files are in the run's own `/dev/shm` ([`isolation`]), so
-//! that nothing is left behind, whichever process is killed.
+//! iceoryx2 event; the wires between the systems, the bus and the supplies' registers are another
+//! segment, the [`Backplane`]. All files are in the run's `/dev/shm` ([`isolation`]), so that none
+//! is left behind, whichever process is killed.
 
-// iceoryx2 links against a logger; this one prints nothing.
+// iceoryx2 must be linked with a logger; this one prints nothing.
 extern crate iceoryx2_bb_loggers as _;
 
 mod alarm;

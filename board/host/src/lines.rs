@@ -12,7 +12,7 @@ use tandem_shm::{FitError, bare, fifo};
 use crate::backplane::{Backplane, RINGS};
 use crate::doorbell::Ringers;
 
-/// A system's ends of the lines.
+/// A system's end of the lines.
 #[derive(Debug)]
 pub struct HostLines {
     backplane: Backplane,

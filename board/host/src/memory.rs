@@ -1,6 +1,6 @@
 //! The shared memory of a run: all of it is created, and its pages reserved, before the first
-//! process starts. If there is not enough room, the run does not start; a run that drives cannot
-//! run out of it.
+//! process starts. If there is not enough room, the run does not start; a run that has started
+//! cannot run out of shared memory.
 
 use core::sync::atomic::AtomicU32;
 
@@ -17,13 +17,13 @@ pub const LMU_WORDS: usize = 8192;
 /// Why the shared memory of a run cannot be created.
 #[derive(Debug, thiserror::Error)]
 pub enum MemoryError {
-    /// The backplane.
+    /// The backplane could not be created.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
-    /// The LMU of a system.
+    /// The LMU of a system could not be created.
     #[error("LMU: {0}")]
     Lmu(#[from] SegmentError),
-    /// The doorbell of a core.
+    /// The doorbell of a core could not be created.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
 }

@@ -1,4 +1,4 @@
-//! The name of a run: every file of a run begins with it.
+//! The name of a run: each file name of the run begins with it.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,19 +7,19 @@ use std::str::FromStr;
 const RUN_PREFIX: &str = "tandem-";
 
 /// The name of one run on this machine: `tandem-` and up to 40 letters, digits and dashes.
-///
-/// All shared memory of a run is named after it, so that two runs never share any and leftovers can
+/// All shared memory of a run has names that begin with it, so that two runs never share memory and
+/// leftovers can be attributed to their run.
 /// be assigned to their run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RunName(String);
 
-/// The text is not the name of a run.
+/// The text is not a valid run name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("“{0}” is not the name of a run")]
 pub struct InvalidRunName(String);
 
 impl RunName {
-    /// A name that no other run on this machine has, from this process's id and the time.
+    /// Makes a name that is unique on this machine, from the process id and the time.
     #[must_use]
     pub fn unique() -> Self {
         let pid = std::process::id();
@@ -27,7 +27,7 @@ impl RunName {
         Self(format!("{RUN_PREFIX}{pid}-{ns:x}"))
     }
 
-    /// The name as text.
+    /// Returns the name as text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0

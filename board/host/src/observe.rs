@@ -1,4 +1,4 @@
-//! Reads the bus without an effect on any process of the run.
+//! Reads the bus without affecting any process of the run.
 
 use tandem_board::Received;
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
@@ -6,28 +6,28 @@ use tandem_shm::{FitError, bare, broadcast};
 
 use crate::backplane::{Backplane, RINGS};
 
-/// Reads the frames on the bus from a run's backplane. The bus does not wait for it: what it misses
-/// is lost to it alone.
+/// Reads the frames on the bus from a run's backplane. The bus does not wait for it: frames that it
+/// misses are lost for this reader only.
 #[derive(Debug)]
 pub struct BusTap {
     frames: broadcast::Receiver<'static, [u32; FRAME_WORDS]>,
 }
 
 impl BusTap {
-    /// Begins with the next frame.
+    /// Starts with the next frame.
     ///
     /// # Errors
-    /// If the backplane has another layout than this build.
+    /// If the backplane has a different layout from that of this build.
     pub fn new(backplane: Backplane) -> Result<Self, FitError> {
         let ring = RINGS.receive;
         let frames = bare::broadcast_receiver(backplane.ring(ring), ring.shape)?;
         Ok(Self { frames })
     }
 
-    /// The next frame that was on the bus, with its sender; `None` if there is none yet. Never
-    /// blocks.
+    /// Returns the next frame that was on the bus, with its sender; `None` if there is none yet.
+    /// Never blocks.
     pub fn try_next(&mut self) -> Option<(Sender, Received)> {
-        // The bus may send while this reads: one call skips at most the slots of the ring.
+        // The bus may send while this reads: limit one call to the number of slots.
         for _ in 0..RINGS.receive.shape.slots() {
             match self.frames.receive() {
                 Ok(None) => return None,

@@ -1,4 +1,4 @@
-//! The processes of the runs on this machine, found in `/proc`.
+//! Finds the processes of the runs on this machine in `/proc`.
 
 use core::fmt;
 use std::ffi::OsString;
@@ -43,13 +43,13 @@ pub struct Process {
     /// Its system; `None` for the vehicle.
     pub system: Option<SystemId>,
     /// The role that its system shows (`master`, `degraded`, `standby`, `suspended`, `starting`);
-    /// `None` if it shows none, and for the vehicle.
+    /// `None` if it shows no role, and for the vehicle.
     pub role: Option<String>,
-    /// The CPU that it ran on last.
+    /// The CPU on which it last ran.
     pub cpu: Option<u32>,
 }
 
-/// The name of a role in [`Process::role`].
+/// Returns the name of a role in [`Process::role`].
 #[must_use]
 pub const fn role_name(lamp: RoleLamp) -> &'static str {
     match lamp {
@@ -61,10 +61,10 @@ pub const fn role_name(lamp: RoleLamp) -> &'static str {
     }
 }
 
-/// All processes of all runs, ordered by run, system (the vehicle last), supply before cores.
+/// Returns all processes of all runs, ordered by run, system (vehicle last), supply before cores.
 ///
-/// Limited to what the caller may read in `/proc`. Processes that have ended but were not waited
-/// for are left out.
+/// Lists only processes that the caller may read in `/proc`. Processes that have ended but were not
+/// waited for are left out.
 #[must_use]
 pub fn list() -> Vec<Process> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -90,7 +90,7 @@ pub fn list() -> Vec<Process> {
     found
 }
 
-/// The processes of one run.
+/// Returns the processes of one run.
 #[must_use]
 pub fn of_run(run: &RunName) -> Vec<Process> {
     list()
@@ -99,7 +99,7 @@ pub fn of_run(run: &RunName) -> Vec<Process> {
         .collect()
 }
 
-/// Why no run is meant.
+/// Why no single run was found.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// No run is active.
@@ -110,16 +110,16 @@ pub enum RunError {
     Several(String),
 }
 
-/// The run of this name, or the one that `tandem run` with this process id started; without a name,
-/// the only run that is active.
+/// Returns the run of this name, or the one that `tandem run` with this process id started; without
+/// a name, the only active run.
 ///
 /// # Errors
-/// If there is no such run, or there are several.
+/// If the run does not exist, or several match.
 pub fn run_named(name: Option<&str>) -> Result<RunName, RunError> {
     Ok(process_of(name)?.run)
 }
 
-/// A process of the run that [`run_named`] finds.
+/// Returns a process of the run that [`run_named`] returns.
 pub(crate) fn process_of(name: Option<&str>) -> Result<Process, RunError> {
     let mut found = list();
     found.retain(|process| {
@@ -167,8 +167,8 @@ fn look_at(pid: u32) -> Option<Process> {
     })
 }
 
-/// From the line of `/proc/PID/stat` (proc(5)): field 3 and field 39. Field 2, the name, may
-/// contain anything, so fields are counted from its closing bracket.
+/// Parses fields 3 and 39 of the line of `/proc/PID/stat` (proc(5)). Field 2, the name, may contain
+/// any character, so fields are counted from its closing bracket.
 fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
     let state = fields.next()?.to_owned();
@@ -176,7 +176,7 @@ fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
     Some((state, cpu))
 }
 
-/// Core 0 shows its system's role in its name, as in `A0 master`.
+/// Reads the role of a system from the name of core 0, for example `A0 master`.
 fn role(processes: &[Process], run: &RunName, system: SystemId) -> Option<String> {
     let control = processes.iter().find(|process| {
         let is_control = matches!(process.kind, ProcessKind::Core(CoreId::CONTROL, _));

@@ -11,28 +11,28 @@ use rustix::thread::{CapabilitySet, capabilities};
 /// The claims of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Claim {
-    /// Priority under SCHED_FIFO, 1 ..= 99; `None` asks for the default policy.
+    /// Priority under SCHED_FIFO, 1 ..= 99; `None` requests the default policy.
     pub priority: Option<u8>,
-    /// The CPU, as an index into those that this process may use (taken modulo their number);
-    /// `None` leaves the choice to the kernel.
+    /// The CPU, as an index into those that this process may use (modulo their number); with `None`
+    /// the kernel chooses.
     pub cpu: Option<usize>,
-    /// Whether memory is to stay resident.
+    /// Whether memory must stay resident.
     pub lock_memory: bool,
 }
 
-/// The granted claims; by default none.
+/// The granted claims; none by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Grant {
     /// The priority under SCHED_FIFO, if granted.
     pub fifo: Option<u8>,
-    /// The number of the CPU that the process is pinned to, if it is.
+    /// The number of the CPU to which the process is pinned, if it is pinned.
     pub cpu: Option<usize>,
-    /// Whether memory stays resident once it was touched.
+    /// Whether memory stays resident after its first access.
     pub memory_locked: bool,
 }
 
 impl Grant {
-    /// Whether timing may be judged by real-time limits.
+    /// Returns whether timing may be judged by real-time limits.
     #[must_use]
     pub const fn is_realtime(&self) -> bool {
         self.fifo.is_some()
@@ -57,16 +57,16 @@ impl fmt::Display for Grant {
     }
 }
 
-/// How much stack is touched in advance, in bytes: more than the deepest cycle of a core.
+/// How many bytes of stack are touched in advance: more than the deepest cycle of a core uses.
 const STACK: usize = 256 * 1024;
 
-/// Makes the claims for the calling thread (and the memory of its process) and returns what was
-/// granted. Threads that are started later inherit the CPU, not the priority.
+/// Makes the claims for the calling thread (and for its process's memory) and returns what was
+/// granted. Threads that are started later inherit the CPU but not the priority.
 ///
-/// Memory is locked when it is touched, not all at once: the kernel must release the touched memory
-/// of a killed process before it reports the death (about 58 µs for a MiB).
+/// Memory is locked when it is first touched, not all at once: the kernel must release the touched
+/// memory of a killed process before it reports the death (about 58 µs per MiB).
 pub fn claim(claim: Claim) -> Grant {
-    // An error only means that the kernel lacks this setting.
+    // An error only means that the kernel does not have this setting.
     let _ = rustix::thread::set_current_timer_slack(core::num::NonZeroU64::new(1));
     let cpu = claim.cpu.and_then(pin);
     let memory_locked = claim.lock_memory && may_lock() && {
@@ -82,7 +82,7 @@ pub fn claim(claim: Claim) -> Grant {
     }
 }
 
-/// What [`claim`] would grant, without changes to the calling thread or the memory of its process.
+/// Returns what [`claim`] would grant, without changing the calling thread or its process's memory.
 #[must_use]
 pub fn probe(wanted: Claim) -> Grant {
     let tried = std::thread::spawn(move || {
@@ -98,7 +98,7 @@ pub fn probe(wanted: Claim) -> Grant {
     }
 }
 
-/// How many CPUs this process may use; at least 1.
+/// Returns how many CPUs this process may use; at least 1.
 #[must_use]
 pub fn cpus() -> usize {
     core_affinity::get_core_ids().map_or(1, |ids| ids.len().max(1))
@@ -110,7 +110,7 @@ fn pin(index: usize) -> Option<usize> {
     core_affinity::set_for_current(id).then_some(id.id)
 }
 
-/// With a limit on locked memory, locking all future memory would make later allocations fail.
+/// Under a limit on locked memory, locking all future memory would make later allocations fail.
 fn may_lock() -> bool {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let privileged =
@@ -122,9 +122,9 @@ fn set_fifo(priority: u8) -> bool {
     let param = libc::sched_param {
         sched_priority: libc::c_int::from(priority),
     };
-    // Children of this thread (the data flash, cores) make their own claims or none.
+    // Children of this thread (the data flash, cores) make separate claims or none.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // SAFETY: `param` is a valid `sched_param` for the time of the call; 0 is the calling thread.
+    // SAFETY: `param` is a valid `sched_param` during the call; 0 means the calling thread.
     unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }
 }
 
@@ -186,7 +186,7 @@ mod tests {
             lock_memory: true,
         });
         assert_eq!(cpus(), cpus_before);
-        // SAFETY: reads the policy of the calling thread.
+        // SAFETY: only reads the policy of the calling thread.
         assert_eq!(unsafe { libc::sched_getscheduler(0) }, libc::SCHED_OTHER);
     }
 

@@ -1,4 +1,4 @@
-//! Named memory that several processes map read-write: words whose pages are reserved.
+//! Named memory that several processes map read-write: words on reserved pages.
 
 use core::fmt;
 use core::sync::atomic::AtomicU32;
@@ -18,7 +18,7 @@ use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration
 use crate::name::RunName;
 use crate::storage::{Builder, Configuration, CreateError, Storage};
 
-/// `N` words on pages of their own. Zero is its initial content, as the kernel hands it out.
+/// `N` words on separate pages. The initial content is zero, as the kernel provides it.
 #[repr(C, align(4096))]
 pub(crate) struct Words<const N: usize>([AtomicU32; N]);
 
@@ -41,7 +41,7 @@ unsafe impl<const N: usize> ZeroCopySend for Words<N> {}
 /// Why a segment could not be created, opened or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
-    /// It was never created, or was removed.
+    /// The segment was never created, or was removed.
     #[error("shared memory “{name}” of run {run} does not exist")]
     DoesNotExist {
         /// The run.
@@ -49,32 +49,32 @@ pub enum SegmentError {
         /// The segment.
         name: String,
     },
-    /// The operating system refused.
+    /// The operating system refused an operation.
     #[error("shared memory “{name}” of run {run}: {reason}")]
     Refused {
         /// The run.
         run: RunName,
         /// The segment.
         name: String,
-        /// What was refused.
+        /// The refused operation.
         reason: String,
     },
 }
 
-/// A mapped segment of `N` words. Dropping it unmaps it; the memory stays until it is removed by
-/// name, or with the run.
+/// A mapped segment of `N` words. Dropping it unmaps it; the memory remains until the segment is
+/// removed by name or with the run.
 pub(crate) struct Segment<const N: usize> {
     storage: Storage<Words<N>>,
 }
 
 impl<const N: usize> Segment<N> {
-    /// Creates the segment, all words zero, and reserves its pages.
+    /// Creates the segment with all words zero, and reserves its pages.
     pub(crate) fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
         let built = Builder::new(&file(run, name)?)
             .config(&config(run))
             .has_ownership(false)
-            // Fresh shared memory is zero, and zero is a valid content.
+            // New shared memory is zero, and zero is a valid content.
             .initializer(|_, _| true)
             .create_reserved();
         match built {
@@ -83,7 +83,7 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Maps a segment that was created before. Does not wait.
+    /// Maps an existing segment. Does not wait for it.
     pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
         let built = Builder::<Words<N>>::new(&file(run, name)?)
@@ -119,8 +119,8 @@ impl<const N: usize> fmt::Debug for Segment<N> {
     }
 }
 
-/// Silences iceoryx2's log: it reports expected outcomes (such as "does not exist") there, which
-/// the errors here contain.
+/// Silences iceoryx2's log: it also reports expected outcomes such as "does not exist", which the
+/// errors here already report.
 pub(crate) fn quiet() {
     iceoryx2_log::set_log_level(iceoryx2_log::LogLevel::Fatal);
 }
@@ -129,7 +129,7 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
     Configuration::default().prefix(&prefix(run))
 }
 
-/// Used if a name cannot be formed, which never happens: run names are short and plain.
+/// Used if a name cannot be formed. That never happens: run names are short and plain.
 // SAFETY: letters are a valid file name.
 pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
 

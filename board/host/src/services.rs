@@ -1,8 +1,8 @@
-//! What a run publishes for observers: iceoryx2 publish-subscribe services for any program.
+//! The data that a run publishes for observers, as iceoryx2 publish-subscribe services.
 //!
-//! Nothing that drives reads or writes them. The publisher is a process of its own. Each service
-//! keeps the newest samples for each subscriber and drops older ones, so a subscriber that is slow,
-//! frozen or dead never holds the publisher up.
+//! No part of the controller reads or writes them. The publisher is a separate process. Each
+//! service keeps the newest samples for each subscriber and drops older ones, so a subscriber that
+//! is slow, frozen or dead never delays the publisher.
 
 use core::fmt::Debug;
 
@@ -16,13 +16,13 @@ use iceoryx2::prelude::{
 use crate::name::RunName;
 use crate::process_list;
 
-/// Observers of a run at the same time.
+/// Maximum number of simultaneous observers of a run.
 const OBSERVERS: usize = 8;
-/// A length of [`Event::text`] and of a CAN FD frame's data, bytes.
+/// Capacities of [`Event::text`] and of a CAN FD frame's data, in bytes.
 const TEXT_BYTES: usize = 112;
 const DATA_BYTES: usize = 64;
 
-/// How the run stands; service `tandem/RUN/roles`, each 100 ms.
+/// The state of the run; service `tandem/RUN/roles`, every 100 ms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("TandemRoles")]
 #[repr(C)]
@@ -31,51 +31,51 @@ pub struct Roles {
     pub at_ns: u64,
     /// Scenario time, s.
     pub time_s: f64,
-    /// Scenario time that was asked for, s.
+    /// Requested scenario time, s.
     pub duration_s: f64,
     /// The longest time between two accepted control frames so far, ms.
     pub gap_max_ms: f64,
-    /// The time between the last two accepted control frames of different systems, ms; 0 before.
+    /// The time between the last two accepted control frames of different systems, ms; else 0.
     pub takeover_gap_ms: f64,
-    /// How often the obeyed system has changed.
+    /// How many times the obeyed system has changed.
     pub takeovers: u32,
     /// The term that the vehicle obeys.
     pub term: u32,
-    /// The system that the vehicle obeys: 0 = A, 1 = B; 255: none yet.
+    /// The system that the vehicle obeys: 0 = A, 1 = B; 255 = none yet.
     pub obeyed: u8,
     /// For A and B: 0 off, 1 starting, 2 standby, 3 master, 4 degraded master, 5 safe stop,
     /// 6 suspended.
     pub state: [u8; 2],
-    /// Whether each core of A, then of B, has shown a sign of life in the last 300 ms.
+    /// Whether each core of A, then of B, has shown activity in the last 300 ms.
     pub alive: [u8; 6],
-    /// For A and B: whether its heartbeats arrive at the other, a bit for each of the two lines.
+    /// For A and B: whether its heartbeats arrive at the other system, one bit for each line.
     pub beats: [u8; 2],
-    /// Nothing.
+    /// Unused.
     pub reserved: [u8; 5],
 }
 
-/// The own vehicle; service `tandem/RUN/vehicle`, each 20 ms of scenario time.
+/// The own vehicle; service `tandem/RUN/vehicle`, every 20 ms of scenario time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("TandemVehicle")]
 #[repr(C)]
 pub struct Vehicle {
     /// The run's clock, ns.
     pub at_ns: u64,
-    /// m
+    /// Position in x, m.
     pub x: f64,
-    /// m
+    /// Position in y, m.
     pub y: f64,
-    /// rad
+    /// Heading, rad.
     pub heading: f64,
-    /// m/s
+    /// Speed, m/s.
     pub speed: f64,
-    /// m/s²
+    /// Longitudinal acceleration, m/s².
     pub accel: f64,
-    /// m/s²
+    /// Lateral acceleration, m/s².
     pub lat_accel: f64,
-    /// From the centre of the lane, to the left, m.
+    /// Distance from the centre of the lane, positive to the left, m.
     pub lateral_error: f64,
-    /// Bumper to bumper to the vehicle ahead in the lane, m; NaN if there is none.
+    /// Bumper-to-bumper distance to the vehicle ahead in the lane, m; NaN if there is none.
     pub lead_gap: f64,
     /// Number of the lane.
     pub lane: i64,
@@ -90,41 +90,41 @@ pub struct Frame {
     pub at_ns: u64,
     /// Its identifier.
     pub id: u32,
-    /// 1 if the identifier has 29 bits, 2 if it is CAN FD.
+    /// 1 if the identifier has 29 bits, plus 2 if it is a CAN FD frame.
     pub flags: u8,
-    /// What the vehicle said of a control frame: 1 accepted, 2 fenced, 3 not master, 4 invalid,
-    /// 5 stale, 6 implausible; 0: of no control frame.
+    /// The vehicle's ruling on a control frame: 1 accepted, 2 fenced, 3 not master, 4 invalid, 5
+    /// stale, 6 implausible; 0 for other frames.
     pub verdict: u8,
-    /// Bytes of data.
+    /// Number of data bytes.
     pub length: u8,
-    /// Nothing.
+    /// Unused.
     pub reserved: u8,
     /// The data, then zeros.
     pub data: [u8; DATA_BYTES],
 }
 
-/// A trace record of a core or a supply; service `tandem/RUN/trace`. The recording alone has the
-/// records of the schedulers.
+/// A trace record of a core or a supply; service `tandem/RUN/trace`. Records of the schedulers are
+/// only in the recording.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[type_name("TandemEvent")]
 #[repr(C)]
 pub struct Event {
-    /// When, on the run's clock, ns.
+    /// When it was recorded, on the run's clock, ns.
     pub at_ns: u64,
     /// 0 = A, 1 = B.
     pub system: u8,
-    /// The core; 255: the supply.
+    /// The core; 255 = the supply.
     pub core: u8,
-    /// Bytes of the text.
+    /// Number of bytes of the text.
     pub length: u8,
-    /// Nothing.
+    /// Unused.
     pub reserved: [u8; 5],
-    /// What happened, in words, UTF-8; then zeros.
+    /// Description of the event, UTF-8; then zeros.
     pub text: [u8; TEXT_BYTES],
 }
 
 impl Frame {
-    /// The frame with this data, of which 64 bytes are taken.
+    /// Makes a frame with the first 64 bytes of this data.
     #[must_use]
     pub fn new(at_ns: u64, id: u32, flags: u8, verdict: u8, data: &[u8]) -> Self {
         let (length, data) = padded(data);
@@ -141,7 +141,7 @@ impl Frame {
 }
 
 impl Event {
-    /// The event with this text, of which 112 bytes are taken.
+    /// Makes an event with the first 112 bytes of this text.
     #[must_use]
     pub fn new(at_ns: u64, system: u8, core: u8, text: &str) -> Self {
         let ends = (0..=text.len().min(TEXT_BYTES)).rev();
@@ -159,7 +159,7 @@ impl Event {
         }
     }
 
-    /// What happened, in words.
+    /// Returns the description of the event.
     #[must_use]
     pub fn text(&self) -> &str {
         let bytes = self.text.get(..self.length.into()).unwrap_or(&self.text);
@@ -192,13 +192,13 @@ fn node() -> Result<Node<ipc::Service>, ServiceError> {
         .map_err(refused("a node of iceoryx2"))
 }
 
-/// Samples that are kept for each observer, by service.
+/// Number of samples kept for each observer, by service.
 const KEPT_ROLES: usize = 16;
 const KEPT_VEHICLE: usize = 64;
 const KEPT_CAN: usize = 1_024;
 const KEPT_TRACE: usize = 512;
 
-/// A value that a service carries.
+/// A value that a service can carry.
 trait Sample: ZeroCopySend + Debug + Copy + 'static {}
 
 impl<T: ZeroCopySend + Debug + Copy + 'static> Sample for T {}
@@ -244,7 +244,7 @@ fn subscriber<T: Sample>(
     subscriber.map_err(refused(name))
 }
 
-/// The services of a run, on the side that publishes.
+/// The publishing end of a run's services.
 pub struct Publisher {
     roles: Sending<ipc::Service, Roles, ()>,
     vehicle: Sending<ipc::Service, Vehicle, ()>,
@@ -257,7 +257,7 @@ impl Publisher {
     /// Creates the services of this run.
     ///
     /// # Errors
-    /// If iceoryx2 refuses.
+    /// If iceoryx2 refuses an operation.
     pub fn create(run: &RunName) -> Result<Self, ServiceError> {
         let node = node()?;
         Ok(Self {
@@ -269,32 +269,32 @@ impl Publisher {
         })
     }
 
-    /// Publishes how the run stands. Never blocks; an observer that is behind loses the oldest.
+    /// Publishes the state of the run. Never blocks; an observer that lags loses old samples.
     pub fn roles(&self, roles: Roles) {
         // If the sample cannot be published, only observers lose it.
         let _ = self.roles.send_copy(roles);
     }
 
-    /// As [`Publisher::roles`], the own vehicle.
+    /// Like [`Publisher::roles`], for the own vehicle.
     pub fn vehicle(&self, vehicle: Vehicle) {
         let _ = self.vehicle.send_copy(vehicle);
     }
 
-    /// As [`Publisher::roles`], a frame on the bus.
+    /// Like [`Publisher::roles`], for a frame on the bus.
     pub fn frame(&self, frame: Frame) {
         let _ = self.can.send_copy(frame);
     }
 
-    /// As [`Publisher::roles`], an event.
+    /// Like [`Publisher::roles`], for an event.
     pub fn event(&self, event: Event) {
         let _ = self.trace.send_copy(event);
     }
 }
 
-/// News from a run.
+/// A sample from a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum News {
-    /// How the run stands.
+    /// The state of the run.
     Roles(Roles),
     /// The own vehicle.
     Vehicle(Vehicle),
@@ -316,10 +316,10 @@ pub struct Observer {
 
 impl Observer {
     /// Observes the run of this name, or the one that `tandem run` with this process id started;
-    /// without a name, the only run that is active.
+    /// without a name, the only active run.
     ///
     /// # Errors
-    /// If there is no such run, there are several, or it does not publish.
+    /// If the run does not exist, several match, or it does not publish.
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
         let run = process_list::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
         let node = node()?;
@@ -333,18 +333,18 @@ impl Observer {
         })
     }
 
-    /// The run.
+    /// Returns the name of the run.
     #[must_use]
     pub const fn run(&self) -> &RunName {
         &self.run
     }
 
-    /// Passes on every sample since the last call. Never blocks.
+    /// Passes every sample since the last call to `into`. Never blocks.
     pub fn poll(&self, into: &mut dyn FnMut(News)) {
         drain(&self.vehicle, &mut |vehicle| into(News::Vehicle(vehicle)));
         drain(&self.can, &mut |frame| into(News::Frame(frame)));
         drain(&self.trace, &mut |event| into(News::Event(event)));
-        // Last: it summarises the samples before it.
+        // Last, because it summarises the samples before it.
         drain(&self.roles, &mut |roles| into(News::Roles(roles)));
     }
 }

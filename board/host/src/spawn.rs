@@ -1,4 +1,4 @@
-//! Starting, watching and killing processes.
+//! Starts, watches and kills processes.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -15,9 +15,9 @@ use tandem_board::Duration;
 use crate::backplane::Backplane;
 use crate::clock;
 
-/// Starts a process that is killed as soon as the calling one dies, in any way.
+/// Starts a process that is killed as soon as the calling process dies, in any way.
 ///
-/// The kernel watches the calling *thread*: it must live as long as the process.
+/// The kernel watches the calling *thread*: it must live as long as the started process.
 pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     let parent = getpid();
     let tie = move || {
@@ -25,8 +25,8 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
         if getppid() == Some(parent) {
             Ok(())
         } else {
-            // The parent died between the fork and this line, so the kernel sends no signal.
-            // An error number: a text would be allocated.
+            // The parent died between the fork and this line, so the kernel sends no signal. Return
+            // an error number, because a text would be allocated.
             Err(Errno::SRCH.into())
         }
     };
@@ -35,9 +35,9 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// Binds this process to its parent, as [`spawn_bound`] does, but from inside: a program with file
-/// capabilities loses the binding when it is executed. Returns `false` if its parent is another
-/// process: the original one has died.
+/// Binds this process to its parent, like [`spawn_bound`], but from inside: a program with file
+/// capabilities loses the binding when it is executed. Returns `false` if its parent is a different
+/// process, because the original one has died.
 ///
 /// The calling thread must live as long as the process.
 pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
@@ -46,35 +46,35 @@ pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
     Ok(found == Some(parent))
 }
 
-/// Starts a process that outlives the calling one.
+/// Starts a process that can outlive the calling one.
 pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// A Ctrl-C in the terminal must reach only the launcher, which ends the run in order.
+/// Ctrl-C in the terminal must reach only the launcher, which ends the run in order.
 fn detach(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }
 
-/// A process of the run, child of this one or not.
+/// A process of the run, which may be a child of this one.
 #[derive(Debug)]
 pub(crate) struct Watched {
     fd: OwnedFd,
 }
 
 impl Watched {
-    /// `None` if the process has already ended (and, if it was a child, was waited for).
+    /// Returns `None` if the process has already ended (and, if it was a child, was waited for).
     pub(crate) fn new(pid: u32) -> Option<Self> {
         let fd = pidfd_open(self::pid(pid)?, PidfdFlags::empty()).ok()?;
         Some(Self { fd })
     }
 
-    /// Becomes readable when the process has ended.
+    /// Returns a descriptor that becomes readable when the process has ended.
     pub(crate) const fn fd(&self) -> &OwnedFd {
         &self.fd
     }
 
-    /// Whether the process has ended. Never blocks.
+    /// Returns whether the process has ended. Never blocks.
     pub(crate) fn has_ended(&self) -> bool {
         let mut fds = [rustix::event::PollFd::new(
             &self.fd,
@@ -88,7 +88,7 @@ impl Watched {
     }
 }
 
-/// The process with this id; `None` if there can be none.
+/// Converts a process id; `None` if the number is not a valid one.
 pub(crate) fn pid(number: u32) -> Option<Pid> {
     Pid::from_raw(i32::try_from(number).ok()?)
 }
@@ -100,7 +100,7 @@ pub(crate) fn signal(number: u32, signal: Signal) {
     }
 }
 
-/// Waits until all processes of the run are known. Returns `false` if the launcher died before.
+/// Waits until all processes of the run are known. Returns `false` if the launcher died first.
 pub(crate) fn wait_until_assembled(backplane: Backplane) -> bool {
     let launcher = Watched::new(backplane.launcher_pid());
     while !backplane.is_assembled() {

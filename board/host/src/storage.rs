@@ -1,17 +1,17 @@
-//! iceoryx2's dynamic storage over POSIX shared memory whose pages are reserved at its creation.
+//! iceoryx2's dynamic storage over POSIX shared memory whose pages are reserved at creation.
 //!
 //! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file and
-//! lets the kernel find a page at the first touch. In a full `/dev/shm` that touch ends the process
-//! with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`] calls
-//! `fallocate` before any access to the memory: if there is not enough room, the creator gets an
-//! error, and no other process fails later.
+//! lets the kernel find a page at the first access. In a full `/dev/shm` that access ends the
+//! process with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`]
+//! calls `fallocate` before any access to the memory: if there is not enough room, the creator gets
+//! an error, and no other process fails later.
 //!
-//! A *lasting* storage belongs to the run and not to the process that created it: dropping it does
-//! not remove it, and [`Builder::create`] takes over an existing one and initializes its value
-//! again, in the same memory. Processes that have it mapped continue to use it, and must tolerate
-//! the change.
+//! A *lasting* storage belongs to the run, not to the process that created it: dropping it does not
+//! remove it, and [`Builder::create`] takes over an existing one and initializes its value again,
+//! in the same memory. Processes that have it mapped continue to use it, and must tolerate the
+//! change.
 //!
-//! iceoryx2's suite for a dynamic storage also tests this one: `tests/iceoryx2.rs`.
+//! iceoryx2's test suite for a dynamic storage also tests this one: `tests/iceoryx2.rs`.
 
 use core::fmt::Debug;
 use core::marker::PhantomData;
@@ -50,13 +50,13 @@ use iceoryx2_cal::named_concept::{
 use rustix::fs::FallocateFlags;
 use rustix::io::Errno;
 
-/// Only root can read a storage that is not complete.
+/// Only root can read a storage that is still incomplete.
 const UNFINISHED: Permission = Permission::OWNER_WRITE;
 const FINISHED: Permission = Permission::OWNER_READ_WRITE;
 const FINISHED_FOR_ALL: Permission = FINISHED
     .const_bitor(Permission::GROUP_READ_WRITE)
     .const_bitor(Permission::OTHERS_READ_WRITE);
-/// Content of [`Content::complete`] once the value is complete: "TDMS" and the version of the
+/// Content of [`Content::complete`] when the value is complete: "TDMS" and the version of the
 /// layout.
 const COMPLETE: u32 = 0x5444_4D01;
 const LOOK_AGAIN: Duration = Duration::from_millis(1);
@@ -77,16 +77,16 @@ struct Content<T> {
 pub enum CreateError {
     /// A storage with this name exists.
     AlreadyExists,
-    /// This user may not create one.
+    /// This user may not create a storage.
     InsufficientPermissions,
-    /// The file system has no room for these bytes.
+    /// The file system does not have room for these bytes.
     NoSpace {
         /// The requested size.
         bytes: usize,
     },
-    /// The initializer has refused.
+    /// The initializer returned an error.
     InitializationFailed,
-    /// The operating system refused another step.
+    /// The operating system refused another operation.
     Refused,
 }
 
@@ -118,7 +118,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         self.config.path_for(&self.name).file_name()
     }
 
-    /// As [`DynamicStorageBuilder::create`], but the error says whether there was no room.
+    /// Like [`DynamicStorageBuilder::create`], but the error tells whether room was missing.
     ///
     /// # Errors
     /// [`CreateError`]
@@ -144,7 +144,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
             }
             Err(_) => return Err(CreateError::Refused),
         };
-        // From here on a refusal removes the file: `memory` owns it.
+        // From here on, an error removes the file, because `memory` owns it.
         reserve(&memory, bytes)?;
         let mut storage = self.initialize(memory)?;
         let permission = if self.for_all {
@@ -162,7 +162,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         Ok(storage)
     }
 
-    /// Initializes the existing storage, in its memory.
+    /// Initializes an existing storage again, in its memory.
     fn take_over(mut self, bytes: usize) -> Result<Storage<T, LASTING>, CreateError> {
         let memory = SharedMemoryBuilder::new(&self.file_name())
             .open_existing(AccessMode::ReadWrite)
@@ -177,8 +177,8 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         let content = memory.base_address().cast::<Content<T>>();
         let beyond = size_of::<Content<T>>();
         // SAFETY: the memory is at least as large as a `Content`, aligned to a page, and mapped as
-        // long as `memory` lives. Fresh memory is zero, and any bits are a `Content`. The rest
-        // behind it is in the mapping as well.
+        // long as `memory` lives. New memory is zero, and any bit pattern is a valid `Content`. The
+        // rest after it is in the mapping as well.
         let (content, rest) =
             unsafe { (&mut *content.as_ptr(), memory.base_address().add(beyond)) };
         let mut allocator = BumpAllocator::new(rest, memory.size() - beyond);
@@ -195,7 +195,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         })
     }
 
-    /// Opens the storage as it is now; an incomplete one is an error.
+    /// Opens the storage in its present state; an incomplete storage is an error.
     fn open_now(&self, access: AccessMode) -> Result<Storage<T, LASTING>, DynamicStorageOpenError> {
         let unfinished = Err(DynamicStorageOpenError::InitializationNotYetFinalized);
         let memory = match SharedMemoryBuilder::new(&self.file_name()).open_existing(access) {
@@ -203,15 +203,15 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
             Err(SharedMemoryCreationError::DoesNotExist) => {
                 return Err(DynamicStorageOpenError::DoesNotExist);
             }
-            // Its size is zero, or it is still write-only.
+            // Its size is still zero, or it is still write-only.
             Err(
                 SharedMemoryCreationError::InsufficientPermissions
                 | SharedMemoryCreationError::MemoryMappingCreationError(_),
             ) => return unfinished,
             Err(_) => return Err(DynamicStorageOpenError::InternalError),
         };
-        // Root can read an incomplete storage, other users cannot. No page may be touched before
-        // all are reserved.
+        // Root can read an incomplete storage; other users cannot. No page may be accessed before
+        // all pages are reserved.
         match memory.permission() {
             Ok(permission) if permission.has(Permission::OWNER_READ) => {}
             Ok(_) => return unfinished,
@@ -252,9 +252,9 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
     }
 }
 
-/// Reserves a page for every byte, or fails.
+/// Reserves the pages for all bytes, or fails.
 fn reserve(memory: &SharedMemory, bytes: usize) -> Result<(), CreateError> {
-    // SAFETY: the descriptor is open as long as `memory`, which the borrow does not outlive.
+    // SAFETY: the descriptor is open as long as `memory`, which outlives the borrow.
     let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
     loop {
         match rustix::fs::fallocate(file, FallocateFlags::empty(), 0, bytes as u64) {
@@ -357,7 +357,7 @@ pub struct Storage<T, const LASTING: bool = false> {
     _value: PhantomData<T>,
 }
 
-// SAFETY: the storage gives out shared references to a `T` only, and `Value` says that `T` is
+// SAFETY: the storage gives out only shared references to a `T`, and `Value` requires that `T` is
 // `Sync` and `Send`; the mapping belongs to the process, not to a thread.
 unsafe impl<T: Value, const LASTING: bool> Send for Storage<T, LASTING> {}
 // SAFETY: as above.
@@ -376,8 +376,8 @@ impl<T, const LASTING: bool> Drop for Storage<T, LASTING> {
     fn drop(&mut self) {
         if self.memory.has_ownership() {
             let content = self.memory.base_address().cast::<Content<T>>();
-            // SAFETY: the value was initialized by this storage's builder. As in iceoryx2, its
-            // owner is the last user.
+            // SAFETY: this storage's builder has initialized the value. As in iceoryx2, the owner
+            // is the last user.
             unsafe { (*content.as_ptr()).value.assume_init_drop() };
         }
     }
@@ -455,12 +455,12 @@ impl<T: Value, const LASTING: bool> DynamicStorage<T> for Storage<T, LASTING> {
     }
 
     fn get(&self) -> &T {
-        // SAFETY: a storage is built when its value is complete, and the value stays complete.
+        // SAFETY: a storage exists only when its value is complete, and the value stays complete.
         unsafe { self.content().value.assume_init_ref() }
     }
 
     unsafe fn __internal_set_type_name_in_config(config: &mut Configuration<T>, name: &str) {
-        // SAFETY: the caller's promise is the same one.
+        // SAFETY: this function's caller makes the same promise.
         unsafe { TouchedLater::<T>::__internal_set_type_name_in_config(config, name) };
     }
 }

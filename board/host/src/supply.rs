@@ -1,14 +1,14 @@
 //! The supply of a system: power, watchdogs, reset generator, reset cause. T-CHIP-6
 //!
-//! One process for each system. It powers its three cores, which die with it. It monitors core 0
-//! and resets the system when core 0 dies, misses the watchdog, or requests a reset. It also
-//! monitors the other supply, and notifies its own system at once when that one loses power. It
-//! depends on the vehicle (which is the battery: without it there is no power), not on the
+//! One process for each system. It powers the system's three cores, which die with it. It monitors
+//! core 0 and resets the system when core 0 dies, misses the watchdog, or requests a reset. It also
+//! monitors the other supply, and notifies its own system at once when that supply loses power. It
+//! depends on the vehicle (which is the battery: without it there is no power), but not on the
 //! launcher.
 //!
-//! `tandem_peripherals::supply` decides; this is the process around that model. The level line is
-//! high before the ignition. When the ignition goes off, or the vehicle ends, the supply kills its
-//! cores and ends.
+//! `tandem_peripherals::supply` decides; this module is the process around that model. The level
+//! line is high before the ignition is on. When the ignition goes off or the vehicle ends, the
+//! supply kills its cores and ends.
 
 use std::ffi::c_int;
 use std::io::{self, Read as _};
@@ -40,30 +40,30 @@ use crate::spawn::{self, Watched};
 
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
-/// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
-/// [`POKE`] wake it at once. Not longer: only a supply that is late knows that it was [`HELD_UP`].
+/// The same after all cores have started. A process's death, the end of the watchdog's window and
+/// [`POKE`] end it early. Not longer: only a late supply detects that it was [`HELD_UP`].
 const CALM_PERIOD: Duration = Duration::from_ms(20);
-/// Makes a supply or the launcher read its registers. Without a handler, as at its start, it has
-/// no effect.
+/// Makes a supply or the launcher read its registers. Before its handler is installed, the signal
+/// has no effect.
 const POKE: Signal = Signal::URG;
 
-/// Makes the supply of a system read its registers now. No effect if it has none.
+/// Makes the supply of a system read its registers now. No effect if there is no supply.
 pub(crate) fn poke(backplane: Backplane, system: SystemId) {
     spawn::signal(backplane.supply_pid(system), POKE);
 }
 
-/// The same for the launcher.
+/// Makes the launcher read its registers now.
 pub(crate) fn poke_launcher(backplane: Backplane) {
     spawn::signal(backplane.launcher_pid(), POKE);
 }
 
-/// Pokes and other signals as a stream: one that arrives just before a sleep ends that sleep as
-/// well.
+/// Pokes and other signals as a stream: a signal that arrives just before a sleep also ends that
+/// sleep.
 #[derive(Debug)]
 pub(crate) struct Pokes(UnixStream);
 
 impl Pokes {
-    /// Receives pokes, and these signals.
+    /// Starts to receive pokes and these signals.
     pub(crate) fn receive(signals: &[c_int]) -> io::Result<Self> {
         let (read, write) = UnixStream::pair()?;
         read.set_nonblocking(true)?;
@@ -74,19 +74,19 @@ impl Pokes {
         Ok(Self(read))
     }
 
-    /// Readable from the next poke on.
+    /// Returns a descriptor that is readable after a poke.
     pub(crate) fn fd(&self) -> PollFd<'_> {
         PollFd::new(&self.0, PollFlags::IN)
     }
 
-    /// Forgets the pokes so far.
+    /// Discards all pokes so far.
     pub(crate) fn take(&mut self) {
         let mut pokes = [0; 16];
         while (&self.0).read(&mut pokes).is_ok_and(|count| count > 0) {}
     }
 }
 
-/// A supply that polls later than this was held up itself: the process or the machine was stopped.
+/// A supply that polls later than this was itself delayed: the process or the machine was stopped.
 const HELD_UP: Duration = Duration::from_ms(50);
 /// Why a supply cannot work.
 #[derive(Debug, thiserror::Error)]
@@ -100,10 +100,10 @@ pub enum SupplyError {
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
-    /// The operating system refuses a handler.
+    /// The operating system refused a signal handler.
     #[error("a signal cannot be handled: {0}")]
     Signal(io::Error),
-    /// The backplane has another layout than this build.
+    /// The backplane has a different layout from that of this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
 }
@@ -117,12 +117,12 @@ impl From<FitError> for SupplyError {
 /// Runs as the supply of a system until the ignition is off. `command` makes the command that
 /// starts a core.
 ///
-/// Call it on the main thread: cores die with the thread that started them. It claims real time as
-/// `args` says.
+/// Call it on the main thread: cores die with the thread that started them. It claims real-time
+/// scheduling as `args` specifies.
 ///
 /// # Errors
-/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be used. A core that
-/// cannot be started is no error: it counts as dead.
+/// [`SupplyError`] if the run has ended, or the LMU or the data flash cannot be used. A core that
+/// cannot be started is not an error: it counts as dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
     let pokes = Pokes::receive(&[]).map_err(SupplyError::Signal)?;
@@ -200,10 +200,10 @@ struct Supply<'a> {
     services: fifo::Consumer<'static, [u32; SERVICE_WORDS]>,
     link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
-    /// Which cores have started in this incarnation of the system.
+    /// Whether each core has started in this incarnation of the system.
     begun: [bool; CoreId::COUNT],
     model: Model,
-    /// The other supply, and its process id; `None` if it has died.
+    /// The other supply and its process id; `None` if that supply has died.
     peer: Option<Watched>,
     peer_pid: u32,
     pokes: Pokes,
@@ -222,7 +222,7 @@ impl Supply<'_> {
         let mut next = now + PERIOD;
         loop {
             self.sleep(vehicle.fd(), next);
-            // Before the registers are read: a later poke ends the next sleep.
+            // Clear the pokes before reading the registers: a later poke ends the next sleep.
             self.pokes.take();
             let now = clock::now();
             if now.since(next) > HELD_UP {
@@ -242,12 +242,12 @@ impl Supply<'_> {
             let cores_stand = self.cores.iter().all(Option::is_none);
             let change = self.model.poll(now, cores_stand);
             self.carry_out(change);
-            // Missed ticks carry no work.
+            // Missed ticks need no work.
             next = self.next_tick(now);
         }
     }
 
-    /// When the registers are to be read again.
+    /// Returns when the registers must be read next.
     fn next_tick(&self, now: Instant) -> Instant {
         let is_calm = self.model.is_on() && self.begun == [true; CoreId::COUNT];
         let period = if is_calm { CALM_PERIOD } else { PERIOD };
@@ -265,7 +265,7 @@ impl Supply<'_> {
         let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
         fds.push(self.pokes.fd());
         let left = clock::timespec(next.since(clock::now()).as_ns());
-        // Interrupted or not: the registers are polled anyway.
+        // An interrupted poll needs no handling: the registers are read anyway.
         let _ = poll(&mut fds, Some(&left));
     }
 
@@ -274,7 +274,7 @@ impl Supply<'_> {
         let pid = self.backplane.supply_pid(system);
         if self.peer.as_ref().is_some_and(Watched::has_ended) {
             self.peer = None;
-            // The supply that was switched on in its place shows its own level.
+            // A supply that was switched on in its place sets its own level.
             if pid == self.peer_pid {
                 self.set_level(system, false);
             }
@@ -299,7 +299,7 @@ impl Supply<'_> {
                     let signal = u8::try_from(signal).unwrap_or(0);
                     self.trace(SupplyEvent::CoreDied { core, signal });
                 }
-                // Core 0 supervises cores 1 and 2: it notices their death and requests a reset.
+                // Core 0 supervises cores 1 and 2: it notices their deaths and requests a reset.
                 if core == CoreId::CONTROL && on {
                     let change = self.model.reset(now, ResetCause::Trap);
                     self.carry_out(change);
@@ -351,7 +351,7 @@ impl Supply<'_> {
     fn start_system(&mut self, cause: ResetCause) {
         self.clear_memory();
         self.backplane.set_reset_cause(self.args.system, cause);
-        // Discard requests of the last incarnation.
+        // Discard requests of the previous incarnation.
         self.backplane.take_reset_request(self.args.system);
         self.backplane
             .take_released(self.args.system)
@@ -363,17 +363,17 @@ impl Supply<'_> {
                 .set_generation(self.args.system, core, Generation(generation));
         }
         self.set_level(self.args.system, true);
-        // Core 0 releases the others. T-BOOT-2
+        // Core 0 releases the other cores. T-BOOT-2
         self.start(CoreId::CONTROL);
     }
 
-    /// All cores are dead: clears their shared memory, as after power-on.
+    /// Clears the shared memory as at power-on. All cores must be dead.
     fn clear_memory(&mut self) {
         for word in self.lmu {
             word.store(0, Relaxed);
         }
         while let Ok(Some(_)) = self.services.receive() {}
-        // Datagrams to them that were under way. The ring was checked when the supply started.
+        // Discard datagrams in transit to the cores. The ring was checked when the supply started.
         if let Ok(mut link) = bare::fifo_consumer::<[u32; DATAGRAM_WORDS]>(
             self.backplane.ring(self.link),
             self.link.shape,
@@ -389,8 +389,8 @@ impl Supply<'_> {
         let system = self.args.system;
         let generation = self.backplane.generation(system, core);
         let mut command = (self.command)(&self.args.core(core, generation));
-        // A core that cannot be started counts as one that died at its start: for core 0 that means
-        // a reset, as the watchdog is not serviced.
+        // A core that cannot be started counts as one that died at its start: for core 0 that leads
+        // to a reset, because the watchdog is not serviced.
         if let Ok(child) = spawn::spawn_bound(&mut command) {
             self.trace(SupplyEvent::CoreStarted { core, generation });
             self.backplane.set_core_pid(system, core, child.id());
@@ -399,7 +399,7 @@ impl Supply<'_> {
         }
     }
 
-    /// Writes to the supply's trace. A full trace loses the record: driving never reads it.
+    /// Writes to the supply's trace. If it is full, the record is lost: driving never reads it.
     fn trace(&self, event: SupplyEvent) {
         let trace_ring = self
             .backplane
@@ -409,7 +409,7 @@ impl Supply<'_> {
 
     fn kill_cores(&mut self) {
         for core in self.cores.iter_mut().flatten() {
-            // Fails if it has already ended.
+            // Fails if the process has already ended.
             let _ = core.child.kill();
         }
     }
@@ -423,7 +423,7 @@ impl Supply<'_> {
         }
     }
 
-    /// Changes a level line, which interrupts core 0 of the system on the other end.
+    /// Changes a level line, and interrupts core 0 of the system at its other end.
     fn set_level(&self, of: SystemId, high: bool) {
         self.backplane.set_level(of, high);
         self.ringers.ring(of.peer(), CoreId::CONTROL);
@@ -452,7 +452,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: services that the supply reads together keep the distance at which they were sent.
+    /// T-CHIP-6: services that the supply reads together are judged by the times of sending.
     #[test]
     fn services_that_are_seen_together_are_not_early() {
         let (run, backplane) = ScratchRun::create();
@@ -475,7 +475,7 @@ mod tests {
             peer_pid: 0,
             pokes: Pokes::receive(&[]).unwrap(),
         };
-        // Its cores are not started here.
+        // This test does not start the cores.
         assert!(supply.model.power_on(clock::now()).is_some());
         let mut at = clock::now();
         for count in 0..3 {
@@ -489,7 +489,7 @@ mod tests {
         assert_eq!(supply.model.question(), question(3), "all were accepted");
     }
 
-    /// T-CHIP-6: a supply starts slowly, and the launcher has done its part and died by then: the
+    /// T-CHIP-6: if the launcher has set up the run and died before a slow supply starts, the
     /// vehicle still drives.
     #[test]
     fn a_launcher_that_died_after_the_start_is_not_missed() {
@@ -509,7 +509,7 @@ mod tests {
         assert!(wait_for_ignition(&args, backplane, 1).is_some());
     }
 
-    /// T-CHIP-6: a request that is made between two sleeps does not wait for the end of the next.
+    /// T-CHIP-6: a request that is made between two sleeps ends the next sleep at once.
     #[test]
     fn a_poke_that_arrives_before_the_sleep_ends_it() {
         let mut pokes = Pokes::receive(&[]).unwrap();

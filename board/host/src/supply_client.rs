@@ -1,4 +1,4 @@
-//! The supply seen from core 0: registers in the backplane.
+//! The supply as core 0 sees it: registers in the backplane.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
@@ -23,7 +23,7 @@ pub struct HostSupply {
     services: Mutex<fifo::Producer<'static, [u32; SERVICE_WORDS]>>,
     /// Number of services in this incarnation.
     count: AtomicU32,
-    /// The file that holds the name of this process in `ps`, if Linux has one.
+    /// The file with the name of this process in `ps`, if Linux provides it.
     comm: Option<File>,
 }
 
@@ -56,7 +56,7 @@ impl Supply for HostSupply {
     fn service_watchdog(&self, answer: u8) {
         let service = encode_service(clock::now(), answer);
         let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
-        // Full: the supply is behind. The next service will do.
+        // If the ring is full, the supply lags. The next service is then enough.
         if services.send(&service).is_ok() {
             self.count.fetch_add(1, Relaxed);
         }
@@ -69,8 +69,8 @@ impl Supply for HostSupply {
 
     fn show_role(&self, lamp: RoleLamp) {
         self.backplane.show_role(self.of.system, lamp);
-        // One system call and no allocation. The name is for readers of `ps`: a failure does not
-        // matter.
+        // One system call and no allocation. The name is only for readers of `ps`, so ignore a
+        // failure.
         if let Some(mut comm) = self.comm.as_ref() {
             let (name, length) = process_name(self.of, lamp);
             let _ = comm.write(&name[..length]);
@@ -78,10 +78,10 @@ impl Supply for HostSupply {
     }
 }
 
-/// Bytes that Linux keeps of a process's name.
+/// How many bytes of a process's name Linux stores.
 const NAME_BYTES: usize = 15;
 
-/// The name of a core in `ps`, and its length: `A0 master`.
+/// Returns the name of a core in `ps`, for example `A0 master`, and its length.
 fn process_name(of: Identity, lamp: RoleLamp) -> ([u8; NAME_BYTES], usize) {
     let role = role_name(lamp);
     let mut name = [0; NAME_BYTES];

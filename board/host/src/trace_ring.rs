@@ -1,14 +1,14 @@
-//! The ring to which a core writes its trace: it outlives the core, and no writer ever waits.
+//! The ring into which a core writes its trace. It outlives the core, and no writer ever waits.
 //!
-//! A bounded queue of many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
+//! A bounded queue with many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
 //! reserves the next slot by compare-and-swap, fills it, and marks it as filled with the number of
 //! its turn. A writer is a task or a handler of one core. If it is interrupted or killed between
 //! the two steps, it stops only the reader, and only at this slot. A full ring refuses new records:
 //! the old ones stay, and the caller counts the refused ones.
 //!
 //! An incarnation that has ended never fills the slots that it had reserved. The supply starts the
-//! next incarnation only after that death: [`TraceRing::begin_incarnation`] then marks these slots
-//! as void. [`Reader::salvage`] skips them when no core writes any more.
+//! next incarnation only after the previous one has died: [`TraceRing::begin_incarnation`] then
+//! marks these slots as void. [`Reader::salvage`] skips them when no core writes any more.
 
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -18,37 +18,37 @@ use tandem_peripherals::codec::{TRACE_WORDS, decode_trace, encode_trace};
 
 /// Words of a cache line.
 const LINE: usize = 16;
-/// Line 0, written by the core: how many slots were reserved; wraps around.
+/// Line 0, written by the core: number of reserved slots; wraps around.
 const RESERVED_AT: usize = 0;
-/// Line 1, written by the reader: how many slots were read; wraps around.
+/// Line 1, written by the reader: number of slots that were read; wraps around.
 const READ_AT: usize = LINE;
 const SLOTS_AT: usize = 2 * LINE;
-/// A record, its turn, and an unused word: two slots are a cache line.
+/// A record, its turn, and the void mark: two slots fill a cache line.
 const SLOT_WORDS: usize = 8;
 const TURN_AT: usize = TRACE_WORDS;
-/// First word of a void record: [`decode_trace`] never returns it.
+/// Index of the word that marks a void record; never decoded.
 const VOID_AT: usize = TRACE_WORDS + 1;
 
-/// Slots of a ring: more than a second at the load of core 0, about 3200 records a second.
+/// Number of slots: enough for more than a second at core 0's load of about 3200 records a second.
 pub(crate) const SLOTS: u32 = 4096;
-/// Words of a ring.
+/// Number of words of a ring.
 pub(crate) const WORDS: usize = SLOTS_AT + SLOTS as usize * SLOT_WORDS;
 
-/// The writing side.
+/// The writers' end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TraceRing {
     words: &'static [AtomicU32],
 }
 
-/// The ring is full: the record was not written.
+/// The ring is full; the record was not written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Full;
 
 impl TraceRing {
-    /// The ring in these words, zero before the first record.
+    /// Makes the ring in these words, which must be zero before the first record.
     ///
     /// # Panics
-    /// If there are not [`WORDS`] of them.
+    /// If their number is not [`WORDS`].
     pub(crate) fn new(words: &'static [AtomicU32]) -> Self {
         assert_eq!(words.len(), WORDS, "the words of a trace ring");
         Self { words }
@@ -59,15 +59,15 @@ impl TraceRing {
         &self.words[first..first + SLOT_WORDS]
     }
 
-    /// Marks as void the slots that an earlier incarnation of this core has reserved and not
-    /// filled. Call it once in an incarnation, before its first record, when no earlier incarnation
-    /// runs any more.
+    /// Marks as void the slots that earlier incarnations of this core have reserved and not filled.
+    /// Call it once in each incarnation, before its first record, when no earlier incarnation runs
+    /// any more.
     pub(crate) fn begin_incarnation(self) {
         let reserved = self.words[RESERVED_AT].load(Relaxed);
-        // Acquire pairs with the Release in `Reader::release`: the slots before it were read.
+        // Acquire pairs with the Release in `Reader::release`: the slots before `read` were read.
         let read = self.words[READ_AT].load(Acquire);
         if reserved.wrapping_sub(read) > SLOTS {
-            // Neither a writer nor a reader caused this: start again at the reader's position.
+            // No writer or reader can cause this: start again at the reader's position.
             self.words[RESERVED_AT].store(read, Relaxed);
             return;
         }
@@ -83,7 +83,7 @@ impl TraceRing {
         }
     }
 
-    /// Writes a record. From any task or handler of the core; never blocks, no system call.
+    /// Writes a record. Any task or handler of the core may call it; never blocks, no system call.
     ///
     /// # Errors
     /// [`Full`]
@@ -112,7 +112,7 @@ impl TraceRing {
     }
 }
 
-/// The reading side. There is one at a time; a successor continues where it ended.
+/// The reader's end. Only one may exist at a time; its successor continues where it ended.
 #[derive(Debug)]
 pub(crate) struct Reader {
     ring: TraceRing,
@@ -125,7 +125,7 @@ impl Reader {
         Self { ring, read }
     }
 
-    /// The next record; `None` if the ring is empty, or a writer is just filling the next slot.
+    /// Returns the next record; `None` if the ring is empty or a writer is filling the next slot.
     pub(crate) fn next(&mut self) -> Option<(Instant, TraceRecord)> {
         loop {
             let slot = self.ring.slot(self.read);
@@ -140,10 +140,10 @@ impl Reader {
         }
     }
 
-    /// The next record, skipping slots that were never filled. Only when the core no longer runs.
+    /// Returns the next record and skips slots that were never filled. The core must have ended.
     pub(crate) fn salvage(&mut self) -> Option<(Instant, TraceRecord)> {
         let reserved = self.ring.words[RESERVED_AT].load(Relaxed);
-        // A larger number than there are slots is not a state of this ring.
+        // The ring never has more reserved slots than slots: limit a corrupt count.
         let left = reserved.wrapping_sub(self.read).min(SLOTS);
         for _ in 0..left {
             if let Some(found) = self.next() {
@@ -169,8 +169,8 @@ impl Reader {
 
     fn release(&mut self) {
         self.read = self.read.wrapping_add(1);
-        // Release pairs with the Acquire in `TraceRing::write`: the slot is read before it is
-        // filled again.
+        // Release pairs with the Acquire in `TraceRing::write`: the slot is read before a writer
+        // fills it again.
         self.ring.words[READ_AT].store(self.read, Release);
     }
 }
@@ -198,7 +198,7 @@ mod tests {
             .collect()
     }
 
-    /// Acts as a writer that is killed after its reservation.
+    /// Behaves like a writer that is killed after its reservation.
     fn reserve_and_die(words: &[AtomicU32]) {
         words[RESERVED_AT].fetch_add(1, Relaxed);
     }
@@ -206,7 +206,7 @@ mod tests {
     #[test]
     fn records_come_in_order_through_many_rounds_and_a_full_ring_refuses() {
         let words = words();
-        // Just before the counters wrap around.
+        // Start just before the counters wrap around.
         words[RESERVED_AT].store(0u32.wrapping_sub(100), Relaxed);
         words[READ_AT].store(0u32.wrapping_sub(100), Relaxed);
         let (ring, mut reader) = ends(words);
@@ -229,7 +229,7 @@ mod tests {
         ring.write(at(2), [3; 4]).unwrap();
         assert_eq!(all(&mut reader), [1]);
         assert_eq!(all(&mut reader), []);
-        // The writer continues, and fills its slot.
+        // The writer continues and fills its slot.
         let slot = ring.slot(1);
         for (word, value) in slot.iter().zip(encode_trace(at(1), [2; 4])) {
             word.store(value, Relaxed);
@@ -242,7 +242,7 @@ mod tests {
     fn what_a_killed_writer_never_filled_is_void_for_the_next_incarnation() {
         let words = words();
         let (ring, mut reader) = ends(words);
-        // A slot of the second round holds an old record.
+        // In the second round, each slot still holds an old record.
         for n in 0..SLOTS {
             ring.write(at(n), [n; 4]).unwrap();
         }
@@ -252,7 +252,7 @@ mod tests {
         TraceRing::new(words).begin_incarnation();
         ring.write(at(1), [101; 4]).unwrap();
         assert_eq!(all(&mut reader), [100, 101]);
-        // The void slot is usable in the next round.
+        // The void slot can be used in the next round.
         for n in 0..SLOTS {
             ring.write(at(n), [n; 4]).unwrap();
         }

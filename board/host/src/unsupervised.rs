@@ -1,4 +1,4 @@
-//! A system without a supply, whose cores a caller starts itself: for benchmarks.
+//! A system without a supply, for benchmarks: the caller itself starts the cores.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use crate::isolation::Isolation;
 use crate::memory;
 use crate::name::RunName;
 
-/// System A under power: LMU, doorbells and wires, but no supply that watches or resets its cores.
+/// System A with power: LMU, doorbells and wires, but no supply that watches or resets its cores.
 #[derive(Debug)]
 pub struct UnsupervisedSystem {
     run: RunName,
@@ -19,10 +19,10 @@ pub struct UnsupervisedSystem {
 }
 
 impl UnsupervisedSystem {
-    /// Powers the system on in this place. Its memory is removed with the place.
+    /// Switches the system on in this place. Its memory is removed with the place.
     ///
     /// # Errors
-    /// [`AttachError`] if shared memory or the file of the data flash cannot be had.
+    /// [`AttachError`] if shared memory or the data flash file cannot be created.
     pub fn power_on(isolation: &Isolation) -> Result<Self, AttachError> {
         let run = isolation.run().clone();
         let flash = PathBuf::from(format!("/dev/shm/{}.dflash", run.as_str()));
@@ -31,10 +31,10 @@ impl UnsupervisedSystem {
         Ok(Self { run, flash })
     }
 
-    /// Attaches the calling process as a core in this incarnation. Once per process.
+    /// Attaches the calling process as a core in this incarnation. Only once per process.
     ///
     /// # Errors
-    /// [`AttachError`] if something cannot be mapped or opened.
+    /// [`AttachError`] if a part of the board cannot be mapped or opened.
     pub fn attach(&self, core: CoreId, generation: Generation) -> Result<HostBoard, AttachError> {
         HostBoard::attach(&CoreArgs {
             common: Common {

@@ -1,4 +1,4 @@
-//! The vehicle's side of the backplane: the bus, the ignition, and data for an observer.
+//! The vehicle's end of the backplane: the bus, the ignition, and data for an observer.
 
 use core::convert::Infallible;
 
@@ -21,7 +21,7 @@ use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
 use crate::spawn;
 use crate::trace_ring::Reader;
 
-/// One period of the vehicle.
+/// The period of the vehicle.
 const PERIOD: Duration = Duration::from_ms(1);
 
 /// Why the vehicle cannot start.
@@ -33,10 +33,10 @@ pub enum VehiclePortError {
     /// The doorbell of the bus cannot be set up.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
-    /// The backplane has another layout than this build.
+    /// The backplane has a different layout from that of this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
-    /// The launcher died before the run was complete.
+    /// The launcher died before all processes of the run had started.
     #[error("the launcher of the run died while it started")]
     Abandoned,
 }
@@ -50,9 +50,9 @@ impl From<FitError> for VehiclePortError {
 /// The vehicle's connection to the controller. A run has one: it is the bus, which orders the
 /// frames of all nodes.
 ///
-/// When a core has sent a frame, and when it sends one itself, the vehicle calls
-/// [`VehicleBus::transmitted`], which moves the frames of the cores, and
-/// [`VehicleBus::broadcast`] for each frame of its own nodes.
+/// When a core has sent a frame, and when the vehicle itself sends one, the vehicle calls
+/// [`VehicleBus::transmitted`], which moves the frames of the cores, and [`VehicleBus::broadcast`]
+/// for each frame of its own nodes.
 #[derive(Debug)]
 pub struct HostVehiclePort {
     backplane: Backplane,
@@ -63,19 +63,19 @@ pub struct HostVehiclePort {
     network: Network,
     /// Decides which frames a disturbed connection loses.
     noise: ChaCha8Rng,
-    /// Empty between calls; kept to avoid allocation.
+    /// Empty between calls; kept to avoid allocations.
     carried: Vec<network::Delivery>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
-    /// Frames were put on the bus, and some cores are not yet notified.
+    /// Whether frames were put on the bus of which some cores have not been notified.
     news: bool,
     /// `None` before the first period.
     ticker: Option<Ticker>,
-    /// The cores ring it when they send.
+    /// The cores ring it when they send a frame.
     doorbell: Doorbell,
-    /// It was rung.
+    /// Whether the doorbell was rung.
     rung: bool,
-    /// The vehicle sends nothing before: the periods until then may be late.
+    /// The vehicle sends no frame before this time, so the periods until then may be late.
     quiet_until: Instant,
 }
 
@@ -85,14 +85,14 @@ struct Node {
     frames: fifo::Consumer<'static, [u32; TRANSMIT_WORDS]>,
     trace: Reader,
     lost: u32,
-    /// How often the core had discarded its waiting frames at the last call.
+    /// The core's count of discards at the last call.
     discards: u32,
-    /// Frames may wait in its ring until its controller takes them.
+    /// Frames may wait in the ring until the core's controller accepts them.
     waits: bool,
 }
 
 impl Node {
-    /// Passes a discard or a loss of power on to the core's controller. Returns whether the system
+    /// Applies a discard or a loss of power to the core's controller. Returns whether the system
     /// has power.
     fn follow(&mut self, backplane: Backplane, network: &mut Network) -> bool {
         let discards = backplane.discards(self.of.system, self.of.core);
@@ -106,7 +106,7 @@ impl Node {
         is_powered
     }
 
-    /// The next record of the core's trace, as `read` reads it.
+    /// Returns the next record of the core's trace, read by `read`.
     fn traced(
         &mut self,
         read: impl FnOnce(&mut Reader) -> Option<(Instant, TraceRecord)>,
@@ -122,10 +122,10 @@ impl Node {
 }
 
 impl HostVehiclePort {
-    /// Attaches as the vehicle of the run, when all of its processes have started.
+    /// Attaches as the vehicle of the run after all of its processes have started.
     ///
     /// # Errors
-    /// [`VehiclePortError`] if the run is over or never became complete.
+    /// [`VehiclePortError`] if the run has ended or never became complete.
     pub fn attach(args: &VehicleArgs) -> Result<Self, VehiclePortError> {
         let backplane = Backplane::open(&args.common.run)?;
         if !spawn::wait_until_assembled(backplane) {
@@ -163,7 +163,7 @@ impl HostVehiclePort {
         })
     }
 
-    /// Whether the bus has work in each period: frames wait in it, or something disturbs it.
+    /// Returns whether the bus has work in each period: frames wait, or a fault disturbs it.
     fn is_disturbed(&mut self) -> bool {
         self.network.conditions = self.backplane.conditions();
         self.network.is_disturbed() || self.from_cores.iter().any(|node| node.waits)
@@ -174,7 +174,7 @@ impl HostVehiclePort {
         self.backplane.set_cut(wire, from, is_cut);
     }
 
-    /// The backplane, for an observer.
+    /// Returns the backplane, for an observer.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
@@ -182,8 +182,8 @@ impl HostVehiclePort {
 
     /// Moves the frames of the cores from their rings to their controllers.
     fn collect(&mut self, now: Instant) {
-        // These frames were not yet there at the last call. A core that was frozen between reading
-        // the clock and sending would report an older time, and hide the gap.
+        // These frames were sent after the last call. A core that was frozen between reading the
+        // clock and sending would report an earlier time and thus hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
         let (backplane, network) = (self.backplane, &mut self.network);
         for node in &mut self.from_cores {
@@ -196,22 +196,22 @@ impl HostVehiclePort {
                 let Ok(Some(words)) = node.frames.receive() else {
                     break;
                 };
-                // After the receive: the core may have discarded this frame since.
+                // Only after the receive: the core may have discarded this frame in the meantime.
                 let is_powered = node.follow(backplane, network);
                 let wanted = |(_, before): &(BusFrame, u32)| is_powered && *before == node.discards;
                 let Some((frame, _)) = decode_transmit(&words).filter(wanted) else {
                     continue;
                 };
-                // Read the clock again: this process may have been held up since `now`.
+                // Read the clock again: this process may have been delayed since `now`.
                 let Received { frame, at } = frame.received;
                 let sent = at.clamp(emptied, clock::now());
-                // The ring identifies the sender, whatever the words say. The controller is ready.
+                // The ring, not the words, determines the sender. The controller is ready.
                 let _full = network.send_frame(node.of, &frame, sent, now, &mut self.noise);
             }
         }
     }
 
-    /// The cores hear a frame that the network has carried.
+    /// Publishes to the cores a frame that the network has carried.
     fn publish(&mut self, carried: &network::Delivery, at: Instant) {
         let frame = BusFrame {
             received: Received {
@@ -231,8 +231,8 @@ impl VehicleBus for HostVehiclePort {
         clock::now()
     }
 
-    /// A core sends at most 8 frames in a millisecond; the rest waits. A system without power, or
-    /// cut off the bus, sends nothing: the waiting frames of its cores are dropped.
+    /// Each core sends at most 8 frames per millisecond; further frames wait. A system without
+    /// power or cut off from the bus sends no frame: the waiting frames of its cores are dropped.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         let now = clock::now();
         self.network.conditions = self.backplane.conditions();
@@ -243,11 +243,11 @@ impl VehicleBus for HostVehiclePort {
         self.collect(now);
         let mut all = core::mem::take(&mut self.carried);
         all.extend(core::iter::from_fn(|| self.network.carried()));
-        // Stable: the frames of one core stay in their order even at equal times.
+        // A stable sort: the frames of one core keep their order even at equal times.
         all.sort_by_key(|carried| carried.sent);
         for carried in all.drain(..) {
-            // The bus carries this frame now: the start of this call may be earlier than its
-            // sender's time, and this process may have been held up since the frame before.
+            // The bus carries this frame now: this call may have started before the sender's time,
+            // and this process may have been delayed since the previous frame.
             let at = clock::now();
             if let Sender::Core(CoreAddress { system, core }) = carried.sender {
                 let (frame, sent) = (carried.frame, carried.sent);
@@ -264,8 +264,7 @@ impl VehicleBus for HostVehiclePort {
         self.ring_receivers();
     }
 
-    /// The cores are notified with the next [`VehicleBus::transmitted`] or
-    /// [`VehicleBus::ring_receivers`].
+    /// The next [`VehicleBus::transmitted`] or [`VehicleBus::ring_receivers`] notifies the cores.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         let at = clock::now();
         self.network.conditions = self.backplane.conditions();
@@ -292,13 +291,13 @@ impl VehicleBus for HostVehiclePort {
 impl VehiclePort for HostVehiclePort {
     type Error = Infallible;
 
-    /// Missed periods follow at once, one by one.
+    /// Missed periods are returned immediately, one by one.
     fn tick(&mut self) -> Result<Instant, Infallible> {
         let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
         Ok(ticker.wait())
     }
 
-    /// A disturbed bus works in each period.
+    /// A disturbed bus needs work in each period.
     fn wait_for(&mut self, event: Instant) -> Result<Pass, Infallible> {
         loop {
             let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
@@ -383,7 +382,7 @@ mod tests {
     use tandem_peripherals::codec::Reach;
     use tandem_peripherals::network::BusFault;
 
-    /// A run without processes, in which this process is launcher and vehicle.
+    /// Makes a run without other processes: this process is launcher and vehicle.
     fn port() -> (ScratchRun, HostVehiclePort) {
         let (run, backplane) = ScratchRun::create();
         let own = std::process::id();
@@ -398,7 +397,7 @@ mod tests {
         (run, port)
     }
 
-    /// The CAN controller of a core in its first incarnation.
+    /// Returns the CAN controller of a core in its first incarnation.
     fn attached(run: &RunName, port: &HostVehiclePort, system: SystemId, core: CoreId) -> HostCan {
         let generation = Generation(1);
         let of = Identity {
@@ -410,9 +409,9 @@ mod tests {
         HostCan::attach(port.backplane, of, ringers).unwrap()
     }
 
-    /// T-RED-8: a frame is logged with the time at which it was on the bus, whatever its sender
-    /// says: a sender that was frozen between reading the clock and sending hides no gap, and no
-    /// time is in the future.
+    /// T-RED-8: a frame is logged with the time at which it was on the bus, whatever time its
+    /// sender reports: a sender that was frozen between reading the clock and sending hides no gap,
+    /// and no time is in the future.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (_run, mut port) = port();
@@ -440,8 +439,8 @@ mod tests {
         assert!(ahead <= clock::now(), "in the future");
     }
 
-    /// A log is what was on the bus: frames in the order in which a receiver gets them, each with
-    /// the receiver's time, independent of the sender and its time.
+    /// A log shows the bus: frames in the order in which a receiver gets them, each with the
+    /// receiver's time, independent of the sender and its time.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
         let (run, mut port) = port();
@@ -495,7 +494,7 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// A disturbed connection loses, holds back, or does not receive; the other system's is sound.
+    /// A disturbed connection loses, delays or does not receive frames; the other is not affected.
     #[test]
     fn a_disturbed_connection_affects_its_own_system_alone() {
         let (run, mut port) = port();
@@ -525,7 +524,7 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// T-RED-9: frames that wait when the output closes are not sent; later frames are.
+    /// T-RED-9: frames that wait when the output closes are not sent; later frames are sent.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
         let (run, mut port) = port();
@@ -541,8 +540,8 @@ mod tests {
         assert_eq!(seen, [frame(4)]);
     }
 
-    /// The vehicle sleeps until the period in which it sends itself; a frame of a core wakes it
-    /// between two periods, after those that are due.
+    /// The vehicle sleeps until the period in which it sends a frame; a core's frame wakes it
+    /// between two periods, after the periods that are due.
     #[test]
     fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
         let (run, mut port) = port();
@@ -559,7 +558,7 @@ mod tests {
                 can.try_send(&frame).unwrap();
             }
         });
-        // A thread that is held up before it sleeps finds a period due, or the frame: once more.
+        // A thread that is delayed before its sleep finds a period due, or the frame: try again.
         let mut last = first;
         let mut slept = false;
         while !slept {
@@ -584,13 +583,13 @@ mod tests {
         }
         drop(ask);
         sender.join().unwrap();
-        // Held up until the next period: the frame comes first, so that its wait is noted.
+        // After a delay to the next period, the frame is reported first: its wait is recorded.
         clock::sleep_until(clock::now() + PERIOD);
         (port.rung, port.quiet_until) = (true, Instant::ORIGIN);
         assert_eq!(port.wait_for(never), Ok(Pass::Frames));
         let pass = port.wait_for(never);
         assert!(matches!(pass, Ok(Pass::Period(_))), "{pass:?}");
-        // A disturbed bus works in each period.
+        // A disturbed bus needs work in each period.
         port.backplane
             .set_fault(SystemId::A, HardwareFault::CanTransmit, true);
         let pass = port.wait_for(never);

@@ -1,19 +1,19 @@
-//! The place of a run's files, so that nothing is left behind in any case.
+//! The place of a run's files, chosen so that no file is left behind in any case.
 //!
-//! If permitted, the run gets a mount namespace with its own `/dev/shm`: when its last process has
-//! died, in any way, the kernel removes all files. If not (as in most containers), the files are in
-//! the machine's `/dev/shm` under the run's name, beside a lock file that all processes of the run
-//! hold open. The run removes them at its end. Every start also removes the files of runs whose
-//! processes are all dead: their lock is free.
+//! If permitted, the run gets a mount namespace with a private `/dev/shm`: when its last process
+//! has died, in any way, the kernel removes all files. If not (as in most containers), the files
+//! are in the machine's `/dev/shm` under the run's name, next to a lock file that all processes of
+//! the run hold open. The run removes them at its end. Every start also removes the files of runs
+//! whose processes are all dead: their lock is free.
 //!
-//! An ordinary user needs a user namespace as well, and that has two costs:
+//! An ordinary user also needs a user namespace, which has two costs:
 //!
 //! - A process that enters a user namespace and is then refused the next step has lost its
 //!   identity. So a child tries all steps first, and the process itself follows only if the child
 //!   succeeds.
-//! - Capabilities do not count outside of it. A process that holds one for real time
+//! - Capabilities are not valid outside the namespace. A process that has one for real time
 //!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) keeps it and uses the machine's `/dev/shm`. A limit on
-//!   priorities (`RLIMIT_RTPRIO`) counts everywhere.
+//!   priorities (`RLIMIT_RTPRIO`) is valid everywhere.
 
 mod namespace;
 
@@ -36,7 +36,7 @@ const SHM: &str = "/dev/shm";
 const TMP: &str = "/tmp";
 const LOCK_SUFFIX: &str = ".lock";
 
-/// Why a run cannot have shared memory.
+/// No place with shared memory is available for a run.
 #[derive(Debug, thiserror::Error)]
 #[error("{place}: {source}; shared memory is needed, so /dev/shm must be mounted and writable")]
 pub struct IsolationError {
@@ -44,23 +44,23 @@ pub struct IsolationError {
     source: io::Error,
 }
 
-/// The place of a run's files. The launcher keeps it.
+/// The place of a run's files. The launcher owns it.
 #[derive(Debug)]
 pub struct Isolation {
     run: RunName,
     place: Place,
-    /// The machine's `/dev/shm` and `/tmp`, opened outside the namespace.
+    /// The machine's `/dev/shm` and `/tmp`, opened before the namespace was entered.
     outside: [OwnedFd; 2],
 }
 
 #[derive(Debug)]
 enum Place {
-    /// The run's own `/dev/shm`.
+    /// The run's private `/dev/shm`.
     Private,
     /// The machine's `/dev/shm`.
     Shared {
-        /// Every process of the run holds it open: dropping it here frees the lock only when all of
-        /// them have ended.
+        /// Every process of the run holds it open: dropping it here frees the lock only after all
+        /// of them have ended.
         _lock: OwnedFd,
         refused: String,
     },
@@ -72,10 +72,10 @@ enum Mode {
     Shared,
 }
 
-/// Gives the calling process, and all that it starts, a place for the files of a new run: its own
-/// `/dev/shm` if that is permitted.
+/// Gives the calling process, and all processes that it starts, a place for the files of a new run:
+/// a private `/dev/shm` if that is permitted.
 ///
-/// Call it first, before the process has threads.
+/// Call it before the process starts threads.
 ///
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
@@ -83,7 +83,7 @@ pub fn enter() -> Result<Isolation, IsolationError> {
     enter_with(Mode::Own)
 }
 
-/// As [`enter`], but in the machine's `/dev/shm` even if an own one is permitted.
+/// Like [`enter`], but uses the machine's `/dev/shm` even if a private one is permitted.
 ///
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
@@ -120,17 +120,17 @@ fn enter_with(mode: Mode) -> Result<Isolation, IsolationError> {
 }
 
 impl Isolation {
-    /// The run of this place.
+    /// Returns the run of this place.
     #[must_use]
     pub const fn run(&self) -> &RunName {
         &self.run
     }
 
-    /// Removes the files of the run. Its processes must have ended.
+    /// Removes the files of the run. All its processes must have ended.
     pub fn wipe(&self) {
         match self.place {
             Place::Private => {
-                // They disappear with the namespace; this only frees the memory at once.
+                // The files disappear with the namespace; this only frees the memory earlier.
                 if let Ok(folder) = open_folder(SHM) {
                     remove(&folder, self.run.as_str());
                 }
@@ -139,12 +139,12 @@ impl Isolation {
         }
     }
 
-    /// Files of this run in the machine's `/dev/shm` and `/tmp`.
+    /// Returns the files of this run in the machine's `/dev/shm` and `/tmp`.
     #[must_use]
     pub fn leftovers(&self) -> Vec<String> {
         let mut found = vec![];
         for (folder, path) in self.outside.iter().zip([SHM, TMP]) {
-            // The names of all files of a run contain the run's name.
+            // Each file name of a run contains the run's name.
             let own = names(folder).filter(|name| name.contains(self.run.as_str()));
             found.extend(own.map(|name| format!("{path}/{name}")));
         }
@@ -167,8 +167,8 @@ impl fmt::Display for Isolation {
     }
 }
 
-/// Bytes that this process may still write to the file system that holds `path`; `None` if the
-/// kernel does not say.
+/// Returns how many bytes this process may still write to the file system of `path`; `None` if the
+/// kernel does not report it.
 #[must_use]
 pub fn free_bytes(path: &Path) -> Option<u64> {
     let found = statvfs(path).ok()?;
@@ -188,7 +188,7 @@ fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
     })
 }
 
-/// Creates the run's lock file and takes the lock for this process and all its children.
+/// Creates the run's lock file and locks it for this process and all its children.
 fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
     let name = format!("{run}{LOCK_SUFFIX}");
     let failed = |errno: Errno| IsolationError {
@@ -199,7 +199,7 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
         let file =
             openat(shm, name.as_str(), flags, FileMode::RUSR | FileMode::WUSR).map_err(failed)?;
-        // A sweep may have locked the file in between and will remove it: wait for that.
+        // A sweep may have locked the file in between and be about to remove it: wait for that.
         match flock(&file, FlockOperation::LockExclusive) {
             Err(Errno::INTR) => continue,
             locked => locked.map_err(failed)?,
@@ -207,7 +207,7 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
         let mine = fstat(&file).map_err(failed)?;
         let there = statat(shm, name.as_str(), AtFlags::SYMLINK_NOFOLLOW);
         if there.is_ok_and(|there| there.st_ino == mine.st_ino) {
-            // The children inherit the descriptor, and with it the lock.
+            // The children inherit the descriptor and thus the lock.
             fcntl_setfd(&file, FdFlags::empty()).map_err(failed)?;
             return Ok(file);
         }
@@ -237,7 +237,7 @@ fn sweep(shm: &OwnedFd) {
     }
 }
 
-/// Removes all files of a run, its lock file last: while that exists, a sweep finds the rest.
+/// Removes all files of a run, its lock file last: while that exists, a sweep finds the others.
 fn remove(folder: &OwnedFd, run: &str) {
     let lock = format!("{run}{LOCK_SUFFIX}");
     let own = |name: &String| {
@@ -263,7 +263,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// A run that starts beside this one sweeps, and finds the lock file before it is locked.
+    /// A start waits for the sweep of another run that has locked the lock file first.
     #[test]
     fn a_sweep_beside_a_start_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();

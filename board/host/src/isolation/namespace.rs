@@ -1,4 +1,4 @@
-//! Enters a mount namespace with a fresh `/dev/shm`: completely, or not at all.
+//! Enters a mount namespace with a new `/dev/shm`: either completely or not at all.
 
 use core::ffi::CStr;
 use std::ffi::CString;
@@ -13,10 +13,10 @@ use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
 use rustix::process::{Pid, WaitOptions, getegid, geteuid, waitpid};
 use rustix::thread::{CapabilitySet, UnshareFlags, capabilities, unshare_unsafe};
 
-/// The steps, in order.
+/// The steps in their order.
 #[derive(Clone, Copy, Debug)]
 enum Step {
-    /// If this step is refused, nothing has changed.
+    /// If this step is refused, the process is unchanged.
     Namespace,
     SetGroups,
     UserMap,
@@ -49,7 +49,7 @@ impl fmt::Display for Step {
     }
 }
 
-/// The step that the kernel refused.
+/// A step that the kernel refused.
 #[derive(Clone, Copy, Debug)]
 struct Refused {
     step: Step,
@@ -62,12 +62,12 @@ impl fmt::Display for Refused {
     }
 }
 
-/// Enters a mount namespace whose `/dev/shm` is fresh. `Some` is the refused step; the calling
-/// process is then unchanged.
+/// Enters a mount namespace that has a new `/dev/shm`. Returns `Some` with the refused step; the
+/// calling process is then unchanged.
 ///
 /// # Errors
-/// If a child cannot be started, or the process was refused a step that its child was granted: it
-/// may then be half in a namespace, and must end.
+/// If no child can be started, or the kernel refuses the process a step that it granted to the
+/// child: the process may then be only partly in a namespace, and must end.
 pub(super) fn enter() -> io::Result<Option<String>> {
     let way = Way::of_this_process();
     match way.rehearse()? {
@@ -79,8 +79,8 @@ pub(super) fn enter() -> io::Result<Option<String>> {
     }
 }
 
-/// The data for all steps, prepared in advance: the child of a process with threads must not
-/// allocate.
+/// The data for all steps, prepared in advance, because the child of a process with threads must
+/// not allocate.
 struct Way {
     may_enter_user_namespace: bool,
     users: CString,
@@ -89,7 +89,7 @@ struct Way {
 
 impl Way {
     fn of_this_process() -> Self {
-        // Read before the steps. The ids are mapped to themselves, so that files keep their owner.
+        // Read before the steps. The ids are mapped to themselves, so the files keep their owner.
         let map = |id: u32| CString::new(format!("{id} {id} 1")).unwrap_or_default();
         let for_realtime = CapabilitySet::SYS_NICE | CapabilitySet::IPC_LOCK;
         let held = capabilities(None).map(|sets| sets.effective);
@@ -100,7 +100,7 @@ impl Way {
         }
     }
 
-    /// Lets a child try all steps and end; returns the step that it was refused.
+    /// Lets a child try all steps and end; returns the step that the kernel refused.
     fn rehearse(&self) -> io::Result<Option<Refused>> {
         let (mut told, tells) = UnixStream::pair()?;
         // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.
@@ -111,7 +111,7 @@ impl Way {
                     let errno = refused.errno.raw_os_error() as u8;
                     let _ = write(tells.as_fd(), &[refused.step as u8, errno]);
                 }
-                // SAFETY: ends the process without the parent's exit handlers.
+                // SAFETY: ends the process without running the parent's exit handlers.
                 unsafe { libc::_exit(0) }
             }
             child => child,
@@ -147,13 +147,13 @@ impl Way {
         let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
         mount_change(c"/", private).map_err(refused(Step::Private))?;
         let flags = MountFlags::NOSUID | MountFlags::NODEV;
-        // The default is half of the memory: the logs of a long run need some of that.
+        // The default size is half of the memory; the logs of a long run need some of it.
         mount(c"tmpfs", c"/dev/shm", c"tmpfs", flags, c"mode=1777").map_err(refused(Step::Mount))
     }
 }
 
 fn unshare(flags: UnshareFlags) -> rustix::io::Result<()> {
-    // SAFETY: `unshare` is unsafe because threads may stop sharing a table of file descriptors
+    // SAFETY: `unshare` is unsafe because threads may stop sharing their table of file descriptors
     // (CLONE_FILES); that flag is not set here.
     unsafe { unshare_unsafe(flags) }
 }
