@@ -1,5 +1,5 @@
-//! iceoryx2's own conformance suite over the parts with which the host board replaces iceoryx2's:
-//! the storage whose pages are reserved, and the event that sleeps on a futex.
+//! Runs iceoryx2's own conformance suite on the parts of the host board that replace iceoryx2's:
+//! the storage with reserved pages, and the event that sleeps on a futex.
 
 #![allow(missing_docs, reason = "the harness is a macro of iceoryx2")]
 
@@ -24,14 +24,14 @@ instantiate!(
     suite::named_concept_trait,
     DynamicStorageTest<Storage<u64>>
 );
-// The event of the doorbells.
+// The event that the doorbells use.
 instantiate!(
     doorbell,
     suite::event_trait,
     PendingBits,
     FutexEvent<PendingBits, false>
 );
-// The futex with iceoryx2's default state.
+// The futex with iceoryx2's default event state.
 instantiate!(
     counting,
     suite::event_trait,
@@ -49,7 +49,7 @@ mod harness {
 }
 
 fn main() {
-    // Files that the suite abandons on purpose disappear with this process, where an own `/dev/shm`
+    // Files that the suite abandons on purpose disappear with this process, if a private `/dev/shm`
     // is permitted.
     let _place = tandem_board_host::isolation::enter();
     harness::main();

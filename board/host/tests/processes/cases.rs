@@ -1,4 +1,4 @@
-//! The connections of the board: LMU, doorbells, lines, link, CAN, flash, trace.
+//! Tests of the board's connections: LMU, doorbells, lines, link, CAN, flash, trace.
 
 use core::ptr::{from_ref, null_mut};
 use core::sync::atomic::AtomicPtr;
@@ -83,8 +83,7 @@ fn both_done(script: &mut Script) {
 
 const ROUNDS: u32 = 200_000;
 
-/// T-CHIP-1: the LMU is one memory for the three cores of a system, and another for the other
-/// system.
+/// T-CHIP-1: the three cores of a system share one LMU; the other system has a separate one.
 fn increment(board: &HostBoard) {
     let lmu = board.lmu();
     assert_eq!(lmu.len(), 8192);
@@ -107,7 +106,7 @@ fn incremented(script: &mut Script) {
     }
 }
 
-/// The board for the handler of a signal, which stands for an interrupt of a chip.
+/// The board for the signal handler, which takes the place of a chip's interrupt.
 static INTERRUPTED: AtomicPtr<HostBoard> = AtomicPtr::new(null_mut());
 static HANDLER: Handler = Handler::new();
 
@@ -118,7 +117,7 @@ extern "C" fn on_signal(_: libc::c_int) {
     HANDLER.run(unsafe { &*board });
 }
 
-/// Interrupts only this thread, with this period in ns; 0 stops it.
+/// Interrupts only this thread, with this period in ns; 0 stops the interrupts.
 fn interrupt_every(period_ns: libc::c_long) {
     static TIMER: AtomicPtr<libc::c_void> = AtomicPtr::new(null_mut());
     let handler: extern "C" fn(libc::c_int) = on_signal;
@@ -130,8 +129,8 @@ fn interrupt_every(period_ns: libc::c_long) {
         it_interval: period,
         it_value: period,
     };
-    // SAFETY: the structures are valid for the time of each call. The handler only makes calls that
-    // are permitted in any context, and accesses atomics.
+    // SAFETY: the structures are valid during each call. The handler only makes calls that are
+    // permitted in any context, and accesses atomics.
     unsafe {
         if period_ns != 0 {
             libc::signal(libc::SIGALRM, handler as libc::sighandler_t);
@@ -148,7 +147,7 @@ fn interrupt_every(period_ns: libc::c_long) {
     }
 }
 
-/// T-SYNC-3: a handler that interrupts this core at any point, even inside a call, makes the calls
+/// T-SYNC-3: a handler that interrupts this core at any point, even inside a call, makes all calls
 /// that the contract permits in any context.
 fn interrupted(board: &HostBoard) {
     const RUNS: u32 = 5_000;
@@ -164,14 +163,14 @@ fn interrupted(board: &HostBoard) {
     }
     interrupt_every(0);
     loop {
-        // Again, as a full trace loses a record.
+        // Repeat it, because a full trace loses the record.
         board.trace([DONE, HANDLER.runs(), round, 0]);
         board.wait(board.now() + tandem_board::Duration::from_ms(10));
     }
 }
 
-/// Each record of the task and of its handler is in the trace, whole and in order, or counted as
-/// lost.
+/// Each record of the task and of its handler must be in the trace, complete and in order, or be
+/// counted as lost.
 fn undisturbed(script: &mut Script) {
     for system in SystemId::ALL {
         let [_, runs, rounds, _] = script.await_trace(system, PERCEPTION, DONE);
@@ -183,7 +182,7 @@ fn undisturbed(script: &mut Script) {
         ] {
             let of_code = script.take_traced(system, PERCEPTION, code);
             let numbers: Vec<u32> = of_code.iter().map(|record| record[1]).collect();
-            // Each incarnation counts from the start.
+            // Each incarnation counts from 0.
             let in_order = numbers.chunk_by(|a, b| a < b).count();
             assert!(in_order <= incarnations, "{system} {code:#x}: {numbers:?}");
             let lost = script.lost as usize;
@@ -197,7 +196,7 @@ fn undisturbed(script: &mut Script) {
     }
 }
 
-/// T-SYNC-3: thousands of rings, each awaited asleep.
+/// T-SYNC-3: two cores ring each other thousands of times; each sleeps until the ring.
 fn ping_pong(board: &HostBoard) {
     const TURNS: u32 = 3_000;
     let (ball, me) = (&board.lmu()[0], board.identity().core);
@@ -222,7 +221,7 @@ fn ping_pong(board: &HostBoard) {
     idle(board);
 }
 
-/// T-SYNC-3: two cores ring a third at any moment; it sees what each of them wrote before.
+/// T-SYNC-3: two cores ring a third at any time; it sees what each of them wrote before.
 fn rung_by_two(board: &HostBoard) {
     const TURNS: u32 = 3_000;
     let lmu = board.lmu();
@@ -279,7 +278,7 @@ fn wires(board: &HostBoard) {
         lines.send(Line::Heartbeat1, Edge::Rising);
         lines.send(Line::Heartbeat2, Edge::Falling);
     }
-    // Edges on the start line interrupt the other core 0.
+    // An edge on the start line must interrupt core 0 of the other system.
     lines.send(Line::Start, Edge::Rising);
     while lines.received(Line::Start, Edge::Rising) == 0 {
         await_interrupt(board);
@@ -302,7 +301,7 @@ fn wires(board: &HostBoard) {
     while board.link().try_receive(&mut words) != Some(0) {
         std::thread::yield_now();
     }
-    // A cut line transmits nothing.
+    // A cut line must transmit no edge.
     board.trace([1, 0, 0, 0]);
     let before = lines.received(Line::Heartbeat1, Edge::Rising);
     while board.can().try_receive().is_none() {
@@ -339,13 +338,13 @@ fn frame(id: u16) -> CanFrame {
     CanFrame::new(CanId::Standard(id), true, &[id as u8; 48]).expect("a valid frame")
 }
 
-/// All cores send frames and record the frames that they receive.
+/// All cores send frames, and record the frames that they receive.
 fn listen(board: &HostBoard) {
     let me = board.identity();
     let number = (me.system.index() * 3 + me.core.index()) as u16;
     board.can().wake_on_receive(true);
     board.trace([1, 0, 0, 0]);
-    // The vehicle signals that all cores are ready.
+    // The vehicle's frame 0x700 signals that all cores are ready.
     await_frame(board, 0x700);
     for n in 0..10 {
         board
@@ -369,7 +368,7 @@ fn listen(board: &HostBoard) {
         }
     }
     assert_eq!(board.can().overruns(), 0);
-    // The bus has one order: all cores receive the same frames, except their own.
+    // The bus has one order: all cores receive the same frames, except those that they sent.
     for id in &heard {
         board.trace([2, *id, 0, 0]);
     }
@@ -427,7 +426,7 @@ fn hear(script: &mut Script) {
     unplugged(script);
 }
 
-/// A system that is cut off the bus neither sends nor receives.
+/// A system that is cut off from the bus neither sends nor receives.
 fn unplugged(script: &mut Script) {
     script.port.set_cut(Wire::Can, B, true);
     script.port.broadcast(&frame(0x701));
@@ -483,7 +482,7 @@ fn chatter(board: &HostBoard) {
 }
 
 fn overheard(script: &mut Script) {
-    // The trace is not read while they write to it.
+    // The trace is not read while the cores write to it.
     script.until("they have talked", |script| {
         SystemId::ALL
             .iter()

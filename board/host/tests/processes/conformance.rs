@@ -1,7 +1,7 @@
-//! The contracts of `tandem-board-conformance` on this board: each case is a run, each role runs in
-//! the process of its core.
+//! Runs `tandem-board-conformance` on this board: each case is a run, each role runs in the process
+//! of its core.
 //!
-//! A role's result is a file beside the data flash, since the trace may be full and the core reset.
+//! A role writes its result to a file, because the trace may be full and the core may be reset.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ pub(crate) fn cases() -> impl Iterator<Item = Case> {
     })
 }
 
-/// The action of these cores is in [`play`]: it needs more than the board.
+/// Unused: the cores of these cases run [`play`], which needs more than the board.
 fn nothing(_: &HostBoard) {}
 
 fn find(name: &str) -> Option<(usize, suite::Case<HostBoard>)> {
@@ -38,7 +38,7 @@ fn find(name: &str) -> Option<(usize, suite::Case<HostBoard>)> {
         .find(|(_, case)| case.name == name)
 }
 
-/// Runs the core's part if this is a case of the suite; returns whether it is.
+/// Runs the core's part if `name` is a case of the suite; returns whether it is one.
 pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
     let Some((number, case)) = find(name) else {
         return false;
@@ -48,7 +48,7 @@ pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
         .parts
         .iter()
         .position(|part| part.place == me.address());
-    // Cores without a part are absent, but a system without its core 0 would be reset.
+    // Cores without a part must not run, but a system without its core 0 would be reset.
     if part.is_none() && me.core != CoreId::CONTROL {
         return true;
     }
@@ -82,7 +82,7 @@ fn serve_while(board: &HostBoard, serves: &AtomicBool) {
     }
 }
 
-/// Complete or not at all: the core may be reset while it writes.
+/// Writes the file completely or not at all: the core may be reset while it writes.
 fn report(file: &Path, said: &str) {
     let draft = file.with_extension("draft");
     fs::write(&draft, said)

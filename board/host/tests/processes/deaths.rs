@@ -1,4 +1,4 @@
-//! The failures of cores, supplies and watchdogs: level lines, resets and their causes.
+//! Tests failures of cores, supplies and watchdogs: level lines, resets and their causes.
 
 use core::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration as Span, Instant as Clock};
@@ -112,7 +112,7 @@ const CODE_OF: [ResetCause; 4] = [
     ResetCause::Trap,
 ];
 
-/// Core 0 reports its incarnation, its reset cause, and the value of a word of the LMU that it then
+/// Core 0 reports its incarnation, its reset cause, and the value of an LMU word, which it then
 /// overwrites.
 fn report(board: &HostBoard) {
     if board.identity().core == CONTROL {
@@ -131,7 +131,7 @@ fn report_start(board: &HostBoard) {
     live(board);
 }
 
-/// Waits for the report of this incarnation; returns its reset cause and the value of the LMU word.
+/// Waits for the report of this incarnation; returns its reset cause and the LMU word's value.
 fn await_start(script: &mut Script, system: SystemId, incarnation: u32) -> (ResetCause, u32) {
     loop {
         let [_, generation, cause, found] = script.await_trace(system, CONTROL, STARTED);
@@ -145,7 +145,7 @@ fn report_power(board: &HostBoard) {
     if board.identity().core != CONTROL {
         return idle(board);
     }
-    // The first wait returns at once; the second one would show a ring that the level did not
+    // The first wait returns at once; a second one would detect a ring that the level did not
     // cause.
     board.wait(board.now());
     board.trace([STARTED, board.identity().generation.0, 0, 0]);
@@ -153,14 +153,14 @@ fn report_power(board: &HostBoard) {
         service(board);
         std::thread::sleep(Span::from_millis(6));
     }
-    // The level line has rung as well.
+    // The fall of the level line must also have rung the doorbell.
     await_interrupt(board);
     board.trace([POWER, 0, 0, 0]);
     serve(board);
 }
 
-/// T-CHIP-5, T-CHIP-6: a system that loses its supply loses all cores, and the other
-/// system is notified.
+/// T-CHIP-5, T-CHIP-6: a system that loses its supply loses all cores, and the other system is
+/// notified.
 fn kill_supply(script: &mut Script) {
     await_start(script, A, 1);
     await_start(script, B, 1);
@@ -180,7 +180,7 @@ fn kill_supply(script: &mut Script) {
     assert!(script.was_never_blamed(B), "B drives on");
 }
 
-/// T-CHIP-6: the death of core 0 is a trap; the system starts again with memory as at power-on.
+/// T-CHIP-6: the death of core 0 is a trap; the system restarts with its memory as at power-on.
 fn kill_core_0(script: &mut Script) {
     assert_eq!(await_start(script, A, 1), (ResetCause::PowerOn, 0));
     await_start(script, B, 1);
@@ -206,7 +206,7 @@ fn supervise(board: &HostBoard) {
     match board.identity().core {
         CONTROL => loop {
             service(board);
-            // The vehicle reports that it has killed core 1.
+            // A frame from the vehicle means that the vehicle has killed core 1.
             if board.can().try_receive().is_some() {
                 board.supply().request_reset(ResetRequest::CoreDead);
             }
@@ -223,7 +223,7 @@ fn kill_core_1(script: &mut Script) {
     script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
     script.rest(60);
     if script.was_never_blamed(A) && script.generation(A, CONTROL).0 > 1 {
-        // The machine held core 0 up: the watchdog's reset came before the one that it asks for.
+        // Core 0 was delayed: the watchdog reset the system before core 0 requested the reset.
         return;
     }
     assert_eq!(script.generation(A, CONTROL).0, 1, "no other part resets");
@@ -235,15 +235,15 @@ fn kill_core_1(script: &mut Script) {
     script.await_incarnation(A, 2);
 }
 
-/// T-CHIP-6: a core hangs; only the missing service shows it.
+/// T-CHIP-6: a core hangs; only the missing service of the watchdog reveals it.
 fn freeze(script: &mut Script) {
     await_start(script, B, 1);
     script.signal(B, CONTROL, Signal::STOP);
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
 }
 
-/// T-CHIP-6: while the supply is held up it watches no core. Afterwards it judges the services that
-/// the ring kept; the rest is not the core's fault.
+/// T-CHIP-6: while the supply is stopped, it watches no core. Afterwards it judges the services
+/// that the ring kept; lost services do not count against the core.
 fn freeze_supply(script: &mut Script) {
     script.await_incarnation(A, 1);
     script.rest(50);
@@ -342,8 +342,8 @@ fn paced(script: &mut Script) {
     let start = Clock::now();
     script.rest(1_500);
     let incarnations = script.generation(A, CONTROL).0;
-    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s. On any machine there must not
-    // be more than that in the time that has really passed.
+    // 20 + 40 + 80 + 160 + 320 + 640 ms mean seven starts in 1.26 s. Even on a slow machine there
+    // must not be more in the time that has really passed.
     let (mut allowed, mut pause, mut time) = (1, 20, 0);
     while time < start.elapsed().as_millis() + 100 {
         time += pause;
@@ -358,7 +358,7 @@ fn paced(script: &mut Script) {
 
 const ANSWER: u32 = 7;
 
-/// Core 1 answers rings with a count in the LMU; core 0 rings and serves.
+/// Core 1 answers rings with a count in the LMU; core 0 rings and services the watchdog.
 fn answer_rings(board: &HostBoard) {
     let (asked, answered) = (&board.lmu()[0], &board.lmu()[16]);
     match board.identity().core {
@@ -373,7 +373,7 @@ fn answer_rings(board: &HostBoard) {
                 }
             }
             board.trace([ANSWER, board.identity().generation.0, 0, 0]);
-            // Any number of rings to a dead core does nothing.
+            // Rings to a dead core must have no effect.
             for _ in 0..10_000 {
                 board.ring(CoreId::PLANNING);
             }
@@ -383,7 +383,7 @@ fn answer_rings(board: &HostBoard) {
             board.wait(clock::now() + tandem_board::Duration::from_ms(10_000));
             answered.store(asked.load(SeqCst), SeqCst);
         },
-        // Core 1 is dead, but its doorbell still exists.
+        // Core 2 has no role here: it ends at once, but its doorbell still exists.
         _ => {}
     }
 }
@@ -402,7 +402,7 @@ fn send_always(board: &HostBoard) {
     let id = 0x10 + board.identity().system.index() as u16;
     let frame = CanFrame::new(CanId::Standard(id), false, &[1]).expect("valid");
     for n in 0_u32.. {
-        // Fails when full: the bus is stopped.
+        // Fails if the buffer is full: the bus is stopped.
         let _ = board.can().try_send(&frame);
         if n.is_multiple_of(10) {
             let question = board.supply().watchdog_question();
@@ -421,7 +421,7 @@ fn silence(script: &mut Script) {
             .transmitted(&mut |system, _, _| sent[system.index()] += 1);
         sent.iter().all(|count| *count > 20)
     });
-    // The bus stands still while frames collect.
+    // The bus is stopped while frames collect.
     std::thread::sleep(Span::from_millis(20));
     signal(script.port.backplane().supply_pid(A), Signal::KILL);
     let patience = Clock::now() + Span::from_secs(10);
@@ -493,7 +493,7 @@ fn list(script: &mut Script) {
     assert!(all.iter().any(|process| process.pid == std::process::id()));
 }
 
-/// All processes but the launcher have the granted policy, and continue with it.
+/// All processes except the launcher must have the granted policy and keep it.
 fn check_policy(script: &mut Script) {
     const FIFO: &str = "1";
     for system in SystemId::ALL {
@@ -504,7 +504,7 @@ fn check_policy(script: &mut Script) {
             });
             let pid = script.pid(system, core);
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("its state");
-            // Field 41 of proc(5): the policy; 40 fields are before it, 2 of them up to the
+            // Field 41 of proc(5) is the policy. 40 fields precede it; 2 of them end at the
             // bracket.
             let fields = stat.rsplit_once(')').expect("a name").1;
             let policy = fields.split_whitespace().nth(38).expect("a policy");

@@ -1,6 +1,6 @@
-//! A run in places that offer less than a developer's machine: a small or full `/dev/shm`, an
+//! Tests a run in places that offer less than a developer's machine: a small or full `/dev/shm`, an
 //! ordinary user, a container, one CPU. Each trial creates the place itself, so most need root; a
-//! trial without the rights is ignored, and says so.
+//! trial without the rights is ignored and reports it.
 
 use std::ffi::CString;
 use std::fs::{self, File};
@@ -27,10 +27,10 @@ use crate::fixture::{self, Case, GRANTED, Script, live, signal};
 use crate::launcher;
 use crate::residue::{LASTING, Outcome, end_in_order, started, until};
 
-/// The case whose cores must be granted real time.
+/// The case whose cores must be granted real-time scheduling.
 pub(crate) const GRANTED_REALTIME: &str = "with_real_time_granted";
 
-/// Not a separate case: the trials below give it a place.
+/// Not a separate case: the trials below run it in their places.
 pub(crate) const GRANTED_CASE: Case = Case {
     name: GRANTED_REALTIME,
     core: live,
@@ -40,7 +40,7 @@ pub(crate) const GRANTED_CASE: Case = Case {
 const LIMIT: &str = "a_limit_on_priorities_gives_real_time";
 /// The highest priority that a process of a run claims.
 const PRIORITIES: u64 = 80;
-/// A user who owns no file.
+/// The id of a user who owns no file.
 const ORDINARY: u32 = 61_234;
 
 fn check_granted(script: &mut Script) {
@@ -96,7 +96,7 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials.collect()
 }
 
-/// Why this process cannot raise the limit on priorities.
+/// Returns why this process cannot raise the limit on priorities.
 fn lacking_limit() -> Option<String> {
     let may_raise =
         capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_RESOURCE));
@@ -105,7 +105,7 @@ fn lacking_limit() -> Option<String> {
     (!may_raise && !suffices).then(|| "the limit on priorities cannot be raised".to_owned())
 }
 
-/// Why these places cannot be created here.
+/// Returns why these places cannot be created here.
 fn lacking_right() -> Option<String> {
     if !geteuid().is_root() {
         return Some("only root can become another user".to_owned());
@@ -119,7 +119,7 @@ fn lacking_right() -> Option<String> {
     })
 }
 
-/// Runs `work` on a thread that sees its own `/dev/shm`, as do the processes that it starts.
+/// Runs `work` on a thread that has a separate `/dev/shm`, like the processes that it starts.
 fn in_own_shm(options: &str, work: impl FnOnce() -> Outcome + Send) -> Outcome {
     let options = CString::new(options)?;
     let enter = || -> io::Result<()> {
@@ -177,13 +177,13 @@ impl Ground {
     }
 }
 
-/// Lets the process that `command` starts run `setup` first.
+/// Makes the process that `command` starts run `setup` first.
 fn first(command: &mut Command, setup: impl FnMut() -> io::Result<()> + Send + Sync + 'static) {
-    // SAFETY: the setups below make system calls only: no allocation, no lock.
+    // SAFETY: the setups below only make system calls: no allocation, no lock.
     unsafe { command.pre_exec(setup) };
 }
 
-/// Makes this process, whose only thread this is, a process of an ordinary user.
+/// Turns this process, which must have no other thread, into one of an ordinary user.
 fn become_ordinary() -> io::Result<()> {
     set_thread_groups(&[])?;
     set_thread_gid(Gid::from_raw(ORDINARY))?;
@@ -191,7 +191,7 @@ fn become_ordinary() -> io::Result<()> {
     Ok(())
 }
 
-/// From now on the kernel refuses this system call, as the filter of a container does.
+/// Makes the kernel refuse this system call from now on, like the filter of a container.
 fn refuse(call: libc::c_long) -> io::Result<()> {
     set_no_new_privs(true)?;
     let statement = |code: u32, jt, jf, k| libc::sock_filter {
@@ -232,7 +232,7 @@ fn refuse(call: libc::c_long) -> io::Result<()> {
     }
 }
 
-/// A run that lasts and ends in order; `look` is called in between.
+/// Starts a run that lasts, calls `look`, and ends the run in order.
 fn lasts(mut launcher: Command, look: impl FnOnce(u32) -> Outcome) -> Outcome {
     let started = started(launcher.spawn()?, 9)?;
     let looked = look(started.launcher.id());
@@ -240,7 +240,7 @@ fn lasts(mut launcher: Command, look: impl FnOnce(u32) -> Outcome) -> Outcome {
     looked
 }
 
-/// Too little room is an error that names the place, and nothing is left there.
+/// Too little space is an error that names the place, and no file is left there.
 fn small() -> Outcome {
     for size in ["size=64k", "size=512k", "size=1m"] {
         in_own_shm(size, || {
@@ -257,8 +257,8 @@ fn small() -> Outcome {
     Ok(())
 }
 
-/// T-RED-8: when others have filled the place, the death of core 0 resets its system, and only
-/// that.
+/// T-RED-8: if other files fill the place, the death of core 0 resets its system and has no other
+/// effect.
 fn full() -> Outcome {
     in_own_shm("size=24m", || {
         let ground = Ground::new()?;
@@ -270,7 +270,7 @@ fn full() -> Outcome {
                 .map(|process| process.pid)
                 .collect()
         };
-        // A core that is just being started has the name of its supply until it is executed.
+        // A core that is about to be executed still has the name of its supply.
         let before = until("two supplies", || {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;
@@ -301,7 +301,7 @@ fn full() -> Outcome {
     })
 }
 
-/// Writes until there is no room.
+/// Writes until the file system is full.
 fn fill(path: &Path) -> io::Result<()> {
     let mut file = File::create(path)?;
     loop {
@@ -329,7 +329,7 @@ fn namespace_of(pid: impl std::fmt::Display, kind: &str) -> io::Result<PathBuf> 
     fs::read_link(format!("/proc/{pid}/ns/{kind}"))
 }
 
-/// It uses the machine's `/dev/shm`, and is in no half-made namespace.
+/// The run must use the machine's `/dev/shm` and have entered no namespace.
 fn is_shared(launcher: u32) -> Outcome {
     for kind in ["user", "mnt"] {
         assert_eq!(
@@ -341,7 +341,7 @@ fn is_shared(launcher: u32) -> Outcome {
     Ok(())
 }
 
-/// The filter of a container refuses one of the calls that a namespace needs.
+/// The filter of a container refuses one of the system calls that a namespace needs.
 fn without(call: libc::c_long, ordinary: bool) -> Outcome {
     let ground = Ground::new()?;
     let mut launcher = ground.launcher(LASTING.name, "own");
@@ -354,8 +354,8 @@ fn without(call: libc::c_long, ordinary: bool) -> Outcome {
     lasts(launcher, is_shared)
 }
 
-/// A user namespace is granted, but its map is not: a program that its user may execute but not
-/// read does not own its own files in `/proc`.
+/// A user namespace is granted, but its map is refused: a program that its user may execute but not
+/// read does not own its files in `/proc`.
 fn no_map() -> Outcome {
     let ground = Ground::new()?;
     fs::set_permissions(ground.program(), fs::Permissions::from_mode(0o711))?;
@@ -364,7 +364,7 @@ fn no_map() -> Outcome {
     lasts(launcher, is_shared)
 }
 
-/// An ordinary user whose processes inherit `CAP_SYS_NICE` has real time.
+/// An ordinary user whose processes inherit `CAP_SYS_NICE` gets real-time scheduling.
 fn ambient() -> Outcome {
     let ground = Ground::new()?;
     let mut launcher = ground.launcher(GRANTED_CASE.name, "own");
@@ -384,7 +384,7 @@ fn ambient() -> Outcome {
     fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
-/// An ordinary user with a limit on priorities has real time, with an own `/dev/shm`.
+/// An ordinary user with a limit on priorities gets real-time scheduling and a private `/dev/shm`.
 fn limit() -> Outcome {
     let ground = Ground::new()?;
     let mut launcher = ground.launcher(GRANTED_CASE.name, "own");
@@ -399,8 +399,8 @@ fn limit() -> Outcome {
     fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
-/// T-CHIP-6: the kernel unbinds a process from its parent when it executes a program with a file
-/// capability. A core binds itself again.
+/// T-CHIP-6: the kernel unbinds a process from its parent when the process executes a program with
+/// a file capability. A core binds itself again.
 fn file_capability() -> Outcome {
     let ground = Ground::new()?;
     let nice = CapabilitySet::SYS_NICE.bits() as u32;
@@ -444,7 +444,7 @@ fn file_capability() -> Outcome {
     dark.map_err(Failed::from)
 }
 
-/// All nine processes share a CPU.
+/// All nine processes share one CPU.
 fn one_cpu() -> Outcome {
     let cases = fixture::all_cases();
     let case = cases

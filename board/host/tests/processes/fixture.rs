@@ -1,4 +1,4 @@
-//! The definition of a case, and the work of each process of its run.
+//! Defines what a case is, and what each process of its run does.
 
 use std::ffi::OsString;
 use std::process::{Child, ExitCode};
@@ -18,16 +18,16 @@ use crate::launcher::{self, again, start_launcher};
 
 const CONTROL: CoreId = CoreId::CONTROL;
 
-/// How long anything may take before it counts as hung.
+/// Time limit for any step; a step that takes longer is considered hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 
-/// First trace record of every core in the case of that name: whether it was granted real-time
+/// First trace record of every core in the real-time cases: whether the core was granted real-time
 /// priority.
 pub(crate) const GRANTED: u32 = 1_000;
-/// Trace record of a core 0 just after it serviced the watchdog.
+/// Trace record of a core 0 directly after it has serviced the watchdog.
 const SERVES: u32 = 1_001;
 
-/// One case: the work of every core, and the script.
+/// One case: the function of every core, and the script of the vehicle.
 #[derive(Clone, Copy)]
 pub(crate) struct Case {
     pub(crate) name: &'static str,
@@ -35,7 +35,7 @@ pub(crate) struct Case {
     pub(crate) vehicle: fn(&mut Script),
 }
 
-/// The vehicle's side of a case.
+/// The vehicle's part of a case.
 pub(crate) struct Script {
     pub(crate) port: HostVehiclePort,
     pub(crate) run: RunName,
@@ -43,9 +43,9 @@ pub(crate) struct Script {
     pub(crate) folder: OsString,
     /// Trace records that no test has waited for yet.
     traced: Vec<Traced>,
-    /// The resets by the supplies.
+    /// The resets that the supplies reported.
     resets: Vec<(tandem_board::Instant, SystemId)>,
-    /// Records that the cores could not write, as counted by [`Script::await_trace`].
+    /// Trace records that the cores could not write.
     pub(crate) lost: u32,
 }
 
@@ -63,18 +63,18 @@ fn case(name: &str) -> Case {
     all.find(|case| case.name == name).expect("a known case")
 }
 
-/// Runs a case in separate processes and returns their messages if it failed.
+/// Runs a case in separate processes. If it fails, returns their messages.
 pub(crate) fn run_case(case: Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     finish(start_launcher(case.name, folder.path(), "own"))
 }
 
-/// Waits until a case has ended, and returns what went wrong.
+/// Waits until a case has ended, and returns the messages of its processes if it failed.
 pub(crate) fn finish(launcher: Child) -> Result<(), String> {
     launcher::finish(launcher, PATIENCE + Duration::from_secs(10)).map(drop)
 }
 
-/// Whether the processes of a case claim real time.
+/// Returns whether the processes of a case claim real-time scheduling.
 pub(crate) fn claims_realtime(case: &str) -> bool {
     [
         crate::deaths::REALTIME,
@@ -83,7 +83,7 @@ pub(crate) fn claims_realtime(case: &str) -> bool {
     .contains(&case)
 }
 
-/// Runs as a process of a run.
+/// Does the work of one process of a run.
 pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     let name = args.common().extra[0].to_str().expect("name").to_owned();
     let case = case(&name);
@@ -142,7 +142,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
 }
 
 impl Script {
-    /// Lets the bus run until `is_true`.
+    /// Runs the bus until `is_true` returns true.
     pub(crate) fn until(&mut self, what: &str, mut is_true: impl FnMut(&mut Self) -> bool) {
         let deadline = Instant::now() + PATIENCE / 2;
         while !is_true(self) {
@@ -156,13 +156,13 @@ impl Script {
         }
     }
 
-    /// Lets the bus run for a time.
+    /// Runs the bus for this many milliseconds.
     pub(crate) fn rest(&mut self, ms: u64) {
         let end = clock::now() + tandem_board::Duration::from_ms(ms);
         self.until("time passes", |_| clock::now() >= end);
     }
 
-    /// Waits for the next record `[code, ..]` in the trace of the core, and takes it.
+    /// Waits for the next record `[code, ..]` in the trace of the core, and removes it.
     pub(crate) fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
         let is_it = |t: &Traced| t.system == system && t.core == core && t.record[0] == code;
         self.until(&format!("{system}{core} says {code}"), |script| {
@@ -173,7 +173,7 @@ impl Script {
         self.traced.remove(at).record
     }
 
-    /// Takes the records `[code, ..]` of the core that were already read.
+    /// Removes and returns the records `[code, ..]` of the core that have already been read.
     pub(crate) fn take_traced(
         &mut self,
         system: SystemId,
@@ -199,8 +199,8 @@ impl Script {
         signal(self.pid(system, core), what);
     }
 
-    /// Whether the system was never reset, or only when its core 0 was held up for so long that the
-    /// watchdog had to: the machine had taken its CPU.
+    /// Returns whether the system was never reset, or only while its core 0 had no CPU for so long
+    /// that the watchdog had to reset it.
     pub(crate) fn was_never_blamed(&mut self, system: SystemId) -> bool {
         self.drain();
         let serves = |t: &&Traced| (t.system, t.core, t.record[0]) == (system, CONTROL, SERVES);
@@ -216,7 +216,7 @@ impl Script {
         excused.len() + 1 == incarnations && !excused.contains(&false)
     }
 
-    /// Takes what cores and supplies have written.
+    /// Reads what cores and supplies have written.
     fn drain(&mut self) {
         self.lost += self
             .port
@@ -232,7 +232,7 @@ impl Script {
         self.port.backplane().generation(system, core)
     }
 
-    /// Waits until all cores of a system are started for the `incarnation`th time.
+    /// Waits until all cores of a system have started for the `incarnation`th time.
     pub(crate) fn await_incarnation(&mut self, system: SystemId, incarnation: u32) {
         self.until(
             &format!("incarnation {incarnation} of {system}"),
@@ -251,7 +251,7 @@ pub(crate) fn signal(pid: u32, signal: Signal) {
     rustix::process::kill_process(pid, signal).expect("the process is there");
 }
 
-/// Waits for an interrupt and fails if none arrives.
+/// Waits for an interrupt, and fails if none arrives.
 pub(crate) fn await_interrupt(board: &HostBoard) {
     let deadline = board.now() + tandem_board::Duration::from_ms(15_000);
     assert_eq!(
@@ -261,14 +261,14 @@ pub(crate) fn await_interrupt(board: &HostBoard) {
     );
 }
 
-/// Sleeps until killed.
+/// Sleeps until the process is killed.
 pub(crate) fn idle(board: &HostBoard) {
     loop {
         board.wait(tandem_board::Instant::NEVER);
     }
 }
 
-/// Services the watchdog correctly, until killed.
+/// Services the watchdog correctly until the process is killed.
 pub(crate) fn serve(board: &HostBoard) {
     loop {
         service(board);
@@ -283,11 +283,11 @@ pub(crate) fn service(board: &HostBoard) {
     board
         .supply()
         .service_watchdog(tandem_board::watchdog_answer(question));
-    // After it: a core that loses its CPU in between was served no later than the record says.
+    // After the service: if the core loses its CPU in between, the record is not too early.
     board.trace([SERVES, 0, 0, 0]);
 }
 
-/// Core 0 services the watchdog, the others sleep.
+/// Core 0 services the watchdog; the other cores sleep.
 pub(crate) fn live(board: &HostBoard) {
     if board.identity().core == CoreId::CONTROL {
         serve(board)

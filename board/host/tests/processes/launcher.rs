@@ -1,5 +1,5 @@
 //! A run of a test: this program is started again as the launcher of the run, and the launcher
-//! starts it as supplies, cores and vehicle.
+//! starts it as supplies and vehicle.
 
 use std::ffi::OsString;
 use std::io::Read as _;
@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 
 use tandem_board_host::{LaunchError, LaunchPlan, Launcher, ProcessArgs, Schedule, isolation};
 
-/// First argument of this program as a launcher; then the case, the folder, the place.
+/// First argument of this program as a launcher; the case, the folder and the place follow.
 pub(crate) const LAUNCH: &str = "launch";
 /// Exit status of a launcher that could not prepare its run.
 pub(crate) const REFUSED: u8 = 4;
 
-/// Starts this program as the launcher of a run. `place`: `own` or `shared`.
+/// Starts this program as the launcher of a run. `place` is `own` or `shared`.
 pub(crate) fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
     let program = std::env::current_exe().expect("own path");
     launcher(&program, case, folder, place)
@@ -23,7 +23,7 @@ pub(crate) fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
         .expect("launcher")
 }
 
-/// The command that is the launcher of a run; `program` is this program or a copy of it.
+/// Returns the command that starts the launcher of a run; `program` is this program or a copy.
 pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -> Command {
     let mut command = Command::new(program);
     command.args([LAUNCH, case]).arg(folder).arg(place);
@@ -32,10 +32,10 @@ pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -
     command
 }
 
-/// Waits until a run has ended. Returns the messages of its processes; as an error if it failed, or
-/// did not end within `patience`.
+/// Waits until a run has ended. Returns the messages of its processes; as an error if the run
+/// failed or did not end within `patience`.
 pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, String> {
-    // Read all the time: a full pipe would stop the launcher.
+    // Read continuously: a full pipe would stop the launcher.
     let mut pipe = launcher.stderr.take().expect("a pipe");
     let reader = thread::spawn(move || {
         let mut said = vec![];
@@ -62,7 +62,7 @@ pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, 
     }
 }
 
-/// Runs as the launcher of a case.
+/// Does the work of the launcher of a case.
 pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) -> ExitCode {
     let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
     let place = if place == "own" {
@@ -104,14 +104,14 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
     }
 }
 
-/// The command that is a process of the run.
+/// Returns the command that starts a process of the run.
 pub(crate) fn again(args: &ProcessArgs) -> Command {
     let mut command = Command::new(std::env::current_exe().expect("own path"));
     command.args(args.to_argv());
     command
 }
 
-/// Ends the vehicle, and the run with it, after `patience`.
+/// Ends the vehicle, and thus the run, after `patience`.
 pub(crate) fn watch(patience: Duration) {
     thread::spawn(move || {
         thread::sleep(patience);

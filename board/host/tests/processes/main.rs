@@ -1,9 +1,9 @@
-//! The host board as real processes: what it connects, what it survives, what it leaves behind.
+//! Tests the host board as real processes: connections, failures, and what a run leaves behind.
 //!
 //! Each case is a separate run. The harness starts this program again as the launcher of the run;
 //! the launcher starts it again as supplies and vehicle, and the supplies as cores. The vehicle
-//! runs the script of the case: it sees and kills all processes, and a panic in it fails the case.
-//! The conformance suite of the board runs in the same way.
+//! runs the script of the case: it can observe and kill all processes, and a panic in it fails the
+//! case. The conformance suite of the board runs in the same way.
 #![allow(clippy::expect_used, reason = "a test")]
 
 mod cases;

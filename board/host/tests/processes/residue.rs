@@ -1,4 +1,4 @@
-//! A run leaves nothing behind, whichever process is killed, at any time.
+//! A run leaves nothing behind, whichever process is killed, and whenever.
 
 use std::path::Path;
 use std::process::Child;
@@ -24,7 +24,7 @@ fn short(script: &mut Script) {
     script.await_incarnation(SystemId::B, 1);
 }
 
-/// Lasts until a test ends it. Not a separate case: the trials below need a run to kill.
+/// Runs until a test ends it. Not a separate case: the trials below need a run to kill.
 pub(crate) const LASTING: Case = Case {
     name: "lasting",
     core: live,
@@ -60,7 +60,7 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 pub(crate) type Outcome = Result<(), libtest_mimic::Failed>;
 
-/// A run of this launcher that has at least one other process.
+/// A launcher and its run, of which at least one other process exists.
 pub(crate) struct Started {
     pub(crate) launcher: Child,
     pub(crate) run: RunName,
@@ -116,7 +116,7 @@ fn interrupt(place: &str) -> Outcome {
     end_in_order(start(folder.path(), place, 9)?)
 }
 
-/// Ends a run by Ctrl-C: it ends with success and leaves nothing.
+/// Ends a run by Ctrl-C: the launcher must end with success and leave nothing behind.
 pub(crate) fn end_in_order(mut started: Started) -> Outcome {
     let launchers = [started.launcher.id()];
     signal(started.launcher.id(), Signal::INT);
@@ -132,7 +132,7 @@ pub(crate) fn end_in_order(mut started: Started) -> Outcome {
     assert_clean(&launchers)
 }
 
-/// No file in the machine's folders has the name of a run of these launchers.
+/// Checks that no file in the machine's folders has the name of a run of these launchers.
 fn assert_clean(launchers: &[u32]) -> Outcome {
     let own = |name: &String| {
         launchers
@@ -165,7 +165,7 @@ fn kill_all(place: &str) -> Outcome {
         started.launcher.wait()?;
         gone(&started.run)?;
     }
-    // The next run starts without help, and sweeps the leftovers in a shared place.
+    // The next run must start without help, and remove the leftovers in a shared place.
     let mut next = start(folder.path(), place, 9)?;
     launchers.push(next.launcher.id());
     signal(next.launcher.id(), Signal::INT);
@@ -210,7 +210,7 @@ fn kill_while_starting(place: &str) -> Outcome {
         if round % 2 == 0 {
             signal(launcher.id(), Signal::KILL);
         } else {
-            // Any existing process of the run.
+            // Kill any existing process of the run.
             let there = ours();
             if let Some(victim) = there.get(round as usize % there.len().max(1)) {
                 let pid = rustix::process::Pid::from_raw(victim.pid as i32).expect("a process");
@@ -220,7 +220,7 @@ fn kill_while_starting(place: &str) -> Outcome {
             signal(launcher.id(), Signal::INT);
         }
         until("the launcher ends", || launcher.try_wait().ok().flatten())?;
-        // The vehicle ends a run that has no launcher.
+        // Kill the vehicle: that ends a run without a launcher.
         for process in ours() {
             let pid = rustix::process::Pid::from_raw(process.pid as i32).expect("a process");
             if process.system.is_none() {
@@ -230,7 +230,7 @@ fn kill_while_starting(place: &str) -> Outcome {
         until("all are gone", || ours().is_empty().then_some(()))
             .map_err(|error| format!("round {round}: {error}: {:?}", ours()))?;
     }
-    // After all that a start works, and sweeps.
+    // After all of that, a new run must start, and remove the leftovers.
     let mut next = start(folder.path(), place, 9)?;
     launchers.push(next.launcher.id());
     signal(next.launcher.id(), Signal::INT);
