@@ -21,7 +21,7 @@ struct Standby {
 }
 
 impl Standby {
-    /// Its master has driven for 400 ms.
+    /// Returns a standby whose master has driven for 400 ms.
     fn new() -> Self {
         let now = Instant::from_ns(5_000_000_000);
         let loaded = Loaded::State(SystemState::factory(SystemId::B));
@@ -60,7 +60,7 @@ impl Standby {
         let _ = self.machine.on(self.now, Input::Poll(self.snapshot));
     }
 
-    /// A report arrives that was sent some milliseconds ago.
+    /// Passes on a report that was sent `ago_ms` milliseconds ago.
     fn report(&mut self, ago_ms: u64) {
         let link = LinkReport {
             report: MASTER,
@@ -71,12 +71,12 @@ impl Standby {
     }
 }
 
-/// T-CHIP-5, T-RED-9: a link that repeats the master's last report, brings an earlier one again, or
-/// brings each far too late, does not keep the standby from taking over from a dead master. A link
-/// that is whole does.
+/// T-CHIP-5, T-RED-9: a link that repeats the master's last report, delivers an earlier one again,
+/// or delivers each far too late, does not keep the standby from taking over from a failed master.
+/// An intact link does.
 #[test]
 fn a_link_that_repeats_its_datagrams_is_no_sign_of_life() {
-    // How long ago what arrives was sent, by the time since the master's last report, ms.
+    // The age of the report that arrives, by the time since the master's last report, ms.
     type Case = (&'static str, fn(u64) -> u64, Phase);
     let cases: [Case; 4] = [
         ("whole", |_| 0, Phase::Standby),

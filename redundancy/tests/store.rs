@@ -1,4 +1,4 @@
-//! The state store under loss of power at every byte of every operation, and on a flash that fails.
+//! The state store when power is lost at every byte of every operation, and on a failing flash.
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
@@ -7,14 +7,14 @@ use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state
 use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
 
-/// How an operation that was cut off after `n` bytes' worth of work left its range.
+/// What an operation that was interrupted after `n` bytes of work left in its range.
 #[derive(Clone, Copy, Debug)]
 enum Torn {
     /// The first `n` bytes are new.
     Front,
     /// The last `n` bytes are new.
     Back,
-    /// `n` bytes anywhere are new, and in one more byte some bits.
+    /// `n` scattered bytes are new, and in one more byte some bits.
     Scattered,
 }
 
@@ -47,7 +47,7 @@ impl Flash {
         })
     }
 
-    /// The range of an operation and what it is to contain.
+    /// Returns the range of an operation and its new content.
     fn effect(&self, op: &FlashOp) -> (usize, Vec<u8>) {
         let sector = self.geometry.sector_bytes;
         let (at, new) = match op {
@@ -110,7 +110,7 @@ fn state(n: u32) -> SystemState {
     }
 }
 
-/// The state in flash; none before the first write is complete, when the factory state counts.
+/// Returns the state in flash; `None` before the first write is complete (factory state).
 fn read(flash: &Flash) -> Option<SystemState> {
     match flash.load().1 {
         Loaded::State(state) => Some(state),
@@ -118,7 +118,7 @@ fn read(flash: &Flash) -> Option<SystemState> {
     }
 }
 
-/// Writes `state` to the end; calls `before` with the flash as it is before each operation.
+/// Writes `state` completely; calls `before` with the flash before each operation.
 fn write(
     store: &mut StateStore,
     flash: &mut Flash,
@@ -138,9 +138,9 @@ fn steps(flash: &Flash, op: &FlashOp) -> usize {
     flash.effect(op).1.len()
 }
 
-/// T-RED-1: power lost at every byte of every operation of many writes (several changes of sector),
-/// in three ways of tearing; after the reboot the state is the old or the new one, and writing goes
-/// on. The loss repeats once more, at every byte of what follows the first.
+/// T-RED-1: power is lost at every byte of every operation of many writes (several changes of
+/// sector), with three kinds of tearing. After the reboot the state is the old or the new one, and
+/// writing continues. A second loss then hits every byte of the operations that follow.
 #[test]
 fn power_loss_at_every_byte_leaves_the_old_or_the_new_state() {
     let mut flash = Flash::new(128);
@@ -174,7 +174,7 @@ fn power_loss_at_every_byte_leaves_the_old_or_the_new_state() {
     println!("{cuts} power losses, {erases} of the writes with an erase");
 }
 
-/// After a loss: one more write, with a second loss at every byte of each of its operations.
+/// After a loss, makes one more write, with a second loss at every byte of each of its operations.
 fn go_on_after_loss(mut flash: Flash, old: Option<SystemState>) -> u64 {
     let mut cuts = 0;
     let (mut store, _) = flash.load();
@@ -222,8 +222,7 @@ fn power_loss_with_sectors_of_real_size() {
     assert_eq!(erases, 1);
 }
 
-/// T-RED-1: without a single valid record the loss is reported, and the next write is durable all
-/// the same.
+/// T-RED-1: if there is no valid record, the loss is reported, and the next write is still durable.
 #[test]
 fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     let mut flash = Flash::new(128);
@@ -235,8 +234,8 @@ fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     assert_eq!(read(&flash), Some(state(5)));
 }
 
-/// T-RED-1: after a start the log goes on behind its last record, and no sector is erased for that.
-/// A flash without a valid record is not trusted: its first sector is erased.
+/// T-RED-1: after a start the log continues behind its last record without erasing a sector. A
+/// flash without a valid record is not trusted: its first sector is erased.
 #[test]
 fn the_first_write_after_a_start_erases_only_a_lost_flash() {
     let first_write = |flash: &Flash| {
@@ -318,7 +317,7 @@ fn a_medium_that_always_fails_is_given_up() {
     assert!(store.is_broken() && store.is_settled());
 }
 
-/// One event in the life of a store.
+/// One event for a store.
 #[derive(Clone, Copy, Debug)]
 enum RedundancyEvent {
     Request,
@@ -333,14 +332,14 @@ enum RedundancyEvent {
     Lose(usize, Torn),
 }
 
-/// What is known without a look at the store.
+/// The expected state, known without reading the store.
 #[derive(Clone, Debug)]
 struct Life {
     /// Requests so far.
     requests: u32,
-    /// There was one since the last start.
+    /// There was a request since the last start.
     requested: bool,
-    /// Failures since the last operation that ended well.
+    /// Failures since the last operation that succeeded.
     failures: u32,
 }
 
@@ -370,7 +369,7 @@ impl ReferenceStateMachine for Life {
         .boxed()
     }
 
-    /// At most three failures in a row: a medium that is not broken.
+    /// Permits at most three failures in a row: the flash is not broken.
     fn preconditions(life: &Self, event: &RedundancyEvent) -> bool {
         !matches!(event, RedundancyEvent::Fail(..)) || life.failures < 3
     }
@@ -386,15 +385,15 @@ impl ReferenceStateMachine for Life {
     }
 }
 
-/// The store on its flash.
+/// The store and its flash.
 struct Machine {
     store: StateStore,
     flash: Flash,
     running: Option<FlashOp>,
-    /// How the last operation ended.
+    /// The result of the last operation.
     status: FlashStatus,
-    /// What the next start may find: what is durable, and what was begun since; a write that
-    /// failed may have left all of its record.
+    /// The states that the next start may find: the durable one, and those begun since. A write
+    /// that failed may have written its whole record.
     readable: Vec<Option<SystemState>>,
 }
 
@@ -404,7 +403,7 @@ impl Machine {
         self.status = FlashStatus::Idle;
         if let Some(&durable) = self.store.durable() {
             let known = self.readable.iter().rposition(|it| *it == Some(durable));
-            // What was begun before it is out of date.
+            // The states begun before it are out of date.
             self.readable.drain(..known.unwrap());
         }
         if let Some(FlashOp::Program { data, .. }) = &op {

@@ -6,7 +6,7 @@ use tandem_redundancy::{
     Action, FailureMode, Input, Loaded, Phase, Redundancy, Role, SystemState, Term,
 };
 
-/// T-RED-5: the first fault counts, and after it the first one that no reset cures.
+/// T-RED-5: the first fault counts; the first one that no reset cures replaces it.
 #[test]
 fn the_first_fault_counts_and_a_permanent_one_after_it() {
     use FailureMode::{AbnormalResets, IoModule, None, PerceptionCore, PlanningCore};
@@ -60,7 +60,7 @@ fn a_system_that_waits_for_its_reset_suspends_for_a_permanent_fault() {
     }
 }
 
-/// T-RED-5: a system drives to stop the vehicle for its command only if resets have not cured that.
+/// T-RED-5: a system sends a command known to be wrong only if resets have not cured it.
 #[test]
 fn only_a_command_that_no_reset_cured_is_sent_though_it_is_wrong() {
     for (cause, wrong_in_a_row, fault, expected) in [
@@ -98,8 +98,8 @@ fn a_master_whose_frame_was_refused_does_not_report_that_it_drives() {
     assert_eq!(bench.machine.report().role, Role::Master);
 }
 
-/// T-RED-9: a master listens before it drives on if it was held up beyond its lease and the other
-/// may have taken over: its heartbeats come, or it was heard as standby.
+/// T-RED-9: a master that was held up beyond its lease listens first if the other may have taken
+/// over: its heartbeats arrive, or it was heard as standby.
 #[test]
 fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
     let (lease, ns) = (CONFIG.lease(), Duration::from_ns(1));
@@ -127,7 +127,7 @@ fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
 }
 
 /// T-RED-9: a poll that is late by no more than its jitter is no stall: the limits of the witnesses
-/// go on.
+/// continue.
 #[test]
 fn a_poll_within_its_jitter_is_no_stall() {
     for (late, forgiven) in [

@@ -1,4 +1,4 @@
-//! A system leaves, or hands its role over, without a pause of control. T-BOOT-1
+//! A system leaves, or hands over its role, without a pause of control. T-BOOT-1
 
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, SystemId};
@@ -90,7 +90,7 @@ fn a_standby_may_leave_only_a_master_that_drives() {
     assert!(!driving.machine.may_leave(driving.now), "a master");
 }
 
-/// T-BOOT-1: a heartbeat may be as late as its jitter, and so may a control frame; no later.
+/// T-BOOT-1: a heartbeat or a control frame may be late by the jitter, but not later.
 #[test]
 fn a_standby_may_leave_while_no_sign_of_the_master_is_late() {
     let ms = |span: Duration| span.as_us() / 1_000;
@@ -116,7 +116,7 @@ fn a_standby_may_leave_while_no_sign_of_the_master_is_late() {
     }
 }
 
-/// T-BOOT-1: a master that is asked resigns over the link, for a while, and drives on as before.
+/// T-BOOT-1: a master that is asked to hand over resigns over the link and continues to drive.
 #[test]
 fn a_master_that_is_asked_offers_its_role() {
     let mut bench = Bench::master();

@@ -1,11 +1,11 @@
-//! When the power level of the other system is believed.
+//! The conditions under which the power level of the other system counts.
 
 use super::{Bench, CONFIG, sound};
 use tandem_board::SystemId;
 use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
 /// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
-/// shows the other to live is broken: it is reported once, and not believed until it was high for
+/// shows that the other runs is broken: it is reported once, and ignored until it has been high for
 /// long enough. Each sign alone is enough.
 #[test]
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
@@ -73,8 +73,8 @@ fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
     }
 }
 
-/// T-RED-9: a system that takes over has power: a level that is low is broken at once, not only
-/// after its limit. It does not contradict a high one.
+/// T-RED-9: a system that takes over has power: a line that is low counts as broken at once, not
+/// only after its limit. A high line is not contradicted.
 #[test]
 fn a_takeover_contradicts_a_low_level_at_once() {
     for powered in [false, true] {
@@ -88,7 +88,7 @@ fn a_takeover_contradicts_a_low_level_at_once() {
     }
 }
 
-/// T-RED-9: without a sign of life a low level is believed after its limit, and not before.
+/// T-RED-9: without a sign of life a low level counts after its limit, and not before.
 #[test]
 fn a_low_level_without_a_heartbeat_is_believed_within_its_limit() {
     // A short reset ends before the heartbeat is missed: the level is high again by then.

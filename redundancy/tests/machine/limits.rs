@@ -1,4 +1,4 @@
-//! What happens when a limit of time ends, and not before.
+//! What happens when a time limit ends, and not before.
 
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, Instant, SystemId};
@@ -7,8 +7,8 @@ use tandem_redundancy::{
     PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
-/// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
-/// no longer than it lasts.
+/// T-RED-8: a standby polls when a limit ends, not a poll interval later, so that no limit costs
+/// control more time than its own length.
 #[test]
 fn a_standby_polls_when_a_limit_ends() {
     let chip = Config::chip();
@@ -45,9 +45,9 @@ fn a_standby_polls_when_a_limit_ends() {
     }
 }
 
-/// T-RED-8: a link that falls silent with both lines shows a dead master before its control frames
-/// are missed. One that was silent longer before the lines than its limit was cut, and shows
-/// nothing; nor does one whose limit is not below the third witness's.
+/// T-RED-8: a link that falls silent with both lines shows a failed master before its control
+/// frames are missed. A link that fell silent more than its limit before the lines was cut, and
+/// shows nothing; nor does a link whose limit is not below the third witness's.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
@@ -79,7 +79,7 @@ fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
         let _ = bench.control(16);
         let mut due = bench.now;
         while bench.machine.phase() == Phase::Standby {
-            // A nanosecond before each limit as well.
+            // Also polls a nanosecond before each limit.
             bench.now = bench.now.max(Instant::from_ns(due.as_ns() - 1));
             let _ = bench.on(Input::Poll(bench.snapshot));
             assert_eq!(bench.machine.phase(), Phase::Standby);
@@ -94,7 +94,7 @@ fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     }
 }
 
-/// T-RED-9: a takeover tells what led to it, and for how long the master was not heard.
+/// T-RED-9: a takeover reports its cause, and for how long the master was not heard.
 #[test]
 fn a_takeover_tells_since_when_the_master_was_silent() {
     let mut bench = Bench::standby();
@@ -116,7 +116,7 @@ fn a_takeover_tells_since_when_the_master_was_silent() {
     assert!(takeover.term > Term::from_bits(16));
 }
 
-/// T-RED-9: a master gives up its standby when both lines were silent for longer than its limit.
+/// T-RED-9: a master gives up its standby when both lines are silent for longer than its limit.
 #[test]
 fn a_master_gives_up_its_standby_when_the_limit_ends() {
     let config = Config {
@@ -134,7 +134,7 @@ fn a_master_gives_up_its_standby_when_the_limit_ends() {
     assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
 }
 
-/// A report carries the last eleven bits of the number of starts, on the wire as before it.
+/// A report contains the last eleven bits of the number of starts, before and after it is sent.
 #[test]
 fn a_report_tells_which_start_of_its_sender_it_is() {
     for (starts, expected) in [(0, 1), (0x7FE, 0x7FF), (0x7FF, 0), (0x17FE, 0x7FF)] {
@@ -149,7 +149,7 @@ fn a_report_tells_which_start_of_its_sender_it_is() {
     }
 }
 
-/// Each report tells a later time than the one before, also two of the same moment.
+/// Each report has a later time than the one before, even if both are sent at the same moment.
 #[test]
 fn reports_tell_times_that_rise() {
     let mut bench = Bench::master();
@@ -162,7 +162,7 @@ fn reports_tell_times_that_rise() {
 }
 
 /// T-RED-6: a master that no longer hears CAN, while the other does, stops the vehicle until it
-/// hears CAN again. The limit doubles with each reset that did not cure it, three times at most.
+/// hears CAN again. The limit doubles with each reset without success, three times at most.
 #[test]
 fn a_master_stops_the_vehicle_while_its_can_is_open() {
     for (abn_in_a_row, times) in [(0, 1), (1, 2), (2, 4), (3, 8)] {
@@ -202,8 +202,8 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
     }
 }
 
-/// T-RED-9: a master that was held up resumes at the vehicle's word: its last frame is too recent
-/// for a takeover, or so old that a takeover would have happened.
+/// T-RED-9: a master that was held up resumes if the vehicle reports that its last frame is too
+/// recent for a takeover, or so old that a takeover would have happened.
 #[test]
 fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
     let under_way = CONFIG.poll_interval.times(2);
@@ -238,7 +238,7 @@ fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
     }
 }
 
-/// T-RED-9: the other counts as sound again when it was heard for a second, and as the standby,
+/// T-RED-9: the other counts as sound when it has been heard for one second, and as the standby,
 /// where that is permitted, after two.
 #[test]
 fn a_standby_that_is_back_counts_again_after_its_time() {
@@ -257,7 +257,7 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
                 let _ = bench.on(Input::StatusFrame(sound(Role::Standby, Term::NONE)));
             }
             bench.run_with_beats(1);
-            // The first heartbeat is heard a poll later.
+            // The first heartbeat is seen one poll later.
             let heard_for = bench.now.since(back + CONFIG.poll_interval);
             if !bench.machine.state().cpsys_failure {
                 sound_after.get_or_insert(heard_for);
@@ -272,9 +272,9 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
     }
 }
 
-/// T-RED-2: a handshake shows a standby that has heard no master that the other starts too: then it
-/// leads, also if a stray edge made it standby and no heartbeat came. First it listens, and neither
-/// the other nor the vehicle may say that a system drives. A master that it has heard has failed.
+/// T-RED-2: a standby that has heard no master leads when a handshake shows that the other starts
+/// too, even if a stray edge made it standby. It listens first, and neither the other nor the
+/// vehicle may report a driver. If it has heard a master, that master has failed.
 #[test]
 fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     let limit = CONFIG.witness_limit().as_us() / 1_000;
@@ -319,7 +319,7 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     }
 }
 
-/// T-RED-8: a master that lives and is not heard is mute when the vehicle says so; without an echo,
+/// T-RED-8: a master that runs but is not heard is mute when the vehicle says so; without an echo,
 /// when this system hears CAN or the other says that it does not drive. After an outage of CAN the
 /// master has time to be heard again.
 #[test]
@@ -406,8 +406,8 @@ fn an_echo_replaces_a_control_frame_that_was_missed() {
     }
 }
 
-/// T-RED-3: two lines that fall silent beside a master that drives are cut: reported once each
-/// time.
+/// T-RED-3: if two lines fall silent while the master drives, they are cut. Each cut is reported
+/// once.
 #[test]
 fn cut_lines_are_told_once() {
     let mut bench = Bench::standby();
@@ -425,8 +425,8 @@ fn cut_lines_are_told_once() {
     assert_eq!(reported, [0, 1, 0, 1]);
 }
 
-/// T-RED-5: an incarnation counts its wrong command once, however often it finds it. A power cycle
-/// leaves one attempt. Good operation takes one off.
+/// T-RED-5: an incarnation counts its wrong command once, even if it finds it repeatedly. A power
+/// cycle leaves one attempt. Good operation subtracts one.
 #[test]
 fn wrong_commands_are_counted_by_incarnation_and_fade() {
     let before = |wrong_in_a_row| SystemState {
@@ -450,7 +450,7 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
 }
 
 /// A clock that differs from both others by more than the limit is reported once. A master whose
-/// own clock it is stops the vehicle.
+/// own clock is wrong stops the vehicle.
 #[test]
 fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
     for (peer_ms, vehicle_ms, expected) in [
@@ -520,10 +520,10 @@ fn a_report_that_is_too_late_does_not_count() {
     }
 }
 
-/// A report counts up to its limit, and not a microsecond later.
+/// A report counts up to its limit, and not a microsecond longer.
 #[test]
 fn a_report_counts_up_to_its_limit() {
-    // Shorter than the time after which a clock is compared anew.
+    // Shorter than the pause after which the comparison of a clock starts again.
     let report_limit = Duration::from_ms(90);
     for (late, expected) in [
         (report_limit, true),
@@ -546,15 +546,15 @@ fn a_report_counts_up_to_its_limit() {
             bench.run_with_beats(10);
             assert!(report(&mut bench, Duration::ZERO));
         }
-        // Sent a millisecond after the last one.
+        // The report is sent a millisecond after the last one.
         bench.run_with_beats(1);
         bench.now += late;
         assert_eq!(report(&mut bench, late), expected, "{late:?}");
     }
 }
 
-/// A report that was sent before the last one does not count. The first one of a sender that has
-/// started does: its clock begins anew.
+/// A report that was sent before the last one does not count, unless its sender has restarted: then
+/// its clock starts again.
 #[test]
 fn the_clock_of_a_sender_that_has_started_begins_anew() {
     for (start, behind_ms, expected) in [(1, 300, false), (2, 300, true), (2, 900, true)] {

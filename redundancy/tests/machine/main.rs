@@ -1,4 +1,4 @@
-//! One machine, driven by hand: what the other side cannot provoke in the model of two.
+//! One machine with hand-made inputs: cases that the model of two systems cannot provoke.
 #![allow(clippy::unwrap_used)]
 
 mod faults;
@@ -43,7 +43,7 @@ struct Bench {
     now: Instant,
 }
 
-/// What a system without a fault reports.
+/// Returns the report of a system without a fault.
 fn sound(role: Role, term: Term) -> PeerReport {
     PeerReport {
         role,
@@ -69,7 +69,7 @@ impl Bench {
         }
     }
 
-    /// As many handshakes as a start needs; what the last one does.
+    /// Sends as many handshakes as a start needs; returns the actions of the last one.
     fn handshakes(&mut self) -> Actions {
         self.snapshot.handshakes += 1;
         let _ = self.poll();
@@ -77,7 +77,7 @@ impl Bench {
         self.poll()
     }
 
-    /// System A, started by handshakes of B, some milliseconds into dual operation.
+    /// Returns system A, started by handshakes of B, some milliseconds into dual operation.
     fn master() -> Self {
         Self::master_with(CONFIG)
     }
@@ -96,7 +96,7 @@ impl Bench {
         bench
     }
 
-    /// System B, started by the sync edge of A, with control frames every 10 ms.
+    /// Returns system B, started by the sync edge of A, with control frames every 10 ms.
     fn standby() -> Self {
         Self::standby_with(CONFIG)
     }
@@ -127,12 +127,12 @@ impl Bench {
         }))
     }
 
-    /// A report over the link that was sent just now.
+    /// Passes on a report over the link that was sent just now.
     fn linked(&mut self, report: PeerReport) -> Actions {
         self.linked_late(report, 0)
     }
 
-    /// A report over the link that was so long on its way.
+    /// Passes on a report over the link that was sent `ms` milliseconds ago.
     fn linked_late(&mut self, report: PeerReport, ms: u64) -> Actions {
         let (start, sent_us) = (1, (self.now.as_ns() / 1_000 - ms * 1_000) as u32);
         self.on(Input::LinkReport(LinkReport {
@@ -155,7 +155,7 @@ impl Bench {
         }
     }
 
-    /// A control frame of the system that the term belongs to.
+    /// Passes on a control frame of the system to which the term belongs.
     fn control(&mut self, term: u32) -> Actions {
         let term = Term::from_bits(term);
         self.on(Input::ControlFrame(ControlHeader {
@@ -167,8 +167,8 @@ impl Bench {
     }
 }
 
-/// T-RED-9: a standby whose whole receive path stood still with it hears nothing new at its first
-/// looks. Its own absence is no evidence: it takes over only after it has listened for the limits
+/// T-RED-9: a standby that was frozen with its whole receive path finds nothing new at its first
+/// polls. Its own stall is no evidence: it takes over only after it has listened for the limits
 /// again.
 #[test]
 fn own_absence_is_no_evidence() {
@@ -182,8 +182,8 @@ fn own_absence_is_no_evidence() {
     assert!(bench.now.since(listened_from) > CONFIG.witness_limit());
 }
 
-/// T-RED-9: a system that was held up restarts the limits of the heartbeat lines: a look after the
-/// stall that finds no edge says nothing yet. If none comes within the limit, the line is silent.
+/// T-RED-9: a system that was held up restarts the limits of the heartbeat lines: a first poll
+/// without an edge is no evidence. If no edge arrives within the limit, the line is silent.
 #[test]
 fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     for mut bench in [Bench::master(), Bench::standby()] {
@@ -209,12 +209,12 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     }
 }
 
-/// T-RED-5: a standby resets itself for a fault only while its master is heard to drive: until then
-/// it is the only one left.
+/// T-RED-5: a standby resets itself for a fault only while its master is heard to drive, because
+/// otherwise no other system may be left.
 #[test]
 fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     let mut bench = Bench::standby();
-    // Heartbeats go on, and no control frame comes; the vehicle does not say that none reaches it.
+    // Heartbeats continue, but no control frame arrives; the vehicle does not report it missing.
     bench.run_with_beats(10);
     let fault = Input::OwnFault(FailureMode::PlanningCore);
     let asks = |actions: Actions| actions.contains(Action::Reset(ResetRequest::CoreDead));
@@ -224,8 +224,8 @@ fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     assert!(asks(bench.poll()), "the fault need not be reported again");
 }
 
-/// T-RED-9: a stray handshake, and heartbeats that arrive, depose no master that the vehicle obeys,
-/// though this system misses a frame.
+/// T-RED-9: a stray handshake, with heartbeats that arrive, does not depose a master that the
+/// vehicle obeys, even if this system misses a frame.
 #[test]
 fn a_stray_handshake_deposes_no_master_that_the_vehicle_obeys() {
     for (age_ms, expected) in [
@@ -245,9 +245,9 @@ fn a_stray_handshake_deposes_no_master_that_the_vehicle_obeys() {
     }
 }
 
-/// T-RED-8: a system that was switched on and is standby for the first time has caused no change of
-/// the driver: the lines depose its master within their bound. A reset may be the consequence of
-/// one.
+/// T-RED-8: a system that was switched on and is standby for the first time has seen no change of
+/// the driver: the lines depose its master within their bound. A reset may follow a change of the
+/// driver.
 #[test]
 fn only_a_standby_that_was_switched_on_has_no_hold_down() {
     for (cause, expected) in [
@@ -282,8 +282,8 @@ fn a_starting_system_repeats_its_handshake() {
     assert!(sent_at.eq((0..40).step_by(5)));
 }
 
-/// T-RED-9: just after a change of the driver the lines alone depose no master: only the vehicle's
-/// word does. The time doubles with each change.
+/// T-RED-9: just after a change of the driver the lines alone depose no master; only the vehicle's
+/// echo does. This time doubles with each change.
 #[test]
 fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     let mut held = Vec::new();
@@ -295,7 +295,7 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
         assert_eq!(bench.machine.phase(), Phase::Standby);
         let deposed = bench.now;
         bench.run_with_beats(5);
-        // Its level falls and its heartbeats end, but the vehicle obeys it.
+        // The other's level falls and its heartbeats end, but the vehicle obeys it.
         bench.snapshot.peer_powered = false;
         while bench.machine.phase() == Phase::Standby {
             let _ = bench.obeyed(Term::from_bits(1), 0);
@@ -312,8 +312,8 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
         assert!(held.abs_diff(expected) <= 2, "change {change}: {held} ms");
     }
 
-    // The vehicle says that no system drives: at once, whether heartbeats come or not. If it sends
-    // no echo, the frame that relieved this system is the first one of the mute master.
+    // The vehicle reports no driver: the takeover is immediate, with or without heartbeats. Without
+    // an echo, the frame that relieved this system is the first one of the mute master.
     for (beats, echo, bound) in [
         (false, true, CONFIG.gap_bound_mute()),
         (true, true, CONFIG.gap_bound_mute()),
@@ -340,8 +340,8 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     }
 }
 
-/// T-RED-2: a start line on which no edge ever came is reported, once; a heartbeat line that is cut
-/// from the start is reported as well.
+/// T-RED-2: a start line on which no edge ever arrived is reported once; a heartbeat line that is
+/// cut from the start is reported too.
 #[test]
 fn lines_that_are_cut_from_the_start_are_told() {
     for (handshakes, syncs) in [(0, 0), (1, 0), (0, 1)] {
@@ -404,8 +404,8 @@ fn a_master_held_up_listens_first() {
     }
 }
 
-/// T-RED-2: a master answers a handshake with the sync edge alone: a handshake would be answered in
-/// turn by another that drives, without an end.
+/// T-RED-2: a master answers a handshake with the sync edge only: another driving system would
+/// answer a handshake in turn, without end.
 #[test]
 fn a_master_answers_a_handshake_without_one() {
     let mut bench = Bench::master();
@@ -415,8 +415,8 @@ fn a_master_answers_a_handshake_without_one() {
     assert!(!actions.contains(Action::SendEdge(Line::Start, Edge::Rising)));
 }
 
-/// T-RED-9: a standby that polls late every time still takes over: its lateness is forgiven once
-/// between two signs of life of the master.
+/// T-RED-9: a standby that polls late every time still takes over: a late poll restarts its limits
+/// only once between two signs of life of the master.
 #[test]
 fn a_standby_that_is_always_late_takes_over() {
     let mut bench = Bench::standby();
@@ -429,8 +429,8 @@ fn a_standby_that_is_always_late_takes_over() {
     assert!(bench.now.since(silent_since) > CONFIG.witness_limit());
 }
 
-/// T-RED-9: alone, with the other off, a master that was held up goes on: nobody can have taken
-/// over.
+/// T-RED-9: if the other is off, a master that was held up continues to drive: no other system can
+/// have taken over.
 #[test]
 fn the_last_system_goes_on_after_a_stall() {
     let mut bench = Bench::master();
@@ -484,8 +484,8 @@ fn implausible_frames_are_ignored() {
     assert!(persisted(&actions).is_some_and(|state| !state.is_master && state.term == term));
 }
 
-/// T-RED-9: a lower term is fenced off by the vehicle, so it has no effect: it is reported once,
-/// and does not keep a standby from taking over.
+/// T-RED-9: the vehicle fences off a lower term, so it has no effect: it is reported once, and does
+/// not keep a standby from taking over.
 #[test]
 fn frames_of_a_lower_term_do_not_count() {
     let mut bench = Bench::standby();
@@ -504,8 +504,8 @@ fn frames_of_a_lower_term_do_not_count() {
     assert!(bench.machine.term() > Term::from_bits(100));
 }
 
-/// T-RED-9: a master that the vehicle refuses takes a term above the obeyed one, unless the other
-/// drives in that now: then it follows.
+/// T-RED-9: a master that the vehicle refuses takes a term above the obeyed one. If the other
+/// drives in that term now, the master follows it.
 #[test]
 fn a_refused_master_takes_a_higher_term_or_follows() {
     for (above, age_ms, follows) in [(41, 200, false), (42, 0, false), (41, 5, true)] {
@@ -533,9 +533,9 @@ fn a_refused_master_takes_a_higher_term_or_follows() {
     }
 }
 
-/// T-RED-9: a standby that hears no frame of its master, on silent lines, but hears the vehicle
-/// obey the master, stays standby; when the vehicle no longer hears the master either, it takes
-/// over within the bound.
+/// T-RED-9: a standby whose lines are silent and that hears no frame of its master stays standby if
+/// the vehicle still obeys the master. When the vehicle no longer hears the master either, the
+/// standby takes over within the bound.
 #[test]
 fn the_vehicle_is_a_witness_for_the_master() {
     let mut bench = Bench::standby();
@@ -562,7 +562,7 @@ fn the_vehicle_is_a_witness_for_the_master() {
     assert!(bench.now.since(accepted) <= bound, "{:?}", bench.now);
 }
 
-/// A system A at its start, with this record; what it is reported before it drives.
+/// Returns the first term of system A with this record and these reports before it drives.
 fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
     let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
     bench.machine = Redundancy::new(CONFIG, SystemId::A, cause, loaded, bench.now);
@@ -577,10 +577,10 @@ fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
     bench.machine.term()
 }
 
-/// T-RED-9: the first term lies 8 above the known one (a term is `count << 1 | system`), and far
-/// above it unless the vehicle or a system that ran has reported the newest since the start. A
-/// system that has just started itself may have forgotten it as well, and so has one whose flash is
-/// lost, also after a reset.
+/// T-RED-9: the first term is 8 masterships above the known one (a term is `count << 1 | system`),
+/// and far above it unless the vehicle or a running system has reported the newest since the start.
+/// A system that has just started may not know it either, nor one whose flash is lost, even after a
+/// reset.
 #[test]
 fn the_first_term_is_far_above_what_may_be_old() {
     const FAR: u32 = 2 * 1024;
@@ -614,8 +614,8 @@ fn the_first_term_is_far_above_what_may_be_old() {
     assert!(reset(Loaded::Lost) >= FAR && reset(Loaded::Blank) >= FAR);
 }
 
-/// T-RED-9: of a control frame with a wrong counter only the term counts: a master follows it, and
-/// a standby does not take it for a sign that its master drives.
+/// T-RED-9: only the term of a control frame with a wrong counter counts: a master follows it, and
+/// a standby does not treat it as a sign that its master drives.
 #[test]
 fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
     let stale = |term: u32| {
@@ -651,7 +651,7 @@ fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
     }
 }
 
-/// T-RED-9: without a term left a system suspends instead of driving in one that is not its own.
+/// T-RED-9: a system with no term left suspends instead of driving in a term that is not its own.
 #[test]
 fn terms_used_up() {
     let term = Term::from_bits(u32::MAX - 1);
@@ -673,7 +673,7 @@ fn terms_used_up() {
     assert!(!bench.machine.may_transmit(bench.now));
 }
 
-/// T-RED-9: a standby that knows a higher term does not drive in it: the master takes one above.
+/// T-RED-9: a standby that knows a higher term does not drive in it: the master takes a higher one.
 #[test]
 fn a_standby_that_knows_a_higher_term_deposes_no_master() {
     let mut bench = Bench::master();
@@ -683,7 +683,7 @@ fn a_standby_that_knows_a_higher_term_deposes_no_master() {
     assert!(bench.machine.term() > term);
 }
 
-/// T-RED-9: the other's claim over the link alone deposes a master only when it has held for long.
+/// T-RED-9: the other's claim over the link alone deposes a master only if it lasts long enough.
 #[test]
 fn a_claim_over_the_link_must_hold() {
     let mut bench = Bench::master();
@@ -700,7 +700,7 @@ fn a_claim_over_the_link_must_hold() {
             can_alive: false,
             ..claim
         },
-        // It knows this master's term, and has none above it.
+        // The other knows this master's term and no higher one.
         PeerReport {
             term: bench.machine.term(),
             ..claim
@@ -717,7 +717,7 @@ fn a_claim_over_the_link_must_hold() {
     assert_eq!(bench.machine.phase(), Phase::Standby);
 }
 
-/// T-RED-3: one silent line is reported, and is no failure.
+/// T-RED-3: one silent line is reported, but is no failure.
 #[test]
 fn one_line_silent() {
     let mut bench = Bench::master();
@@ -733,8 +733,8 @@ fn one_line_silent() {
     assert!(sent >= 70 && line_2 >= line_1 + 50);
 }
 
-/// T-RED-2, T-RED-3: which counts make a snapshot, and which edges an answer: a handshake goes
-/// before the sync, and heartbeats on both lines.
+/// T-RED-2, T-RED-3: a snapshot has the right counts, and the answer has the right edges: a
+/// handshake before the sync edge, and heartbeats on both lines.
 #[test]
 fn lines_in_and_out() {
     let received = |line, edge| match (line, edge) {

@@ -1,4 +1,4 @@
-//! The tables in `docs/redundancy.md` are those of the implementation.
+//! The tables in `docs/redundancy.md` agree with the implementation.
 
 use crate::{page, truth};
 use std::fmt::Write;
@@ -117,8 +117,8 @@ fn budget() -> String {
     text
 }
 
-/// T-RED-9: the bounds and the truth table of the docs are generated; set `UPDATE_DOCS=1` to write
-/// them anew.
+/// T-RED-9: the bounds and the truth table of the docs are generated; `UPDATE_DOCS=1` writes them
+/// again.
 #[test]
 fn tables_in_the_docs_are_those_of_the_code() {
     page::check(&[

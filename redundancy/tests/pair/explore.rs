@@ -1,7 +1,6 @@
 //! Explores all states that two systems reach with lossy wires and a bounded number of faults:
-//! breadth first, by Stateright, a step each millisecond of virtual time. The systems are the real
-//! code.
-//! T-RED-9
+//! breadth first, by Stateright, in steps of one millisecond of virtual time. The systems run the
+//! real code. T-RED-9
 
 use crate::model::{Pair, Seen};
 use stateright::{Checker as _, HasDiscoveries, Model, Property};
@@ -11,8 +10,8 @@ use tandem_board::ResetCause;
 use tandem_board::SystemId::{self, A, B};
 use tandem_redundancy::{Config, Phase};
 
-/// A fault that can happen in any millisecond. The first five last for that millisecond: what is
-/// sent in it is lost.
+/// A fault that can happen in any millisecond. The first five last for that millisecond: everything
+/// sent during it is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     Beats(SystemId),
@@ -67,24 +66,24 @@ impl Fault {
     }
 }
 
-/// Two systems between two milliseconds.
+/// Two systems at the end of a millisecond.
 #[derive(Clone)]
 struct Reached {
     pair: Pair,
     ms: u64,
-    /// How many so far. The more are left, the more may follow: two states are one only with as
-    /// many.
+    /// The number of faults so far. It is part of the state, because it limits the faults that may
+    /// follow.
     faults: usize,
     shown: Shown,
-    /// Of all above: two states are one if it is the same.
+    /// A digest of all fields above: two states with the same digest are one.
     digest: u64,
 }
 
-/// What the last millisecond showed, or the time of healing.
+/// What the last millisecond showed, or the end of the healing.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shown {
     two_terms_act: bool,
-    /// Beyond the bound.
+    /// Both outputs were open for longer than the bound.
     two_outputs_stay_open: bool,
     both_suspended: bool,
     healed: bool,
@@ -120,7 +119,7 @@ impl Reached {
     }
 }
 
-/// The end of a counterexample; its faults stand above.
+/// Prints the end of a counterexample; its faults are printed before it.
 impl fmt::Debug for Reached {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:?}, {:?}", self.pair.phases(), self.shown)
@@ -149,8 +148,8 @@ impl fmt::Write for Digest {
     }
 }
 
-/// Dual operation: faults in the first `window_ms`, at most `most` of them, then `after_ms`
-/// without, then healing.
+/// Dual operation with at most `most` faults in the first `window_ms`, then `after_ms` without
+/// faults, then healing.
 struct Faults {
     config: Config,
     window_ms: u64,
@@ -158,7 +157,7 @@ struct Faults {
     after_ms: u64,
 }
 
-/// With power again, the vehicle obeys one system, and the other is its standby.
+/// Restores power. Returns whether the vehicle obeys one system, and the other is its standby.
 fn heal(pair: &mut Pair) -> bool {
     for id in [A, B] {
         pair.power_on(id);
@@ -175,7 +174,7 @@ fn heal(pair: &mut Pair) -> bool {
 
 impl Model for Faults {
     type State = Reached;
-    /// In this millisecond this fault, or none.
+    /// The millisecond, and the fault in it, if any.
     type Action = (u64, Option<Fault>);
 
     fn init_states(&self) -> Vec<Reached> {
@@ -219,7 +218,7 @@ impl Model for Faults {
             Property::<Self>::eventually("healed: one drives, one stands by", |_, it| {
                 it.shown.healed
             }),
-            // Else nothing was tried.
+            // Without a takeover the exploration would test nothing.
             Property::<Self>::sometimes("B takes over", |_, it| {
                 it.pair.phase(B).is_some_and(Phase::is_driving)
             }),
@@ -227,7 +226,7 @@ impl Model for Faults {
     }
 }
 
-/// T-RED-9: every state that one fault reaches, whenever in two control periods it happens.
+/// T-RED-9: every state that one fault at any time in two control periods reaches is safe.
 /// `TANDEM_EXPLORE=2` explores two faults within one control period, which takes half a minute.
 #[test]
 fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {

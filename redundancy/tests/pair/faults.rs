@@ -5,9 +5,9 @@ use tandem_board::SystemId::{A, B};
 use tandem_board::{Duration, Instant, ResetCause};
 use tandem_redundancy::{Config, Evidence, FailureMode, Mode, Phase};
 
-/// T-RED-8: the master resets itself abnormally; the slave takes over; the master comes back as
-/// standby; the slave loses its supply; the old master takes over. Once with the power level, which
-/// tells at once, and once without it, by the heartbeats alone.
+/// T-RED-8: the master resets itself abnormally; the slave takes over; the master returns as
+/// standby; the slave loses its supply; the old master takes over. Runs once with the power level,
+/// which shows the loss at once, and once without it, by the heartbeats alone.
 #[test]
 fn sequence_of_the_thesis() {
     for (name, config) in [("rt", Config::rt()), ("desktop", Config::desktop())] {
@@ -74,9 +74,8 @@ fn ms(us: u64) -> u64 {
     us / 1_000
 }
 
-/// T-RED-9: a frozen master that goes on never sends a frame of its own again without having
-/// looked: not for any length of the freeze, not at any phase, though its first act after the
-/// freeze is to try.
+/// T-RED-9: a frozen master never sends a frame after the freeze before it has polled. This holds
+/// for any length and any phase of the freeze, although it tries to send first.
 #[test]
 fn a_thawed_master_stays_silent() {
     for config in [Config::rt(), Config::desktop()] {
@@ -96,8 +95,8 @@ fn a_thawed_master_stays_silent() {
                 match pair.phases() {
                     [Some(Phase::Standby), Some(Phase::DegradedMaster)] => taken_over += 1,
                     [Some(Phase::Master), Some(Phase::Standby)] => kept += 1,
-                    // The desktop profile is patient with a standby, and so is rt with a short
-                    // freeze; a master that lost its standby for a moment degrades.
+                    // The desktop profile tolerates a longer silence of a standby, and so does rt
+                    // with a short freeze; a master whose standby was silent for too long degrades.
                     other => panic!("{what}: {other:?}"),
                 }
                 assert_eq!(
@@ -132,8 +131,8 @@ fn no_transmission_on_a_stale_lease() {
     );
 }
 
-/// T-RED-3: a frozen standby is no failure of the master: nobody takes over, not even when it goes
-/// on and finds an old picture; the master degrades and recovers.
+/// T-RED-3: a frozen standby is no failure of the master: no system takes over, not even when the
+/// standby resumes with old data; the master degrades and recovers.
 #[test]
 fn a_thawed_standby_does_not_take_over() {
     for config in [Config::rt(), Config::desktop()] {
@@ -157,9 +156,8 @@ fn a_thawed_standby_does_not_take_over() {
     }
 }
 
-/// T-RED-4: on failure of the other the flag is set and the master degrades at once; when its
-/// heartbeats come back the flag is cleared; with the option, dual operation resumes at run time,
-/// else not.
+/// T-RED-4: when the other fails, the flag is set and the master degrades at once. When the other's
+/// heartbeats return, the flag is cleared. With the option, dual operation resumes at run time.
 #[test]
 fn failure_and_return_of_the_standby() {
     for reintegrate in [false, true] {
@@ -223,8 +221,8 @@ fn a_backup_without_can_is_not_reintegrated() {
     assert_eq!(pair.phase(A), Some(Phase::DegradedMaster));
 }
 
-/// T-RED-5: a system that resets abnormally again and again comes back as standby up to the limit,
-/// then suspends. A power cycle gives it one more attempt. Time without a reset ends the row.
+/// T-RED-5: a system that resets abnormally again and again returns as standby up to the limit,
+/// then suspends. A power cycle gives it one more attempt. Time without a reset clears the count.
 #[test]
 fn too_many_abnormal_resets_suspend() {
     let config = Config::rt();
@@ -238,7 +236,7 @@ fn too_many_abnormal_resets_suspend() {
     let healthy = ms(us(config.healthy_after));
     pair.run_ms(u64::from(config.abnormal_limit) * healthy);
     assert_eq!(pair.state(B).abn_in_a_row, 0, "ran well for long enough");
-    // However regularly it crashes: each crash counts for a while.
+    // The crashes count even if they are far apart.
     for _ in 0..=config.abnormal_limit {
         pair.run_ms(11_000);
         pair.reset(B, ResetCause::Trap);
@@ -261,8 +259,8 @@ fn too_many_abnormal_resets_suspend() {
     assert_eq!(pair.changes_of_driver(), 0);
 }
 
-/// T-RED-9: both stand still for longer than the lease: the master learns from the vehicle that it
-/// is still obeyed, and goes on.
+/// T-RED-9: both systems are frozen for longer than the lease: the master learns from the vehicle
+/// that it is still obeyed, and continues.
 #[test]
 fn both_stand_still_and_the_master_goes_on() {
     for config in [Config::chip(), Config::rt(), Config::desktop()] {
@@ -280,8 +278,7 @@ fn both_stand_still_and_the_master_goes_on() {
     }
 }
 
-/// T-RED-6: an output fault of the master sets mode and flag, suspends it, and the other takes
-/// over.
+/// T-RED-6: an output fault of the master sets mode and flag and suspends it; the other takes over.
 #[test]
 fn an_io_fault_suspends_and_the_other_takes_over() {
     let config = Config::rt();
@@ -297,8 +294,8 @@ fn an_io_fault_suspends_and_the_other_takes_over() {
     assert!(pair.fenced.is_empty());
 }
 
-/// T-RED-5: a compute core that does not answer: the system resets and comes back as standby of the
-/// other. The last system does not reset itself away: it stops the vehicle.
+/// T-RED-5: if a compute core does not answer, the system resets and returns as standby of the
+/// other. The last system does not reset itself: it stops the vehicle.
 #[test]
 fn a_dead_compute_core() {
     let config = Config::rt();
@@ -332,9 +329,9 @@ fn a_dead_compute_core() {
     assert!(pair.longest_gap_us(from) <= 12_000);
 }
 
-/// T-RED-6: the CAN connection of one system opens: the other drives (on). The one that is cut off
-/// resets itself, because the other reports a live bus, and suspends when no reset has cured it.
-/// With the whole bus dead no system suspends.
+/// T-RED-6: the CAN connection of one system opens: the other drives. The disconnected system
+/// resets itself, because the other reports a live bus, and suspends when no reset has cured it. If
+/// the whole bus is dead, no system suspends.
 #[test]
 fn can_open_circuit() {
     for config in [Config::rt(), Config::desktop()] {
@@ -355,7 +352,7 @@ fn can_open_circuit() {
         let mut pair = Pair::dual(config, 5);
         pair.cuts.can = [true; 2];
         pair.run_ms(2_000);
-        // A master that does not hear its standby on CAN has none.
+        // A master that does not hear its standby on CAN counts as alone.
         let alone = [Some(Phase::DegradedMaster), Some(Phase::Standby)];
         assert_eq!(pair.phases(), alone);
         pair.cuts.can = [false; 2];
@@ -367,8 +364,7 @@ fn can_open_circuit() {
     }
 }
 
-/// T-RED-9: a level line that is stuck low, against its contract, makes the systems change once at
-/// most.
+/// T-RED-9: a level line that is stuck low, against its contract, changes the driver at most once.
 #[test]
 fn a_level_line_stuck_low_is_not_believed_for_ever() {
     let config = Config::rt();

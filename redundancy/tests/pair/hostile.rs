@@ -1,5 +1,5 @@
-//! Sequences with which a hostile assessor took control away, and what must happen in each.
-//! T-RED-5, T-RED-6, T-RED-9
+//! Sequences by which a hostile assessor ended control, and what must happen in each. T-RED-5,
+//! T-RED-6, T-RED-9
 
 use crate::model::{Pair, us};
 use tandem_board::ResetCause;
@@ -7,7 +7,7 @@ use tandem_board::SystemId::{self, A, B};
 use tandem_redundancy::{Config, FailureMode, Mode, Phase, RedundancyEvent};
 
 const PROFILES: [Config; 2] = [Config::rt(), Config::desktop()];
-/// Time on the bus, at most, and the grid of the model.
+/// Longest time on the bus, plus the grid of the model.
 const BUS_US: u64 = 1_500;
 
 fn mode(pair: &Pair, id: SystemId) -> Option<Mode> {
@@ -17,19 +17,19 @@ fn mode(pair: &Pair, id: SystemId) -> Option<Mode> {
         .map(|it| it.mode())
 }
 
-/// The vehicle was obeying a system all the time since `from_us`, and does now.
+/// Checks that the vehicle has obeyed a system since `from_us`, without a gap beyond the bound.
 fn check_driven(pair: &Pair, from_us: u64, bound_us: u64, what: &str) {
     let gap = pair.longest_gap_us(from_us);
     assert!(gap <= bound_us, "{what}: gap {gap} us of {bound_us} us");
 }
 
-/// The bound of a control cycle without a fault.
+/// Returns the bound of a control cycle without a fault.
 fn undisturbed(config: &Config) -> u64 {
     us(config.control_period) + 2_000
 }
 
-/// T-RED-5: one input kills core 1 of both systems at once. One system drives on, the other resets
-/// itself, takes over, and then the first one resets: control is never lost.
+/// T-RED-5: one input kills core 1 of both systems at once. One system continues to drive, the
+/// other resets itself, takes over, and then the first one resets: control is never lost.
 #[test]
 fn a_poison_input_of_both_takes_no_control() {
     for config in PROFILES {
@@ -52,8 +52,8 @@ fn a_poison_input_of_both_takes_no_control() {
     }
 }
 
-/// T-RED-5: the poison comes again and again. A system always drives; in the end it stops the
-/// vehicle. After a power cycle without the poison both drive as before.
+/// T-RED-5: the poison input is repeated. A system always drives; eventually it stops the vehicle.
+/// After a power cycle without the poison both drive as before.
 #[test]
 fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
     for config in PROFILES {
@@ -87,8 +87,8 @@ fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
     }
 }
 
-/// T-RED-5: a system that is alone and crashes again and again does not go silent: it starts into
-/// the safe stop. So do two systems with a fault that stays, and a healthy one goes before it.
+/// T-RED-5: a system that is alone and crashes repeatedly does not fall silent: it starts into the
+/// safe stop. So do two systems with a permanent fault, and a healthy system is preferred to it.
 #[test]
 fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
     for config in PROFILES {
@@ -150,8 +150,8 @@ fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
     }
 }
 
-/// T-RED-6: the transmitter of the standby dies: the master learns that it has no backup. It
-/// neither keeps the mode for two nor resets itself.
+/// T-RED-6: the transmitter of the standby fails: the master detects that it has no backup. It
+/// neither keeps the mode for two systems nor resets itself.
 #[test]
 fn a_standby_that_cannot_transmit_is_noticed() {
     for config in PROFILES {
@@ -177,7 +177,7 @@ fn a_standby_that_cannot_transmit_is_noticed() {
 }
 
 /// T-RED-6: the transmitter of the standby is dead and the vehicle pauses: no system suspends,
-/// because a bus on which only the other system is heard is not alive.
+/// because a bus on which only the other system is heard does not count as alive.
 #[test]
 fn a_pause_of_the_vehicle_suspends_no_system() {
     for config in PROFILES {
@@ -194,7 +194,7 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
             let from = pair.now_us;
             pair.run_ms(500);
             let what = format!("{mute} mute, {pause_ms} ms: {:?}", pair.phases());
-            // An attempt to cure the connection would be one of the four before it is given up.
+            // Each attempt to cure the connection would count as one of four.
             assert_eq!(resets(&pair), before, "{what}");
             assert!(
                 !pair.systems[A.index()].held && !pair.systems[B.index()].held,
@@ -206,8 +206,8 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
     }
 }
 
-/// T-RED-6: a CAN connection that is cut for a while suspends no system: it tries again. In every
-/// phase the vehicle is without control no longer than the bound.
+/// T-RED-6: a CAN connection that is cut for a while suspends no system: it tries again. At any
+/// phase of the cut the vehicle is without control for no longer than the bound.
 #[test]
 fn a_short_cut_of_can_suspends_no_system() {
     for config in PROFILES {
@@ -232,8 +232,8 @@ fn a_short_cut_of_can_suspends_no_system() {
     }
 }
 
-/// Runs with a level line, of each system in `of`, that is low for half of each period; returns
-/// the pair.
+/// Runs while the level line of each system in `of` is low for half of each period; returns the
+/// pair.
 fn flapping(config: Config, of: &[SystemId], period_us: u64, seconds: u64) -> Pair {
     let mut pair = Pair::dual(config, 5);
     let until = pair.now_us + seconds * 1_000_000;
@@ -246,8 +246,8 @@ fn flapping(config: Config, of: &[SystemId], period_us: u64, seconds: u64) -> Pa
     pair
 }
 
-/// T-RED-9: level lines that flap overrule neither heartbeats nor control frames, cost no flash,
-/// and are reported.
+/// T-RED-9: level lines that flap overrule neither heartbeats nor control frames, cause no writes
+/// to the flash, and are reported.
 #[test]
 fn a_level_line_that_flaps_is_broken_and_nothing_else() {
     for config in PROFILES {
@@ -298,7 +298,7 @@ fn a_glitch_of_the_level_line_changes_nothing() {
     }
 }
 
-/// T-RED-9: the level line of A is stuck low and B is reset: B listens, and stays standby of A.
+/// T-RED-9: the level line of A is stuck low and B is reset: B listens, and remains standby of A.
 #[test]
 fn a_level_line_stuck_low_and_a_reset_depose_no_master() {
     for config in PROFILES {
@@ -325,8 +325,8 @@ fn a_level_line_stuck_low_and_a_reset_depose_no_master() {
     }
 }
 
-/// T-RED-9: one connector with all lines between the systems flaps: the driver changes once at
-/// most, and the flash is spared.
+/// T-RED-9: one connector with all lines between the systems flaps: the driver changes at most
+/// once, and the flash is written only a few times.
 #[test]
 fn a_connector_that_flaps_changes_the_driver_once() {
     for config in PROFILES {
@@ -375,7 +375,7 @@ fn a_standby_that_misses_frames_deposes_no_sound_master() {
     assert_eq!(changes, [0; 4]);
 }
 
-/// T-RED-9: systems that are deaf to each other while the vehicle hears both do not take turns.
+/// T-RED-9: systems that do not hear each other, while the vehicle hears both, do not alternate.
 #[test]
 fn systems_that_do_not_hear_each_other_do_not_take_turns() {
     for config in PROFILES {
@@ -392,7 +392,7 @@ fn systems_that_do_not_hear_each_other_do_not_take_turns() {
     }
 }
 
-/// T-RED-9: a receiver that is dead takes no control away, whatever else its system does.
+/// T-RED-9: a system with a dead receiver never ends control, whatever else it does.
 #[test]
 fn a_deaf_system_deposes_no_sound_master() {
     for config in PROFILES {
@@ -407,7 +407,7 @@ fn a_deaf_system_deposes_no_sound_master() {
             assert_eq!(pair.changes_of_driver(), 0, "{what}");
             check_driven(&pair, from, undisturbed(&config), &what);
         }
-        // It relieves no master that can still stop the vehicle.
+        // The deaf system relieves no master that can still stop the vehicle.
         let mut pair = Pair::dual(config, 5);
         pair.cuts.can_hear[B.index()] = true;
         pair.run_ms(100);
@@ -415,7 +415,7 @@ fn a_deaf_system_deposes_no_sound_master() {
         pair.run_ms(100);
         assert_eq!(pair.changes_of_driver(), 0);
         assert_eq!(mode(&pair, A), Some(Mode::SafeStop));
-        // A deaf master makes way: it has nothing to drive by.
+        // A deaf master gives up its role, because it has no input for driving.
         let mut pair = Pair::dual(config, 5);
         let from = pair.now_us;
         pair.cuts.can_hear[A.index()] = true;

@@ -1,5 +1,5 @@
-//! Two systems against each other: start, takeover, split brain, random faults, and the tables of
-//! the docs.
+//! Two systems connected to each other: start, takeover, split brain, random faults, and the tables
+//! of the docs.
 #![allow(clippy::unwrap_used)]
 
 mod docs;

@@ -21,7 +21,7 @@ pub(crate) struct Cuts {
     pub(crate) start: [bool; 2],
     pub(crate) level: [bool; 2],
     pub(crate) can: [bool; 2],
-    /// The CAN transmitter, or receiver, of this system is dead; the other direction is whole.
+    /// The CAN transmitter, or receiver, of this system is dead; the other direction works.
     pub(crate) can_send: [bool; 2],
     pub(crate) can_hear: [bool; 2],
     /// The systems do not hear each other on CAN; the vehicle hears both, and both hear it.
@@ -49,13 +49,13 @@ pub(crate) struct Seen {
 pub(crate) struct System {
     pub(crate) machine: Option<Redundancy>,
     pub(crate) powered: bool,
-    /// Held in reset by its supply for good.
+    /// Its supply holds it in reset for good.
     pub(crate) held: bool,
     /// Starts at this time, for this cause.
     boot: Option<(u64, ResetCause)>,
     pub(crate) frozen_until: u64,
     thawed: bool,
-    /// What is in flash; `None` is a flash that was never written.
+    /// The state in flash; `None` if the flash was never written.
     pub(crate) flash: Option<SystemState>,
     pub(crate) flash_lost: bool,
     writing: Option<(u64, SystemState)>,
@@ -71,9 +71,9 @@ pub(crate) struct System {
     peer_level: bool,
     interrupt: bool,
     pub(crate) faults: Vec<FailureMode>,
-    /// A fault that the next reset cures.
+    /// A fault that lasts until the next reset.
     pub(crate) until_reset: Option<FailureMode>,
-    /// Of a thousand frames it misses this many.
+    /// Of a thousand frames this system misses this many.
     pub(crate) misses_permille: u64,
     /// Programs of its data flash so far.
     pub(crate) programs: u32,
@@ -89,24 +89,24 @@ pub(crate) struct Pair {
     pub(crate) systems: [System; 2],
     bus: VecDeque<(u64, Option<SystemId>, Frame)>,
     next_vehicle: u64,
-    /// The vehicle echoes within a millisecond of each frame that it accepts, and every 10 ms
-    /// without one.
+    /// When the vehicle sends its next echo: within a millisecond of each frame that it accepts,
+    /// and every 10 ms otherwise.
     next_echo: u64,
-    /// The vehicle sends nothing; it still obeys.
+    /// The vehicle sends nothing, but still obeys.
     pub(crate) vehicle_pauses: bool,
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
     pub(crate) events: Vec<(u64, SystemId, RedundancyEvent)>,
     pub(crate) synchronised: Vec<(u64, SystemId)>,
-    /// Time in which both outputs were open and both systems connected to the bus, at present and
-    /// the longest.
+    /// How long both outputs are open with both systems connected to the bus: now, and the longest
+    /// time.
     both_open_us: u64,
     pub(crate) both_open_max_us: u64,
 }
 
 impl Pair {
-    /// Both systems without power, each with its factory state in flash.
+    /// Returns both systems without power, each with its factory state in flash.
     pub(crate) fn new(config: Config, seed: u64) -> Self {
         let system = |id: SystemId| System {
             machine: None,
@@ -118,7 +118,7 @@ impl Pair {
             flash: Some(SystemState::factory(id)),
             flash_lost: false,
             writing: None,
-            // Near their wrap-around, so that every run goes across it.
+            // Near their wrap-around, so that every run passes it.
             edges: [[u32::MAX - 40; 2]; 3],
             can_frames: u32::MAX - 3,
             inbox: VecDeque::new(),
@@ -154,7 +154,7 @@ impl Pair {
         }
     }
 
-    /// In dual operation, A driving, for some time.
+    /// Returns a pair that has been in dual operation for some time, A driving.
     pub(crate) fn dual(config: Config, seed: u64) -> Self {
         let mut pair = Self::new(config, seed);
         pair.power_on(SystemId::A);
@@ -164,7 +164,7 @@ impl Pair {
         pair
     }
 
-    /// Forgets what happened, but for the last accepted frame: what follows depends on that alone.
+    /// Forgets the past except the last accepted frame, on which the following steps depend.
     pub(crate) fn forget(&mut self) {
         let past = self.accepted.len().saturating_sub(1);
         self.accepted.drain(..past);
@@ -201,7 +201,7 @@ impl Pair {
         system.until_reset = None;
     }
 
-    /// The supply resets the system.
+    /// Lets the supply reset the system.
     pub(crate) fn reset(&mut self, id: SystemId, cause: ResetCause) {
         let system = &mut self.systems[id.index()];
         if system.powered && !system.held && system.boot.is_none() {
@@ -213,7 +213,7 @@ impl Pair {
         }
     }
 
-    /// The software stands still; what it has sent before still arrives.
+    /// Freezes the software; what it has already sent still arrives.
     pub(crate) fn freeze_ms(&mut self, id: SystemId, ms: u64) {
         let system = &mut self.systems[id.index()];
         if system.machine.is_some() {
@@ -261,7 +261,7 @@ impl Pair {
         *self.systems[id.index()].machine.as_ref().unwrap().state()
     }
 
-    /// Takeovers since `from_us`.
+    /// Returns the takeovers since `from_us`.
     pub(crate) fn takeovers(&self, from_us: u64) -> Vec<(u64, SystemId, Takeover)> {
         let takeover = |&(at, id, event)| match event {
             RedundancyEvent::Takeover(takeover) if at >= from_us => Some((at, id, takeover)),
@@ -270,7 +270,7 @@ impl Pair {
         self.events.iter().filter_map(takeover).collect()
     }
 
-    /// The longest time without an accepted control frame from `from_us` until now.
+    /// Returns the longest time without an accepted control frame from `from_us` until now.
     pub(crate) fn longest_gap_us(&self, from_us: u64) -> u64 {
         let before = self
             .accepted
@@ -286,7 +286,7 @@ impl Pair {
         longest.max(self.now_us - last)
     }
 
-    /// How often the system that drives changed.
+    /// Returns how often the system that drives changed.
     pub(crate) fn changes_of_driver(&self) -> usize {
         self.accepted
             .windows(2)
@@ -344,7 +344,7 @@ impl Pair {
         (high || self.cuts.level[of.index()]) && !self.level_stuck_low[of.index()]
     }
 
-    /// What the vehicle tells every control period.
+    /// Returns what the vehicle reports every control period.
     fn obeyed_term(&self) -> ObeyedTerm {
         let last = self.accepted.last();
         ObeyedTerm {
@@ -392,7 +392,7 @@ impl Pair {
         let now = self.now_us;
         let system = &mut self.systems[id.index()];
         if system.thawed {
-            // The worst case: it stood just before a transmission.
+            // The worst case: it was frozen just before a transmission.
             system.thawed = false;
             self.control_cycle(id);
         }
@@ -449,7 +449,7 @@ impl Pair {
             match action {
                 Action::SendEdge(line, edge) => self.edge(id, line, edge),
                 Action::Transmit => self.control_cycle(id),
-                // The worst case: its frames are on the bus at once, where nothing stops them.
+                // The worst case: its frames are already on the bus, and no action can stop them.
                 Action::DiscardUnsent => {}
                 Action::AlignControl => self.synchronised.push((now, id)),
                 Action::Persist(state) => {
@@ -463,7 +463,7 @@ impl Pair {
         }
     }
 
-    /// The supply resets the system when its state is in flash.
+    /// Lets the supply reset the system when its state is in flash.
     fn ask_reset(&mut self, id: SystemId, request: ResetRequest) {
         let system = &mut self.systems[id.index()];
         match request {
@@ -479,7 +479,7 @@ impl Pair {
         }
     }
 
-    /// An edge arrives at the other system, whether `from` has sent it or a disturbance.
+    /// Delivers an edge to the other system, sent by `from` or caused by a disturbance.
     pub(crate) fn edge(&mut self, from: SystemId, line: Line, edge: Edge) {
         let cut = match line {
             Line::Start => self.cuts.start[from.index()],
@@ -494,8 +494,8 @@ impl Pair {
         }
     }
 
-    /// One control cycle: a control frame if permitted, a report over the link, now and then a
-    /// status.
+    /// Runs one control cycle: a control frame if permitted, a report over the link, and a status
+    /// frame when it is due.
     fn control_cycle(&mut self, id: SystemId) {
         let now = self.now_us;
         let system = &mut self.systems[id.index()];
@@ -529,7 +529,7 @@ impl Pair {
 
     fn send(&mut self, from: Option<SystemId>, frame: Frame) {
         let latency = 200 + self.random(9) * 100;
-        // In bus order: a frame never passes one that was sent before it.
+        // In bus order: a frame never overtakes one that was sent before it.
         let at = (self.now_us + latency).max(self.bus.back().map_or(0, |&(at, ..)| at));
         self.bus.push_back((at, from, frame));
     }
@@ -562,7 +562,7 @@ impl Pair {
         }
     }
 
-    /// Fencing: no term below the highest accepted one.
+    /// The vehicle fences: it refuses every term below the highest accepted one.
     fn vehicle_hears(&mut self, frame: ControlHeader) {
         assert_eq!(frame.role, Role::Master);
         let seen = Seen {

@@ -3,8 +3,8 @@
 use std::string::String;
 use std::{env, format, fs};
 
-/// Compares the parts of the page between their markers with `tables`, each a name and a text. With
-/// `UPDATE_DOCS=1` in the environment it writes them instead.
+/// Compares the parts of the page between their markers with `tables`, pairs of a name and a text.
+/// If `UPDATE_DOCS=1` is set, it writes them instead.
 pub(crate) fn check(tables: &[(&str, String)]) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/redundancy.md");
     let page = fs::read_to_string(path).unwrap();
@@ -21,7 +21,7 @@ pub(crate) fn check(tables: &[(&str, String)]) {
     }
 }
 
-/// The page with `text` between the markers of `name`.
+/// Returns the page with `text` between the markers of `name`.
 fn replaced(page: &str, name: &str, text: &str) -> String {
     let (begin, end) = (
         format!("<!-- {name}:begin -->\n"),

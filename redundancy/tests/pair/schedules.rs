@@ -1,4 +1,4 @@
-//! Random schedules of faults: what never happens during them, and what must happen after. T-RED-9
+//! Random schedules of faults: what must never happen during them, and must happen after. T-RED-9
 
 use crate::model::{Pair, us};
 use proptest::prelude::*;
@@ -50,8 +50,8 @@ fn inject(pair: &mut Pair, fault: Fault) {
     }
 }
 
-/// Never, whatever fails: the system that drives changes without a cause; frames of a deposed
-/// master go on; two outputs on one bus stay open.
+/// Checks what must never happen, whatever fails: the driver changes without a cause; frames of a
+/// deposed master continue; two outputs on one bus stay open.
 fn check_safety(pair: &Pair, faults: usize) {
     // A fault may change the driver twice: away, and back when its consequence shows.
     assert!(
@@ -74,9 +74,8 @@ fn check_safety(pair: &Pair, faults: usize) {
     }
 }
 
-/// After the faults: everything is whole again and powered; a system drives, alone on the bus,
-/// the vehicle obeys it without gaps, and the other, if its supply does not hold it, is its
-/// standby.
+/// Removes all faults and restores power. Then one system drives, alone on the bus, the vehicle
+/// obeys it without gaps, and the other, unless its supply holds it, is its standby.
 fn heal_and_check(pair: &mut Pair) {
     pair.cuts = Default::default();
     pair.power_on(A);
@@ -125,7 +124,7 @@ fn cases(cases: u32) -> ProptestConfig {
 proptest! {
     #![proptest_config(cases(400))]
 
-    /// T-RED-9: dense faults, many at the same time, short after each other.
+    /// T-RED-9: dense faults, many at the same time or shortly after each other.
     #[test]
     fn dense_faults(
         seed in 1u64..1_000, faults in prop::collection::vec((0u64..40, any_fault()), 1..30),
@@ -133,7 +132,7 @@ proptest! {
         run(Config::rt(), seed, &faults);
     }
 
-    /// T-RED-9: faults with time between them for every limit to pass.
+    /// T-RED-9: faults with enough time between them for every limit to pass.
     #[test]
     fn sparse_faults(
         seed in 1u64..1_000, faults in prop::collection::vec((0u64..400, any_fault()), 1..12),

@@ -28,8 +28,8 @@ fn drivers(pair: &Pair) -> Vec<SystemId> {
         .collect()
 }
 
-/// T-RED-2: whatever the phase between the two starts within the time limit, the one initialised as
-/// master leads, the other follows on its sync edge, and their times then differ by less than 2 ms
+/// T-RED-2: for any phase between the two starts within the time limit, the system initialised as
+/// master leads, the other follows on its sync edge, and their times differ by less than 2 ms
 /// (thesis: 572 us).
 #[test]
 fn starts_at_any_phase_within_the_time_limit() {
@@ -81,9 +81,9 @@ fn starts_at_any_phase_within_the_time_limit() {
     println!("times differ by {worst} us at most after sync (thesis: 572 us)");
 }
 
-/// T-RED-2: nobody answers: cpsys_failure, and degraded. One that comes after that becomes its
-/// standby, and the failure is cleared (T-RED-4), though dual operation waits for the next power
-/// cycle.
+/// T-RED-2: if no system answers, cpsys_failure is set and the system drives degraded. A system
+/// that starts later becomes its standby, and the failure is cleared (T-RED-4), but dual operation
+/// waits for the next power cycle.
 #[test]
 fn alone_after_the_time_limit_and_joined_by_a_late_one() {
     for config in PROFILES {
@@ -119,8 +119,8 @@ fn alone_after_the_time_limit_and_joined_by_a_late_one() {
     }
 }
 
-/// T-RED-2, T-RED-9: both records claim master, or neither does, or a flash is lost: one master all
-/// the same, and never a frame of the other.
+/// T-RED-2, T-RED-9: both records claim master, or neither does, or a flash is lost: still one
+/// system is master, and the other never sends a control frame.
 #[test]
 fn contradicting_records_lead_to_one_master() {
     for config in PROFILES {
@@ -165,8 +165,8 @@ fn contradicting_records_lead_to_one_master() {
     }
 }
 
-/// T-RED-2, T-RED-9: the start line is cut in one direction or both: one master, found over the
-/// heartbeats; with the heartbeat lines cut as well, over CAN.
+/// T-RED-2, T-RED-9: the start line is cut in one direction or both: the heartbeats still lead to
+/// one master. If the heartbeat lines are cut as well, CAN does.
 #[test]
 fn start_line_cut() {
     for config in PROFILES {
@@ -195,8 +195,8 @@ fn start_line_cut() {
     }
 }
 
-/// T-RED-7: both take the other for failed (the last run ended in a quarrel): both listen, one
-/// drives, the other joins.
+/// T-RED-7: each system has recorded the other as failed in the last run: both listen, one drives,
+/// and the other joins it.
 #[test]
 fn both_take_the_other_for_failed() {
     for config in PROFILES {
@@ -231,8 +231,8 @@ fn both_take_the_other_for_failed() {
     }
 }
 
-/// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which ran
-/// on, refuses. The other knows the higher term and says so.
+/// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which kept
+/// running, refuses. The other knows the higher term and reports it.
 #[test]
 fn a_master_with_a_forgotten_term_is_reported() {
     let mut pair = Pair::dual(Config::rt(), 3);
@@ -256,7 +256,7 @@ fn a_master_with_a_forgotten_term_is_reported() {
 }
 
 /// T-RED-2: an edge on the start line that no system has sent, at any moment of the start, does not
-/// cost dual operation, however much later the other is switched on.
+/// prevent dual operation, however much later the other is switched on.
 #[test]
 fn a_stray_edge_on_the_start_line_does_not_cost_dual_operation() {
     for config in [Config::chip(), Config::rt(), Config::desktop()] {
@@ -295,7 +295,7 @@ fn a_stray_edge_on_the_start_line_does_not_cost_dual_operation() {
     }
 }
 
-/// T-RED-2: sync edges that come again and again, and no other system: it drives alone when its
+/// T-RED-2: if stray sync edges repeat and there is no other system, a system drives alone when its
 /// time limit is over.
 #[test]
 fn stray_sync_edges_without_an_end_keep_no_system_from_driving() {
@@ -317,7 +317,7 @@ fn stray_sync_edges_without_an_end_keep_no_system_from_driving() {
 }
 
 /// T-RED-9: the connections of a master end right after its first frame, which its standby has not
-/// heard. The vehicle's echo tells that there was a master, so it is missed in time.
+/// heard. The vehicle's echo shows that there was a master, so the standby misses it in time.
 #[test]
 fn a_master_that_ends_after_its_first_frame_is_missed() {
     for config in PROFILES {

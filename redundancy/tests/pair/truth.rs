@@ -7,8 +7,8 @@ use tandem_redundancy::{Config, Phase};
 
 const SEEDS: std::ops::Range<u64> = 1..6;
 
-/// What is cut: heartbeat line 1, line 2, power level (each in both directions), CAN of A, CAN of
-/// B.
+/// The connections that are cut: heartbeat line 1, line 2, power level (each in both directions),
+/// CAN of A, CAN of B.
 type Combination = [bool; 5];
 
 fn combinations() -> impl Iterator<Item = Combination> {
@@ -32,19 +32,19 @@ fn phase_name(pair: &Pair, id: SystemId) -> &'static str {
     }
 }
 
-/// Whom the vehicle obeyed in the last 20 ms.
+/// Returns the system that the vehicle obeyed in the last 20 ms.
 fn obeyed(pair: &Pair) -> Option<SystemId> {
     let last = pair.accepted.last()?;
     (pair.now_us - last.at_us <= 20_000).then_some(last.system)
 }
 
-/// What a run of one combination came to.
+/// The result of a run of one combination.
 struct Outcome {
     phases: [&'static str; 2],
     obeyed: Option<SystemId>,
     gap_us: u64,
-    /// Whom the vehicle obeys and the gap after A, or B, has lost its supply 100 ms after the cut,
-    /// before anything suspends.
+    /// After A, or B, has lost its supply 100 ms after the cut, before any system suspends: the
+    /// system that the vehicle obeys, and the gap.
     then_off: [(Option<SystemId>, u64); 2],
 }
 
@@ -81,14 +81,14 @@ fn check_never_two(pair: &Pair, combination: Combination) {
     assert_eq!(pair.both_open_max_us, 0, "{combination:?}");
 }
 
-/// T-RED-9: whatever is cut, frames of two masters are never on the bus; if a healthy system is
-/// connected, the vehicle obeys it, within the bound; and when the system that drives then loses
-/// its supply, the other one that is connected takes over, within the bound.
+/// T-RED-9: with any links cut, frames of two masters are never on the bus. If a healthy system is
+/// connected, the vehicle obeys it within the bound. If the system that drives then loses its
+/// supply, the other connected one takes over within the bound.
 #[test]
 fn every_combination_of_cut_links() {
     for config in [Config::rt(), Config::desktop()] {
         let bus = 1_500;
-        // Of the echo that tells of a mute master, and of its successor's first frame.
+        // The bus delays the echo that reports a mute master, and the new master's first frame.
         let two_frames = 2 * bus;
         for combination in combinations() {
             let [.., can_a, can_b] = combination;
@@ -137,8 +137,8 @@ fn every_combination_of_cut_links() {
     }
 }
 
-/// T-RED-9: the same with the link between the systems cut as well: nothing that keeps two masters
-/// apart depends on it.
+/// T-RED-9: the same with the link between the systems cut too, because no protection against two
+/// masters depends on the link.
 #[test]
 fn every_combination_without_the_link() {
     for combination in combinations() {
@@ -165,7 +165,7 @@ fn every_combination_without_the_link() {
     }
 }
 
-/// The table for the docs, profile rt.
+/// Returns the table for the docs, profile rt.
 pub(crate) fn table() -> String {
     let mut text = String::from(
         "| hb 1 | hb 2 | level | CAN A | CAN B | A after 2 s | B after 2 s | vehicle obeys | gap ms \
