@@ -111,7 +111,7 @@ pub(crate) const fn alternating(number: u32) -> Edge {
     }
 }
 
-/// Core 0 of each system waits for core 0 of the other: each sends an edge on the second heartbeat
+/// Makes core 0 of both systems wait for each other: each sends an edge on the second heartbeat
 /// line, rising and falling alternately. Steps count from 1.
 #[track_caller]
 pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), CaseFailure> {
@@ -124,8 +124,8 @@ pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), CaseFa
     })
 }
 
-/// All `cores` of both systems wait for each other; core 0 must be one of them. Uses two steps: the
-/// next step of [`wait_for_cores`] is `2 × step + 1`.
+/// Makes `cores` of both systems wait for each other; core 0 must be one of them. Uses two steps:
+/// the next step of [`wait_for_cores`] is `2 × step + 1`.
 #[track_caller]
 pub(crate) fn wait_for_all<B: Board>(
     board: &B,

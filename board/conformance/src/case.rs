@@ -27,8 +27,8 @@ pub enum Setting {
     /// The watchdogs are active, and after a reset the rig runs the roles of that system again, in
     /// the next generation. The case passes when every role has returned `Ok` in some incarnation.
     Restarts,
-    /// Like [`Setting::Restarts`], but the role of core 0 releases the other cores itself. In every
-    /// other setting they are released before that role begins.
+    /// Like [`Setting::Restarts`], but the role of core 0 releases the other cores. In all other
+    /// settings they are released before that role begins.
     Releases,
     /// System A requests to be held in reset: its roles need not end. The roles of system B must
     /// return `Ok`. The watchdogs reset no system.

@@ -258,7 +258,7 @@ impl Launcher {
         let Some(supply) = self.children.get_mut(system.index()) else {
             return;
         };
-        // A supply that was just killed ends within milliseconds; else it is already on.
+        // A supply that was just killed ends within milliseconds. Otherwise it is still on.
         let patience = Instant::now() + POWER_OFF_WITHIN;
         while matches!(supply.try_wait(), Ok(None)) {
             if Instant::now() > patience {

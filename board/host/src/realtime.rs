@@ -110,7 +110,7 @@ fn pin(index: usize) -> Option<usize> {
     core_affinity::set_for_current(id).then_some(id.id)
 }
 
-/// Under a limit on locked memory, locking all future memory would make later allocations fail.
+/// Returns whether memory may be locked: under a limit, later allocations would fail.
 fn may_lock() -> bool {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let privileged =

@@ -133,7 +133,7 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
 // SAFETY: letters are a valid file name.
 pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
 
-/// Prefix of the file names of a run.
+/// Returns the prefix of the file names of a run.
 pub(crate) fn prefix(run: &RunName) -> FileName {
     FileName::new(format!("{run}_").as_bytes()).unwrap_or(FALLBACK)
 }

@@ -51,7 +51,7 @@ pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// Ctrl-C in the terminal must reach only the launcher, which ends the run in order.
+/// Detaches a process from Ctrl-C: that must reach only the launcher, which ends the run in order.
 fn detach(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }

@@ -40,8 +40,8 @@ use crate::spawn::{self, Watched};
 
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
-/// The same after all cores have started. A process's death, the end of the watchdog's window and
-/// [`POKE`] end it early. Not longer: only a late supply detects that it was [`HELD_UP`].
+/// The period after all cores have started. A process's death, the end of the watchdog's window and
+/// [`POKE`] wake the supply at once. Not longer: only a late supply detects [`HELD_UP`].
 const CALM_PERIOD: Duration = Duration::from_ms(20);
 /// Makes a supply or the launcher read its registers. Before its handler is installed, the signal
 /// has no effect.

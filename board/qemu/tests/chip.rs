@@ -133,7 +133,7 @@ fn takeover(fails: Fails, level_cut: bool, at_us: u32) -> [Duration; 3] {
     ]
 }
 
-/// Number of moments within a control period at which A fails. `TANDEM_MOMENTS` sets more.
+/// Returns at how many moments of a control period A fails; `TANDEM_MOMENTS` sets another number.
 fn moments() -> u32 {
     let wanted = std::env::var("TANDEM_MOMENTS").ok();
     wanted.map_or(5, |count| count.parse().expect("a number"))

@@ -52,7 +52,7 @@ fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
             Event::Stack { task, free_bytes } if *task == info.code => Some(*free_bytes),
             _ => None,
         });
-        // Of a stack of 16 KiB; each task reports once per second.
+        // The stack has 16 KiB; each task reports its free bytes once per second.
         let free = free.min().expect("a report");
         assert!(free > 4 << 10, "{}: {free} bytes of stack left", info.name);
     }

@@ -121,11 +121,11 @@ pub(crate) struct Ring {
 /// The positions of the rings.
 #[derive(Debug)]
 pub(crate) struct Rings {
-    /// From each core to the bus.
+    /// The rings from each core to the bus.
     pub(crate) transmit: [Ring; CoreAddress::COUNT],
-    /// From the bus to all cores.
+    /// The ring from the bus to all cores.
     pub(crate) receive: Ring,
-    /// From each system to the other.
+    /// The link from each system to the other.
     pub(crate) link: [Ring; 2],
     /// Watchdog services of each system.
     pub(crate) service: [Ring; 2],

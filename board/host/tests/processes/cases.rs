@@ -338,7 +338,7 @@ fn frame(id: u16) -> CanFrame {
     CanFrame::new(CanId::Standard(id), true, &[id as u8; 48]).expect("a valid frame")
 }
 
-/// All cores send frames, and record the frames that they receive.
+/// Sends frames from all cores, and records the frames that each core receives.
 fn listen(board: &HostBoard) {
     let me = board.identity();
     let number = (me.system.index() * 3 + me.core.index()) as u16;
@@ -426,7 +426,7 @@ fn hear(script: &mut Script) {
     unplugged(script);
 }
 
-/// A system that is cut off from the bus neither sends nor receives.
+/// Checks that a system that is cut off from the bus neither sends nor receives.
 fn unplugged(script: &mut Script) {
     script.port.set_cut(Wire::Can, B, true);
     script.port.broadcast(&frame(0x701));

@@ -493,7 +493,7 @@ fn list(script: &mut Script) {
     assert!(all.iter().any(|process| process.pid == std::process::id()));
 }
 
-/// All processes except the launcher must have the granted policy and keep it.
+/// Checks that all processes except the launcher have the granted policy and keep it.
 fn check_policy(script: &mut Script) {
     const FIFO: &str = "1";
     for system in SystemId::ALL {

@@ -329,7 +329,7 @@ fn namespace_of(pid: impl std::fmt::Display, kind: &str) -> io::Result<PathBuf> 
     fs::read_link(format!("/proc/{pid}/ns/{kind}"))
 }
 
-/// The run must use the machine's `/dev/shm` and have entered no namespace.
+/// Checks that the run uses the machine's `/dev/shm` and has entered no namespace.
 fn is_shared(launcher: u32) -> Outcome {
     for kind in ["user", "mnt"] {
         assert_eq!(
@@ -341,7 +341,7 @@ fn is_shared(launcher: u32) -> Outcome {
     Ok(())
 }
 
-/// The filter of a container refuses one of the system calls that a namespace needs.
+/// Tests a container whose filter refuses one of the system calls that a namespace needs.
 fn without(call: libc::c_long, ordinary: bool) -> Outcome {
     let ground = Ground::new()?;
     let mut launcher = ground.launcher(LASTING.name, "own");
@@ -444,7 +444,7 @@ fn file_capability() -> Outcome {
     dark.map_err(Failed::from)
 }
 
-/// All nine processes share one CPU.
+/// Tests a run whose nine processes share one CPU.
 fn one_cpu() -> Outcome {
     let cases = fixture::all_cases();
     let case = cases

@@ -9,9 +9,9 @@ use tandem_board::{CanFrame, CanId, Duration};
 /// The bit rates of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitRates {
-    /// Of the arbitration phase and of classic frames, bit/s.
+    /// Bit rate of the arbitration phase and of classic frames, bit/s.
     pub nominal: u32,
-    /// Of the data phase of CAN FD, bit/s.
+    /// Bit rate of the data phase of CAN FD, bit/s.
     pub data: u32,
 }
 

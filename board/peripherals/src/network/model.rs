@@ -24,9 +24,9 @@ const TRANSMIT_BUFFER: usize = 32;
 /// Transfer times of the connections. By default they are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WireTimes {
-    /// From the edge to its count at the other system.
+    /// Time from an edge to its count at the other system.
     pub line: Duration,
-    /// From `send` of a datagram to its arrival.
+    /// Time from `send` of a datagram to its arrival.
     pub link: Duration,
     /// The bit rates of the bus; `None`: a frame takes no time and never waits for another frame.
     pub bus: Option<BitRates>,

@@ -25,7 +25,7 @@ macro_rules! defects {
         }
 
         impl Defect {
-            /// All defects.
+            /// Returns all defects.
             pub(crate) fn all() -> impl Iterator<Item = Self> {
                 let faults = HardwareFault::ALL.into_iter().map(Self::FaultWithoutEffect);
                 [$(Self::$name),+].into_iter().chain(faults)
