@@ -35,12 +35,7 @@ impl Collected {
         let stage = out.stage()?;
         let candump = stage.path().join(output::CANDUMP);
         let log = read(&files.recording(), &candump).with_context(because)?;
-        let timeline = Timeline::new(&log);
-        Ok(Self {
-            log,
-            timeline,
-            stage,
-        })
+        Ok(Self::staged(log, stage))
     }
 
     /// Collects a run whose recording is in memory: its log, and its frames as lines of text.
@@ -51,12 +46,15 @@ impl Collected {
         let stage = out.stage()?;
         let path = stage.path().join(output::CANDUMP);
         fs::write(&path, candump).with_context(|| format!("writing {}", path.display()))?;
-        let timeline = Timeline::new(&log);
-        Ok(Self {
+        Ok(Self::staged(log, stage))
+    }
+
+    fn staged(log: RunLog, stage: tempfile::TempDir) -> Self {
+        Self {
+            timeline: Timeline::new(&log),
             log,
-            timeline,
             stage,
-        })
+        }
     }
 
     /// Writes the report and the files beside it.

@@ -67,14 +67,8 @@ impl<'b, B: Board> Core1<'b, B> {
     #[must_use]
     pub fn new(board: &'b B) -> Self {
         let start = board.now();
-        let generation = board.identity().generation.0;
-        board.trace(
-            Event::Started {
-                generation,
-                cause: 0,
-            }
-            .encode(),
-        );
+        let (generation, cause) = (board.identity().generation.0, 0);
+        board.trace(Event::Started { generation, cause }.encode());
         Self {
             board,
             attached: None,

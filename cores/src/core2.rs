@@ -100,14 +100,8 @@ impl<'b, B: Board> Core2<'b, B> {
     /// Starts the core's incarnation on this board.
     #[must_use]
     pub fn new(board: &'b B) -> Self {
-        let generation = board.identity().generation.0;
-        board.trace(
-            Event::Started {
-                generation,
-                cause: 0,
-            }
-            .encode(),
-        );
+        let (generation, cause) = (board.identity().generation.0, 0);
+        board.trace(Event::Started { generation, cause }.encode());
         let mut tasks = TaskTable::new();
         // The table is new, so the id is free.
         let _taken = tasks.add(PLAN, Planning::run, 0);

@@ -180,8 +180,9 @@ impl AtomicU32 {
 #[cfg(all(test, not(loom)))]
 pub(crate) use unit::zeroed;
 
-#[cfg(all(test, not(loom)))]
+#[cfg(not(loom))]
 #[allow(clippy::unwrap_used, reason = "test code")]
+#[cfg(test)]
 mod unit {
     use super::*;
     use std::sync::Mutex;

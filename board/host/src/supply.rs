@@ -435,7 +435,7 @@ mod tests {
     use super::*;
     use crate::RunName;
     use crate::args::{Common, Schedule};
-    use crate::backplane::ScratchRun;
+    use crate::backplane::tests::ScratchRun;
     use tandem_board::watchdog_answer;
     use tandem_peripherals::codec::encode_service;
     use tandem_peripherals::watchdog::question;

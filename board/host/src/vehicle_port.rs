@@ -374,8 +374,8 @@ mod tests {
     use super::*;
     use crate::RunName;
     use crate::args::{Common, Schedule};
-    use crate::backplane::ScratchRun;
     use crate::backplane::encode_transmit;
+    use crate::backplane::tests::ScratchRun;
     use crate::can::HostCan;
     use std::sync::Arc;
     use tandem_board::{Can, CanId, Generation, HardwareFault, Identity};

@@ -23,7 +23,7 @@ pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
 /// A core's connection to the machine, for one incarnation of the core.
 #[derive(Clone)]
-pub(crate) struct Port {
+pub struct SimPort {
     pub(crate) shared: Arc<Shared>,
     pub(crate) place: CoreAddress,
     pub(crate) generation: Generation,
@@ -31,7 +31,7 @@ pub(crate) struct Port {
     pub(crate) baton: Option<Arc<Baton>>,
 }
 
-impl Port {
+impl SimPort {
     /// Runs `act` if this incarnation of the core is still current: a dead core must not act.
     pub(crate) fn alive<R>(
         &self,
@@ -112,45 +112,25 @@ impl Port {
 /// on a core other than core 0.
 #[derive(Clone)]
 pub struct SimBoard {
-    pub(crate) port: Port,
-    can: SimCan,
-    lines: SimLines,
+    pub(crate) port: SimPort,
     link: SimLink,
-    flash: SimFlash,
-    supply: SimSupply,
 }
 
-/// The CAN controller of a core.
-#[derive(Clone)]
-pub struct SimCan(Port);
-/// A system's end of the lines.
-#[derive(Clone)]
-pub struct SimLines(Port);
 /// A system's end of the data link.
 #[derive(Clone)]
-pub struct SimLink(Port);
-/// The data flash of a system.
-#[derive(Clone)]
-pub struct SimFlash(Port);
-/// The supply of a system.
-#[derive(Clone)]
-pub struct SimSupply(Port);
+pub struct SimLink(SimPort);
 
 impl SimBoard {
-    pub(crate) fn new(port: Port) -> Self {
+    pub(crate) fn new(port: SimPort) -> Self {
         Self {
-            can: SimCan(port.clone()),
-            lines: SimLines(port.clone()),
             link: SimLink(port.clone()),
-            flash: SimFlash(port.clone()),
-            supply: SimSupply(port.clone()),
             port,
         }
     }
 
     pub(crate) fn with_baton(&self, baton: Arc<Baton>) -> Self {
         self.port.awake();
-        Self::new(Port {
+        Self::new(SimPort {
             baton: Some(baton),
             ..self.port.clone()
         })
@@ -207,11 +187,11 @@ impl SimBoard {
 }
 
 impl Board for SimBoard {
-    type Can = SimCan;
-    type Lines = SimLines;
+    type Can = SimPort;
+    type Lines = SimPort;
     type Link = SimLink;
-    type Flash = SimFlash;
-    type Supply = SimSupply;
+    type Flash = SimPort;
+    type Supply = SimPort;
 
     fn identity(&self) -> Identity {
         let CoreAddress { system, core } = self.port.place;
@@ -225,7 +205,7 @@ impl Board for SimBoard {
     #[inline]
     fn now(&self) -> Instant {
         self.port.look();
-        let Port { shared, place, .. } = &self.port;
+        let SimPort { shared, place, .. } = &self.port;
         shared.glance.local(place.system)
     }
 
@@ -254,24 +234,24 @@ impl Board for SimBoard {
         self.port.wait(deadline)
     }
 
-    fn can(&self) -> &SimCan {
-        &self.can
+    fn can(&self) -> &SimPort {
+        &self.port
     }
 
-    fn lines(&self) -> &SimLines {
-        &self.lines
+    fn lines(&self) -> &SimPort {
+        &self.port
     }
 
     fn link(&self) -> &SimLink {
         &self.link
     }
 
-    fn flash(&self) -> &SimFlash {
-        &self.flash
+    fn flash(&self) -> &SimPort {
+        &self.port
     }
 
-    fn supply(&self) -> &SimSupply {
-        &self.supply
+    fn supply(&self) -> &SimPort {
+        &self.port
     }
 
     #[inline]
@@ -303,86 +283,81 @@ impl FaultSource for SimBoard {
     }
 }
 
-impl Can for SimCan {
+impl Can for SimPort {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         let sent = self
-            .0
             .alive(|machine| {
-                if machine.holds(self.0.place, || Output::Frame(*frame)) {
+                if machine.holds(self.place, || Output::Frame(*frame)) {
                     return Ok(());
                 }
-                machine.send_can(self.0.place, frame)
+                machine.send_can(self.place, frame)
             })
             .unwrap_or(Ok(()));
         if sent.is_err() {
-            self.0.look();
+            self.look();
         }
         sent
     }
 
     fn discard_unsent(&self) {
-        self.0.alive(|machine| machine.discard_unsent(self.0.place));
+        self.alive(|machine| machine.discard_unsent(self.place));
     }
 
     #[inline]
     fn try_receive(&self) -> Option<Received> {
-        let waits = self.0.shared.glance.can(self.0.place);
+        let waits = self.shared.glance.can(self.place);
         if !waits.load(Ordering::Relaxed) {
-            self.0.look();
+            self.look();
             return None;
         }
         let received = self
-            .0
-            .alive(|machine| machine.receive_can(self.0.place))
+            .alive(|machine| machine.receive_can(self.place))
             .flatten();
         if received.is_none() {
-            self.0.look();
+            self.look();
         }
         received
     }
 
     fn wake_on_receive(&self, on: bool) {
-        self.0
-            .alive(|machine| machine.wake_on_receive(self.0.place, on));
+        self.alive(|machine| machine.wake_on_receive(self.place, on));
     }
 
     fn overruns(&self) -> u32 {
-        self.0
-            .alive(|machine| machine.core(self.0.place).overruns)
+        self.alive(|machine| machine.core(self.place).overruns)
             .unwrap_or(0)
     }
 
     fn errors(&self) -> CanErrors {
-        self.0
-            .alive(|machine| {
-                let now = machine.at();
-                machine.network.errors(self.0.place, now)
-            })
-            .unwrap_or_default()
+        self.alive(|machine| {
+            let now = machine.at();
+            machine.network.errors(self.place, now)
+        })
+        .unwrap_or_default()
     }
 }
 
-impl Lines for SimLines {
+impl Lines for SimPort {
     fn send(&self, line: Line, edge: Edge) {
-        self.0.alive(|machine| {
-            if !machine.holds(self.0.place, || Output::Edge(line, edge)) {
-                machine.send_edge(self.0.place.system, line, edge);
+        self.alive(|machine| {
+            if !machine.holds(self.place, || Output::Edge(line, edge)) {
+                machine.send_edge(self.place.system, line, edge);
             }
         });
     }
 
     #[inline]
     fn received(&self, line: Line, edge: Edge) -> u32 {
-        self.0.look();
-        let glance = &self.0.shared.glance;
-        let count = glance.edges(self.0.place.system, line, edge);
+        self.look();
+        let glance = &self.shared.glance;
+        let count = glance.edges(self.place.system, line, edge);
         count.load(Ordering::Relaxed)
     }
 
     #[inline]
     fn peer_powered(&self) -> bool {
-        self.0.look();
-        let level = self.0.shared.glance.level(self.0.place.system.peer());
+        self.look();
+        let level = self.shared.glance.level(self.place.system.peer());
         level.load(Ordering::Relaxed)
     }
 }
@@ -429,43 +404,40 @@ impl Link for SimLink {
     }
 }
 
-impl DataFlash for SimFlash {
+impl DataFlash for SimPort {
     const PAGE_BYTES: u32 = data_flash::PAGE_BYTES;
     const SECTOR_BYTES: u32 = data_flash::SECTOR_BYTES;
     const SECTORS: u32 = data_flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        self.0
-            .shared
+        self.shared
             .lock()
-            .system(self.0.place.system)
+            .system(self.place.system)
             .flash
             .read(offset, into)
     }
 
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
-        assert!(self.0.is_control(), "only core 0 programs the flash");
-        self.0
-            .alive(|machine| {
-                let start = |flash: &mut Flash, now| flash.start_erase(sector, now);
-                machine.start_flash(self.0.place.system, start)
-            })
-            .unwrap_or(Err(FlashError::Failed))
+        assert!(self.is_control(), "only core 0 programs the flash");
+        self.alive(|machine| {
+            let start = |flash: &mut Flash, now| flash.start_erase(sector, now);
+            machine.start_flash(self.place.system, start)
+        })
+        .unwrap_or(Err(FlashError::Failed))
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
-        assert!(self.0.is_control(), "only core 0 programs the flash");
-        self.0
-            .alive(|machine| {
-                let start = |flash: &mut Flash, now| flash.start_program(offset, data, now);
-                machine.start_flash(self.0.place.system, start)
-            })
-            .unwrap_or(Err(FlashError::Failed))
+        assert!(self.is_control(), "only core 0 programs the flash");
+        self.alive(|machine| {
+            let start = |flash: &mut Flash, now| flash.start_program(offset, data, now);
+            machine.start_flash(self.place.system, start)
+        })
+        .unwrap_or(Err(FlashError::Failed))
     }
 
     fn status(&self) -> FlashStatus {
-        self.0.look();
-        let Port { shared, place, .. } = &self.0;
+        self.look();
+        let SimPort { shared, place, .. } = self;
         let may_be_busy = shared.glance.flash(place.system);
         if !may_be_busy.load(Ordering::Relaxed) {
             return FlashStatus::Idle;
@@ -478,38 +450,37 @@ impl DataFlash for SimFlash {
     }
 }
 
-impl Supply for SimSupply {
+impl Supply for SimPort {
     const WINDOW_OPENS_US: u32 = Window::TARGET.opens_us;
     const WINDOW_CLOSES_US: u32 = Window::TARGET.closes_us;
     const FIRST_SERVICE_US: u32 = Window::TARGET.first_us;
 
     fn reset_cause(&self) -> ResetCause {
-        let mut machine = self.0.shared.lock();
-        machine.system(self.0.place.system).supply.cause()
+        let mut machine = self.shared.lock();
+        machine.system(self.place.system).supply.cause()
     }
 
     fn watchdog_question(&self) -> u8 {
-        let mut machine = self.0.shared.lock();
-        machine.system(self.0.place.system).supply.question()
+        let mut machine = self.shared.lock();
+        machine.system(self.place.system).supply.question()
     }
 
     fn service_watchdog(&self, answer: u8) {
-        assert!(self.0.is_control(), "only core 0 serves the watchdog");
-        self.0.alive(|machine| {
-            if !machine.holds(self.0.place, || Output::Service(answer)) {
-                machine.service_watchdog(self.0.place.system, answer);
+        assert!(self.is_control(), "only core 0 serves the watchdog");
+        self.alive(|machine| {
+            if !machine.holds(self.place, || Output::Service(answer)) {
+                machine.service_watchdog(self.place.system, answer);
             }
         });
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        self.0
-            .alive(|machine| machine.request_reset(self.0.place, request));
+        self.alive(|machine| machine.request_reset(self.place, request));
     }
 
     fn show_role(&self, lamp: RoleLamp) {
-        let system = self.0.place.system;
-        self.0.alive(|machine| {
+        let system = self.place.system;
+        self.alive(|machine| {
             if machine.system(system).lamp != lamp {
                 machine.system(system).lamp = lamp;
                 machine.log(system, SystemEventKind::Lamp(lamp));

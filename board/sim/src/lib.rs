@@ -27,7 +27,7 @@ mod world;
 
 pub use baton::CoreKilled;
 pub use blocking::blocking;
-pub use board::{Poller, SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
+pub use board::{Poller, SimBoard, SimLink, SimPort};
 pub use config::{Clock, Config, Order, Tamper};
 pub use event::{OnBus, SystemEvent, SystemEventKind};
 pub use pair::SimPair;

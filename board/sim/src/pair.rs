@@ -1,6 +1,6 @@
 //! Both systems, run in virtual time.
 
-use crate::board::{Poller, Port, SimBoard};
+use crate::board::{Poller, SimBoard, SimPort};
 use crate::config::{Config, Order};
 use crate::event::{OnBus, SystemEvent};
 use crate::machine::{Attention, Machine, Shared};
@@ -88,7 +88,7 @@ impl SimPair {
         let (generation, incarnation) = (Generation(core.generation), core.incarnation);
         drop(machine);
         let shared = Arc::clone(&self.shared);
-        SimBoard::new(Port {
+        SimBoard::new(SimPort {
             shared,
             place,
             generation,

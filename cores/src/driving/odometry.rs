@@ -174,12 +174,6 @@ impl Odometry {
         &self.ego
     }
 
-    /// When the newest motion was measured; `None` before the first.
-    #[must_use]
-    pub fn newest_at(&self) -> Option<Instant> {
-        (self.count > 0).then(|| self.marks[self.newest].at)
-    }
-
     /// The pose at `to` as seen from the pose at `from`. Times before the memory count as its
     /// oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
     /// before the first update.
@@ -277,6 +271,5 @@ mod tests {
             odometry.between(Instant::ORIGIN, Instant::NEVER),
             EgoPose::default()
         );
-        assert_eq!(odometry.newest_at(), None);
     }
 }

@@ -16,8 +16,6 @@ use tandem_board::{
 };
 use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
 
-#[cfg(test)]
-use crate::doorbell;
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
@@ -115,12 +113,6 @@ impl Backplane {
             return Err(BackplaneError::OtherVersion(run.clone()));
         }
         Ok(backplane)
-    }
-
-    /// Removes the backplane that a test has created.
-    #[cfg(test)]
-    pub(crate) fn remove(run: &RunName) {
-        Segment::<WORDS>::remove(run, NAME);
     }
 
     fn run(self, register: Run) -> Register {
@@ -474,51 +466,5 @@ impl Backplane {
     }
 }
 
-/// The run of a test with its backplane. Dropping it removes the files, even if the test panics.
 #[cfg(test)]
-pub(crate) struct ScratchRun(RunName);
-
-#[cfg(test)]
-impl ScratchRun {
-    pub(crate) fn create() -> (Self, Backplane) {
-        let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
-        doorbell::install(&run).unwrap();
-        (Self(run), backplane)
-    }
-}
-
-#[cfg(test)]
-impl core::ops::Deref for ScratchRun {
-    type Target = RunName;
-
-    fn deref(&self) -> &RunName {
-        &self.0
-    }
-}
-
-#[cfg(test)]
-impl Drop for ScratchRun {
-    fn drop(&mut self) {
-        Backplane::remove(&self.0);
-        doorbell::remove(&self.0);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_delay_of_the_bus_is_at_most_that_of_a_fault() {
-        let (_run, backplane) = ScratchRun::create();
-        let late_ms = |ms| {
-            backplane.system(SystemId::A, System::LateMs).set(ms);
-            backplane.bus_fault(SystemId::A).late.as_us() / 1_000
-        };
-        let most = 1_000;
-        for ms in [0, 1, most, most + 1, u32::MAX] {
-            assert_eq!(late_ms(ms), u64::from(ms.min(most)));
-        }
-    }
-}
+pub(crate) mod tests;

@@ -55,28 +55,25 @@ pub(super) fn guarded<R>(body: impl FnOnce() -> R) -> R {
 // SAFETY: every call is passed on unchanged. Interrupts are masked, so on the core's thread no
 // other task and no handler runs during a call; the inner allocator synchronises with other
 // threads.
+#[allow(unsafe_op_in_unsafe_fn, reason = "passes the caller's promise on")]
 unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         if PROBING.load(Relaxed) {
             PROBED.store(true, Relaxed);
         }
-        // SAFETY: the caller's promise.
-        guarded(|| unsafe { self.inner.alloc(layout) })
+        guarded(|| self.inner.alloc(layout))
     }
 
     unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        guarded(|| unsafe { self.inner.dealloc(place, layout) });
+        guarded(|| self.inner.dealloc(place, layout));
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: the caller's promise.
-        guarded(|| unsafe { self.inner.alloc_zeroed(layout) })
+        guarded(|| self.inner.alloc_zeroed(layout))
     }
 
     unsafe fn realloc(&self, place: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
-        // SAFETY: the caller's promise.
-        guarded(|| unsafe { self.inner.realloc(place, layout, bytes) })
+        guarded(|| self.inner.realloc(place, layout, bytes))
     }
 }
 

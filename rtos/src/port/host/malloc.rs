@@ -4,6 +4,11 @@
 //! program that links this crate (glibc supports that). They call the originals, within a critical
 //! section if the caller is on the core's thread.
 
+#![allow(
+    unsafe_op_in_unsafe_fn,
+    reason = "each function passes its caller's promise on"
+)]
+
 use super::exclusive::guarded;
 use core::ffi::{c_int, c_void};
 
@@ -17,32 +22,27 @@ unsafe extern "C" {
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn malloc(bytes: usize) -> *mut c_void {
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_malloc(bytes) })
+    guarded(|| __libc_malloc(bytes))
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn calloc(count: usize, bytes: usize) -> *mut c_void {
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_calloc(count, bytes) })
+    guarded(|| __libc_calloc(count, bytes))
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn realloc(place: *mut c_void, bytes: usize) -> *mut c_void {
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_realloc(place, bytes) })
+    guarded(|| __libc_realloc(place, bytes))
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn free(place: *mut c_void) {
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_free(place) });
+    guarded(|| __libc_free(place));
 }
 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memalign(align: usize, bytes: usize) -> *mut c_void {
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_memalign(align, bytes) })
+    guarded(|| __libc_memalign(align, bytes))
 }
 
 #[unsafe(no_mangle)]
@@ -52,8 +52,7 @@ unsafe extern "C" fn aligned_alloc(align: usize, bytes: usize) -> *mut c_void {
         unsafe { *libc::__errno_location() = libc::EINVAL };
         return core::ptr::null_mut();
     }
-    // SAFETY: the caller's promise.
-    guarded(|| unsafe { __libc_memalign(align, bytes) })
+    guarded(|| __libc_memalign(align, bytes))
 }
 
 #[unsafe(no_mangle)]
