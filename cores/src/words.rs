@@ -311,6 +311,27 @@ payloads! { Scene Trajectory Knowledge ControlStep }
 mod tests {
     use super::*;
 
+    impl Object {
+        /// A truck that cuts in from the right, each field with a value of its own.
+        pub(crate) const fn truck() -> Self {
+            Self {
+                id: 7,
+                class: ClassCode::Truck,
+                x: 31.5,
+                y: -3.4,
+                vx: 22.0,
+                vy: 0.3,
+                ax: -1.0,
+                ay: 0.5,
+                length: 12.0,
+                width: 2.5,
+                lane: -1,
+                cuts_in: true,
+                approaching: 5,
+            }
+        }
+    }
+
     fn scene() -> Scene {
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],

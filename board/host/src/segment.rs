@@ -11,8 +11,6 @@ use iceoryx2_bb_system_types::file_name::FileName;
 use iceoryx2_cal::dynamic_storage::{
     DynamicStorage, DynamicStorageBuilder, DynamicStorageOpenError,
 };
-#[cfg(test)]
-use iceoryx2_cal::named_concept::NamedConceptMgmt;
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 
 use crate::name::RunName;
@@ -100,14 +98,6 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Removes a segment that a test has created. No effect if it does not exist.
-    #[cfg(test)]
-    pub(crate) fn remove(run: &RunName, name: &str) {
-        // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
-        unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name).unwrap(), &config(run)) }
-            .unwrap();
-    }
-
     pub(crate) fn words(&self) -> &[AtomicU32] {
         self.storage.get().as_slice()
     }
@@ -171,6 +161,16 @@ fn create_reason(error: CreateError) -> String {
 mod tests {
     use super::*;
     use core::sync::atomic::Ordering::Relaxed;
+    use iceoryx2_cal::named_concept::NamedConceptMgmt;
+
+    impl<const N: usize> Segment<N> {
+        /// Removes a segment that a test has created. No effect if it does not exist.
+        pub(crate) fn remove(run: &RunName, name: &str) {
+            // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
+            unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name).unwrap(), &config(run)) }
+                .unwrap();
+        }
+    }
 
     #[test]
     fn what_one_mapping_writes_the_other_reads() {

@@ -107,28 +107,6 @@ pub struct Object {
     pub approaching: u8,
 }
 
-#[cfg(test)]
-impl Object {
-    /// A truck that cuts in from the right, each field with a value of its own.
-    pub(crate) const fn truck() -> Self {
-        Self {
-            id: 7,
-            class: ClassCode::Truck,
-            x: 31.5,
-            y: -3.4,
-            vx: 22.0,
-            vy: 0.3,
-            ax: -1.0,
-            ay: 0.5,
-            length: 12.0,
-            width: 2.5,
-            lane: -1,
-            cuts_in: true,
-            approaching: 5,
-        }
-    }
-}
-
 /// The state of the world that core 1 perceives at one time: the object list of T-CHIP-3.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {

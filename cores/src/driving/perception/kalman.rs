@@ -161,11 +161,6 @@ impl Axis {
         self.state.z
     }
 
-    #[cfg(test)]
-    fn position_variance(&self) -> f32 {
-        self.covariance.m11
-    }
-
     pub(crate) fn predict(&mut self, span: &Span) {
         self.state = span.end(self.state);
         if self.covariance.m11 > MAX_VARIANCE {
@@ -215,6 +210,12 @@ impl Axis {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl Axis {
+        fn position_variance(&self) -> f32 {
+            self.covariance.m11
+        }
+    }
 
     const MOTION: Motion = Motion {
         acceleration_noise: 8.0,
