@@ -67,12 +67,12 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     )
 }
 
-/// The last frame of a controller whose second frame was destroyed until the repair: 128 sent frames
-/// take any error-passive controller back to error-active.
+/// The last frame of a controller whose second frame was destroyed until the repair: 128 frames
+/// that are sent take any error-passive controller back to error-active.
 const LAST: u8 = 129;
 
-/// Its second frame is destroyed on the bus, until the controller was bus-off, has recovered, and is
-/// error-passive again when the fault is repaired.
+/// Its second frame is destroyed on the bus, until the controller was bus-off, has recovered, and
+/// is error-passive again when the fault is repaired.
 pub(super) fn cannot_send<B: FaultSource>(
     board: &B,
     place: CoreAddress,
