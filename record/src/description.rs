@@ -24,7 +24,7 @@ pub const fn is_routine(event: &Event) -> bool {
     )
 }
 
-/// A core's event in words; `None` for those of every cycle and those of a scheduler.
+/// Returns a core's event in words; `None` for those of every cycle and those of a scheduler.
 #[must_use]
 pub fn core_event(event: Event) -> Option<String> {
     Some(match event {
@@ -140,14 +140,14 @@ const fn flood_source(source: FloodSource) -> &'static str {
 }
 
 impl Takeover {
-    /// [`Takeover::cause`] in words.
+    /// Returns [`Takeover::cause`] in words.
     #[must_use]
     pub fn cause_in_words(&self) -> &'static str {
         self.cause.map_or("not reported", evidence)
     }
 }
 
-/// An event of a supply in words.
+/// Returns an event of a supply in words.
 #[must_use]
 pub fn supply_event(event: SupplyEvent) -> String {
     match event {
@@ -173,7 +173,7 @@ const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
-/// The evidence for a change of phase, in words.
+/// Returns the evidence for a change of phase, in words.
 #[must_use]
 pub const fn evidence(evidence: Evidence) -> &'static str {
     match evidence {

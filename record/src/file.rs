@@ -15,7 +15,7 @@ use tandem_vehicle::{LoggedFrame, Ruling};
 
 use crate::log::VehicleRecord;
 
-/// A reader refuses a longer entry, bytes.
+/// The longest entry that a reader accepts, bytes.
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
@@ -75,8 +75,7 @@ impl From<VehicleRecord> for Entry {
 impl Entry {
     /// Appends the entry.
     ///
-    /// # Errors
-    /// Those of the writer.
+    /// Returns the writer's errors.
     pub fn write(&self, into: &mut impl Write) -> io::Result<()> {
         let (kind, content) = match self {
             Self::Trace(traced) => (TRACE, trace_bytes(traced)),
@@ -192,8 +191,7 @@ impl Bytes<'_> {
 
 /// Reads a recording and passes each entry to `into`.
 ///
-/// # Errors
-/// If the file cannot be read, holds an invalid entry, or `into` fails.
+/// If the file cannot be read, contains an invalid entry, or `into` fails.
 pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let bytes = fs::read(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
@@ -245,7 +243,7 @@ pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()
     Ok(())
 }
 
-/// The number of a verdict in a recording, from 1; 0 for none.
+/// Returns the number of a verdict in a recording, from 1; 0 for none.
 #[must_use]
 pub fn verdict_code(verdict: Option<Ruling>) -> u8 {
     let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
@@ -340,7 +338,7 @@ mod tests {
         assert_eq!(most, entries().len() - 1);
     }
 
-    /// A recording that is read in pieces of whole entries has the same content.
+    /// Reading a recording in pieces of whole entries gives the same content.
     #[test]
     fn a_recording_is_read_in_pieces_of_whole_entries() {
         let bytes = written(&entries());

@@ -1,5 +1,5 @@
-//! Times without control, each compared with the bound of its cause, together with the stalls that
-//! excuse a part of it; and the times in which both systems transmitted.
+//! Times without control, each compared with the bound of its cause, and the stalls that excuse a
+//! part of them; and the times in which both systems transmitted.
 
 use tandem_board::{CoreId, Duration, ResetCause, SupplyEvent, SystemId};
 use tandem_bus::RoleCode;
@@ -17,33 +17,33 @@ use crate::{RunLog, Takeover, ms_between};
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
-/// A stall of a standby that is longer than this may be a poll that is late by more than its jitter
-/// (3 ms), because the watch sees up to 2 ms less, ns.
+/// A longer stall of a standby may be a poll that is late by more than its jitter (3 ms), because
+/// the watch sees up to 2 ms less, ns.
 const HELD_UP_NS: u64 = 1_000_000;
-/// A system whose last status frame is older than this does not stand by, ns: the frames arrive
-/// every 100 ms.
+/// A system whose last status frame is older than this is not standby, ns: the frames arrive every
+/// 100 ms.
 const STATUS_NS: u64 = 250_000_000;
 /// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
 /// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
-/// A control frame that nothing delays arrives within this time after it was made, ms: a control
+/// A control frame that nothing delays arrives within this time after it was made, ms: one control
 /// period.
 const USUAL_WAY_MS: f64 = 10.0;
-/// A new master hears a live predecessor within one control period and one move of the bus, ms.
+/// A new master is heard by its running predecessor within a control period and one bus step, ms.
 pub const HAND_OVER_MS: f64 = 11.0;
 
 /// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// The old master fell silent: any evidence but the following two. Also the bound without a
+    /// The old master fell silent: any evidence except the two below. Also the bound without a
     /// takeover, because a master that is late for longer is replaced.
     pub silent_ms: f64,
     /// The power level of the old master fell.
     pub power_ms: f64,
-    /// The old master lived, and its frames did not reach the vehicle.
+    /// The old master was running, but its frames did not reach the vehicle.
     pub mute_ms: f64,
-    /// The limits of the profile from which they follow. In the hold-down a standby waits for the
-    /// vehicle, so every takeover in it has the bound of a mute master.
+    /// The limits of the profile from which the bounds follow. In the hold-down a standby waits for
+    /// the vehicle, so every takeover in it has the bound of a mute master.
     pub limits: Limits,
 }
 
@@ -60,8 +60,8 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// The bounds as the vehicle sees them. `on_bus`: how much later than sent a frame arrives.
-    /// `timers`: how late the timers are beside that. The bounds of silence contain that already.
+    /// Returns the bounds as the vehicle sees them. `on_bus`: the delay of a frame on the bus.
+    /// `timers`: the additional lateness of the timers. The bounds of silence contain that already.
     #[must_use]
     pub fn new(limits: Limits, on_bus: Duration, timers: Duration) -> Self {
         let ms = |bound: Duration| (bound + on_bus).as_ms_f64();
@@ -73,12 +73,12 @@ impl Bounds {
         }
     }
 
-    /// All bounds, to be moved by the delay of a board.
+    /// Returns all bounds, so that the delay of a board can be added.
     pub const fn all_mut(&mut self) -> [&mut f64; 3] {
         [&mut self.silent_ms, &mut self.power_ms, &mut self.mute_ms]
     }
 
-    /// The bound of this takeover.
+    /// Returns the bound of this takeover.
     #[must_use]
     pub fn of_takeover(&self, log: &RunLog, takeover: &Takeover) -> f64 {
         let bound_ms = match takeover.cause {
@@ -110,8 +110,8 @@ impl Bounds {
 }
 
 /// Tests whether core 0 of the old master died in the gap, while its supply had power. The level
-/// falls only when the supply has noticed the death, which may take it longer than the heartbeats
-/// take to be silent: that bound holds then.
+/// falls only when the supply has noticed the death. This may take longer than the silence of the
+/// heartbeats, so the bound of silence applies.
 fn core_died(log: &RunLog, takeover: &Takeover) -> bool {
     let gap_ns = takeover.from_ns..takeover.at_ns;
     log.supplies.iter().any(|(at_ns, system, event)| {
@@ -159,11 +159,11 @@ fn is_held(log: &RunLog, takeover: &Takeover) -> bool {
 /// The end of a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EndedBy {
-    /// The system that had driven before, in the same or a later term.
+    /// The system that drove before, in the same or a later term.
     SameSystem,
-    /// The other system, on this evidence.
+    /// The other system, which took over on this evidence.
     Takeover(Option<Evidence>),
-    /// The end of the run: no system drove any more.
+    /// The end of the run: no system drove again.
     Nothing,
 }
 
@@ -174,24 +174,24 @@ pub struct Gap {
     pub from_ns: u64,
     /// The first one after, or the end of the run, ns.
     pub to_ns: u64,
-    /// The end of it.
+    /// What ended the gap.
     pub ended_by: EndedBy,
-    /// How long it may be, ms.
+    /// The longest permitted gap, ms.
     pub bound_ms: f64,
-    /// How much of a longer gap stalls excuse, ms.
+    /// The part of a longer gap that stalls excuse, ms.
     pub stalled_ms: f64,
-    /// Those stalls.
+    /// The stalls that excuse it.
     pub stalls: Vec<Stall>,
 }
 
 impl Gap {
-    /// Its length.
+    /// Returns its length.
     #[must_use]
     pub fn ms(&self) -> f64 {
         ms_between(self.from_ns, self.to_ns)
     }
 
-    /// Its length without what stalls excuse.
+    /// Returns its length without the part that stalls excuse.
     #[must_use]
     pub fn net_ms(&self) -> f64 {
         self.ms() - self.stalled_ms
@@ -204,7 +204,7 @@ impl Gap {
     }
 }
 
-/// The gaps beyond their bounds, in order. `takeovers` are those of the same log.
+/// Returns the gaps beyond their bounds, in order. `takeovers` are those of the same log.
 #[must_use]
 pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Stall]) -> Vec<Gap> {
     let mut all = periods(log, takeovers, bounds, stalls, [0, u64::MAX]);
@@ -212,8 +212,8 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
     all
 }
 
-/// All times between two accepted frames that overlap these times, ns, and the one from the last
-/// frame to the end of the run, in order. Stalls are looked up only beyond the bound.
+/// Returns all times between two accepted frames that overlap these times, ns, and the one from the
+/// last frame to the end of the run, in order. Stalls excuse only those beyond their bound.
 #[must_use]
 pub fn periods(
     log: &RunLog,
@@ -266,7 +266,7 @@ pub fn periods(
         .collect()
 }
 
-/// Tests whether the system stood by at that time, by its last status frame.
+/// Tests whether the system was standby at that time, by its last status frame.
 fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
     let mut of_system = log.status.iter().rev().filter(|it| it.system == system);
     let last = of_system.find(|status| status.at_ns <= at_ns);
@@ -277,7 +277,7 @@ fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
 struct Responsible {
     /// The master. It is responsible until `until_ns`, or to the end if there is no successor.
     driver: SystemId,
-    /// The standby. It must have replaced the master by `until_ns`, whatever held the master up.
+    /// The standby. It must have replaced the master by `until_ns`, even if the master was held up.
     successor: Option<SystemId>,
     until_ns: u64,
     /// The longest time that a correct standby waits before it takes over.
@@ -288,9 +288,9 @@ impl Responsible {
     /// Returns how much of this time, ns, is excused by stalls of the bus and of the CPUs of the
     /// systems that must drive, and these stalls. Overlapping stalls count once.
     ///
-    /// A standby that was held up restarts its limits once, because its own absence is no evidence.
-    /// The time that it had waited by then counts as well, but at most the time that a correct
-    /// standby waits.
+    /// A standby that was held up restarts its limits once, because its own stall is no evidence.
+    /// The time that it had already waited counts too, but at most the time that a correct standby
+    /// waits.
     fn excused(
         &self,
         log: &RunLog,
@@ -327,7 +327,7 @@ impl Responsible {
     }
 }
 
-/// The length of what these spans cover.
+/// Returns the total length that these spans cover; overlaps count once.
 fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
     spans.sort_unstable();
     let (mut covered_ns, mut until_ns) = (0, 0);
@@ -338,9 +338,9 @@ fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
     covered_ns
 }
 
-/// Time in which both systems transmitted control frames as master, ms, whether the vehicle obeyed
-/// or refused them. From the first frame of the one to the frame that follows the last of the
-/// other, by the times at which they were sent.
+/// Returns the time in which both systems transmitted control frames as master, ms, whether the
+/// vehicle obeyed or refused them. It lasts from the first frame of one system to the frame after
+/// the last of the other, by the times of sending.
 #[must_use]
 pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     let claims =
@@ -352,7 +352,7 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
         .map(|frame| (frame.sent_ns, frame.system))
         .collect();
     sent.sort_unstable();
-    // Frames that follow each other without a silence are one mastership.
+    // Frames without a silence between them belong to one mastership.
     let (mut both, mut row) = (Mastership::default(), 0);
     let mut last: [Option<(u64, u32)>; 2] = [None; 2];
     for (at_ns, system) in sent {
@@ -371,13 +371,13 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
 }
 
 /// Returns how long both systems may have transmitted, ms. A master that resigns, or whose frames
-/// were lost, sends until it hears the new one. One that was held up may have a frame under way.
+/// were lost, sends until it hears the new one. One that was held up may have one frame on its way.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     hand_overs(takeovers) as f64 * HAND_OVER_MS
 }
 
-/// How often an old master lived when a new one took over.
+/// Returns how many takeovers replaced a master that was still running.
 #[must_use]
 pub fn hand_overs(takeovers: &[Takeover]) -> usize {
     let sends = [Some(Evidence::MasterResigns), Some(Evidence::MasterMute)];
@@ -386,7 +386,7 @@ pub fn hand_overs(takeovers: &[Takeover]) -> usize {
 }
 
 /// Counts the control frames that arrived within a second after a takeover and were too old to act,
-/// or rested on data that was too old, although no stall made up for their delay.
+/// or were based on data that was too old, although no stall explains their delay.
 #[must_use]
 pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> usize {
     let follows = |frame: &&ControlFrame| {
@@ -401,7 +401,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
     stale.filter(follows).count()
 }
 
-/// Tests whether stalls of the bus and of its sender's CPU make up for the delay of this frame.
+/// Tests whether stalls of the bus and of its sender's CPU explain the delay of this frame.
 fn was_held_up(log: &RunLog, frame: &ControlFrame, stalls: &[Stall]) -> bool {
     let max_delay_ms = f64::from(MAX_DELAY_MS);
     let cpu = log.control_cpu(frame.system).map(Stood::Cpu);
@@ -449,7 +449,7 @@ mod tests {
         }
     }
 
-    /// Accepted frames of (time in ms, system).
+    /// Returns a log of accepted frames, given as (time in ms, system).
     fn log(frames: &[(u64, SystemId)], end_ms: u64) -> RunLog {
         let accepted = |(at_ms, system): &(u64, SystemId)| frame(*at_ms, *system, Ruling::Accepted);
         RunLog {
@@ -473,8 +473,8 @@ mod tests {
         gaps(log, &takeovers(log), &BOUNDS, stalls)
     }
 
-    /// T-RED-8: each gap is compared with the bound of its cause. A level that falls when the
-    /// heartbeats were silent already is believed as late as silence is.
+    /// T-RED-8: each gap is compared with the bound of its cause. If the level falls when the
+    /// heartbeats are already silent, the bound of silence applies.
     #[test]
     fn a_gap_is_judged_by_the_bound_of_the_sign_that_ended_it() {
         for (cause, since_heartbeat_us, died, to_ms, is_beyond) in [
@@ -514,8 +514,8 @@ mod tests {
         assert_eq!(found(&same, &[])[0].ended_by, EndedBy::SameSystem);
     }
 
-    /// A system that was just relieved waits for the vehicle's echo, whatever the lines say. Only a
-    /// change of the driver begins a hold-down, and the second in a row doubles it.
+    /// A system that was just relieved waits for the vehicle's echo, even if the lines show a
+    /// failure. Only a change of the driver begins a hold-down, and the second in a row doubles it.
     #[test]
     fn in_the_hold_down_a_takeover_has_the_bound_of_a_mute_master() {
         use Phase::{DegradedMaster, Master, Standby, Starting, Thawed};
@@ -576,7 +576,7 @@ mod tests {
         let gap = &found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
         assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
         assert!(!gap.is_explained());
-        // Ended early by hand: the last state of the world is the end.
+        // A person ended the run early: the last state of the world is the end.
         let mut early = log(&[(0, A), (10, A)], 4_010);
         early.end_ns = None;
         early.samples = vec![Sample {
@@ -586,7 +586,7 @@ mod tests {
         assert_eq!(found(&early, &[])[0].ms(), 2_000.0);
     }
 
-    /// Whether these stalls excuse the gap from 10 ms to `to_ms`, which `by` ends; B stands by.
+    /// Whether these stalls excuse the gap from 10 ms to `to_ms`, which `by` ends; B is standby.
     fn excused(by: SystemId, to_ms: u64, stalls: &[Stall]) -> bool {
         let mut log = log(&[(0, A), (10, A), (to_ms, by)], to_ms);
         log.status = vec![StatusFrame {
@@ -602,7 +602,7 @@ mod tests {
 
     #[test]
     fn a_gap_is_explained_by_a_stall_that_makes_up_for_all_beyond_the_bound() {
-        // No system stands by: A alone must drive.
+        // No system is standby: A alone must drive.
         let log = log(&[(0, A), (50, A)], 50);
         let explained = |stalls: &[Stall]| found(&log, stalls)[0].is_explained();
         assert!(!explained(&[]));
@@ -619,13 +619,13 @@ mod tests {
             assert!(!excused(B, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
             assert!(!excused(A, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
         }
-        // Where the cores are not pinned, no CPU is known to be theirs.
+        // If the cores are not pinned, no CPU is known to belong to them.
         let mut log = log(&[(0, A), (50, A)], 50);
         log.header.cpus.clear();
         assert!(!found(&log, &[stall(OF_A, 5, 45)])[0].is_explained());
     }
 
-    /// B must replace A within the bound, whatever A does, and whatever happens to A's CPU later.
+    /// B must replace A within the bound, even if A or its CPU stalls for longer.
     #[test]
     fn a_stall_of_the_old_master_counts_until_it_must_have_been_replaced() {
         assert!(
@@ -663,7 +663,7 @@ mod tests {
     }
 
     /// A standby that was held up restarts its limits once. That costs the stall and the time that
-    /// it had waited, which is at most that of a takeover.
+    /// it had already waited, which is at most that of a takeover.
     #[test]
     fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
         for (to_ms, stalls, is_explained) in [
@@ -692,7 +692,7 @@ mod tests {
         assert!(excused(A, 51, &[stall(Stood::Bus, 20, 41)]));
     }
 
-    /// T-CHIP-7, T-RED-9: counted before the vehicle fences off any frame.
+    /// T-CHIP-7, T-RED-9: the time counts even if the vehicle fences off the frames of one system.
     #[test]
     fn both_systems_transmitting_is_counted_though_the_vehicle_refuses_one() {
         let both = |frames: &[ControlFrame]| {
@@ -709,12 +709,12 @@ mod tests {
         let (accepted, fenced) = (Ruling::Accepted, Ruling::Fenced);
         let master: Vec<_> = row(A, accepted, 0, 1_000).collect();
         assert_eq!(both(&master), 0.0);
-        // A standby that chatters, and one frame of it.
+        // A standby that transmits for a while, and a standby that sends one frame.
         let chatters = [master.clone(), row(B, fenced, 205, 300).collect()].concat();
         assert_eq!(both(&chatters), 95.0);
         let one = [master.clone(), vec![frame(503, B, fenced)]].concat();
         assert_eq!(both(&one), 7.0);
-        // A master that thaws long after it was deposed did not transmit all the time.
+        // A master that resumes long after it was deposed did not transmit all the time.
         let thawed = [
             row(A, accepted, 0, 100).collect(),
             row(B, accepted, 113, 800).collect(),
@@ -765,7 +765,7 @@ mod tests {
         assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
     }
 
-    /// A frame that was made before a stall and arrived after it says nothing about its sender.
+    /// A frame that was made before a stall and arrived after it is no fault of its sender.
     #[test]
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);

@@ -1,4 +1,4 @@
-//! The recording of a run, and its analysis: who drove, who took over and why, in which roles.
+//! The recording of a run, and its analysis: drivers, takeovers with their causes, and roles.
 //!
 //! All events have one vocabulary: [`tandem_cores::trace::Event`] for a core,
 //! [`tandem_board::SupplyEvent`] for a supply. The vehicle adds its view of the bus and of the
@@ -21,7 +21,7 @@ pub use file::Entry;
 pub use run_log::RunLog;
 pub use takeover::{Takeover, takeovers};
 
-/// The span between two points on one clock, ms; negative if `to` is the earlier one.
+/// Returns the time between two points on one clock, ms; negative if `to` is the earlier one.
 #[must_use]
 pub fn ms_between(from_ns: u64, to_ns: u64) -> f64 {
     (to_ns as f64 - from_ns as f64) * 1e-6

@@ -9,7 +9,7 @@ pub struct Header {
     pub scenario: String,
     /// Seed of the sensors' noise.
     pub seed: u64,
-    /// Requested scenario time, s.
+    /// Planned scenario time, s.
     pub duration_s: f64,
     /// Time of day minus the run's clock, µs since 1970: the CAN log uses the time of day.
     pub epoch_us: u64,
@@ -88,13 +88,13 @@ pub struct Other {
 pub struct DriveFigures {
     /// Contacts of the own vehicle.
     pub collisions: u32,
-    /// Those of them that the own vehicle caused.
+    /// Those collisions that the own vehicle caused.
     #[serde(default)]
     pub collisions_by_ego: u32,
-    /// Those of them in which the own vehicle stood.
+    /// Those collisions in which the own vehicle stood.
     #[serde(default)]
     pub hit_while_standing: u32,
-    /// How far the centre of the vehicle was outside of all lanes of its direction, m.
+    /// Largest distance of the vehicle's centre outside all lanes of its direction, m.
     #[serde(default)]
     pub excursion_max_m: f64,
     /// Time on lanes of the other direction, s.
@@ -112,22 +112,22 @@ pub struct DriveFigures {
     /// When the function first asked the driver to take over, s.
     #[serde(default)]
     pub takeover_asked_s: Option<f64>,
-    /// When it first made its minimal-risk stop, s.
+    /// When the function first made its minimal-risk stop, s.
     #[serde(default)]
     pub safe_stop_s: Option<f64>,
     /// Largest distance from the centre of the lane outside lane changes, m.
     pub lateral_error_max_m: f64,
-    /// How often the vehicle went to another lane.
+    /// The number of lane changes.
     pub lane_changes: u32,
     /// Smallest distance to the vehicle ahead, m.
     pub lead_gap_min_m: Option<f64>,
-    /// Smallest distance to the vehicle ahead over the speed of approach, s.
+    /// Smallest time to collision: distance to the vehicle ahead over the speed of approach, s.
     pub ttc_min_s: Option<f64>,
-    /// How far the vehicle went, m.
+    /// Distance driven, m.
     pub distance_m: f64,
     /// Accelerations and jerk that passengers feel.
     pub comfort: Comfort,
-    /// For what the vehicle braked hardest, if above 4 m/s², and the deceleration that this needed.
+    /// The reason for the hardest braking above 4 m/s², and the deceleration that this needed.
     #[serde(default)]
     pub brake_reason: Option<String>,
 }
@@ -144,12 +144,12 @@ pub struct Comfort {
     /// Strongest braking outside emergencies, m/s², positive. An emergency needs more than 3 m/s².
     #[serde(default)]
     pub calm_brake_max: f64,
-    /// 99th percentile of the longitudinal jerk at each millisecond, m/s³.
+    /// 99th percentile of the longitudinal jerk, sampled every millisecond, m/s³.
     pub jerk_p99: f64,
-    /// Largest longitudinal jerk over 100 ms, m/s³, …
+    /// Largest longitudinal jerk over 100 ms, m/s³.
     #[serde(default)]
     pub jerk_max: f64,
-    /// … and the largest outside emergencies.
+    /// Largest longitudinal jerk over 100 ms outside emergencies, m/s³.
     #[serde(default)]
     pub calm_jerk_max: f64,
 }

@@ -1,10 +1,10 @@
-//! Reaction and age: how soon a measurement acts, and how old the acting measurements are.
+//! Reaction and age: how soon the vehicle reacts to a measurement, and how old the data is then.
 
 use crate::RunLog;
 
-/// By how much a measurement may be placed before its time, ns: the age in a control frame is
-/// rounded, and the world around an emulated machine advances in steps of 1 ms, so a frame has the
-/// time of the step before the one in which it was sent. Sensors measure further apart.
+/// How much earlier than its real time a measurement may be placed, ns. The age in a control frame
+/// is rounded, and the world around an emulated machine advances in steps of 1 ms, so a frame has
+/// the time of the step before its sending. The times between measurements are longer.
 const EARLY_NS: u64 = 1_100_000;
 
 /// The two distributions, ms.
@@ -16,13 +16,13 @@ pub struct Reaction {
     pub age_ms: Vec<f64>,
 }
 
-/// Follows each measurement to the control frames, by the age that they carry.
+/// Finds, for each measurement, the control frames that reflect it, by the age that they contain.
 ///
-/// A control frame gives the age of its oldest measurement, which the controller knows up to the
-/// shortest way over the bus. Any further wait of a list for the bus is part of its age. So the
-/// oldest measurement of a frame is the last one that was measured by that time, not the last one
-/// that was on the bus. A measurement belongs to the last command whose oldest measurement is not
-/// newer. The reaction ends when that command first acts.
+/// A control frame gives the age of its oldest measurement, as the controller knows it except for
+/// the shortest delay of the bus. Any further wait of a list for the bus is part of its age. So the
+/// oldest measurement of a frame is the last one taken by that time, not the last one that was on
+/// the bus. A measurement belongs to the last command whose oldest measurement is not newer. The
+/// reaction ends when that command first acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
@@ -46,7 +46,7 @@ pub fn reaction(log: &RunLog) -> Reaction {
     }
     for measured_ns in measured_ns {
         let after = commands.partition_point(|command| command.0 <= *measured_ns);
-        // No later command shows where the last one ends.
+        // Without a later command the end of the last one is unknown.
         if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
             && after < commands.len()
         {
@@ -67,12 +67,12 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// The shortest way over the bus, which the controller takes for none.
+    /// The shortest delay of the bus, which the controller neglects.
     const WAY_NS: u64 = MS / 2;
 
     /// Object lists at 0 and 15 ms of each 50 ms. Control frames every 10 ms; the command of a
     /// round acts from `acts_ms` of its period on. The controller places a measurement by its
-    /// sensor's clock, `early_ns` before the end of the shortest way.
+    /// sensor's clock, `early_ns` before the end of the shortest delay.
     fn log_placed(acts_ms: u64, early_ns: u64) -> RunLog {
         let mut log = RunLog::default();
         for round in 0..20 {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     /// The clocks drift, so a measurement may be placed before its list was on the bus, and a world
-    /// in steps places it one step earlier. It must not be taken for one of the round before.
+    /// in steps places it one step earlier. It must still belong to its own round.
     #[test]
     fn a_measurement_that_is_placed_early_stays_in_its_round() {
         for early_ns in [WAY_NS, WAY_NS + MS] {

@@ -1,8 +1,8 @@
 //! The longest times without control that the requirement permits, for each timing profile.
 //!
-//! T-RED-8: a takeover ends before the second control frame is missed. These are the judge's own
-//! figures: they do not follow from the limits of the product that is judged, which are compared
-//! with them ([`Limits::exceeded_by`]).
+//! T-RED-8: a takeover ends before the second control frame is missed. These limits belong to the
+//! judge: they do not follow from the limits of the judged product, which are compared with them
+//! ([`Limits::exceeded_by`]).
 
 use tandem_board::Duration;
 use tandem_redundancy::Config;
@@ -14,26 +14,26 @@ pub const CONTROL_PERIOD: Duration = Duration::from_ms(10);
 const TAKEOVER_GOAL: Duration = Duration::from_ms(20);
 /// Longest time between two polls of a system.
 pub const POLL: Duration = MS;
-/// A line may be silent for at most this long: the goal, less the control period since the last
+/// The longest permitted silence of a line: the goal, minus the control period since the last
 /// frame, a poll, and 1 ms of margin.
 const LINE_MOST: Duration = Duration::from_ms(8);
-/// The third witness may wait for at most this long: the goal, less an echo, a poll and 1 ms.
+/// The longest permitted wait of the third witness: the goal, minus an echo, a poll and 1 ms.
 const THIRD_MOST: Duration = Duration::from_ms(17);
-/// The third witness waits for a control period and 1 ms on the bus, and for the stall.
+/// The third witness waits for a control period and 1 ms on the bus, plus the stall.
 const THIRD_LEAST: Duration = Duration::from_ms(11);
 
-/// What a profile needs. All limits follow from it and from the goal.
+/// The needs of a profile. All limits follow from them and from the goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Name of the profile.
     pub profile: &'static str,
-    /// Two heartbeats, and how late they are seen although nothing stalls.
+    /// The time of two heartbeats, and their lateness although nothing stalls.
     beats: Duration,
-    /// How long the power level must be low, without a heartbeat, before the standby believes it.
+    /// How long the power level must be low, without a heartbeat, before the standby acts on it.
     level: Duration,
-    /// How long a master that hears nothing on CAN may transmit beside its successor.
+    /// How long a master that hears nothing on CAN may transmit after it was replaced.
     pub deaf_hand_over: Duration,
-    /// For this long a core that is due may not run although nothing has failed.
+    /// The longest time for which a core that is due does not run although nothing has failed.
     stall: Duration,
 }
 
@@ -65,7 +65,7 @@ impl Limits {
     /// All profiles.
     pub const ALL: [Self; 3] = [Self::CHIP, Self::RT, Self::DESKTOP];
 
-    /// The profile of a product, by the periods at which its systems send to each other.
+    /// Returns the profile of a product, by the periods at which its systems send to each other.
     #[must_use]
     pub fn of_profile(product: &Config) -> Self {
         match (product.heartbeat_period, product.report_period) {
@@ -78,9 +78,8 @@ impl Limits {
     /// A change of the driver counts as the first if none preceded it for this time.
     pub const HEALTHY_AFTER: Duration = Duration::from_ms(60_000);
 
-    /// For how long a system that has become standby waits for the vehicle's word, after this many
-    /// changes of the driver in a row: 100 ms after the first, doubled by each further one up to
-    /// 32 times.
+    /// Returns how long a new standby waits for the vehicle's echo after this many changes of the
+    /// driver in a row: 100 ms after the first, doubled by each further one up to 32 times.
     #[must_use]
     pub fn hold_down(changes: u32) -> Duration {
         match changes.min(6) {
@@ -89,62 +88,62 @@ impl Limits {
         }
     }
 
-    /// The same on a machine whose stalls last for at most this long.
+    /// Returns the limits on a machine whose stalls last for at most this long.
     #[must_use]
     pub const fn with_stall(self, stall: Duration) -> Self {
         Self { stall, ..self }
     }
 
-    /// The longest stall of a master that must not cost it its role.
+    /// Returns the longest stall for which a master must not be replaced.
     #[must_use]
     pub fn tolerated_stall(&self) -> Duration {
         self.stall.min(LINE_MOST - self.beats)
     }
 
-    /// How long both heartbeat lines may be silent before the standby knows it.
+    /// Returns how long both heartbeat lines are silent before the standby acts on it.
     fn line(&self) -> Duration {
         self.beats + self.tolerated_stall()
     }
 
-    /// How long the control frames may be missing before the third witness says so.
+    /// Returns how long the control frames are missing before the third witness reports it.
     fn third(&self) -> Duration {
         (THIRD_LEAST + self.stall).min(THIRD_MOST)
     }
 
-    /// The longest gap when the master falls silent.
+    /// Returns the longest gap when the master falls silent.
     #[must_use]
     pub fn silent(&self) -> Duration {
         CONTROL_PERIOD + self.line() + POLL
     }
 
-    /// The longest gap when its power level falls.
+    /// Returns the longest gap when the master's power level falls.
     #[must_use]
     pub fn power(&self) -> Duration {
         CONTROL_PERIOD + self.level + POLL
     }
 
-    /// The longest gap when it lives and its frames do not reach the vehicle: the vehicle repeats
-    /// its echo each millisecond.
+    /// Returns the longest gap when the master runs but its frames do not reach the vehicle, which
+    /// repeats its echo each millisecond.
     #[must_use]
     pub fn mute(&self) -> Duration {
         self.third() + MS + POLL
     }
 
-    /// The longest gap at any takeover.
+    /// Returns the longest gap at any takeover.
     #[must_use]
     pub fn longest(&self) -> Duration {
         self.silent().max(self.mute())
     }
 
-    /// After heartbeats were silent for this long, a level that falls has the bound of silence: no
-    /// heartbeat can confirm it.
+    /// Returns the silence of the heartbeats after which a falling level has the bound of silence:
+    /// no heartbeat can confirm the fall.
     #[must_use]
     pub fn silent_before(&self) -> Duration {
         self.line() + self.third()
     }
 
-    /// Each limit of the product that permits more than this one: its name, what the product
-    /// permits, and what this permits.
+    /// Returns each limit of the product that permits more than this one: its name, what the
+    /// product permits, and what this one permits.
     pub fn exceeded_by(
         &self,
         product: &Config,

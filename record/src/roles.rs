@@ -15,7 +15,7 @@ const SILENT_NS: u64 = 250_000_000;
 pub enum RoleState {
     /// No sign of it: without power, in reset, or dead.
     Off,
-    /// Not yet in a role.
+    /// Has no role yet.
     Starting,
     /// Computes silently.
     Standby,
@@ -41,7 +41,7 @@ impl RoleState {
         Self::Off,
     ];
 
-    /// Its name in a legend.
+    /// Returns its name in a legend.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -55,14 +55,14 @@ impl RoleState {
         }
     }
 
-    /// As [`RoleState::of`], from the codes of a trace record; `None` if there is no such code.
+    /// Like [`RoleState::of`], from the codes of a trace record; `None` if there is no such code.
     #[must_use]
     pub fn of_codes(role: u8, mode: u8) -> Option<Self> {
         let role = RoleCode::ALL.get(usize::from(role))?;
         Some(Self::of(*role, *ModeCode::ALL.get(usize::from(mode))?))
     }
 
-    /// The state that a role and a function make.
+    /// Returns the state that follows from a role and a function.
     #[must_use]
     pub const fn of(role: RoleCode, mode: ModeCode) -> Self {
         match (role, mode) {
@@ -79,15 +79,15 @@ impl RoleState {
 /// A time in which a system was in one state: scenario time in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// From.
+    /// Begin of the span.
     pub from_s: f64,
-    /// To.
+    /// End of the span.
     pub to_s: f64,
     /// The state.
     pub state: RoleState,
 }
 
-/// The states of one system, without gaps from the start to the end of the run.
+/// Returns the states of one system, without gaps from the start to the end of the run.
 #[must_use]
 pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
     let mut seen = observations(log, system);
@@ -117,7 +117,7 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
         // A suspended system stays suspended without reporting again.
         if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != RoleState::Suspended {
-            // Shown for 10 ms, so that a single sign of life is visible.
+            // Shown for 10 ms, so that a single report is visible.
             let until_s = (from_s + 0.01).min(next_s);
             push(from_s, until_s, *state);
             push(until_s, next_s, RoleState::Off);
@@ -162,7 +162,7 @@ mod tests {
 
     const SECOND_NS: u64 = 1_000_000_000;
 
-    /// A drives for two seconds and loses power; B is its standby and drives two seconds more.
+    /// Returns a log: A drives for 2 s and loses power; B is its standby and then drives for 2 s.
     fn log() -> RunLog {
         let mut log = RunLog {
             start_ns: Some(SECOND_NS),

@@ -12,9 +12,9 @@ use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 /// A part of the run that stood still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
-    /// A CPU of the machine: it did not run a waiting thread of higher priority than the whole run.
+    /// A CPU of the machine: it did not run a waiting thread with a higher priority than the run.
     Cpu(usize),
-    /// The vehicle's process, and with it the bus: it was stopped, or got no CPU.
+    /// The vehicle's process, and with it the bus: it was stopped, or had no CPU.
     Bus,
 }
 
@@ -23,9 +23,9 @@ pub enum Stood {
 pub struct Stall {
     /// What stood still.
     pub of: Stood,
-    /// From, on the run's clock, ns.
+    /// Start of the stall, on the run's clock, ns.
     pub from_ns: u64,
-    /// To, ns.
+    /// End of the stall, ns.
     pub to_ns: u64,
 }
 
@@ -85,7 +85,7 @@ pub struct PowerChange {
     pub on: bool,
 }
 
-/// An age from this value on means that the command rests on no measurement, ms.
+/// From this age on, a command is based on no measurement, ms.
 const NO_AGE_MS: f64 = 6_553.0;
 
 /// All of one run, each kind in the order of time.
@@ -99,7 +99,7 @@ pub struct RunLog {
     pub end_ns: Option<u64>,
     /// Trace records that were lost.
     pub lost_trace: u64,
-    /// How long the world stood still because its process was stopped, ms.
+    /// How long the world stopped because its process was stopped, ms.
     pub stalled_ms: f64,
     /// The world over time.
     pub samples: Vec<Sample>,
@@ -226,27 +226,27 @@ impl RunLog {
         }
     }
 
-    /// Scenario time of a point on the run's clock, s; negative before the start.
+    /// Returns the scenario time of a point on the run's clock, s; negative before the start.
     #[must_use]
     pub fn seconds(&self, at_ns: u64) -> f64 {
         let start = self.start_ns.unwrap_or_default();
         (at_ns as f64 - start as f64) * 1e-9
     }
 
-    /// The CPU that core 0 of a system is pinned to: it alone transmits and takes over.
+    /// Returns the CPU to which core 0 of a system is pinned. Only core 0 transmits and takes over.
     #[must_use]
     pub fn control_cpu(&self, system: SystemId) -> Option<usize> {
         let core = system.index() * CoreId::COUNT + CoreId::CONTROL.index();
         self.header.cpus.get(core).copied()
     }
 
-    /// The end of the run, ns. For a run that was ended early, the last state of the world.
+    /// Returns the end of the run, ns; for a run that was ended early, the last state of the world.
     #[must_use]
     pub fn until_ns(&self) -> Option<u64> {
         self.end_ns.or_else(|| self.samples.last().map(|s| s.at_ns))
     }
 
-    /// Scenario time that was driven, s.
+    /// Returns the scenario time that was driven, s.
     #[must_use]
     pub fn driven_s(&self) -> f64 {
         match (self.start_ns, self.until_ns()) {
@@ -255,14 +255,14 @@ impl RunLog {
         }
     }
 
-    /// The control frames that the vehicle obeyed, in order.
+    /// Returns the control frames that the vehicle obeyed, in order.
     pub fn accepted(&self) -> impl Iterator<Item = &ControlFrame> {
         self.control
             .iter()
             .filter(|frame| frame.verdict == Ruling::Accepted)
     }
 
-    /// Gaps, changes and two masters, from the frames that the vehicle obeyed.
+    /// Returns gaps, changes and times of two masters, from the frames that the vehicle obeyed.
     #[must_use]
     pub fn mastership(&self) -> Mastership {
         let mut mastership = Mastership::default();
@@ -272,7 +272,7 @@ impl RunLog {
         mastership
     }
 
-    /// The systems in the order in which they drove, without repetition.
+    /// Returns the systems in the order in which they drove, without repetition.
     #[must_use]
     pub fn masters(&self) -> Vec<SystemId> {
         let mut masters: Vec<_> = self.accepted().map(|frame| frame.system).collect();

@@ -6,8 +6,8 @@ use tandem_redundancy::Phase;
 
 use crate::RunLog;
 
-/// Returns the time between the two systems' ends of the start protocol, ns. `None` unless one left
-/// it as master and the other as its standby, within `TOGETHER_NS`.
+/// Returns the time between the moments at which the two systems left the start protocol, ns.
+/// `None` unless one left it as master and the other as standby, within `TOGETHER_NS`.
 #[must_use]
 pub fn skew_ns(log: &RunLog) -> Option<u64> {
     let left = |system: SystemId| {

@@ -1,5 +1,5 @@
-//! The analysis of takeovers: who took over from whom, on which evidence, after which gap, and
-//! whether the old master had failed.
+//! The analysis of takeovers: both systems, the evidence, the gap, and whether the old master had
+//! failed.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::RoleCode;
@@ -10,29 +10,29 @@ use tandem_vehicle::Ruling;
 use crate::run_log::{ControlFrame, CoreEvent};
 use crate::{RunLog, ms_between};
 
-/// A system whose control frames follow each other within this time was not silent, ms: one and a
+/// A system was not silent if its control frames follow each other within this time, ms: one and a
 /// half control periods.
 const NOT_SILENT_MS: f64 = 15.0;
-/// The same for its status frames, which it sends every 100 ms.
+/// The same limit for status frames, which a system sends every 100 ms.
 const STATUS_NOT_SILENT_MS: f64 = 150.0;
 /// A core writes all events of one cycle within this time, ns.
 const SAME_CYCLE_NS: u64 = 5_000_000;
-/// The new master reports a takeover within this time of its first frame, ns.
+/// The new master reports a takeover within this time after its first frame, ns.
 const REPORT_WINDOW_NS: u64 = 100_000_000;
 /// A control cycle that begins later than this has missed its slot: half a control period. A
-/// healthy timer is late by tens of microseconds; this delay means that the core lost its CPU.
+/// healthy timer is late by tens of microseconds; a longer delay means that the core had no CPU.
 const LATE_NS: u32 = 5_000_000;
 
-/// One change of the system that is obeyed.
+/// One change of the system that the vehicle obeys.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Takeover {
     /// The system that drove before.
     pub from: SystemId,
     /// The system that drives now.
     pub to: SystemId,
-    /// Last accepted frame of the old master, ns.
+    /// Time of the last accepted frame of the old master, ns.
     pub from_ns: u64,
-    /// First accepted frame of the new master, ns.
+    /// Time of the first accepted frame of the new master, ns.
     pub at_ns: u64,
     /// The evidence of the old master's failure that the new master reported.
     pub cause: Option<Evidence>,
@@ -46,7 +46,7 @@ pub struct Takeover {
     pub held_up: bool,
 }
 
-/// All changes of the accepted system, in order.
+/// Returns all changes of the system that the vehicle obeys, in order.
 #[must_use]
 pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
     let accepted: Vec<&ControlFrame> = log.accepted().collect();
@@ -61,7 +61,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
                 Event::TookOver { cause, .. } => Some(cause),
                 _ => None,
             });
-            // A master with a fault of its own drives until it is relieved.
+            // A master with an own fault drives until it is relieved: the takeover is not false.
             let resigned = cause == Some(Evidence::MasterResigns);
             Takeover {
                 from: last.system,
@@ -78,7 +78,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
         .collect()
 }
 
-/// From the last sign of life to the decision, ms, in a report of a takeover.
+/// Returns the time from the last sign of life to the decision, ms, in a report of a takeover.
 #[must_use]
 pub fn detected_ms(report: Event) -> Option<f64> {
     match report {
@@ -104,7 +104,7 @@ pub const fn is_late(event: Event) -> bool {
     matches!(event, Event::ControlCycle { lateness_ns, .. } if lateness_ns > LATE_NS)
 }
 
-/// The new master's report of the takeover.
+/// Returns the new master's report of the takeover.
 pub(crate) fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<Event> {
     log.events
         .iter()
@@ -115,7 +115,7 @@ pub(crate) fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<
 }
 
 /// Tests whether the old master found, before it gave up its role, that it had been held up or had
-/// skipped cycles. It was as silent as a dead one then, and the takeover was right.
+/// skipped cycles. It was then as silent as a dead master, and the takeover was right.
 fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     let since = || {
         let of_core_0 =
@@ -138,7 +138,7 @@ fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
 }
 
 /// Tests whether the old master continued undisturbed: it sent a further control frame in time, or
-/// its status frames followed without a break and without a restart, as master or standby.
+/// its status frames continued without a break and without a restart, as master or standby.
 fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> bool {
     let restarted = |until_ns: u64| {
         log.events.iter().any(|event| {
@@ -259,7 +259,7 @@ mod tests {
             fenced(20, A, 2),
         ];
         assert!(takeovers(&log(sends_on.to_vec()))[0].is_false);
-        // A master that later goes to Thawed was silent.
+        // A master that later changes to Thawed was silent.
         let thaws = [
             frame(0, A, 2),
             frame(10, A, 2),

@@ -1,4 +1,4 @@
-//! What a good run is: each rule once, with its bound, and what a finding does to a run.
+//! The rules for a good run: each stands here once, with its bound and the effect of a finding.
 //!
 //! A run, its report, a campaign of faults and a judged scenario apply the same rules. The table in
 //! `docs/verdict.md` is generated from [`RULES`].
@@ -17,7 +17,7 @@ use tandem_redundancy::Config;
 pub use crate::required_limits::{self, Limits};
 pub use figures::{Beside, Figures};
 
-/// What a finding does to a run.
+/// The effect of a finding on a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InRun {
     /// The run fails: exit status 1.
@@ -33,7 +33,7 @@ pub enum InRun {
 pub enum Bound {
     /// A larger figure is a finding; with its unit.
     AtMost(f64, &'static str),
-    /// In words: it follows from the run.
+    /// A bound in words: it follows from the run.
     Given(&'static str),
 }
 
@@ -42,29 +42,29 @@ pub enum Bound {
 pub struct Row {
     /// The rule.
     pub rule: Rule,
-    /// What is found if it is broken.
+    /// The finding in words, if the rule is broken.
     pub words: &'static str,
     /// The bound.
     pub bound: Bound,
-    /// The fields of `metrics.json` that it reads; empty if none has it.
+    /// The fields of `metrics.json` that the rule reads; empty if it has none.
     pub fields: &'static str,
-    /// What a finding does to a run.
+    /// The effect of a finding on a run.
     pub in_run: InRun,
 }
 
-/// At this distance from the centre of its lane a side of the vehicle reaches the line, m: a lane
-/// of 3.5 m, a vehicle of 1.8 m.
+/// At this distance from the centre of its lane a side of the vehicle reaches the line, m, for a
+/// lane of 3.5 m and a vehicle of 1.8 m.
 pub const LATERAL_ERROR_MAX_M: f64 = 0.85;
-/// The median of the control period, ms: 10 ms, and a tenth for clocks and timers.
+/// The longest median of the control period, ms: 10 ms, and a tenth for clocks and timers.
 pub const CONTROL_PERIOD_MAX_MS: f64 = 11.0;
 /// A wrong mode may last this long, s: a standby that falls silent on CAN is missed after 0.35 s,
-/// one that is back is believed after 1 s.
+/// and one that has returned counts again after 1 s.
 pub const WRONG_MODE_MAX_S: f64 = 1.5;
-/// The vehicle must be at least this long behind the place of the one in front, s: the time gap
-/// that planning asks for at more than 60 km/h.
+/// The vehicle must be at least this long behind the place of the vehicle ahead, s: the time gap
+/// that planning keeps at more than 60 km/h.
 pub const HEADWAY_MIN_S: f64 = 1.6;
 
-/// The enum of the rules and their table, from one list. A rule is what must not be found.
+/// Defines the enum of the rules and their table from one list. A rule says what must not happen.
 macro_rules! rules {
     ($($rule:ident, $fields:literal, $bound:expr, $in_run:expr, $words:literal;)+) => {
         /// A rule. Its number, by order, is its code in the files of a campaign.
@@ -138,19 +138,19 @@ rules! {
 }
 
 impl Rule {
-    /// All rules, in the order of their codes.
+    /// Returns all rules, in the order of their codes.
     pub fn all() -> impl DoubleEndedIterator<Item = Self> + Clone {
         RULES.iter().map(|row| row.rule)
     }
 
-    /// Its row in the table.
+    /// Returns its row in the table.
     #[must_use]
     pub const fn row(self) -> &'static Row {
         &RULES[self as usize]
     }
 
-    /// The finding of a figure beyond the rule's bound; `None` within it, or if the bound is no
-    /// number.
+    /// Returns the finding of a figure beyond the rule's bound; `None` within it, or if the bound
+    /// is no number.
     #[must_use]
     pub fn exceeded(self, measured: f64) -> Option<Finding> {
         let Row { words, bound, .. } = self.row();
@@ -170,7 +170,7 @@ impl Rule {
     }
 }
 
-/// The name of the rule in files, as `two-masters`.
+/// Writes the name of the rule as in files, for example `two-masters`.
 impl fmt::Display for Rule {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
@@ -186,18 +186,18 @@ pub struct Finding {
     pub at_s: Option<f64>,
     /// The figure.
     pub measured: f64,
-    /// How large it may be.
+    /// The largest permitted figure.
     pub bound: f64,
     /// What was found, in words.
     pub words: String,
-    /// What stood still then, in words; empty if nothing did.
+    /// What stalled at that time, in words; empty if nothing did.
     pub evidence: String,
-    /// What stood still makes up for all beyond the bound.
+    /// The stall explains everything beyond the bound.
     pub excused: bool,
 }
 
 impl Finding {
-    /// A finding: `[measured, bound]`.
+    /// Creates a finding from `[measured, bound]`.
     #[must_use]
     pub fn new(rule: Rule, [measured, bound]: [f64; 2], words: impl Into<String>) -> Self {
         Self {
@@ -211,7 +211,7 @@ impl Finding {
         }
     }
 
-    /// The findings of a product whose own limits permit more than these.
+    /// Returns the findings of a product whose own limits permit more than these.
     pub fn of_limits(limits: Limits, product: &Config) -> impl Iterator<Item = Self> + use<> {
         limits.exceeded_by(product).map(move |(what, here, most)| {
             let [here, most] = [here, most].map(Duration::as_ms_f64);
@@ -223,13 +223,13 @@ impl Finding {
         })
     }
 
-    /// A finding of a rule whose words say it all.
+    /// Returns a finding whose words are those of the rule.
     #[must_use]
     pub fn of(rule: Rule) -> Self {
         Self::new(rule, [1.0, 0.0], rule.row().words)
     }
 
-    /// The same, at this scenario time, s.
+    /// Returns the finding with this scenario time, s.
     #[must_use]
     pub fn at(self, at_s: f64) -> Self {
         Self {
@@ -238,7 +238,7 @@ impl Finding {
         }
     }
 
-    /// The same, with what stood still then, and whether that makes up for it.
+    /// Returns the finding with the stall at that time, and whether the stall excuses it.
     #[must_use]
     pub fn beside(self, evidence: String, excused: bool) -> Self {
         Self {
@@ -248,7 +248,7 @@ impl Finding {
         }
     }
 
-    /// Whether it fails a run.
+    /// Returns whether the finding fails a run.
     #[must_use]
     pub fn fails_run(&self) -> bool {
         self.rule.row().in_run != Reported && !self.excused
@@ -268,25 +268,25 @@ impl fmt::Display for Finding {
     }
 }
 
-/// What watched for stalls of the machine.
+/// The means that observed stalls of the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Watch {
-    /// Nothing: time is virtual, and nothing stalls.
+    /// None: time is virtual, and nothing stalls.
     #[default]
     Virtual,
-    /// Threads that are more urgent than the run: their lateness is evidence.
+    /// Threads with a higher priority than the run: their lateness is evidence.
     Urgent,
-    /// Threads of ordinary priority: their lateness says nothing.
+    /// Threads of ordinary priority: their lateness is no evidence.
     Ordinary,
 }
 
-/// How a run is judged.
+/// The result of judging a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
     /// No finding fails the run.
     UnderControl,
-    /// A finding fails it.
+    /// A finding fails the run.
     Failed,
     /// There was no real time, so a late frame may be the machine's fault.
     NotJudged,
@@ -295,18 +295,18 @@ pub enum Outcome {
 /// The verdict on a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
-    /// How it is judged.
+    /// The result.
     pub outcome: Outcome,
     /// The broken rules.
     pub findings: Vec<Finding>,
 }
 
-/// Findings of one rule that are printed one by one; `metrics.json` has all.
+/// At most this many findings of one rule are printed; `metrics.json` has all.
 const SHOWN: usize = 5;
 const ALL_WELL: &str = "The vehicle was under control from start to end";
 
 impl Verdict {
-    /// The verdict that follows from these findings.
+    /// Returns the verdict that follows from these findings.
     #[must_use]
     pub fn new(findings: Vec<Finding>, watch: Watch) -> Self {
         let is_timing = |rule| {
@@ -329,14 +329,14 @@ impl Verdict {
         Self { outcome, findings }
     }
 
-    /// The findings that fail the run, in words; empty if it is a good one.
+    /// Returns the findings that fail the run, in words; empty if the run is good.
     #[must_use]
     pub fn objections(&self) -> Vec<String> {
         self.shown(|it| it.fails_run())
     }
 
-    /// All parts of the verdict in words, each with whether it is a bad one; the first says how the
-    /// run went if no finding does.
+    /// Returns all parts of the verdict in words, each with its grade; the first says how the run
+    /// went if no finding does.
     #[must_use]
     pub fn parts(&self) -> Vec<(Grade, String)> {
         let bad = self.objections().into_iter().map(|part| (Grade::Bad, part));
@@ -362,7 +362,7 @@ impl Verdict {
         parts
     }
 
-    /// Those findings in words; of each rule only the first ones.
+    /// Returns the findings that `which` selects, in words; of each rule only the first ones.
     fn shown(&self, which: impl Fn(&Finding) -> bool) -> Vec<String> {
         let mut parts = Vec::new();
         for rule in Rule::all() {
@@ -383,15 +383,15 @@ impl Verdict {
 /// How a part of a verdict is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Grade {
-    /// All was well.
+    /// Nothing is wrong.
     Good,
-    /// A reader must know it; it does not fail the run.
+    /// It must be reported, but does not fail the run.
     Reported,
     /// It fails the run.
     Bad,
 }
 
-/// The table of the rules in `docs/verdict.md`.
+/// Returns the table of the rules in `docs/verdict.md`.
 #[must_use]
 pub fn table() -> String {
     let mut text = String::from(
@@ -435,7 +435,7 @@ mod tests {
         assert_eq!(Rule::TwoMasters.to_string(), "two-masters");
     }
 
-    /// The table in the docs is that of the rules; `UPDATE_DOCS=1` writes it.
+    /// The table in the docs agrees with the rules; `UPDATE_DOCS=1` writes it.
     #[test]
     fn the_table_of_the_docs_is_that_of_the_rules() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/verdict.md");
@@ -480,7 +480,7 @@ mod tests {
         );
     }
 
-    /// Without real time, a late frame proves nothing, and a collision is one all the same.
+    /// Without real time, a late frame proves nothing, but a collision still fails the run.
     #[test]
     fn without_real_time_only_times_are_not_judged() {
         let gap = Finding::new(Rule::Gap, [40.0, 20.0], "no system drove for 40 ms");
@@ -500,7 +500,7 @@ mod tests {
         assert_eq!(hit.outcome, Outcome::Failed);
     }
 
-    /// A product that waits for 400 ms too long for a control frame does not choose its own bound.
+    /// A product that waits 400 ms too long for a control frame breaks the rule `limits`.
     #[test]
     fn a_product_with_longer_limits_is_found() {
         let product = Config {

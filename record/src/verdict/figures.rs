@@ -11,24 +11,24 @@ use crate::log::DriveFigures;
 use crate::run_log::{Stall, Stood};
 use crate::{RunLog, Takeover, description, ms_between, takeovers};
 
-/// The knowledge of a run beside its recording, as far as the rules need it.
+/// Data about a run that the rules need and its recording does not contain.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
     /// How long the vehicle may be without control, by cause.
     pub bounds: Bounds,
-    /// The limits of the product that drove; `None` if it has none, as a made-up run.
+    /// The limits of the product that drove; `None` if there is no product, as for synthetic runs.
     pub product: Option<Config>,
-    /// What watched for stalls of the machine.
+    /// The means that observed stalls of the machine.
     pub watch: Watch,
-    /// The times in which a CPU was gone.
+    /// The times in which a CPU did not run.
     pub stalls: Vec<Stall>,
     /// Files and processes that were still there after the end.
     pub leftovers: Vec<String>,
 }
 
 impl Beside {
-    /// All stalls that are evidence: of CPUs, and of the bus. Those that a process of ordinary
-    /// priority has seen are none.
+    /// Returns all stalls that are evidence, of CPUs and of the bus. A stall that a process of
+    /// ordinary priority observed is no evidence.
     #[must_use]
     pub fn evidence(&self, log: &RunLog) -> Vec<Stall> {
         match self.watch {
@@ -41,7 +41,7 @@ impl Beside {
 /// The figures that the rules read. Scripts rely on the names.
 #[derive(Clone, Debug, Serialize)]
 pub struct Figures {
-    /// The run went to its end.
+    /// Whether the run reached its end.
     pub complete: bool,
     /// Control frames that the vehicle obeyed.
     pub control_frames: usize,
@@ -52,19 +52,19 @@ pub struct Figures {
     /// Time in which both systems transmitted control frames as master, ms, whether or not the
     /// vehicle obeyed them.
     pub both_transmitted_ms: f64,
-    /// How much of that the hand-overs of this run explain at most, ms.
+    /// The part of that time that the hand-overs of this run can explain, ms.
     pub hand_over_ms: f64,
-    /// Control frames after a takeover that were too old to act, and no stall explains it.
+    /// Control frames after a takeover that were too old to act, unless a stall explains it.
     pub stale_frames: usize,
     /// Times without control beyond the bound of their cause.
     pub gaps: Vec<GapFigures>,
     /// Changes of the system that is obeyed.
     pub takeovers: Vec<TakeoverFigures>,
-    /// How many of them replaced a master that had not failed, and no stall explains it.
+    /// Takeovers that replaced a master that had not failed, unless a stall explains it.
     pub false_takeovers: usize,
     /// The longest time in which the mode of the master did not fit the redundancy, s.
     pub wrong_mode_s: f64,
-    /// Scenario time since which no system stood by, up to the end, s; `None` if one did.
+    /// Scenario time since which no system was standby, up to the end, s; `None` if one was.
     pub redundancy_lost_s: Option<f64>,
     /// Files and processes that were still there after the end.
     pub leftovers: Vec<String>,
@@ -77,20 +77,20 @@ pub struct GapFigures {
     pub at_s: f64,
     /// Its length, ms.
     pub gap_ms: f64,
-    /// How long it may be, ms.
+    /// The longest permitted gap, ms.
     pub bound_ms: f64,
-    /// What ended it: the sign of a takeover, the same system, or the end of the run.
+    /// What ended it: the evidence of a takeover, the same system, or the end of the run.
     pub ended_by: String,
-    /// How much of it stalls of the bus and of the systems that must drive excuse, ms.
+    /// The part that stalls of the bus and of the systems that must drive excuse, ms.
     pub stalled_ms: f64,
-    /// Those stalls, in words; empty if there were none.
+    /// The stalls that excuse it, in words; empty if there were none.
     pub evidence: String,
-    /// Without them it would have kept its bound.
+    /// Whether it would have kept its bound without the stalls.
     pub explained: bool,
 }
 
 impl GapFigures {
-    /// The figures of a gap.
+    /// Returns the figures of a gap.
     #[must_use]
     pub fn of(log: &RunLog, gap: &Gap) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl GapFigures {
         }
     }
 
-    /// Its finding.
+    /// Returns the finding of this gap.
     #[must_use]
     pub fn finding(&self) -> Finding {
         let words = format!(
@@ -129,22 +129,22 @@ impl GapFigures {
 pub struct TakeoverFigures {
     /// The system that drove before: `A` or `B`.
     pub from: String,
-    /// The system that drove then.
+    /// The system that drove after it.
     pub to: String,
     /// Scenario time of the new master's first frame, s.
     pub at_s: f64,
-    /// The sign by which the new master knew that the old one had failed.
+    /// The evidence by which the new master knew that the old one had failed.
     pub cause: String,
-    /// From its last sign of life to the decision, ms.
+    /// Time from the old master's last sign of life to the decision, ms.
     pub detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
     pub gap_ms: f64,
-    /// How long that may be on this sign, ms.
+    /// The longest permitted gap for this evidence, ms.
     pub bound_ms: f64,
     /// The old master had not failed.
     pub is_false: bool,
-    /// What held up the old master or the bus for longer than is tolerated before a false takeover,
-    /// in words; empty if nothing did.
+    /// Stalls of the old master or the bus that lasted longer than tolerated, in words, if the
+    /// takeover is false; otherwise empty.
     pub evidence: String,
     /// The old master found later that its core had been held up: frozen, or not scheduled.
     pub held_up: bool,
@@ -181,13 +181,13 @@ impl TakeoverFigures {
         }
     }
 
-    /// The old master had not failed, and no stall explains the takeover.
+    /// Returns whether the old master had not failed and no stall explains the takeover.
     const fn is_needless(&self) -> bool {
         self.is_false && self.evidence.is_empty()
     }
 }
 
-/// The findings about the drive itself, except stops: only a recording has their reasons.
+/// Returns the findings about the drive itself, except stops: only a recording has their reasons.
 #[must_use]
 pub fn of_drive(drive: &DriveFigures) -> Vec<Finding> {
     let figures = [
@@ -211,7 +211,7 @@ pub fn of_drive(drive: &DriveFigures) -> Vec<Finding> {
     figures.chain(ends).collect()
 }
 
-/// The finding that both systems transmitted for longer than their hand-overs permit, ms.
+/// Returns a finding if both systems transmitted for longer than their hand-overs permit, ms.
 #[must_use]
 pub fn both_transmitted(both_ms: f64, permitted_ms: f64) -> Option<Finding> {
     let words = format!("both systems transmitted for {both_ms:.1} ms (bound {permitted_ms} ms)");
@@ -219,7 +219,7 @@ pub fn both_transmitted(both_ms: f64, permitted_ms: f64) -> Option<Finding> {
         .then(|| Finding::new(Rule::BothTransmitted, [both_ms, permitted_ms], words))
 }
 
-/// Stalls in words.
+/// Returns the stalls in words.
 fn words(log: &RunLog, stalls: &[Stall]) -> String {
     let each = stalls.iter().map(|stall| {
         let what = match stall.of {
@@ -236,7 +236,7 @@ fn words(log: &RunLog, stalls: &[Stall]) -> String {
 }
 
 impl Figures {
-    /// The figures of a run, with the median of its control period.
+    /// Returns the figures of a run, with the median of its control period.
     #[must_use]
     pub fn of(log: &RunLog, beside: &Beside, control_period_p50_ms: Option<f64>) -> Self {
         let (takeovers, stalls) = (takeovers(log), beside.evidence(log));
@@ -269,7 +269,7 @@ impl Figures {
         }
     }
 
-    /// The verdict on the run that has these figures.
+    /// Returns the verdict on the run that has these figures.
     #[must_use]
     pub fn verdict(&self, log: &RunLog, beside: &Beside) -> Verdict {
         let mut findings = of_drive(&log.figures);

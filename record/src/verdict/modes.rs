@@ -1,4 +1,4 @@
-//! Whether the function that drove fits the systems that there were.
+//! Tests whether the driving function fits the systems that were available.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_bus::{ModeCode, RoleCode};
@@ -9,24 +9,24 @@ use crate::RunLog;
 use crate::roles::{RoleState, timeline};
 use crate::run_log::{ControlFrame, CoreEvent};
 
-/// A system without a status frame for longer than this does not stand by, ns: they arrive every
-/// 100 ms.
+/// A system without a status frame for longer than this is not standby, ns: they arrive every 100
+/// ms.
 const THERE_NS: u64 = 350_000_000;
-/// A run may end this long after the last sign of a standby that is still there, s.
+/// A run may end this long after the last status frame of a standby that still runs, s.
 const SIGN_S: f64 = 0.25;
 
 /// A stop without a reason.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
-    /// The vehicle stood for this long, s, though nothing was near ahead.
+    /// The vehicle stood for this long, s, although nothing was near ahead.
     Standing(f64),
-    /// The function made its minimal-risk stop at this scenario time, s, though no core had
+    /// The function made its minimal-risk stop at this scenario time, s, although no core had
     /// reported a failure and the driver was not asked.
     SafeStop(f64),
 }
 
-/// The stop of this run that has no reason; `None` if there is none. Reasons for a minimal-risk
-/// stop are a failure, a core that was late, and a bus that stood still.
+/// Returns the stop of this run that has no reason, if there is one. Reasons for a minimal-risk
+/// stop are a failure, a core that was late, and a bus that stalled.
 #[must_use]
 pub fn stop(log: &RunLog) -> Option<Stop> {
     let drive = &log.figures;
@@ -51,8 +51,8 @@ pub fn stop(log: &RunLog) -> Option<Stop> {
     }
 }
 
-/// When the first failure was recorded, ns: one that a core reported or a supply saw, or a system
-/// without power.
+/// Returns when the first failure was recorded, ns: one that a core reported or a supply saw, or a
+/// system without power.
 fn failure_ns(log: &RunLog) -> Option<u64> {
     let fails = |event: &Event| match *event {
         Event::Phase { on, .. } => matches!(
@@ -83,8 +83,8 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
     reported.chain(seen).chain(off).min()
 }
 
-/// Scenario time since which no system stood by, up to the end of the run, s; `None` if one did, or
-/// if no system ever drove.
+/// Returns the scenario time since which no system was standby, up to the end of the run, s; `None`
+/// if one was, or if no system ever drove.
 #[must_use]
 pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     log.accepted().next()?;
@@ -94,11 +94,11 @@ pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     (log.driven_s() - last_s > SIGN_S).then_some(last_s)
 }
 
-/// The longest time in which the mode of the accepted control frames did not fit the redundancy, s.
+/// Returns how long, at most, the mode of the accepted frames did not fit the redundancy, s.
 ///
-/// L3 needs a second system: its status frames show whether there is one. A degraded master beside
-/// a standby needs a cause: a change of its phase, or a failure. That the master does not hear its
-/// standby is no cause, because the standby's frames are on the bus.
+/// L3 needs a second system: its status frames show whether there is one. A degraded master with a
+/// standby needs a cause: a change of its phase, or a failure. It is no cause that the master does
+/// not hear its standby, because the standby's frames are on the bus.
 #[must_use]
 pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let start_ns = log.start_ns.unwrap_or(0);
@@ -106,8 +106,8 @@ pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let of_core_0 = |event: &&CoreEvent| event.core == CoreId::CONTROL;
     let mut events = log.events.iter().filter(of_core_0).peekable();
     let mut status = log.status.iter().peekable();
-    // Of each system: its last status frame as master or standby, and whether its last change of
-    // phase is a cause to be degraded.
+    // For each system: its last status frame as master or standby, and whether its last change of
+    // phase is a cause for degraded driving.
     let (mut seen, mut has_cause) = ([(start_ns, RoleCode::Starting); 2], [true; 2]);
     let (mut longest_ns, mut wrong): (u64, Option<(ControlFrame, u64)>) = (0, None);
     for frame in log.accepted() {
@@ -153,7 +153,7 @@ mod tests {
     const A: SystemId = SystemId::A;
     const B: SystemId = SystemId::B;
 
-    /// A drives in this mode for 10 s, and B stands by until this time.
+    /// Returns a log in which A drives in this mode for 10 s and B is standby until `until_ms`.
     fn log(mode: ModeCode, until_ms: u64) -> RunLog {
         let control = (0..1_000).map(|cycle| ControlFrame {
             at_ns: cycle * 10 * MS,
