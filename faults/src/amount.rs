@@ -1,4 +1,4 @@
-//! Numbers of a fault file that are in their range.
+//! Numbers of a fault file, checked against their range.
 
 use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 use std::fmt;
@@ -10,7 +10,7 @@ pub struct Amount<const LEAST: i32, const MOST: i32> {
     amount: i32,
 }
 
-/// What a file says.
+/// The number as it stands in a file.
 #[derive(Deserialize)]
 struct Unchecked {
     amount: i64,
@@ -21,9 +21,9 @@ struct Unchecked {
 pub struct Given {
     /// The number.
     pub number: i32,
-    /// The smallest that is allowed.
+    /// The smallest permitted number.
     pub least: i32,
-    /// The largest that is allowed.
+    /// The largest permitted number.
     pub most: i32,
     /// The unit.
     pub unit: &'static str,
@@ -35,7 +35,7 @@ impl fmt::Display for Given {
     }
 }
 
-/// This number as an amount.
+/// Returns this number as an amount.
 ///
 /// # Panics
 /// If it is out of range.
@@ -46,25 +46,25 @@ pub const fn just<const LEAST: i32, const MOST: i32>(number: i32) -> Amount<LEAS
 }
 
 impl<const LEAST: i32, const MOST: i32> Amount<LEAST, MOST> {
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn get(self) -> i32 {
         self.amount
     }
 
-    /// This many milliseconds.
+    /// Returns this many milliseconds.
     #[must_use]
     pub const fn ms(self) -> Duration {
         Duration::from_ms(self.amount.unsigned_abs() as u64)
     }
 
-    /// This many microseconds.
+    /// Returns this many microseconds.
     #[must_use]
     pub const fn us(self) -> Duration {
         Duration::from_us(self.amount.unsigned_abs() as u64)
     }
 
-    /// With its range, in this unit.
+    /// Returns the number with its range, in this unit.
     pub(crate) const fn given(self, unit: &'static str) -> Given {
         Given {
             number: self.amount,
@@ -76,7 +76,7 @@ impl<const LEAST: i32, const MOST: i32> Amount<LEAST, MOST> {
 }
 
 impl Amount<0, 2> {
-    /// The core of this number.
+    /// Returns the core with this number.
     #[must_use]
     pub const fn core(self) -> CoreId {
         CoreId::ALL[self.amount as usize]

@@ -1,4 +1,4 @@
-//! One fault, the changes of a board that it consists of, and the boards that suffer it.
+//! One fault, the changes of a board that it causes, and the boards that can suffer it.
 
 use crate::kind::{Ends, Kind, Scope};
 use crate::site::Site;
@@ -8,13 +8,13 @@ use std::fmt;
 use tandem_board::{Duration, Edge, Line, SystemId};
 use tandem_peripherals::network::{BusFault, Wire};
 
-/// Which way a wire fails. A fault of a system has the way of that system.
+/// The direction in which a wire fails. A fault of a system has the direction of that system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Way {
-    /// What A sends, or A itself.
+    /// The direction from A, or A itself.
     A,
-    /// What B sends, or B itself.
+    /// The direction from B, or B itself.
     B,
     /// Both directions.
     Both,
@@ -30,27 +30,27 @@ impl From<SystemId> for Way {
 }
 
 impl Way {
-    /// One system or both.
+    /// Returns the one system, or both.
     pub fn systems(self) -> impl Iterator<Item = SystemId> {
         let of = move |system: &SystemId| self == Self::Both || self == Self::from(*system);
         SystemId::ALL.into_iter().filter(of)
     }
 }
 
-/// Something that fails at a time, and for how long. An entry of a fault file.
+/// Something that fails at a given time, and for how long. An entry of a fault file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Fault {
-    /// What.
+    /// What fails.
     #[serde(flatten)]
     pub kind: Kind,
-    /// Of which system, or which way.
+    /// The system or the direction that fails.
     #[serde(rename = "of")]
     pub way: Way,
-    /// When, after the faults begin.
+    /// The begin of the fault, after the faults begin.
     #[serde(rename = "at-ms", with = "ms")]
     pub at: Duration,
-    /// For how long, where the kind does not say; until everything is restored if `None`.
+    /// How long it lasts, if the kind does not say; until everything is restored if `None`.
     #[serde(rename = "lasts-ms", with = "ms_or_none")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lasts: Option<Duration>,
@@ -69,16 +69,16 @@ impl fmt::Display for Fault {
 /// One change of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// A fault of this system begins (`true`) or ends. The kind is one that consists of no others.
+    /// A fault of this system begins (`true`) or ends. The kind is not composed of other kinds.
     Fault(Kind, SystemId, bool),
     /// An edge of this system's line arrives at its peer. The system has not sent it.
     Edge(SystemId, Line, Edge),
 }
 
-/// The board cannot do this.
+/// The error of a board that cannot suffer a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CannotSuffer {
-    /// What.
+    /// The kind of fault.
     pub kind: Kind,
     /// The board.
     pub site: Site,
@@ -98,26 +98,26 @@ impl std::error::Error for CannotSuffer {}
 
 /// A board on which faults can be injected.
 pub trait Suffer {
-    /// Why a change was not made: [`CannotSuffer`], or an error of the board.
+    /// The reason why a change was not made: [`CannotSuffer`], or an error of the board.
     type Error: From<CannotSuffer>;
 
     /// Makes this change now.
     ///
     /// # Errors
-    /// [`CannotSuffer`] if [`Kind::is_for`] denies the kind for this board; or what the board says.
+    /// [`CannotSuffer`] if [`Kind::is_for`] denies the kind for this board; or the board's error.
     fn apply(&mut self, change: Effect) -> Result<(), Self::Error>;
 
     /// Ends every fault, and switches on each system that has no power.
     fn restore(&mut self);
 }
 
-/// The faults of the connections to the CAN bus of A and B, as changes accumulate.
+/// The present faults of the CAN connections of A and B.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BusFaults([BusFault; 2]);
 
 impl BusFaults {
-    /// Follows a change: the faults of this connection from now on, or `None` if the kind is
-    /// another.
+    /// Applies a change: returns the faults of this connection from now on, or `None` if the kind
+    /// is not a fault of it.
     pub fn follow(&mut self, kind: Kind, of: SystemId, on: bool) -> Option<BusFault> {
         let fault = &mut self.0[of.index()];
         let permille = |percent: i32| if on { percent as u16 * 10 } else { 0 };
@@ -135,13 +135,13 @@ impl BusFaults {
     }
 }
 
-/// The changes of these faults in the order of time, each with its time after the faults begin, up
-/// to `end`, when everything is restored. `driver`: the system that the faults call A.
+/// Returns the changes of these faults in the order of time, each with its time after the faults
+/// begin, up to `end`, when everything is restored. `driver`: the system that the faults call A.
 #[must_use]
 pub fn effects(faults: &[Fault], end: Duration, driver: SystemId) -> Vec<(Duration, Effect)> {
     let mut changes = Vec::new();
     for fault in faults {
-        // What both systems share fails once.
+        // A fault of what both systems share occurs only once.
         let times = if fault.kind.facts().scope == Scope::Shared {
             1
         } else {
@@ -195,8 +195,8 @@ impl Fault {
     }
 }
 
-/// A loose contact: an edge line has an edge each time that contact is made or lost, a level line
-/// falls, anything else is cut in between.
+/// A loose contact: an edge line has an edge each time the contact opens or closes, a level line
+/// falls, and any other wire is cut while the contact is open.
 fn flap(
     wire: Wire,
     of: SystemId,

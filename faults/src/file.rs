@@ -1,4 +1,4 @@
-//! Faults from a TOML file, and to one.
+//! Reads faults from a TOML file, and writes them to one.
 //!
 //! ```toml
 //! from-power-on = false   # else in dual operation, A driving
@@ -21,10 +21,10 @@ use std::fmt;
 use tandem_board::Duration;
 use toml::{Spanned, Table, Value};
 
-/// The most faults in a file.
+/// The largest number of faults in a file.
 const MOST: usize = 1_000;
 
-/// Why a file holds no faults that can be tried.
+/// The reason why a file contains no usable faults.
 #[derive(Debug, PartialEq, Eq)]
 pub struct FileError(String);
 
@@ -62,7 +62,7 @@ fn fault(given: Table) -> Result<Fault, String> {
     }
 }
 
-/// The keys of this kind and their values, in words.
+/// Returns the keys of this kind and their values, in words.
 fn keys(kind: Kind) -> String {
     let mut keys = Vec::new();
     if let Kind::Cut { .. } | Kind::Flap { .. } = kind {
@@ -76,11 +76,11 @@ fn keys(kind: Kind) -> String {
 }
 
 impl Sequence {
-    /// The faults of a file; `number` is the seed of what the machine draws.
+    /// Returns the faults of a file; `number` is the seed of everything that the machine draws.
     ///
     /// # Errors
-    /// If the text is no TOML, or has an unknown word or a value out of range. The message names
-    /// the line, the key and the values that are allowed.
+    /// If the text is not TOML, or has an unknown word or a value out of range. The message names
+    /// the line, the key and the permitted values.
     pub fn from_toml(text: &str, number: u64) -> Result<Self, FileError> {
         let file: File<Spanned<Table>> =
             toml::from_str(text).map_err(|error| FileError(error.to_string()))?;
@@ -103,10 +103,10 @@ impl Sequence {
         })
     }
 
-    /// The file of these faults.
+    /// Returns the text of a file with these faults.
     ///
     /// # Errors
-    /// None is known; the writer of TOML can refuse.
+    /// If the TOML writer fails; no case is known.
     pub fn to_toml(&self) -> Result<String, FileError> {
         let file = File {
             from_power_on: self.from_power_on,
@@ -135,7 +135,7 @@ mod tests {
         }
     }
 
-    /// The bound of a file is that of the groups whose faults it has.
+    /// A file has a bound if the groups with the same faults have one.
     #[test]
     fn a_file_has_a_bound_if_a_table_has_it() {
         let of = |of: &str, what: &str| format!("[[fault]]\nof = \"{of}\"\nat-ms = 1.0\n{what}\n");

@@ -1,4 +1,4 @@
-//! The judge of a campaign: what must be so under any faults, whichever board suffers them.
+//! The judge of a campaign: what must hold under any faults on any board.
 
 use crate::entry::Fault;
 use crate::sequence::Sequence;
@@ -9,7 +9,7 @@ use tandem_vehicle::mastership::Mastership;
 /// Changes of the driver that one fault explains: away, and back when its consequence shows.
 const CHANGES_OF_A_FAULT: usize = 2;
 
-/// What a campaign saw of a sequence of faults.
+/// What a campaign observed during a sequence of faults.
 #[derive(Clone, Copy, Debug)]
 pub struct Observed<'e> {
     /// The faults.
@@ -23,7 +23,7 @@ pub struct Observed<'e> {
 }
 
 impl Observed<'_> {
-    /// The rules that are broken.
+    /// Returns the rules that are broken.
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         let mut mastership = Mastership::default();
@@ -36,7 +36,7 @@ impl Observed<'_> {
         };
         let old_terms = self.acted.windows(2).filter(is_old).count();
         let most_changes = CHANGES_OF_A_FAULT * self.faults.len() + 1;
-        // Two faults that each spare the master may together cost it the role.
+        // Two faults that each leave the master its role may together end it.
         let spared = matches!(self.faults, [one] if one.spares_the_master());
         let needless = if spared { self.changes } else { 0 };
         let figures = [

@@ -1,4 +1,4 @@
-//! The kinds of faults, and what is known of each.
+//! The kinds of faults, and their properties.
 //!
 //! A variant of [`Kind`] is a kind of the file: its name is the value of `what`, its fields are
 //! further keys.
@@ -92,34 +92,34 @@ pub enum Kind {
     VehicleSilent,
 }
 
-/// When a fault ends by itself.
+/// The end of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
-    /// When the fault says, or when everything is restored.
+    /// At the time that the entry gives, or when everything is restored.
     AsGiven,
     /// After this time.
     After(Duration),
-    /// At once: it is one event.
+    /// At once: the fault is one event.
     AtOnce,
 }
 
-/// What a fault belongs to.
+/// The part in which a fault occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// One system.
     System,
     /// A wire between the systems, which has a direction.
     Wire,
-    /// What both systems share.
+    /// A part that both systems share.
     Shared,
 }
 
-/// What is known of a kind.
+/// The properties of a kind.
 #[derive(Clone, Copy, Debug)]
 pub struct Facts {
-    /// Where it can be injected.
+    /// The boards on which it can be injected.
     pub sites: &'static [Site],
-    /// What it belongs to.
+    /// The part in which it occurs.
     pub scope: Scope,
     /// When it ends.
     pub ends: Ends,
@@ -145,7 +145,7 @@ const RUN: &[Site] = &[Site::Processes];
 const SIM: &[Site] = &[Site::Simulator];
 
 impl Kind {
-    /// What is known of it.
+    /// Returns its properties.
     #[must_use]
     pub const fn facts(self) -> Facts {
         use Ends::{After, AsGiven, AtOnce};
@@ -160,7 +160,7 @@ impl Kind {
             Self::LevelGlitch(amount) => row(SIM_RUN, Scope::Wire, After(amount.us()), Loss::None),
             Self::StrayBeats(_) => row(EVERY, Scope::Wire, AtOnce, Loss::None),
             Self::StraySync => row(EVERY, Scope::Wire, AtOnce, Loss::None),
-            // It reads back what the vehicle obeys, and then stops sending.
+            // The master reads back what the vehicle obeys, and then stops sending.
             Self::Mute => row(EVERY, System, AsGiven, Mute),
             Self::LosesSent(_) => row(EVERY, System, AsGiven, Mute),
             Self::Late(_) => row(EVERY, System, AsGiven, Mute),
@@ -177,7 +177,7 @@ impl Kind {
             // An emulated machine can stop core 0 alone.
             Self::CoreDies(CORE_0) => row(EVERY, System, AtOnce, Silence),
             Self::CoreHangs(CORE_0) => row(EVERY, System, AsGiven, Silence),
-            // Core 0 notices, and resets its system.
+            // Core 0 detects this, and resets its system.
             Self::CoreDies(_) => row(SIM_RUN, System, AtOnce, Power),
             Self::CoreHangs(_) => row(SIM_RUN, System, AsGiven, Power),
             Self::SupplyHangs(amount) => row(RUN, System, After(amount.ms()), Loss::None),
@@ -187,7 +187,7 @@ impl Kind {
             Self::Scribble => row(EVERY, System, AtOnce, Silence),
             Self::Slow(_) => row(SIM, System, AsGiven, Silence),
             Self::Clock(amount) => row(SIM, System, AsGiven, Loss::of_clock(amount.get())),
-            // Its timers stand still, or its own clock held it up.
+            // Its timers stop, or its own clock reports a stall.
             Self::ClockJumps(_) => row(SIM, System, AtOnce, Silence),
             Self::WrongResults => row(SIM, System, AsGiven, Mute),
             Self::FlashHangs => row(SIM, System, AsGiven, Loss::None),
@@ -197,7 +197,7 @@ impl Kind {
         }
     }
 
-    /// The number in the file, with its range and unit.
+    /// Returns the number in the file, with its range and unit.
     #[must_use]
     pub const fn amount(self) -> Option<Given> {
         Some(match self {
@@ -219,13 +219,13 @@ impl Kind {
         })
     }
 
-    /// Whether it can be injected there.
+    /// Returns whether it can be injected there.
     #[must_use]
     pub fn is_for(self, site: Site) -> bool {
         self.facts().sites.contains(&site)
     }
 
-    /// The value of `what` in a file.
+    /// Returns the value of `what` in a file.
     #[must_use]
     pub fn word(self) -> String {
         let table = toml::Table::try_from(self).unwrap_or_default();
@@ -233,7 +233,7 @@ impl Kind {
         word.unwrap_or_default().to_owned()
     }
 
-    /// The word, with the wire or the core: `core-dies 0`, `cut can`.
+    /// Returns the word, with the wire or the core: `core-dies 0`, `cut can`.
     #[must_use]
     pub fn label(self) -> String {
         match (self, self.amount()) {
@@ -250,7 +250,7 @@ impl Kind {
         }
     }
 
-    /// The labels of all that the simulator can do, each once.
+    /// Returns the labels of everything that the simulator can inject, each once.
     #[must_use]
     pub fn labels() -> Vec<String> {
         let all = Self::OF_ONE_SYSTEM.iter().chain(&Self::FURTHER);
@@ -261,7 +261,7 @@ impl Kind {
         labels
     }
 
-    /// One of each kind at least, in the order of the documentation.
+    /// Returns at least one of each kind, in the order of the documentation.
     pub fn samples() -> impl Iterator<Item = Self> {
         let lists = [&Self::OF_ONE_SYSTEM[..], &Self::OF_PROCESSES];
         let lists = lists
@@ -288,11 +288,11 @@ const BEAT_1: Wire = Wire::Line(Line::Heartbeat1);
 const BEAT_2: Wire = Wire::Line(Line::Heartbeat2);
 const START: Wire = Wire::Line(Line::Start);
 
-/// What campaigns try. A number of a sequence stands for the same faults for ever, so that no list
-/// may change but [`Kind::FURTHER`], which may grow at its end: numbers of the group swarm then
-/// stand for other faults, and no others do.
+/// The lists from which campaigns draw. A number of a sequence always means the same faults, so no
+/// list may change except [`Kind::FURTHER`], which may grow at its end: this changes only the
+/// numbers of the group swarm.
 impl Kind {
-    /// All that can fail in one system or on a wire, with the parameters that the simulator tries.
+    /// All faults of one system or of a wire, with the parameters that the simulator uses.
     pub const OF_ONE_SYSTEM: [Self; 50] = {
         use Kind as K;
         [
@@ -348,7 +348,7 @@ impl Kind {
             K::FlashLost,
         ]
     };
-    /// What the single faults and the swarm try in addition.
+    /// Additional faults for single sequences and for the swarm.
     pub const FURTHER: [Self; 6] = [
         Self::ClockJumps(just(-500)),
         Self::ClockJumps(just(-7)),
@@ -359,7 +359,7 @@ impl Kind {
     ];
     /// Faults of both systems at once.
     pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
-    /// What processes and emulated machines suffer. A time of 1 ms stands for one that is drawn.
+    /// Faults of processes and emulated machines. A time of 1 ms is replaced by one that is drawn.
     pub const OF_PROCESSES: [Self; 34] = {
         use Kind as K;
         [
@@ -400,7 +400,7 @@ impl Kind {
         ]
     };
 
-    /// With this time in place of one that is to be drawn.
+    /// Returns the kind with this time, instead of one that is to be drawn.
     #[must_use]
     pub(crate) const fn with_time(self, ms: i32) -> Self {
         let amount = just(ms);

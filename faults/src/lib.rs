@@ -1,4 +1,4 @@
-//! Faults as data: what can fail, when and for how long; which faults a campaign tries; how long
+//! Faults as data: what can fail, when and for how long; which faults a campaign injects; how long
 //! the vehicle may be without control under each; and the judge of a campaign.
 //!
 //! The simulator, the processes of a run and emulated machines suffer the same faults: each

@@ -7,31 +7,31 @@ use tandem_record::verdict::required_limits::{CONTROL_PERIOD, POLL};
 /// How the vehicle loses its master. Each has a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Loss {
-    /// It does not: the fault leaves the master's frames as they are.
+    /// It does not lose it: the fault does not affect the master's frames.
     None,
-    /// Both systems stand still for this time.
+    /// Both systems are stopped for this time.
     Stall(Duration),
     /// The power level falls.
     Power,
     /// The master falls silent, and its level line stays high.
     Silence,
-    /// The master lives, and its frames do not arrive.
+    /// The master runs, but its frames do not arrive.
     Mute,
     /// Its clock is wrong: the longest control period of a system by its own clock.
     Clock(Duration),
-    /// The same, and without the link it cannot find out itself. The gate refuses its frames as
-    /// late; after two of them it falls silent, and then it counts as mute.
+    /// Its clock is wrong, and without the link it cannot detect this. The gate refuses its frames
+    /// as late; after two of them it falls silent, and then it counts as mute.
     Refused(Duration),
 }
 
 impl Loss {
-    /// The longest time between two control frames that act.
+    /// Returns the longest time between two control frames that act.
     #[must_use]
     pub fn bound(self, limits: &Limits) -> Duration {
         match self {
             // A cycle begins at a poll.
             Self::None => CONTROL_PERIOD + POLL,
-            // It hears the echo, polls, and sends.
+            // The master receives the echo, polls, and sends.
             Self::Stall(span) => CONTROL_PERIOD + span + POLL.times(3),
             Self::Power => limits.power(),
             Self::Silence => limits.silent(),
@@ -41,20 +41,20 @@ impl Loss {
         }
     }
 
-    /// Of a clock that is wrong by this many parts in a thousand: until the system finds that, its
-    /// control period is as wrong.
+    /// Returns the loss by a clock that is wrong by this many parts in a thousand: until the system
+    /// detects that, its control period is wrong too.
     #[must_use]
     pub const fn of_clock(permille: i32) -> Self {
         Self::Clock(period_of(permille))
     }
 
-    /// Of the same clock, if the system cannot find out itself.
+    /// Returns the loss by the same clock, if the system cannot detect the error itself.
     pub(crate) const fn of_refused_clock(permille: i32) -> Self {
         Self::Refused(period_of(permille))
     }
 }
 
-/// The control period of a clock that is slow by this many parts in a thousand.
+/// Returns the control period of a clock that is slow by this many parts in a thousand.
 const fn period_of(permille: i32) -> Duration {
     let slow = if permille < 0 {
         permille.unsigned_abs()

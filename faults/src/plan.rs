@@ -1,5 +1,5 @@
-//! Which faults a campaign tries: each sequence has a number, which stands for the same faults for
-//! ever.
+//! The faults that a campaign injects: each sequence has a number, which always means the same
+//! faults.
 
 use crate::amount::just;
 use crate::entry::{Fault, Way};
@@ -14,12 +14,12 @@ pub const PHASES: u64 = 20;
 const PHASE_US: u64 = 10_000 / PHASES;
 /// Time between two faults, µs.
 pub const DISTANCES: [u64; 6] = [0, 1_700, 7_300, 13_100, 41_900, 260_300];
-/// On processes: the time after the last fault until everything is restored, without what the fault
-/// lasts, ms.
+/// On processes: the time after the last fault until everything is restored, without the duration
+/// of the fault, ms.
 const AFTERWARDS_MS: u64 = 300;
 
-/// What fails in a system or on a wire, and which way: all that the group of random sequences draws
-/// from, and then the further ones.
+/// Returns all faults of systems and wires, each with its direction: first those from which random
+/// sequences are drawn, then the further ones.
 fn all_faults() -> Vec<(Kind, Way)> {
     let mut faults = single_faults();
     for kind in Kind::FURTHER {
@@ -28,7 +28,7 @@ fn all_faults() -> Vec<(Kind, Way)> {
     faults
 }
 
-/// What random sequences and pairs draw from.
+/// Returns the faults from which random sequences and pairs are drawn.
 fn single_faults() -> Vec<(Kind, Way)> {
     let mut faults = Vec::new();
     for kind in Kind::OF_ONE_SYSTEM {
@@ -42,7 +42,7 @@ fn single_faults() -> Vec<(Kind, Way)> {
     faults
 }
 
-/// What can fail within this system: its own parts, and both ends of what joins it to the other.
+/// Returns the faults within this system: of its own parts, and of both ends of its wires.
 fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
     let within = |(kind, way): &(Kind, Way)| match kind.facts().scope {
         Scope::Shared => false,
@@ -53,10 +53,10 @@ fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
 }
 
 impl Group {
-    /// All that have numbers.
+    /// All groups whose sequences have numbers.
     pub const ALL: [Self; 4] = [Self::Single, Self::Pair, Self::Random, Self::Swarm];
 
-    /// Its name on a command line.
+    /// Returns its name on a command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -68,13 +68,13 @@ impl Group {
         }
     }
 
-    /// The group with this name, if it has numbers.
+    /// Returns the group with this name, if its sequences have numbers.
     #[must_use]
     pub fn of_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|group| group.name() == name)
     }
 
-    /// How many sequences there are; `None` where every number is one.
+    /// Returns how many sequences there are; `None` if every number is one.
     #[must_use]
     pub fn count(self) -> Option<u64> {
         match self {
@@ -88,10 +88,10 @@ impl Group {
         }
     }
 
-    /// A sequence by its number.
+    /// Returns a sequence by its number.
     ///
     /// # Panics
-    /// If there is none of this number, as of all that stand in a file.
+    /// If there is no sequence with this number; those of a file have none.
     #[must_use]
     pub fn sequence(self, number: u64) -> Sequence {
         match self {
@@ -104,7 +104,7 @@ impl Group {
     }
 }
 
-/// A fault that lasts until everything is restored.
+/// Returns a fault that lasts until everything is restored.
 const fn lasting((kind, way): (Kind, Way), at_us: u64) -> Fault {
     Fault {
         kind,
@@ -116,7 +116,7 @@ const fn lasting((kind, way): (Kind, Way), at_us: u64) -> Fault {
 
 fn single(number: u64) -> Sequence {
     let fault = all_faults()[(number / PHASES) as usize];
-    // Not at a whole poll: where it lies between two polls counts too.
+    // Not exactly at a poll: the time between two polls matters too.
     let at_us = number % PHASES * PHASE_US + 137;
     Sequence {
         group: Group::Single,
@@ -138,7 +138,7 @@ fn pair(number: u64) -> Sequence {
     }
     let within = faults_within(of);
     let count = within.len() as u64;
-    // Every pair at another moment of the control cycle.
+    // Each pair begins at another moment of the control cycle.
     let at_us = (number * 7_919) % 10_000;
     let first = lasting(within[(index / count) as usize], at_us);
     let second = lasting(within[(index % count) as usize], at_us + distance);
@@ -170,10 +170,10 @@ fn random(number: u64) -> Sequence {
 }
 
 /// Swarm testing (Groce, Zhang, Eide, Chen, Regehr: Swarm Testing, 2012): a fault that others mask
-/// shows where these are left out.
+/// shows in sequences without them.
 fn swarm(number: u64) -> Sequence {
     let mut draw = Draw(!number);
-    // One of 2, 4, 8 or 16 kinds is on.
+    // On average one of 2, 4, 8 or 16 kinds is used.
     let one_of = 2 << draw.below(4);
     let mut kinds = all_faults();
     let last = kinds[draw.below(kinds.len() as u64) as usize];
@@ -182,7 +182,7 @@ fn swarm(number: u64) -> Sequence {
 }
 
 fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> Sequence {
-    // Dense: many at a time. Sparse: every limit passes between two.
+    // Dense: many at a time. Sparse: every limit ends between two faults.
     let distance_us = [15_000, 60_000, 400_000][draw.below(3) as usize];
     let (mut at_us, count) = (0, 1 + draw.below(8));
     let mut faults = Vec::new();
@@ -217,26 +217,26 @@ impl Site {
         kinds
     }
 
-    /// How many sequences the matrix has: each fault, of the master and of the standby, at each
-    /// phase.
+    /// Returns the number of sequences in the matrix: each fault, of the master and of the standby,
+    /// at each phase.
     #[must_use]
     pub fn cells(self) -> u64 {
         self.kinds().len() as u64 * 2 * PHASES
     }
 
-    /// The `number`-th sequence of this seed: one fault of the master, which is A here, or of the
-    /// standby, at its beginning.
+    /// Returns the `number`-th sequence of this seed: one fault at the beginning, of the master,
+    /// which is A here, or of the standby.
     #[must_use]
     pub fn drawn(self, seed: u64, number: u64) -> Sequence {
         let mut draw = Draw(seed ^ number.wrapping_mul(0xD1B5_4A32_D192_ED03));
         let kinds = self.kinds();
         let kind = kinds[draw.below(kinds.len() as u64) as usize];
-        // Most can happen to a master.
+        // Two of three faults hit the master, which can fail in more ways.
         let way = if draw.below(3) < 2 { Way::A } else { Way::B };
         at_the_beginning(number, kind, way, &mut draw)
     }
 
-    /// A cell of the matrix, and when in the control cycle its fault begins; `None` from
+    /// Returns a cell of the matrix, and when in the control cycle its fault begins; `None` from
     /// [`Site::cells`] on.
     #[must_use]
     pub fn cell(self, number: u64) -> Option<(Sequence, Duration)> {
@@ -253,7 +253,7 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
     let short_ms = 5 + draw.below(195);
     let short = Duration::from_ms(short_ms);
     let lasts = match kind {
-        // Stopped for good: the watchdog ends it. Or continued before or after that.
+        // Stopped permanently: the watchdog resets it. Or continued before or after that.
         Kind::CoreHangs(_) if draw.below(2) == 0 => None,
         Kind::CoreHangs(_) => Some(short),
         _ => Some(Duration::from_ms(20 + draw.below(600))),
@@ -275,8 +275,8 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
 mod tests {
     use super::*;
 
-    /// The generator reaches every fault of the matrix for both systems, the same each time, and
-    /// draws nothing that processes cannot suffer or a file cannot hold.
+    /// The generator draws every fault of the matrix for both systems, the same in each run, and
+    /// only faults that processes can suffer and a file can contain.
     #[test]
     fn drawn_sequences_repeat_and_cover_the_matrix() {
         for site in [Site::Processes, Site::Machines] {

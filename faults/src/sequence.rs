@@ -1,4 +1,4 @@
-//! A sequence of faults, and the longest gap that it may cost.
+//! A sequence of faults, and the longest gap that it may cause.
 
 use crate::entry::{Fault, Way};
 use crate::kind::{Kind, Scope};
@@ -8,7 +8,7 @@ use tandem_board::{Duration, SystemId};
 use tandem_peripherals::network::Wire;
 use tandem_record::verdict::Limits;
 
-/// The kind of sequences.
+/// The kind of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// One fault at one of [`PHASES`](crate::PHASES) moments of the control cycle.
@@ -17,7 +17,7 @@ pub enum Group {
     Pair,
     /// Several faults in both systems, drawn from the number.
     Random,
-    /// The same, but the number also draws which kinds there are at all: some sequences have many
+    /// Like [`Group::Random`], but the number also selects the kinds: some sequences have many
     /// faults of few kinds.
     Swarm,
     /// The faults of a file, or of [`Site::drawn`] or [`Site::cell`].
@@ -27,20 +27,20 @@ pub enum Group {
 /// One sequence of faults.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// Of which kind.
+    /// Its group.
     pub group: Group,
-    /// Which one.
+    /// Its number in the group.
     pub number: u64,
     /// The faults.
     pub faults: Vec<Fault>,
-    /// Whether they begin at power-on; else in dual operation, A driving.
+    /// Whether the faults begin at power-on. Otherwise they begin in dual operation, A driving.
     pub from_power_on: bool,
-    /// How long after their begin everything is restored.
+    /// The time from the begin of the faults until everything is restored.
     pub span: Duration,
 }
 
 impl Fault {
-    /// How the vehicle loses its master by this fault while A drives and B stands by.
+    /// Returns how the vehicle loses its master by this fault while A drives and B is standby.
     #[must_use]
     pub fn loss(&self) -> Loss {
         let facts = self.kind.facts();
@@ -51,9 +51,9 @@ impl Fault {
         }
     }
 
-    /// Whether it leaves the frames of the system that drives as they are, so that this system must
-    /// keep its role. A bus that stands still delivers them too late: the vehicle refuses them, and
-    /// their sender may go.
+    /// Returns whether it does not affect the frames of the system that drives, so that this system
+    /// must keep its role. A stalled bus delivers them too late: the vehicle refuses them, and
+    /// their sender may lose its role.
     #[must_use]
     pub fn spares_the_master(&self) -> bool {
         let is_bus = matches!(self.kind, Kind::VehicleHangs(_));
@@ -62,14 +62,14 @@ impl Fault {
 }
 
 impl Sequence {
-    /// [`Fault::spares_the_master`] of all.
+    /// Returns whether [`Fault::spares_the_master`] holds for all faults.
     #[must_use]
     pub fn spares_the_master(&self) -> bool {
         self.faults.iter().all(Fault::spares_the_master)
     }
 
-    /// The longest gap that its faults may cost, and the loss that says so; `None` if they are not
-    /// within one system.
+    /// Returns the longest gap that its faults may cause, and the loss from which it follows;
+    /// `None` if the faults are not within one system.
     #[must_use]
     pub fn bound(&self, limits: &Limits) -> Option<(Loss, Duration)> {
         let of_one = |fault: &Fault| {
@@ -89,7 +89,7 @@ impl Sequence {
         }
     }
 
-    /// Whether all faults are within one system.
+    /// Returns whether all faults are within one system.
     fn is_within_a_system(&self) -> bool {
         let within = |way: Way| {
             self.faults.iter().all(|it| {
@@ -100,7 +100,7 @@ impl Sequence {
         within(Way::A) || within(Way::B)
     }
 
-    /// Of faults that are all within one system.
+    /// Returns the bound of faults that are all within one system.
     fn bound_within_a_system(&self, limits: &Limits) -> Option<(Loss, Duration)> {
         let losses = self.faults.iter().map(|fault| match fault.kind {
             Kind::Clock(amount) if amount.get() < -1 => Loss::of_refused_clock(amount.get()),
@@ -110,7 +110,7 @@ impl Sequence {
         bounds.max_by_key(|(_, bound)| *bound)
     }
 
-    /// The faults, without their times.
+    /// Returns the faults in words, without their times.
     #[must_use]
     pub fn kinds(&self) -> String {
         let kind = |fault: &Fault| format!("{:?} {}", fault.way, fault.kind);
@@ -118,7 +118,7 @@ impl Sequence {
         kinds.join(" + ")
     }
 
-    /// Whether frames of both systems are lost on CAN, or carry a wrong command.
+    /// Returns whether frames of both systems are lost on CAN, or contain a wrong command.
     #[must_use]
     pub fn spoils_frames_of_both(&self) -> bool {
         let spoils = |fault: &Fault| match fault.kind {
@@ -135,8 +135,8 @@ impl Sequence {
 }
 
 impl Fault {
-    /// Whether its kind alone says what it costs. A fault of both systems has a bound only if the
-    /// fault is of what they share, or if both stand still.
+    /// Returns whether its kind alone determines the loss. A fault of both systems has a bound only
+    /// if it is of a part that they share, or if both are stopped.
     fn has_loss(&self) -> bool {
         let stands_still = matches!(self.kind, Kind::Hang(_));
         self.way != Way::Both || self.kind.facts().scope != Scope::System || stands_still

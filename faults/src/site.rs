@@ -1,8 +1,8 @@
-//! Where faults are injected.
+//! The boards on which faults are injected.
 
 use std::fmt;
 
-/// What suffers faults.
+/// A board that can suffer faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Site {
     /// The simulator: both systems in virtual time.

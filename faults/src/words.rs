@@ -1,11 +1,11 @@
-//! How a fault file writes the types of the board.
+//! The words by which a fault file names the types of the board.
 
 /// A wire, by its name.
 pub(crate) mod wire {
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
     use tandem_peripherals::network::Wire;
 
-    /// In the order of [`Wire::ALL`].
+    /// The names, in the order of [`Wire::ALL`].
     pub(crate) const NAMES: [&str; 6] = [
         "start",
         "heartbeat-1",
@@ -54,7 +54,7 @@ pub(crate) mod ms {
     }
 }
 
-/// The same, of a key that may be absent.
+/// A time in milliseconds for a key that may be absent.
 pub(crate) mod ms_or_none {
     use serde::{Deserializer, Serializer};
     use tandem_board::Duration;

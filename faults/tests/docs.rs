@@ -6,14 +6,14 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use tandem_faults::{Kind, Loss, Site};
 
-/// The variants of [`Kind`] with their comments, as they stand in the code.
+/// Returns the variants of [`Kind`] with their comments, as written in the code.
 fn variants() -> Vec<(String, String)> {
     let source = include_str!("../src/kind.rs");
     let (_, body) = source.split_once("pub enum Kind {\n").unwrap();
     let (body, _) = body.split_once("\n}\n").unwrap();
     let mut variants = Vec::new();
     let mut comment = Vec::new();
-    // What is indented further are fields.
+    // Lines that are indented further are fields.
     let lines = body.lines().filter_map(|line| line.strip_prefix("    "));
     for line in lines.filter(|line| !line.starts_with(' ')) {
         if let Some(words) = line.strip_prefix("/// ") {
@@ -27,7 +27,7 @@ fn variants() -> Vec<(String, String)> {
     variants
 }
 
-/// The value of `what` for a variant.
+/// Returns the value of `what` for a variant.
 fn word(variant: &str) -> String {
     let mut word = String::new();
     for letter in variant.chars() {
@@ -86,7 +86,7 @@ fn table() -> String {
     text
 }
 
-/// The table in the docs is that of the kinds; `UPDATE_DOCS=1` writes it. Each kind has a sample.
+/// The table in the docs agrees with the kinds; `UPDATE_DOCS=1` writes it. Each kind has a sample.
 #[test]
 fn the_table_of_the_docs_is_that_of_the_kinds() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/faults.md");
