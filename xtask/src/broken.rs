@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// The first word of what catches a variant, if it is no test.
+/// In place of a test: the simulator catches the variant.
 const SIMULATOR: &str = "simulator";
 
 /// One variant.
@@ -43,7 +43,7 @@ impl Variant {
         })
     }
 
-    /// `git apply` in this folder, which need not be a repository.
+    /// Runs `git apply` in this folder, which need not be a repository.
     fn apply(&self, folder: &Path, further: &[&str]) -> Result<bool> {
         let mut git = Command::new("git");
         git.arg("apply")
@@ -69,7 +69,7 @@ pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
             variant.apply(root, &["--check"])?
         } else {
             println!("{}: {}", variant.name, variant.broken);
-            // The other variants are tried all the same.
+            // After an error the other variants are still tested.
             is_caught(root, variant).unwrap_or_else(|error| {
                 println!("{}: {error:#}", variant.name);
                 false
@@ -103,8 +103,8 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
         command
             .arg(what)
             .current_dir(&copy)
-            // Not the developer's: cargo tells crates of two copies of a workspace apart by the
-            // times of their files alone, and would build broken ones into the developer's command.
+            // Not the developer's folder: cargo distinguishes the crates of two copies only by the
+            // times of their files, and would build broken crates into the developer's command.
             .env("CARGO_TARGET_DIR", root.join("target/broken/build"));
         command
     };
@@ -140,8 +140,8 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
     Ok(!passed.success())
 }
 
-/// All files of the repository as they are now. A file with unchanged content keeps its time of
-/// change, so that cargo builds only the differences.
+/// Copies all files of the repository as they are now. A file with unchanged content keeps its time
+/// of change, so that cargo builds only the differences.
 fn copy_tree(root: &Path, copy: &Path) -> Result<()> {
     for name in git_files(root, &PRESENT)? {
         let content = fs::read(root.join(&name)).with_context(|| name.clone())?;

@@ -1,13 +1,13 @@
 //! Each failure mode of the redundancy has a place in the product that produces it.
 
-/// Where the modes are named.
+/// The file that names the modes.
 const MODES: &str = "redundancy/src/state.rs";
-/// Where they are produced.
+/// The folders that produce them.
 const PRODUCERS: [&str; 2] = ["redundancy/src/", "cores/src/"];
-/// Not found by a system in itself.
+/// These are not faults that a system finds in itself.
 const NO_FAULTS: [&str; 2] = ["None", "Unknown"];
 
-/// The modes that nothing produces. `files`: all sources, with their texts.
+/// Returns the modes that no code produces. `files`: all sources, with their texts.
 pub(crate) fn findings(files: &[(String, String)]) -> Vec<String> {
     let is_source = |(place, _): &&(String, String)| {
         PRODUCERS.iter().any(|folder| place.starts_with(folder)) && place != MODES
@@ -27,7 +27,7 @@ pub(crate) fn findings(files: &[(String, String)]) -> Vec<String> {
         .collect()
 }
 
-/// The variants of the enum that no source names but to compare with it. Tests do not count.
+/// Returns the variants that the sources use only in comparisons. Tests do not count.
 fn without_producer(modes: &str, sources: &[&str]) -> Vec<String> {
     let variants = modes
         .split("pub enum FailureMode {")

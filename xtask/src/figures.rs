@@ -1,6 +1,6 @@
-//! The one page of figures, `docs/figures.md`, made from files of the measuring commands.
+//! The single page of figures, `docs/figures.md`, made from files of the measuring commands.
 //!
-//! Prose links there and repeats no figure: two copies of a figure soon differ.
+//! Prose links to that page and repeats no figure: two copies of a figure soon differ.
 
 use crate::firmware::floor_of;
 use crate::{read, read_json, write, write_json};
@@ -46,7 +46,7 @@ task/signal: the same by a signal through a mailbox
 clock/two-readings: two readings of the clock in a row
 ";
 
-/// Copies new measurements, if given, and writes the page. With `check` it only says whether the
+/// Copies new measurements, if given, and writes the page. With `check` it only reports whether the
 /// page is stale.
 pub(crate) fn run(
     root: &Path,
@@ -61,7 +61,7 @@ pub(crate) fn run(
             "{}: figures of a debug build mean nothing",
             bench.display()
         );
-        // Only the version: the rest is the distributor's.
+        // Only the version: the rest belongs to the distribution.
         let kernel = results["machine"]["kernel"].as_str().unwrap_or_default();
         let version = kernel.split('-').next().unwrap_or_default().to_owned();
         results["machine"]["kernel"] = version.into();
@@ -107,7 +107,7 @@ fn page(root: &Path) -> Result<String> {
     Ok(page)
 }
 
-/// Instructions of the paths between cores.
+/// Returns the section on the instructions of the paths between cores.
 fn firmware(baseline: &Value) -> Result<String> {
     let rows = baseline["results"].as_array().context("no results")?;
     let min = |row: &Value| row["min"].as_f64();
@@ -142,7 +142,7 @@ fn firmware(baseline: &Value) -> Result<String> {
     Ok(text)
 }
 
-/// Times on the host, beside their floors.
+/// Returns the section on times on the host, beside their floors.
 fn host(results: &Value) -> Result<String> {
     let machine = &results["machine"];
     let text_of = |value: &Value| value.as_str().unwrap_or("unknown").to_owned();
@@ -199,7 +199,7 @@ fn host(results: &Value) -> Result<String> {
     Ok(text)
 }
 
-/// The results of a drive.
+/// Returns the section on the results of a drive.
 fn drive(metrics: &Value) -> Result<String> {
     let mut text = format!(
         "\n## A drive\n\n`{RUN}`: scenario {}, {:.1} s, {}.\n\n| figure | |\n|---|---:|\n",
@@ -233,7 +233,7 @@ fn drive(metrics: &Value) -> Result<String> {
     Ok(text)
 }
 
-/// The experiments of the thesis on all boards; a board may lack one.
+/// Returns the section on the experiments of the thesis on all boards; a board may lack one.
 fn thesis(boards: &[Value; 3]) -> Result<String> {
     let mut text = format!(
         "\n## The experiments of the thesis\n\n`{THESIS}BOARD.json`, by `tandem thesis --board \
@@ -266,13 +266,13 @@ fn thesis(boards: &[Value; 3]) -> Result<String> {
     Ok(text)
 }
 
-/// Whole numbers as such, others with two decimals.
+/// Formats whole numbers without decimals, others with two.
 fn round(value: f64) -> String {
     let decimals = if value.fract() == 0.0 { 0 } else { 2 };
     format!("{value:.decimals$}")
 }
 
-/// A time with three digits and its unit.
+/// Formats a time with three digits and its unit.
 fn time(ns: f64) -> String {
     let (value, unit) = match ns {
         ns if ns < 1e3 => (ns, "ns"),

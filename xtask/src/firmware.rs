@@ -14,14 +14,14 @@ use std::time::{Duration, Instant};
 
 const TARGET: &str = "riscv32imac-unknown-none-elf";
 const QEMU: &str = "qemu-system-riscv32";
-/// Longer than any image here runs on a busy machine; an image that hangs is killed then.
+/// Longer than any image here runs on a busy machine; then an image that hangs is killed.
 const LIMIT: Duration = Duration::from_secs(300);
 /// How much worse than the baseline a measurement may be, in percent.
 const TOLERANCE_PERCENT: u64 = 5;
-/// How many times its floor a mailbox signal may take.
+/// The longest permitted time of a mailbox signal, in multiples of its floor.
 const MAILBOX_PER_FLOOR: u64 = 2;
-/// Each way to wake a core has its own floor: what waking costs when nothing is handed over. By the
-/// first part of a path's name.
+/// The floor of each way to wake a core: the cost of waking without passing any data. The key is
+/// the first part of a path's name.
 const FLOORS: [(&str, &str); 10] = [
     ("wfi", "wfi/floor"),
     ("doorbell", "doorbell/floor"),
@@ -35,7 +35,7 @@ const FLOORS: [(&str, &str); 10] = [
     ("task", "task/floor"),
 ];
 
-/// The floor of a path, if there is one.
+/// Returns the floor of a path, if there is one.
 pub(crate) fn floor_of(path: &str) -> Option<&'static str> {
     let (kind, _) = path.split_once('/')?;
     let (_, floor) = FLOORS.iter().find(|(of, _)| *of == kind)?;
@@ -46,9 +46,9 @@ pub(crate) fn floor_of(path: &str) -> Option<&'static str> {
 pub(crate) enum Firmware {
     /// Build all images
     Build,
-    /// Run an image under QEMU; its log is printed
+    /// Run an image under QEMU and print its log
     Run {
-        /// Which image
+        /// The image
         image: Image,
     },
     /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
@@ -64,10 +64,10 @@ pub(crate) enum Firmware {
         /// The language
         language: Language,
     },
-    /// Text and RAM of `shm` alone and of each image
+    /// Print the text and RAM of `shm` alone and of each image
     Size,
-    /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
-    /// broken lock caught
+    /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and check
+    /// that a broken lock is caught
     Explore {
         /// How many lengths of turns; each with four offsets between the harts
         #[arg(long, default_value_t = 100)]
@@ -104,11 +104,11 @@ pub(crate) enum Image {
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
     Controller,
-    /// The driving functions over recorded frames; `test` gives it some
+    /// The driving functions over recorded frames; `test` supplies them
     GoldenReplay,
     /// The whole controller for slot A
     SlotController,
-    /// The same for slot B: an update
+    /// The whole controller for slot B: an update
     SlotControllerB,
     /// Three cores that each send a frame, for a slot
     SlotFrames,
@@ -121,7 +121,7 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    /// Its name on the command line.
+    /// Returns its name on the command line.
     fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
@@ -153,7 +153,7 @@ fn port(root: &Path) -> PathBuf {
     root.join("firmware-port")
 }
 
-/// Everything for bare metal is built here.
+/// Returns the folder for all bare-metal builds.
 pub(crate) fn build_dir(root: &Path) -> PathBuf {
     target_dir(root).join("firmware")
 }
@@ -181,16 +181,16 @@ fn cargo_build_package(root: &Path, arguments: &[&str]) -> Result<()> {
     succeed(command.args(arguments))
 }
 
-/// Where the images read their straps; see link.x.
+/// The address from which the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8090_0000;
 
-/// A file that was built for release.
+/// Returns the path of a file that was built for release.
 fn released(root: &Path, name: &str) -> PathBuf {
     build_dir(root).join(TARGET).join("release").join(name)
 }
 
-/// An emulated machine with this image and these words from an address on. Deterministic: one
-/// instruction is 2^`shift` nanoseconds, and time jumps when all harts sleep.
+/// Returns the command for an emulated machine with this image, and these words from an address on.
+/// Deterministic: one instruction takes 2^`shift` ns, and time jumps when all harts sleep.
 fn machine(qemu: &str, machine: &[&str], elf: &Path, shift: u32, words: (u32, &[u32])) -> Command {
     let mut command = Command::new(qemu);
     command.arg("-machine").args(machine);
@@ -208,7 +208,7 @@ fn machine(qemu: &str, machine: &[&str], elf: &Path, shift: u32, words: (u32, &[
     command
 }
 
-/// Runs an image to its end, and returns its log.
+/// Runs an image until it ends, and returns its log.
 fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<String> {
     let virt = ["virt", "-smp", "7", "-bios", "none"];
     let elf = released(root, &image.name());
@@ -217,7 +217,7 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    // The whole workspace, as in all other tests: for one package alone cargo would rebuild much.
+    // The whole workspace, as in all other tests: for one package cargo would rebuild much more.
     let mut command = cargo(root, &["test", "--workspace"]);
     for file in ["identical", "feeds", "outputs", "tasks", "chip", "emulated"] {
         command.args(["--test", file]);
@@ -236,7 +236,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
 
 /// Strap `Mode` of the schedules: the lock is broken.
 const BROKEN_LOCK: u32 = 1;
-/// A tick of the timer is 25 instructions: short enough for turns that end at any instruction.
+/// A tick of the timer is 25 instructions, so that turns can end at any instruction.
 const SCHEDULES_SHIFT: u32 = 2;
 
 fn explore(root: &Path, lengths: u32) -> Result<()> {
@@ -370,7 +370,7 @@ fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
     floor_holds(&figures)
 }
 
-/// What a program says of its version, in one line.
+/// Returns the version that a program prints, in one line.
 pub(crate) fn version(program: &str) -> Result<String> {
     let output = Command::new(program).arg("--version").output();
     let output = output.with_context(|| format!("cannot start {program}"))?;
@@ -378,7 +378,7 @@ pub(crate) fn version(program: &str) -> Result<String> {
     Ok(text.lines().next().unwrap_or_default().to_owned())
 }
 
-/// A mailbox signal with all that makes it safe takes at most twice what its doorbell takes alone.
+/// Checks that a safe mailbox signal takes at most twice as long as its doorbell alone.
 fn floor_holds(figures: &[Figure]) -> Result<()> {
     let figure = |name: &str| {
         let figure = figures.iter().find(|figure| figure.name == name);

@@ -1,5 +1,5 @@
 //! Instructions of the primitives on the host, counted by valgrind and compared with a committed
-//! table: an exact gate, which no load of the machine moves.
+//! table: an exact check that does not depend on the load of the machine.
 
 use crate::{example, read_json, write_json};
 use anyhow::{Context, Result, ensure};
@@ -22,15 +22,15 @@ const CASES: [&str; 10] = [
     "lock",
     "control-frame",
 ];
-/// Two runs of a case. Their difference leaves out how the program starts and ends.
+/// The repetitions in two runs of a case. Their difference excludes the program's start and end.
 const TIMES: [u64; 2] = [1_000, 5_000];
-/// What another compiler than the table's may change, in percent. With the same one a case takes
-/// the same number of instructions in each run.
+/// The permitted difference with another compiler than the table's, in percent. With the same
+/// compiler a case takes the same number of instructions in each run.
 const OTHER_COMPILER_PERCENT: f64 = 5.0;
-/// The starts of two runs differ by some hundred instructions: the size of the environment.
+/// The starts of two runs differ by some hundred instructions, because of the environment's size.
 const NOISE: f64 = 0.3;
 
-/// Counts, and compares with the table; `save` makes a new one. Without valgrind it says so and
+/// Counts, and compares with the table; `save` makes a new one. Without valgrind it prints this and
 /// checks nothing.
 pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     if Command::new("valgrind").arg("--version").output().is_err() {
@@ -95,7 +95,7 @@ fn changed(counted: &[(&str, f64)], table: &Value, percent: f64) -> Result<Vec<S
     Ok(changed)
 }
 
-/// The instructions of the whole program that repeats a case this often.
+/// Returns the instructions of the whole program that repeats a case `times` times.
 fn count(program: &Path, case: &str, times: u64) -> Result<u64> {
     let output = Command::new("valgrind")
         .args(["--tool=callgrind", "--callgrind-out-file=/dev/null"])
@@ -120,7 +120,7 @@ mod tests {
             (40.0, 0.0, &[][..]),
             (41.0, 0.0, &["lock 40.0 -> 41.0"]),
             (39.0, 0.0, &["lock 40.0 -> 39.0"]),
-            // Another compiler than the table's.
+            // A compiler other than the table's.
             (42.0, 5.0, &[]),
             (43.0, 5.0, &["lock 40.0 -> 43.0"]),
         ] {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 const CRATES_IO: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
-/// Checks every package of the lock file against `deny.toml`, by what cargo knows: nothing is
+/// Checks every package of the lock file against `deny.toml`, using only cargo: nothing is
 /// installed and nothing is fetched.
 pub(crate) fn run(root: &Path) -> Result<()> {
     let deny = std::fs::read_to_string(root.join("deny.toml")).context("deny.toml")?;
@@ -56,8 +56,8 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether the allowed licences satisfy this SPDX expression. AND binds closer than OR, which old
-/// manifests write as a slash.
+/// Returns whether the allowed licences satisfy this SPDX expression. AND binds more tightly than
+/// OR, which old manifests write as a slash.
 fn permits(expression: &str, allowed: &[&str]) -> bool {
     let spaced = expression.replace('/', " OR ").replace(')', " ) ");
     let words: Vec<&str> = spaced.split_whitespace().collect();
@@ -69,7 +69,7 @@ fn permits(expression: &str, allowed: &[&str]) -> bool {
     let Some((within, after)) = rest.split_once(')') else {
         return false;
     };
-    // The innermost brackets stand for a licence that is allowed, or for none.
+    // Replace the innermost brackets by an allowed licence, or by none.
     let known = allowed.first().filter(|_| permits(within.trim(), allowed));
     permits(
         &format!("{before} {} {after}", known.unwrap_or(&"none")),

@@ -38,7 +38,7 @@ const PORTABLE: [&str; 8] = [
     "tandem-cores",
     "tandem-capi",
 ];
-/// The crates that contain the RTOS, and the one bare-metal target with a port for it.
+/// The crates that contain the RTOS, and the only bare-metal target with a port for it.
 const RTOS: [(&str, &str); 2] = [
     ("tandem-rtos", "riscv32imac-unknown-none-elf"),
     ("tandem-runtime", "riscv32imac-unknown-none-elf"),
@@ -63,17 +63,17 @@ enum Task {
     Test,
     /// Check the licences and sources of all dependencies against deny.toml
     Licences,
-    /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
-    /// allowed, names that two things share, the lines of each room
+    /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
+    /// allowed, shared names, the lines of each room
     Tidy {
-        /// Make the lines that each room has the table in docs/rooms.md
+        /// Write the present number of lines of each room to the table in docs/rooms.md
         #[arg(long)]
         save: bool,
     },
     /// List the requirements and the tests that name them
     Requirements {
         /// Exit with an error if no test names one of these requirements: all whose id begins with
-        /// PREFIX, as T-RED or T-RED-4
+        /// PREFIX, for example T-RED or T-RED-4
         #[arg(long, value_name = "PREFIX", value_delimiter = ',')]
         require: Vec<String>,
     },
@@ -81,13 +81,13 @@ enum Task {
     BareMetal,
     /// Write the header for firmware in C from the crate `tandem-capi`
     CHeader {
-        /// Only say whether the header is stale
+        /// Only report whether the header is stale
         #[arg(long)]
         check: bool,
     },
     /// Write the code of `tandem-bus` from `bus/dbc/tandem.dbc`
     Dbc {
-        /// Only say whether the code is stale
+        /// Only report whether the code is stale
         #[arg(long)]
         check: bool,
     },
@@ -96,10 +96,10 @@ enum Task {
         /// Relax each memory ordering in turn: a model must fail (twenty minutes)
         #[arg(long)]
         weakened: bool,
-        /// Only orderings in functions whose name contains this
+        /// Only orderings in functions whose name contains this text
         #[arg(long, requires = "weakened", default_value = "")]
         only: String,
-        /// Also the models that take half a minute and more
+        /// Also the models that take half a minute or more
         #[arg(long, conflicts_with = "weakened")]
         long: bool,
     },
@@ -117,85 +117,85 @@ enum Task {
     Rta {
         /// The run's metrics.json
         metrics: PathBuf,
-        /// What a task switch, and the entry of an interrupt, cost, in µs: `tandem bench rtos`
+        /// The cost of a task switch, and of the entry of an interrupt, in µs: `tandem bench rtos`
         #[arg(long, value_name = "US")]
         overhead_us: f64,
     },
-    /// Build broken variants of the product (tests/broken/*.patch) and demand that the test that
-    /// each names fails
+    /// Build broken variants of the product (tests/broken/*.patch), and check that the test that
+    /// each one names fails
     Broken {
-        /// Only variants whose name contains this
+        /// Only variants whose name contains this text
         #[arg(default_value = "")]
         name: String,
-        /// Only say whether all patches apply
+        /// Only report whether all patches apply
         #[arg(long)]
         check: bool,
     },
     /// Write docs/figures.md from the measurements in docs/figures and firmware-port/baseline.json
     Figures {
-        /// Take these figures first: a file of `tandem bench --json`, of a release build
+        /// First copy these figures: a file of `tandem bench --json`, of a release build
         #[arg(long, value_name = "FILE")]
         bench: Option<PathBuf>,
-        /// Take these figures first: the metrics.json of a run
+        /// First copy these figures: the metrics.json of a run
         #[arg(long, value_name = "FILE")]
         run: Option<PathBuf>,
-        /// Only say whether the page is stale
+        /// Only report whether the page is stale
         #[arg(long)]
         check: bool,
     },
     /// Count the host instructions of the primitives under valgrind, and compare them with
     /// benches/two-cores/instructions.json
     Instructions {
-        /// Make these counts the table
+        /// Replace the table by these counts
         #[arg(long)]
         save: bool,
     },
     /// Write the tables of tasks in docs/ from the task table in the code
     #[command(name = "task-tables")]
     Tables {
-        /// Only say whether one is stale
+        /// Only report whether a table is stale
         #[arg(long)]
         check: bool,
     },
-    /// Long trials for a person to start; CI runs short ones of each
+    /// Long tests that a person starts; CI runs short ones of each
     #[command(subcommand)]
     Campaign(Campaign),
 }
 
 #[derive(Subcommand)]
 enum Campaign {
-    /// Kill a process of a starting run, again and again; then start normally
+    /// Kill a process of a starting run repeatedly, then start normally
     StartupKills {
-        /// How many starts are killed
+        /// How many starts to kill
         #[arg(long, default_value_t = 200)]
         count: u32,
     },
-    /// Judge the times of runs with real processes: takeovers within their bounds. Says how often a
-    /// stall of the machine made it try again
+    /// Judge the times of runs with real processes: takeovers within their bounds. Reports how
+    /// often it tried again because the machine stalled
     Processes {
-        /// How often each drive is made
+        /// How often to repeat each drive
         #[arg(long, default_value_t = 3)]
         rounds: u32,
     },
     /// Run random task sets on FreeRTOS and compare their schedules with a model's
     RtosSoak {
-        /// For how long
+        /// How long, in minutes
         #[arg(long, default_value_t = 10)]
         minutes: u32,
-        /// The first set; each further one has the next number
+        /// The number of the first set; each further one has the next number
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
-    /// Lose power at every byte of every flash operation of an update, and again while the
-    /// controller recovers; each incarnation is a process of its own. Fails if there is a brick
+    /// Cut the power at every byte of every flash operation of an update, and again while the
+    /// controller recovers; each incarnation is a separate process. Fails on a brick
     PowerCuts {
         /// Write {points, bricks} to this file
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
-        /// Cut at every N-th moment only
+        /// Cut only at every N-th moment
         #[arg(long, default_value_t = 1)]
         every: u64,
-        /// Sweep a bootloader with this defect instead; fails if there is no brick
+        /// Test a bootloader with this defect instead; fails if no controller is bricked
         #[arg(long, value_name = "one-slot|one-bank")]
         broken: Option<String>,
     },
@@ -211,9 +211,9 @@ enum Campaign {
         #[arg(long)]
         monitor: bool,
     },
-    /// Damage good inputs in many ways: their readers refuse or use each, within 5 s and 1 GB
+    /// Damage good inputs in many ways: their readers must refuse or use each, within 5 s and 1 GB
     Fuzz {
-        /// Readers, by the names in tests/fuzz/src/lib.rs; without one, all
+        /// The readers, by their names in tests/fuzz/src/lib.rs; all if none is given
         targets: Vec<String>,
         /// How many inputs for each
         #[arg(long, default_value_t = 100_000)]
@@ -221,7 +221,7 @@ enum Campaign {
         /// The first input's number; each is made from its number alone
         #[arg(long, default_value_t = 0)]
         seed: u64,
-        /// Search with libFuzzer for so long in each instead; needs cargo-fuzz and a nightly
+        /// Search with libFuzzer for this long in each instead; needs cargo-fuzz and a nightly
         /// compiler
         #[arg(long, conflicts_with_all = ["count", "seed"])]
         seconds: Option<u64>,
@@ -235,7 +235,7 @@ enum Campaign {
     },
     /// Stop a core of a system at each access to shared memory, while it drives and while it starts
     Stops {
-        /// Stop at each N-th access only
+        /// Stop only at each N-th access
         #[arg(long, default_value_t = 97)]
         every: usize,
     },
@@ -245,21 +245,21 @@ enum Campaign {
         #[arg(long, default_value_t = 2)]
         faults: u32,
     },
-    /// Change one expression or function after the other (needs cargo-mutants): fails if the tests
-    /// of the crate miss more than 5 % of the changes
+    /// Change one expression or function at a time (needs cargo-mutants): fails if the tests of the
+    /// crate miss more than 5 % of the changes
     Mutants {
-        /// Only these packages; without one, tandem-bus, tandem-redundancy and tandem-shm
+        /// Only these packages; by default tandem-bus, tandem-redundancy and tandem-shm
         packages: Vec<String>,
         /// Only each N-th change
         #[arg(long, default_value_t = 1)]
         every: u32,
-        /// The first of them, below N: with another number, other changes are tried
+        /// The first change, below N; another number selects other changes
         #[arg(long, default_value_t = 0)]
         from: u32,
     },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
-        /// After how long
+        /// How long, in seconds
         #[arg(long, default_value_t = 60)]
         seconds: u32,
     },
@@ -313,7 +313,7 @@ fn execute() -> Result<()> {
 
 /// Starts a campaign.
 fn start(root: &Path, campaign: Campaign) -> Result<()> {
-    // One test of a package, with what it prints. It reads these from its environment.
+    // Runs one test of a package and shows its output. The test reads these environment variables.
     let test = |package: &str, file: &str, name: &str, variables: &[(&str, u64)]| {
         let mut command = cargo(root, &["test", "--release", "-p", package, "--test", file]);
         command.args([name, "--", "--nocapture"]);
@@ -324,7 +324,7 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         );
         command
     };
-    // An example with these options; those without a value are left out.
+    // Runs an example with these options; those without a value are left out.
     let trial = |name: &str, options: &[(&str, Option<String>)]| {
         let mut command = example(root, "release", name)?;
         for (option, value) in options {
@@ -417,8 +417,8 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
     })
 }
 
-/// The cargo that runs this program. Without one, rustup's: it alone tells rustc which toolchain
-/// builds all crates, also those with a toolchain file of their own.
+/// Returns the cargo that runs this program, or rustup's. Only rustup's cargo tells rustc which
+/// toolchain builds all crates, including those with a toolchain file of their own.
 fn cargo_program() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
@@ -444,7 +444,7 @@ fn succeed(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// What a command prints that must end with success.
+/// Returns the output of a command that must end with success.
 fn output(command: &mut Command) -> Result<String> {
     let output = command
         .output()
@@ -458,7 +458,7 @@ fn output(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8(output.stdout)?)
 }
 
-/// The text of a file of the repository.
+/// Returns the text of a file of the repository.
 fn read(path: impl AsRef<Path>) -> Result<String> {
     let path = path.as_ref();
     std::fs::read_to_string(path).with_context(|| path.display().to_string())
@@ -469,7 +469,7 @@ fn write(path: impl AsRef<Path>, text: &str) -> Result<()> {
     std::fs::write(path, text).with_context(|| path.display().to_string())
 }
 
-/// A JSON file of the repository.
+/// Returns a JSON file of the repository.
 fn read_json(path: impl AsRef<Path>) -> Result<serde_json::Value> {
     let path = path.as_ref();
     serde_json::from_str(&read(path)?).with_context(|| path.display().to_string())
@@ -479,7 +479,7 @@ fn write_json(path: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
     write(path, &(serde_json::to_string_pretty(value)? + "\n"))
 }
 
-/// The files that git lists, by their paths in the repository.
+/// Returns the files that git lists, by their paths in the repository.
 fn git_files(root: &Path, arguments: &[&str]) -> Result<Vec<String>> {
     let mut git = Command::new("git");
     let listed = output(
@@ -491,7 +491,7 @@ fn git_files(root: &Path, arguments: &[&str]) -> Result<Vec<String>> {
     Ok(files.filter(|file| root.join(file).exists()).collect())
 }
 
-/// Of all files: those that are tracked or not ignored.
+/// Selects all files that are tracked or not ignored.
 const PRESENT: [&str; 3] = ["--cached", "--others", "--exclude-standard"];
 
 fn bare_metal(root: &Path) -> Result<()> {
@@ -505,7 +505,7 @@ fn bare_metal(root: &Path) -> Result<()> {
         let mut command = cargo(root, &["build", "--quiet", "--profile", "bare-metal"]);
         command.args(["--target", target]);
         command.args(packages.iter().flat_map(|package| ["-p", package]));
-        // While cargo builds, it locks the target folder: the tests are built in the other one.
+        // While cargo builds, it locks the target folder: the tests are built in the default one.
         command.env("CARGO_TARGET_DIR", firmware::build_dir(root));
         run(command)?;
         println!("{} build for {target}", packages.join(", "));
@@ -513,7 +513,7 @@ fn bare_metal(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A file that a test makes: it writes the file if the variable is set, else it compares.
+/// Runs a test that generates a file: it writes it if the variable is set, else it compares.
 fn generated(root: &Path, package: &str, test: &str, write: &str, check: bool) -> Result<()> {
     let mut command = cargo(root, &["test", "--quiet", "-p", package, "--test", test]);
     if !check {
@@ -531,8 +531,8 @@ fn loom(root: &Path, long: bool) -> Result<()> {
     run(with_cfg(root, command, "loom"))
 }
 
-/// The same in a build with this `--cfg`, in a target folder of its own: the flag would rebuild
-/// everything in the shared one.
+/// Adds this `--cfg` and a separate target folder: the flag would rebuild everything in the shared
+/// one.
 fn with_cfg(root: &Path, mut command: Command, cfg: &str) -> Command {
     command
         .env("RUSTFLAGS", format!("--cfg {cfg}"))
@@ -563,9 +563,9 @@ fn miri(root: &Path, quick: bool) -> Result<()> {
     Ok(())
 }
 
-/// An example, built in this profile; its paths are relative to the caller's folder. Of the whole
-/// workspace, as the tests: for one package cargo would choose other features of dependencies, and
-/// build much again.
+/// Builds an example in this profile; its paths are relative to the caller's folder. Builds the
+/// whole workspace, as the tests do: for one package cargo would choose other features of
+/// dependencies, and rebuild much.
 fn example(root: &Path, profile: &str, name: &str) -> Result<Command> {
     let mut build = cargo(root, &["build", "--quiet", "--workspace"]);
     build.args(["--profile", profile, "--example", name]);
@@ -585,7 +585,7 @@ fn sim_digest(root: &Path, count: u64) -> Result<()> {
     Ok(())
 }
 
-/// libFuzzer in each of these targets. What it finds interesting stays in `target/fuzz`.
+/// Runs libFuzzer on each of these targets. It keeps interesting inputs in `target/fuzz`.
 fn search(root: &Path, targets: &[String], seconds: u64) -> Result<()> {
     let corpora = root.join("tests/fuzz/corpus");
     let mut all = Vec::new();
@@ -597,7 +597,7 @@ fn search(root: &Path, targets: &[String], seconds: u64) -> Result<()> {
     for target in targets {
         let found = target_dir(root).join("fuzz").join(target);
         std::fs::create_dir_all(&found).with_context(|| found.display().to_string())?;
-        // Cargo of the stable compiler does not pass `+nightly` on.
+        // The stable toolchain's cargo does not pass `+nightly` on.
         let mut command = Command::new("rustup");
         command.args(["run", "nightly", "cargo", "fuzz", "run"]);
         command.args(["--fuzz-dir", "tests/fuzz/libfuzzer", "any"]);

@@ -1,7 +1,7 @@
-//! Mutants: one small change of a crate each, which its tests must notice.
+//! Mutants: each is one small change of a crate, which its tests must notice.
 //!
-//! What is no behaviour, and each change that no test can notice, is left out in
-//! `.cargo/mutants.toml`, with the reason.
+//! `.cargo/mutants.toml` excludes code that is no behaviour, and each change that no test can
+//! notice, with the reason.
 
 use crate::{cargo, target_dir};
 use anyhow::{Context, Result, bail};
@@ -17,7 +17,7 @@ const TIMEOUT_SECONDS: &str = "120";
 const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];
 
 /// Tests each `every`-th mutant of these packages, by default of all three, beginning with number
-/// `from`: with another number, others.
+/// `from`; another number selects other mutants.
 pub(crate) fn run(root: &Path, packages: &[String], every: u32, from: u32) -> Result<()> {
     let version = cargo(root, &["mutants", "--version"]).output();
     if !version.is_ok_and(|output| output.status.success()) {

@@ -11,11 +11,11 @@ const ACCEPTED: &str = "xtask/shared-names.txt";
 const NAMED_BY_RULE: [&str; 4] = ["build", "lib", "main", "mod"];
 /// A file of cases has the name of the trait that they test.
 const CASES: &str = "board/conformance/src/cases/";
-/// So many files of product code may have one name: a trait, its model and one user of it.
+/// At most this many files of product code may share a name: a trait, its model and one user of it.
 const MOST_FILES: usize = 3;
 
-/// Finds names that mean several things. `types` are public types with their crates, `files` the
-/// all files.
+/// Finds names with several meanings. `types` are public types with their crates, `files` all
+/// files.
 pub(crate) fn findings(
     root: &Path,
     types: &BTreeMap<String, BTreeSet<String>>,
@@ -92,7 +92,7 @@ mod tests {
         assert_eq!(found.len(), 1);
         assert!(found[0].starts_with("Role: a public type in each of {\"bus\", \"redundancy\"}"));
         assert!(shared_types(&types, "Role: sent as it is held\n").is_empty());
-        // A reason for what is no longer shared.
+        // A reason for a name that is no longer shared.
         let stale = shared_types(&types, "Role: sent as it is held\nPhase: old\n");
         assert_eq!(
             stale,

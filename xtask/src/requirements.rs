@@ -1,4 +1,4 @@
-//! Which requirement is named by which tests.
+//! Lists the tests that name each requirement.
 
 use crate::read;
 use crate::tidy::rust_files;
@@ -63,7 +63,7 @@ fn require_tests(ids: &[&str], prefixes: &[String], has_test: impl Fn(&str) -> b
     Ok(())
 }
 
-/// The rows of `docs/requirements.md`.
+/// Returns the rows of `docs/requirements.md`.
 fn requirements(root: &Path) -> Result<Vec<(String, String)>> {
     let text = read(root.join("docs/requirements.md"))?;
     let rows = text.lines().filter_map(|line| {
@@ -75,11 +75,11 @@ fn requirements(root: &Path) -> Result<Vec<(String, String)>> {
     Ok(rows.collect())
 }
 
-/// What a case in a table begins with: of the conformance suite, and of programs with a harness of
-/// their own.
+/// The text with which a case in a table begins, in the conformance suite and in programs with
+/// their own harness.
 const CASES: [&str; 3] = ["case!(", "Case {", "Trial::test("];
 
-/// The functions that the tables of a file name, with the name of their case.
+/// Returns the functions that the tables of a file name, with the names of their cases.
 fn cases(text: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for begin in CASES {
@@ -103,8 +103,8 @@ fn cases(text: &str) -> Vec<(String, String)> {
     found
 }
 
-/// Tests of a file with the requirement ids in their documentation comments. `cases` are those of
-/// the tables in its folder.
+/// Returns the tests of a file with the requirement ids in their documentation comments. `cases`
+/// are those of the tables in its folder.
 fn named_tests(text: &str, cases: &BTreeMap<String, String>) -> Vec<(Vec<String>, String)> {
     let mut found = Vec::new();
     let mut ids = Vec::new();
@@ -133,7 +133,7 @@ fn named_tests(text: &str, cases: &BTreeMap<String, String>) -> Vec<(Vec<String>
     found
 }
 
-/// Requirement ids in a comment; `T-LOCK-1..3` names all three.
+/// Returns the requirement ids in a comment; `T-LOCK-1..3` names all three.
 fn ids_in(comment: &str) -> Vec<String> {
     let mut ids = Vec::new();
     for word in comment.split(|c: char| !(c.is_ascii_alphanumeric() || c == '-' || c == '.')) {

@@ -1,4 +1,4 @@
-//! The directions of dependency between the modules of a crate, at every depth of its tree.
+//! The directions of the dependencies between the modules of a crate, at every depth of its tree.
 
 use crate::cargo;
 use anyhow::{Context, Result};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// The second workspace: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
-/// What a target of a package is if its modules are product code.
+/// The kinds of targets whose modules are product code.
 const PRODUCT: [&str; 4] = ["lib", "bin", "staticlib", "proc-macro"];
 
 /// The product code of both workspaces.
@@ -19,7 +19,7 @@ pub(crate) struct Rooms(Vec<Room>);
 /// A library or a program.
 struct Room {
     package: String,
-    /// The file of its root, below the repository's.
+    /// The file of its root module, relative to the repository.
     file: String,
     tree: Tree,
 }
@@ -53,7 +53,7 @@ impl Rooms {
         Ok(Self(rooms))
     }
 
-    /// Finds circles of dependency between the modules of a folder.
+    /// Returns the circles of dependency between the modules of a folder.
     pub(crate) fn circles(&self) -> Vec<String> {
         let mut findings = Vec::new();
         for Room { file, tree, .. } in &self.0 {
@@ -66,7 +66,7 @@ impl Rooms {
         findings
     }
 
-    /// The packages of the product with a public type of each name.
+    /// Returns each public type's name with the packages of the product that have such a type.
     pub(crate) fn public_types(&self) -> BTreeMap<String, BTreeSet<String>> {
         let mut types = BTreeMap::<String, BTreeSet<String>>::new();
         let product = self
@@ -85,7 +85,7 @@ impl Rooms {
     }
 }
 
-/// What begins an item with a name.
+/// The keywords before the name of an item.
 const ITEMS: [&str; 9] = [
     "struct",
     "enum",
@@ -97,9 +97,9 @@ const ITEMS: [&str; 9] = [
     "static",
     "macro_rules",
 ];
-/// What begins the name of a type.
+/// The keywords before the name of a type.
 const TYPES: [&str; 5] = ["struct", "enum", "union", "trait", "type"];
-/// Through this many re-exports a name is followed.
+/// A name is followed through at most this many re-exports.
 const IMPORTS: u32 = 4;
 
 /// A package, as `cargo metadata` describes it.
@@ -110,11 +110,11 @@ pub(crate) struct Package {
     targets: Vec<Target>,
 }
 
-/// A package that another one needs.
+/// A dependency of a package.
 #[derive(Deserialize)]
 pub(crate) struct Dependency {
     pub(crate) name: String,
-    /// `None` at run time.
+    /// `None` for a dependency at run time.
     pub(crate) kind: Option<String>,
     pub(crate) target: Option<String>,
 }
@@ -126,7 +126,7 @@ struct Target {
     src_path: PathBuf,
 }
 
-/// The packages of the workspace in this folder.
+/// Returns the packages of the workspace in this folder.
 pub(crate) fn packages(folder: &Path) -> Result<Vec<Package>> {
     #[derive(Deserialize)]
     struct Metadata {
@@ -140,17 +140,17 @@ pub(crate) fn packages(folder: &Path) -> Result<Vec<Package>> {
 /// Names from the crate's root, or from the module that contains the text.
 type Names = Vec<String>;
 
-/// What one module says.
+/// The names and paths in one module.
 #[derive(Default)]
 struct Module {
     children: BTreeSet<String>,
     /// Names of the items that the module defines.
     items: BTreeSet<String>,
-    /// Those of its types that are public.
+    /// The names of its public types.
     types: BTreeSet<String>,
-    /// All paths in the code, as written; also the items of `use` declarations.
+    /// All paths in the code as written, including the items of `use` declarations.
     paths: BTreeSet<Names>,
-    /// What `use` declarations bring into the module, by its name there: `*` for all of a module.
+    /// The names that `use` declarations import, with their paths: `*` for all names of a module.
     imports: Vec<(String, Names)>,
 }
 
@@ -176,7 +176,7 @@ impl Tree {
                 folder.join(format!("{name}.rs")),
                 folder.join(name).join("mod.rs"),
             );
-            // A file at another place (`#[path]`) belongs to another crate.
+            // A file at another location (`#[path]`) belongs to another crate.
             if alone.exists() {
                 self.read(child, &alone, false)?;
             } else if with_folder.exists() {
@@ -231,8 +231,8 @@ impl Tree {
         files
     }
 
-    /// The module that defines what this path names, seen from module `at`. It is sought through at
-    /// most this many imports.
+    /// Returns the module that defines the item of this path, seen from module `at`. The search
+    /// follows at most this many imports.
     fn home(&self, at: &[String], path: &[String], imports: u32) -> Option<Names> {
         let mut here = at.to_vec();
         for (index, name) in path.iter().enumerate() {
@@ -259,7 +259,7 @@ impl Tree {
         Some(here)
     }
 
-    /// Every set of modules of one folder that use each other, with the folder's path.
+    /// Returns every set of modules of one folder that use each other, with the folder's path.
     fn circles(&self) -> Vec<(String, BTreeSet<String>)> {
         let mut folders: BTreeMap<Names, Uses> = BTreeMap::new();
         for (at, module) in &self.0 {
@@ -268,7 +268,7 @@ impl Tree {
                     continue;
                 };
                 let shared = at.iter().zip(&home).take_while(|(a, b)| a == b).count();
-                // A folder's own file stands above the modules in it.
+                // A folder's own file is above the modules in it.
                 if let (Some(user), Some(used)) = (at.get(shared), home.get(shared)) {
                     let uses = folders.entry(at[..shared].to_vec()).or_default();
                     uses.entry(used.clone()).or_default();
@@ -287,7 +287,7 @@ fn is(token: &TokenTree, sign: char) -> bool {
     matches!(token, TokenTree::Punct(punct) if punct.as_char() == sign)
 }
 
-/// The tokens without the items that only tests have.
+/// Returns the tokens without the items that only tests have.
 fn without_tests(tokens: TokenStream) -> Vec<TokenTree> {
     let mut kept = Vec::new();
     let mut tokens = tokens.into_iter().peekable();
@@ -363,8 +363,8 @@ fn paths(
 /// For each module of a folder: its siblings that it uses.
 type Uses = BTreeMap<String, BTreeSet<String>>;
 
-/// The modules that remain when those that use no other, or that no other uses, are removed
-/// repeatedly.
+/// Returns the modules that remain after repeatedly removing those that use no other, or that no
+/// other uses.
 fn circle(uses: &Uses) -> BTreeSet<String> {
     let mut left = uses.clone();
     loop {
@@ -392,7 +392,7 @@ mod tests {
         tree
     }
 
-    /// The circles of a crate with the modules `a::{b, c}` and these texts.
+    /// Returns the circles of a crate with the modules `a::{b, c}` and these texts.
     fn circles(a: &str, b: &str, c: &str) -> Vec<(String, BTreeSet<String>)> {
         tree(&[("", "mod a;"), ("a", a), ("a::b", b), ("a::c", c)]).circles()
     }
@@ -408,7 +408,7 @@ mod tests {
             "pub struct B; fn f() { println!(\"{}\", super::c::f()) }",
             "pub struct B; mod inner { use super::super::c::f; }",
             "pub struct B; use super::*; fn g() { c::f() }",
-            // Through what the folder re-exports.
+            // Through re-exports of the folder.
             "pub struct B; use super::C;",
             "pub struct B; use super::Renamed;",
             "pub struct B; use crate::a::f;",

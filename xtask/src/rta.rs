@@ -14,7 +14,7 @@ use tandem_board::Duration;
 use tandem_cores::doorbell::DOORBELL_DISTANCE;
 use tandem_cores::task_table::{CORE_0, INTERRUPTS, ReleasedBy, SharedPart, TaskInfo};
 
-/// The page with the table, and the name of its marks.
+/// The page with the table, and the name of the table's marks.
 const PAGE: &str = "docs/rtos-tasks.md";
 const MARKS: &str = "response times";
 
@@ -29,16 +29,16 @@ struct Load {
     execution: f64,
 }
 
-/// The worst response to a release, µs: `None` if there is none before `limit`.
+/// Returns the worst response to a release, µs; `None` if there is none before `limit`.
 ///
-/// `above` are all that may interrupt the task; `blocking` is the longest wait for those below it.
+/// `above` are all that may interrupt the task; `blocking` is its longest wait for lower tasks.
 fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> {
     let mut response = own + blocking;
-    // Each step adds at least one release, and there are finitely many before the
+    // The loop ends: each step adds at least one release, and there are finitely many before the
     // limit.
     while response <= limit {
         let interference = |load: &Load| {
-            // A release at the very end of the response does not count; sums of decimals are not
+            // A release at the exact end of the response does not count; sums of decimals are not
             // exact.
             let releases = ((response + load.jitter) / load.period - 1e-9).ceil();
             releases.max(0.0) * load.execution
@@ -52,8 +52,8 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
     None
 }
 
-/// Shortest times between two releases of a task, µs: one for each source that releases it
-/// independently. A task that only another task releases has its period.
+/// Returns the shortest times between two releases of a task, µs: one for each source that releases
+/// it independently. A task that only another task releases counts by its own period.
 fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
     let own = info.released_by.iter().filter_map(|by| match by {
         ReleasedBy::Period | ReleasedBy::OwnDeadline => Some(us(info.period)),
@@ -68,8 +68,8 @@ fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
     }
 }
 
-/// For how many critical sections a task may wait: the locks that a lower task shares with it or
-/// with a higher one.
+/// Returns the number of critical sections for which a task may wait: the locks that a lower task
+/// shares with it or with a higher one.
 fn blocking_locks(index: usize) -> usize {
     let uses = |infos: &[TaskInfo], part| infos.iter().any(|info| info.uses.contains(&part));
     let (above, below) = CORE_0.split_at(index + 1);
@@ -110,7 +110,7 @@ fn measured(list: &Value, key: &str, name: &str) -> Measured {
     worst
 }
 
-/// Which column of the analysis.
+/// The column of the analysis.
 #[derive(Clone, Copy)]
 enum By {
     P99,
@@ -126,7 +126,7 @@ impl By {
     }
 }
 
-/// The worst response of each task, µs.
+/// Returns the worst response of each task, µs.
 fn responses(metrics: &Value, overhead_us: f64, by: By) -> Vec<Option<f64>> {
     let tasks = CORE_0.map(|info| {
         let figures = measured(&metrics["tasks"], "task", info.name);
@@ -215,7 +215,7 @@ fn table(metrics: &Value, overhead_us: f64) -> String {
     out
 }
 
-/// Puts the table for the run of this `metrics.json` into the page.
+/// Writes the table for the run of this `metrics.json` to the page.
 pub(crate) fn run(root: &Path, metrics: &Path, overhead_us: f64) -> Result<()> {
     let table = table(&read_json(metrics)?, overhead_us);
     let path = root.join(PAGE);
@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    /// Tasks (C, T) in falling order of priority, and their worst responses.
+    /// Returns the worst responses of tasks (C, T) in falling order of priority.
     fn responses_of(tasks: &[(f64, f64)]) -> Vec<Option<f64>> {
         let loads: Vec<Load> = tasks.iter().map(|(c, t)| load(*c, *t)).collect();
         (0..tasks.len())
@@ -246,7 +246,7 @@ mod tests {
     }
 
     /// Burns and Wellings, "Real-Time Systems and Programming Languages", task set B and C of the
-    /// chapter on scheduling: set C has utilisation 1 and is schedulable all the same.
+    /// chapter on scheduling: set C has utilisation 1 and is still schedulable.
     #[test]
     fn textbook_sets_have_their_responses() {
         let set_c = responses_of(&[(5.0, 20.0), (10.0, 40.0), (40.0, 80.0)]);
@@ -255,7 +255,7 @@ mod tests {
         assert_eq!(set, [Some(3.0), Some(6.0), Some(20.0)]);
     }
 
-    /// Liu and Layland's condition fails and so does the task: two tasks of 50 % and one more.
+    /// Liu and Layland's condition fails, and so does the task: two tasks of 50 % and a third one.
     #[test]
     fn what_cannot_be_done_in_time_has_no_response() {
         let set = responses_of(&[(10.0, 20.0), (10.0, 30.0), (12.0, 50.0)]);
@@ -277,7 +277,7 @@ mod tests {
         assert_eq!(response(5.0, 0.0, &[late], 100.0), Some(11.0));
     }
 
-    /// The page and core 0 have the same shortest distance of doorbells.
+    /// The page states the same shortest distance of doorbells as the task table of core 0.
     #[test]
     fn the_page_says_the_distance_of_doorbells() {
         let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PAGE);
@@ -286,7 +286,7 @@ mod tests {
         assert!(page.contains(&format!("one interrupt in {ms} ms")));
     }
 
-    /// Calculated by hand from the task table: the lower tasks that share each of the two locks.
+    /// Calculated by hand from the task table: the locks that lower tasks share with each task.
     #[test]
     fn a_task_waits_for_the_locks_that_those_below_share_with_it() {
         let found: Vec<usize> = (0..CORE_0.len()).map(blocking_locks).collect();

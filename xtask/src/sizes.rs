@@ -38,8 +38,8 @@ struct Room {
 /// Rooms by their folders. A file belongs to the longest of these folders that contains it.
 type Rooms = BTreeMap<String, Room>;
 
-/// Prints each room beside the table, and returns those that grew. With `save` the table becomes
-/// what there is; only limits are checked.
+/// Prints each room beside the table, and returns those that grew. With `save` the table takes the
+/// present sizes, and only limits are checked.
 pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
     let table = read(root.join(TABLE))?;
     let mut known = rooms_in(&table)?;
@@ -76,7 +76,7 @@ pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
     Ok(findings)
 }
 
-/// What is wrong with a room of this size.
+/// Returns the finding about a room of this size, if any.
 fn grown(name: &str, lines: Lines, known: Option<&Room>) -> Result<Option<String>> {
     let Some(known) = known else {
         return Ok(Some(format!(
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(lines("shm/src/tests.rs", text), (0, 5));
         assert_eq!(lines("shm/tests/a.rs", text), (0, 5));
         assert_eq!(lines("tests/src/a.rs", text), (0, 5));
-        // The module is in another file, which is counted there.
+        // The module is in another file, whose lines are counted there.
         assert_eq!(
             lines("shm/src/a.rs", "a\n#[cfg(test)]\nmod tests;\nb\n"),
             (4, 0)
@@ -218,7 +218,7 @@ mod tests {
             text.starts_with("shm: 101 product lines, 100 in docs/rooms.md: growth"),
             "{text}"
         );
-        // A limit holds also for what the table allows.
+        // A limit also holds for a size that the table permits.
         assert_eq!(found(100, 50, "100"), None);
         assert!(found(100, 50, "99").is_some());
         assert_eq!(found(90, 50, "140 with tests"), None);

@@ -7,7 +7,7 @@ use std::path::Path;
 use tandem_board::CoreId;
 use tandem_cores::task_table::{self, CORE_0, INTERRUPTS, ReleasedBy, SharedPart, TaskInfo};
 
-/// A page, the name of two marks in it, and the table between them.
+/// A page, the name of its two marks, and the table between them.
 type Place = (&'static str, &'static str, fn() -> String);
 
 const PAGES: [Place; 3] = [
@@ -16,7 +16,7 @@ const PAGES: [Place; 3] = [
     ("docs/tracing.md", "task table", codes),
 ];
 
-/// Writes the tables, or says with `check` whether one is stale.
+/// Writes the tables, or reports with `check` whether one is stale.
 pub(crate) fn run(root: &Path, check: bool) -> Result<()> {
     for (page, name, table) in PAGES {
         let path = root.join(page);
@@ -32,7 +32,7 @@ pub(crate) fn run(root: &Path, check: bool) -> Result<()> {
     Ok(())
 }
 
-/// The page with the table between the marks of this name replaced.
+/// Returns the page with the table between the marks of this name replaced.
 pub(crate) fn placed(page: &str, name: &str, table: &str) -> Result<String> {
     let begin = format!("<!-- generated, {name}: begin -->");
     let end = format!("<!-- generated, {name}: end -->");

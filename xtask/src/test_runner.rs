@@ -7,7 +7,7 @@ use std::io::{BufRead as _, BufReader, Read, Write};
 use std::path::Path;
 use std::process::Stdio;
 
-/// Builds the programs first: the whole-process tests start `tandem` as a user would.
+/// Runs all tests. Builds the programs first: the whole-process tests start `tandem` like a user.
 pub(crate) fn test(root: &Path) -> Result<()> {
     // The runner hides the output of a test that passes.
     if std::env::var_os("TANDEM_SCENARIOS").is_none() {
@@ -29,7 +29,7 @@ pub(crate) fn test(root: &Path) -> Result<()> {
     for arguments in commands {
         let mut command = cargo(root, arguments);
         println!("$ {command:?}");
-        // Results of nextest stand on stderr, those of cargo test on stdout.
+        // nextest writes its results to stderr, cargo test to stdout.
         let mut child = command
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -55,7 +55,7 @@ pub(crate) fn test(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Hands the lines on as they arrive, and returns the names of tests, each with whether it passed.
+/// Copies the lines as they arrive, and returns the names of tests, each with whether it passed.
 fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
     let mut results = Vec::new();
     let pipe = from
@@ -68,7 +68,7 @@ fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
     results
 }
 
-/// The result in a line of a runner.
+/// Returns the test and its result from a line of a runner.
 fn result_in(line: &str) -> Option<(String, bool)> {
     // A failed test's own output has such lines too, indented.
     if let Some(test) = line.strip_prefix("test ") {
@@ -130,7 +130,7 @@ mod tests {
             ),
             ("test eight ... FAILED", failed("eight")),
             ("test nine ... ignored, needs a chip", None),
-            // What a test prints.
+            // Output of a test.
             ("    test eight ... FAILED", None),
             (
                 "     Summary [ 240.1s] 1371 tests run: 1370 passed, 1 failed, 27 skipped",

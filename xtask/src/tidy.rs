@@ -1,11 +1,11 @@
-//! The house rules that a program can check.
+//! The house rules that this program checks.
 
 use crate::rooms::{Rooms, packages};
 use crate::{PRESENT, git_files, names, read, sizes};
 use anyhow::{Result, bail};
 use std::path::Path;
 
-/// Which of our crates each crate may depend on, at run time; all without `tandem-`.
+/// Our crates on which each crate may depend at run time; all without `tandem-`.
 const MAY_DEPEND_ON: &str = "\
 shm:
 bus:
@@ -32,7 +32,7 @@ peripherals: board
 cosim: board peripherals
 board-qemu: board cosim peripherals
 ";
-/// The top crates: these may depend on all.
+/// The top crates, which may depend on all others.
 const ON_TOP: [&str; 6] = [
     "tandem",
     "tandem-fuzz",
@@ -41,8 +41,8 @@ const ON_TOP: [&str; 6] = [
     "tandem-top",
     "xtask",
 ];
-/// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
-/// peer.
+/// The only packages that may name iceoryx2: the host board, and the benchmarks, which measure it
+/// as a peer.
 const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];
 /// Folders whose code may be unsafe; everything else forbids it.
 const MAY_BE_UNSAFE: &[&str] = &[
@@ -58,14 +58,14 @@ const NAMES_PARTNERS: &[&str] = &["shm/src/", "board/host/src/", "rtos/src/"];
 const ORDERS: [&str; 4] = ["Acquire", "Release", "AcqRel", "SeqCst"];
 /// The partner is named in a comment at most this many lines above.
 const PARTNER_WITHIN: usize = 12;
-/// No file of code is longer.
+/// The longest permitted file of code.
 const MAX_LINES: usize = 800;
-/// No line of code is wider.
+/// The widest permitted line of code.
 const MAX_COLUMNS: usize = 100;
 
 /// Checks everything, prints every finding, and fails if there is one.
 ///
-/// With `save` the table of the rooms' sizes becomes what they are.
+/// With `save` the table of the rooms takes their present sizes.
 pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     let mut findings = sizes::findings(root, save)?;
     findings.extend(dependencies(root)?);
@@ -87,7 +87,7 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     Ok(())
 }
 
-/// The crates that one of the table may depend on.
+/// Returns the crates on which a crate of the table may depend; `None` if it is not in the table.
 fn allowed_for(name: &str) -> Option<Vec<&'static str>> {
     let rows = MAY_DEPEND_ON.lines().filter_map(|row| row.split_once(':'));
     let mut ours = rows.filter(|(owner, _)| name.strip_prefix("tandem-") == Some(owner));
@@ -128,14 +128,14 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
             "{place}:1: a file opens with one `//!` line that says what it is"
         ));
     }
-    // A machine wrote it.
+    // This file is generated.
     let is_generated = place == "bus/src/dbc.rs";
     let lines = text.lines().count();
     if lines > MAX_LINES && !is_generated {
         findings.push(format!("{place}: {lines} lines; split it at {MAX_LINES}"));
     }
     for (number, line) in text.lines().enumerate() {
-        // A link, and text in a string, cannot be broken.
+        // Lines with a link or with text in a string may be wider, because these cannot be broken.
         let breaks = !is_generated && !line.contains("http") && !line.contains('"');
         if breaks && line.chars().count() > MAX_COLUMNS {
             findings.push(format!(
@@ -162,9 +162,9 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Memory orders outside of tests without a comment that pairs them with another one, within some
-/// lines above or above the item. A `compiler_fence` is exempt: it orders a thread and its own
-/// handlers.
+/// Returns the memory orders outside of tests without a comment that pairs them with another one,
+/// within some lines above or above the item. A `compiler_fence` is exempt: it orders a thread and
+/// its own handlers.
 fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     let mut findings = Vec::new();
     let mut named = None;
@@ -196,7 +196,7 @@ fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Every Rust file that is tracked by git or not ignored, with its text.
+/// Returns every Rust file that is tracked by git or not ignored, with its text.
 pub(crate) fn rust_files(root: &Path) -> Result<Vec<(String, String)>> {
     let files = git_files(root, &[&PRESENT[..], &["*.rs"]].concat())?.into_iter();
     files

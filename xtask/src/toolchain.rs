@@ -1,14 +1,14 @@
-//! What a bare-metal build needs of the compiler, there before the build fails with E0463.
+//! Installs the parts of the compiler that a bare-metal build needs, before it fails with E0463.
 //!
-//! No toolchain file: with one, rustup updates the whole toolchain to add a target, and a first
-//! drive on the host would wait for libraries that it does not need.
+//! A toolchain file is not used: with one, rustup would update the whole toolchain to add a target,
+//! and a first drive on the host would wait for libraries that it does not need.
 
 use anyhow::{Context as _, Result, ensure};
 use std::path::Path;
 use std::process::Command;
 
-/// Has rustup add the standard library of a target that has none; without rustup it refuses, and
-/// says how.
+/// Lets rustup add the standard library of a target if it is missing; fails without rustup, and
+/// prints the command.
 pub(crate) fn demand(target: &str) -> Result<()> {
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).args(["--print", "sysroot"]).output();
@@ -16,7 +16,7 @@ pub(crate) fn demand(target: &str) -> Result<()> {
     let sysroot = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     let sysroot = Path::new(&sysroot);
     if has_library(sysroot, target).is_err() {
-        // Its own errors are on stderr; what counts is whether the library is there afterwards.
+        // rustup prints its own errors to stderr; the check below finds a missing library.
         let _ = Command::new("rustup")
             .args(["target", "add", target])
             .status();

@@ -71,7 +71,7 @@ pub(crate) fn run(root: &Path, filter: &str) -> Result<()> {
     Ok(())
 }
 
-/// A workspace with `shm` alone.
+/// Creates a workspace with `shm` alone.
 fn copy_of_shm(root: &Path, copy: &Path) -> Result<()> {
     if copy.exists() {
         fs::remove_dir_all(copy)?;
@@ -120,7 +120,7 @@ fn sites(file: &'static str, source: &str) -> Vec<Site> {
     sites
 }
 
-/// The source with the ordering in this line relaxed; a fence is left out.
+/// Returns the source with the ordering in this line relaxed; a fence is removed.
 fn weaken(source: &str, at: usize) -> String {
     let weak = |(line, text): (usize, &str)| {
         if line != at {
@@ -137,7 +137,7 @@ fn weaken(source: &str, at: usize) -> String {
     lines.join("\n") + "\n"
 }
 
-/// The first model that fails.
+/// Returns the first model that fails.
 fn failing_model(copy: &Path, models: &[&str]) -> Result<Option<String>> {
     for model in models {
         let output = Command::new("cargo")
@@ -154,7 +154,7 @@ fn failing_model(copy: &Path, models: &[&str]) -> Result<Option<String>> {
             return Ok(Some(format!("{model}::{failed}")));
         }
         let error = String::from_utf8_lossy(&output.stderr);
-        // A panic while another one unwinds aborts the process, before the line above is printed.
+        // A panic during another panic aborts the process before the line above is printed.
         let panicked = error
             .lines()
             .find_map(|line| line.strip_prefix("thread '")?.split('\'').next());

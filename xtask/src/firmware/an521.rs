@@ -1,4 +1,4 @@
-//! The images for QEMU's mps2-an521, two Cortex-M33: build all, run all.
+//! The images for QEMU's mps2-an521, two Cortex-M33: builds and runs all of them.
 
 use super::{build_dir, ended, machine, port};
 use anyhow::{Context, Result, bail, ensure};
@@ -6,18 +6,18 @@ use std::path::Path;
 
 const TARGET: &str = "thumbv8m.main-none-eabi";
 const QEMU: &str = "qemu-system-arm";
-/// Where the images read their straps; see link.x.
+/// The address from which the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8000_0000;
 
-// How a case of the suite ends; see an521-conformance.rs.
+// The exit codes of a case of the suite; see an521-conformance.rs.
 const PASSED: i32 = 0;
 const SKIPPED: i32 = 2;
 const NO_SUCH_CASE: i32 = 3;
 
-/// 32 ns an instruction.
+/// One instruction takes 32 ns.
 const SHIFT: u32 = 5;
 /// Lengths of turns, in ticks of 50 ns, under which the primitives run. The emulator does not keep
-/// shorter ones: a broken lock passes with them.
+/// to shorter turns: a broken lock passes with them.
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
 
 pub(super) fn run(root: &Path) -> Result<()> {
@@ -32,8 +32,8 @@ pub(super) fn run(root: &Path) -> Result<()> {
     takeovers(root)
 }
 
-/// A system hangs at 20 moments of its control period of 10 ms, with 20 phases of the polls of the
-/// two systems.
+/// Lets a system hang at 20 moments of its control period of 10 ms, with 20 phases of the polls of
+/// the two systems.
 fn takeovers(root: &Path) -> Result<()> {
     for (run, hangs_us) in (0..).zip((137..10_000).step_by(500)) {
         let phase_us = run * 350 % 1_000;
@@ -44,7 +44,7 @@ fn takeovers(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Every case that two cores can run, each on a freshly started machine.
+/// Runs every case that two cores can run, each on a freshly started machine.
 fn conformance(root: &Path) -> Result<()> {
     let (mut passed, mut skipped) = (0, 0);
     for case in 0.. {
@@ -62,7 +62,7 @@ fn conformance(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The primitives under several schedules; with a broken lock some of them must fail.
+/// Runs the primitives under several schedules; with a broken lock some of them must fail.
 fn primitives(root: &Path) -> Result<()> {
     const FAILED: i32 = 1;
     let mut caught = 0;
@@ -81,7 +81,7 @@ fn primitives(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs an image to its end. Fails if its exit status is not one of `good`.
+/// Runs an image until it ends. Fails if its exit status is not one of `good`.
 fn play(root: &Path, image: &str, straps: &[u32], good: &[i32]) -> Result<(i32, String)> {
     let elf = build_dir(root).join(TARGET).join("release").join(image);
     let an521 = [

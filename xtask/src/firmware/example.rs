@@ -38,7 +38,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
     cargo_build_package(root, &["--release", "-p", "tandem-c-example"])?;
     let virt = ["virt", "-smp", "3", "-bios", "none"];
     let mut command = machine(QEMU, &virt, &released(root, "c-example"), 0, (0, &[]));
-    // Hart 2 starts in this image.
+    // Hart 2 starts in the image of the example.
     let hart_2 = format!("loader,file={},cpu-num=2", in_c.display());
     command.args(["-device", &hart_2]);
     let log = finish(&mut command)?;
@@ -50,10 +50,10 @@ pub(super) fn run(root: &Path) -> Result<()> {
     sizes(root, &library, &in_c)
 }
 
-/// Lines of the log, one for each step of the example.
+/// Lines of the log: one for each step of the example.
 const STEPS: usize = 6;
 
-/// The static library, as small as it gets.
+/// Builds the static library, as small as possible.
 fn library(root: &Path) -> Result<PathBuf> {
     let mut build = crate::cargo(root, &["rustc", "--quiet", "-p", "tandem-capi", "--lib"]);
     build
@@ -72,7 +72,7 @@ fn gcc(root: &Path) -> Command {
     command
 }
 
-/// The functions that the header declares.
+/// Returns the functions that the header declares.
 fn functions(root: &Path) -> Result<Vec<String>> {
     let header = read(root.join("capi/include/tandem.h"))?;
     // A declaration is a line that begins with its type: a status or a number.
@@ -84,8 +84,8 @@ fn functions(root: &Path) -> Result<Vec<String>> {
     Ok(declared.collect())
 }
 
-/// Prints the sizes of the library in a C image: all of it, the functions of `shm`, the functions
-/// that the example calls.
+/// Prints the sizes of the library in a C image: the whole library, the functions of `shm`, and the
+/// functions that the example calls.
 fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     let all = functions(root)?;
     let redundancy = ["redundancy", "config", "state", "store"];
@@ -114,7 +114,7 @@ fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Size of the text of an image that has only these functions and their callees.
+/// Returns the size of the text of an image that has only these functions and their callees.
 fn linked(root: &Path, library: &Path, functions: &[&String]) -> Result<u32> {
     let source = build_dir(root).join("size.c");
     let image = build_dir(root).join("size.elf");

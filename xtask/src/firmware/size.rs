@@ -11,7 +11,7 @@ use std::path::Path;
 /// the C library are not counted.
 const RPMSG_LITE_TEXT: u32 = 2_762;
 
-/// A bootloader's bank without the manifest that begins it, in bytes.
+/// A bootloader's bank without its manifest, which comes first, in bytes.
 const BANK_BYTES: u32 = (32 << 10) - 256;
 /// The thesis's bootloader: 25.3 KiB, in bytes.
 const THESIS_BYTES: u32 = 25_907;
@@ -83,7 +83,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the bootloader without a board. Its linker script refuses what does not fit in its bank.
+/// Builds the bootloader without a board. Its linker script refuses an image larger than its bank.
 fn bootloader(root: &Path) -> Result<Size> {
     let arguments = ["-p", "tandem-boot-size", "--profile", "boot"];
     cargo_build_package(root, &arguments)?;
