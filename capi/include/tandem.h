@@ -60,37 +60,37 @@ extern void tandem_on_panic(void);
 // Words of a mailbox.
 #define TANDEM_MAILBOX_WORDS 64
 
-// Tasks are numbered from 1 to this; 0 is none.
+// The largest task id. Ids start at 1; 0 means none.
 #define TANDEM_MAX_TASK 15
 
 // Cores that share an LMU; they are numbered from 0.
 #define TANDEM_CORES 3
 
-// The most regions of a layout.
+// The largest number of regions of a layout.
 #define TANDEM_MAX_REGIONS 32
 
 // The longest name of a region, in bytes.
 #define TANDEM_MAX_NAME 31
 
-// Words of a block of a pool, the unit in which it lends.
+// Words of a block, the unit in which a pool lends.
 #define TANDEM_BLOCK_WORDS 16
 
-// The most blocks of a pool.
+// The largest number of blocks of a pool.
 #define TANDEM_MAX_BLOCKS 511
 
 // The power was switched on.
 #define TANDEM_CAUSE_POWER_ON 0
 
-// The software asked for the reset.
+// The software requested the reset.
 #define TANDEM_CAUSE_SOFTWARE 1
 
-// A watchdog was not serviced as it must be.
+// A watchdog was not serviced correctly.
 #define TANDEM_CAUSE_WATCHDOG 2
 
 // A core trapped or died.
 #define TANDEM_CAUSE_TRAP 3
 
-// Role: not yet in one.
+// Role: none yet, the system is starting.
 #define TANDEM_ROLE_STARTING 0
 
 // Role: drives the vehicle.
@@ -108,7 +108,7 @@ extern void tandem_on_panic(void);
 // Mode: automated driving with both systems healthy.
 #define TANDEM_MODE_L3 1
 
-// Mode: lane and distance keeping by the system that is left.
+// Mode: lane and distance keeping by the remaining system.
 #define TANDEM_MODE_DEGRADED_L2 2
 
 // Mode: bringing the vehicle to a stop.
@@ -135,7 +135,7 @@ extern void tandem_on_panic(void);
 // Hold the system in reset for good.
 #define TANDEM_RESET_SUSPEND 3
 
-// Room for the events of one call.
+// The largest number of events of one call.
 #define TANDEM_MAX_EVENTS 8
 
 // Words of a report on the link.
@@ -168,31 +168,31 @@ extern void tandem_on_panic(void);
 // Core 2 does not answer.
 #define TANDEM_FAILURE_PLANNING_CORE 5
 
-// Control cycles are late again and again.
+// Control cycles are late repeatedly.
 #define TANDEM_FAILURE_DEADLINE 6
 
 // No mastership term is left.
 #define TANDEM_FAILURE_TERMS_EXHAUSTED 7
 
-// Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
+// The system's command differs from the one that its inputs require, or that reaches the vehicle.
 #define TANDEM_FAILURE_WRONG_COMMAND 8
 
-// Its clock has drifted away from the vehicle's and the other system's.
+// The system's clock differs too much from the vehicle's and the other system's.
 #define TANDEM_FAILURE_CLOCK 9
 
-// Its CAN controller was bus-off.
+// The system's CAN controller was bus-off.
 #define TANDEM_FAILURE_CAN_BUS_OFF 10
 
-// A state was found in the flash.
+// The flash holds a state.
 #define TANDEM_LOADED_STATE 0
 
 // The flash was never written.
 #define TANDEM_LOADED_BLANK 1
 
-// There is something in the flash, but no valid record.
+// The flash was written, but holds no valid record.
 #define TANDEM_LOADED_LOST 2
 
-// Nothing is to be started.
+// There is no operation to start.
 #define TANDEM_FLASH_NOTHING 0
 
 // Erase sector `sector`.
@@ -213,41 +213,41 @@ extern void tandem_on_panic(void);
 // The result of a call. Below 16 the call succeeded; from 16 on it changed nothing.
 //
 // 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
-// 48 and above are mistakes of the caller.
+// 48 and above are errors of the caller.
 enum tandem_status_t
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
-  // Done.
+  // The call succeeded.
   TANDEM_STATUS_OK = 0,
-  // The lock is taken, from an owner that died with it: what it guards may be half-changed.
+  // The lock is taken, but its last owner died holding it: its data may be half-changed.
   TANDEM_STATUS_RECOVERED = 1,
-  // Signalled, and the receiver may be asleep: ring its doorbell.
+  // The signal was sent, and the receiver may be asleep: ring its doorbell.
   TANDEM_STATUS_RING_NEEDED = 2,
   // Every slot or block is in use.
   TANDEM_STATUS_FULL = 16,
   // There is nothing to receive or to read.
   TANDEM_STATUS_EMPTY = 17,
-  // Another core uses it, or the call that runs this handler does.
+  // Another core uses the object, or the call that runs this handler does.
   TANDEM_STATUS_BUSY = 18,
-  // The lock was not free in any of the permitted polls.
+  // The lock could not be taken within the permitted number of polls.
   TANDEM_STATUS_TIMED_OUT = 19,
   // The LMU is not formatted yet.
   TANDEM_STATUS_NOT_READY = 20,
-  // The other end was faster: what was read is void, or values are lost.
+  // The other end overwrote values: discard what was read, or values are lost.
   TANDEM_STATUS_OVERRUN = 21,
-  // There is something to handle: do not sleep.
+  // Signals are open: do not sleep.
   TANDEM_STATUS_DO_NOT_SLEEP = 22,
   // The words are not an LMU of this library.
   TANDEM_STATUS_WRONG_MAGIC = 32,
-  // The LMU was formatted by another version of this library.
+  // Another version of this library formatted the LMU.
   TANDEM_STATUS_WRONG_VERSION = 33,
-  // The LMU was formatted by an image with another layout.
+  // An image with another layout formatted the LMU.
   TANDEM_STATUS_WRONG_LAYOUT = 34,
   // A later incarnation of this core is announced, or this one was marked dead: it must stop.
   TANDEM_STATUS_OUTDATED = 35,
-  // The words were given back, or reclaimed from a dead owner, since.
+  // The words were already given back, or reclaimed from a dead owner.
   TANDEM_STATUS_STALE = 36,
   // The words belong to another core, or to an earlier incarnation of this one.
   TANDEM_STATUS_NOT_OWNER = 37,
@@ -259,15 +259,15 @@ enum tandem_status_t
   TANDEM_STATUS_BAD_POINTER = 48,
   // A number is out of its range.
   TANDEM_STATUS_OUT_OF_RANGE = 49,
-  // The object was not attached.
+  // The object is not attached.
   TANDEM_STATUS_NOT_ATTACHED = 50,
-  // The memory is smaller than the layout, or the region than what is to live in it.
+  // The memory is smaller than the layout, or the region is too small for the object.
   TANDEM_STATUS_TOO_SMALL = 51,
   // The memory does not begin at a boundary of 64 bytes.
   TANDEM_STATUS_MISALIGNED = 52,
-  // Nothing is lent, held or under way that this call could end.
+  // There is no loan, lock or read that this call could end.
   TANDEM_STATUS_NOTHING_TO_END = 53,
-  // The task id has a handler already.
+  // The task id already has a handler.
   TANDEM_STATUS_TAKEN = 54,
 };
 #ifndef __cplusplus
@@ -278,123 +278,123 @@ typedef int32_t tandem_status_t;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// The sending end of a FIFO. There is one at a time. Static, zero at first.
+// The sending end of a FIFO. Each FIFO has one. Static, zero at first.
 typedef struct tandem_fifo_producer_t {
   // Private.
   size_t opaque[11];
 } tandem_fifo_producer_t;
 
 // An LMU that this core is attached to. Static, zero at first; `tandem_map_format` or
-// `tandem_map_attach` makes it one.
+// `tandem_map_attach` initialises it.
 typedef struct tandem_map_t {
   // Private.
   size_t opaque[8];
 } tandem_map_t;
 
-// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read
-// and written whole.
+// The words of a slot or of an allocation in the LMU, which the caller accesses in place. Read and
+// write each word as a whole.
 typedef struct tandem_words_t {
   // The first word.
   tandem_word_t *first;
-  // How many words.
+  // The number of words.
   size_t count;
 } tandem_words_t;
 
-// The receiving end of a FIFO. There is one at a time. Static, zero at first.
+// The receiving end of a FIFO. Each FIFO has one. Static, zero at first.
 typedef struct tandem_fifo_consumer_t {
   // Private.
   size_t opaque[11];
 } tandem_fifo_consumer_t;
 
-// The writing end of a newest-value channel. There is one at a time. Static, zero at first.
+// The writing end of a newest-value channel. Each channel has one. Static, zero at first.
 typedef struct tandem_newest_writer_t {
   // Private.
   size_t opaque[11];
 } tandem_newest_writer_t;
 
-// A reading end of a newest-value channel; any number of them. Static, zero at first.
+// A reading end of a newest-value channel; there may be any number. Static, zero at first.
 typedef struct tandem_newest_reader_t {
   // Private.
   size_t opaque[20];
 } tandem_newest_reader_t;
 
-// The sending end of a broadcast ring. There is one at a time. Static, zero at first.
+// The sending end of a broadcast ring. Each ring has one. Static, zero at first.
 typedef struct tandem_broadcast_sender_t {
   // Private.
   size_t opaque[11];
 } tandem_broadcast_sender_t;
 
-// A receiving end of a broadcast ring, with its own cursor; any number of them. Static, zero at
-// first.
+// A receiving end of a broadcast ring, with its own cursor; there may be any number. Static, zero
+// at first.
 typedef struct tandem_broadcast_receiver_t {
   // Private.
   size_t opaque[11];
 } tandem_broadcast_receiver_t;
 
-// Periods and limits of the redundancy; both systems must use the same. Times in microseconds.
-// Begin with `tandem_config_rt`, change what must be, and let `tandem_config_check` say whether
-// the values still fit together. What each means, and why it has its value, stands in
-// `docs/redundancy.md`.
+// Periods and limits of the redundancy; both systems must use the same values. Times are in
+// microseconds. Start with `tandem_config_rt`, change the values that differ, and check with
+// `tandem_config_check` that they still fit together. `docs/redundancy.md` explains each value and
+// the reason for it.
 typedef struct tandem_config_t {
   // Time between two heartbeats on each line.
   uint32_t heartbeat_period_us;
-  // How many heartbeats in a row must be missing before a line counts as silent.
+  // Number of consecutive missing heartbeats after which a line counts as silent.
   uint32_t heartbeat_misses;
-  // How much later than due a heartbeat may arrive on top of that.
+  // Further delay of a heartbeat that is tolerated.
   uint32_t heartbeat_jitter_us;
   // Longest time between two polls.
   uint32_t poll_interval_us;
-  // After how long a silence of both lines the master gives up its standby.
+  // Silence of both lines after which the master counts its standby as failed.
   uint32_t standby_limit_us;
   // Period of the control frames.
   uint32_t control_period_us;
-  // How much later than due a control frame may arrive.
+  // Delay of a control frame that is tolerated.
   uint32_t control_margin_us;
-  // How many periods without a control frame make a master mute.
+  // Number of control periods without a control frame or an echo after which a master is mute.
   uint32_t mute_periods;
   // Time between two handshake edges.
   uint32_t handshake_period_us;
-  // How long a system waits at power-on for the other's handshake.
+  // Longest time that a system waits at power-on for the other system's handshake.
   uint32_t start_limit_us;
-  // How much longer B waits than A wherever both might act at once.
+  // Additional time that B waits where both systems might act at once.
   uint32_t stagger_us;
-  // How much longer B waits before its sync edge.
+  // Additional time that B waits before its sync edge.
   uint32_t sync_stagger_us;
-  // How long a standby that has received a handshake waits for the sync edge.
+  // Longest time that a standby that has received a handshake waits for the sync edge.
   uint32_t promote_limit_us;
-  // How long heartbeats must have been back before the other system counts as recovered.
+  // Time with heartbeats after which the other system counts as recovered.
   uint32_t recover_after_us;
   // Not 0: dual operation resumes at run time when the other system has recovered.
   uint32_t reintegrate;
-  // How many abnormal resets in a row are tolerated, 1 ..= 255.
+  // Number of consecutive abnormal resets that are tolerated, 1 ..= 255.
   uint32_t abnormal_limit;
-  // Operation without a reset for this long ends a row of abnormal resets.
+  // Each such time without a reset subtracts one from the count of consecutive abnormal resets.
   uint32_t healthy_after_us;
-  // Nothing received on CAN for this long, while the other system reports a live bus, is an open
-  // circuit.
+  // Time without a frame on CAN, while the other system reports a live bus, after which the
+  // circuit counts as open.
   uint32_t can_open_limit_us;
   // Time between two reports over the link.
   uint32_t report_period_us;
-  // How long a report of the other system holds.
+  // Time for which a report of the other system is valid.
   uint32_t report_limit_us;
-  // Without a status frame of the standby on CAN for this long, a master has no backup.
+  // Time without a status frame of the standby on CAN after which a master has no backup.
   uint32_t status_limit_us;
-  // For this long after a takeover, a new standby takes over only if the vehicle's report
-  // demands it.
+  // Time after a change of the driver in which a new standby takes over only if the vehicle's
+  // report demands it.
   uint32_t hold_down_us;
 } tandem_config_t;
 
-// One end of a lock: one for each task that takes it. Static, zero at first.
+// One end of a lock. Each task that takes the lock has its own end. Static, zero at first.
 typedef struct tandem_lock_t {
   // Private.
   size_t opaque[13];
 } tandem_lock_t;
 
-// Waits about as long as `spins` spins (1 ..= 64) between two polls of a lock: yields or sleeps.
+// Waits for about `spins` spins (1 ..= 64) between two polls of a lock: may yield or sleep.
 typedef void (*tandem_relax_t)(void *context, uint32_t spins);
 
-// The sending end of a mailbox. There is one at a time; tasks and handlers of the sending core
-// that share it take turns, for example with interrupts disabled. Static, zero at first.
+// The sending end of a mailbox. Each mailbox has one; tasks and handlers of the sending core that
+// share it must exclude each other, for example with interrupts disabled. Static, zero at first.
 typedef struct tandem_mailbox_sender_t {
   // Private.
   size_t opaque[20];
@@ -406,22 +406,22 @@ typedef struct tandem_mailbox_receiver_t {
   size_t opaque[56];
 } tandem_mailbox_receiver_t;
 
-// What a task does when it is signalled: `count` signals (at least 1) at once, `value` the newest
-// that was sent to it (0 if there never was one). Runs inside `tandem_mailbox_poll`.
+// The function of a task. `tandem_mailbox_poll` calls it with the number of signals (`count`, at
+// least 1) and the newest value that was sent to the task (`value`, 0 if none was sent).
 typedef void (*tandem_task_t)(void *context, uint32_t task, uint32_t count, uint32_t value);
 
-// A layout of an LMU. Static, zero at first; `tandem_layout_init` makes it one.
+// A layout of an LMU. Static, zero at first; `tandem_layout_init` initialises it.
 typedef struct tandem_layout_t {
   // Private.
   size_t opaque[98];
 } tandem_layout_t;
 
-// One region of a layout. Names and sizes, in order, are the same in every image of a system,
-// whether in C or in Rust.
+// One region of a layout. Every image of a system, in C or in Rust, must have the same names and
+// sizes in the same order.
 typedef struct tandem_region_t {
   // The name: UTF-8, at most `TANDEM_MAX_NAME` bytes.
   const char *name;
-  // How many words of 4 bytes are asked for: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
+  // Number of words of 4 bytes: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
   size_t words;
 } tandem_region_t;
 
@@ -431,10 +431,10 @@ typedef struct tandem_pool_t {
   size_t opaque[22];
 } tandem_pool_t;
 
-// Names words that were lent. Plain data: it may be sent to another core as two words. Every use
-// checks it, for it may be stale or forged.
+// Names words that were lent. Plain data: it may be sent to another core as two words. The library
+// checks it at every use, because it may be stale or forged.
 typedef struct tandem_handle_t {
-  // Its content.
+  // The handle as two words.
   uint32_t words[2];
 } tandem_handle_t;
 
@@ -444,30 +444,30 @@ typedef struct tandem_redundancy_t {
   uint64_t opaque[104];
 } tandem_redundancy_t;
 
-// What a system knows about itself and the other beyond its own incarnation.
+// The state of a system and its view of the other system, which are kept over resets.
 typedef struct tandem_state_t {
-  // Not 0: it was master last, or was initialised as master.
+  // Not 0: this system was the last master, or was initialised as master.
   uint32_t is_master;
   // Not 0: this system has failed and stays suspended.
   uint32_t sys_failure;
-  // What failed in this system: a `TANDEM_FAILURE_…`.
+  // The fault of this system, a `TANDEM_FAILURE_…`.
   uint32_t failure_mode;
   // Not 0: the other system counts as failed.
   uint32_t cpsys_failure;
-  // Abnormal resets so far.
+  // Total number of abnormal resets.
   uint32_t abn_resets;
-  // Starts so far.
+  // Total number of starts.
   uint32_t total_resets;
-  // Abnormal resets since the last time that this system ran well for long enough, 0 ..= 255.
+  // Abnormal resets since this system last ran long enough without a fault, 0 ..= 255.
   uint32_t abn_in_a_row;
-  // Incarnations that found their own command wrong, since the last time that this system ran
-  // well for long enough, 0 ..= 255.
+  // Incarnations that found their own command wrong since this system last ran long enough
+  // without a fault, 0 ..= 255.
   uint32_t wrong_in_a_row;
   // The highest mastership term seen or used.
   uint32_t term;
 } tandem_state_t;
 
-// The record found in the flash.
+// The record that was found in the flash.
 typedef struct tandem_loaded_t {
   // A `TANDEM_LOADED_…`.
   uint32_t kind;
@@ -475,8 +475,8 @@ typedef struct tandem_loaded_t {
   struct tandem_state_t state;
 } tandem_loaded_t;
 
-// The lines and the CAN receiver at one moment. Counts run on and wrap around; where they begin
-// does not matter.
+// The state of the lines and the CAN receiver at one time. Counts only increase, and wrap around;
+// they may start at any value.
 typedef struct tandem_snapshot_t {
   // Rising edges on the start line.
   uint32_t handshakes;
@@ -486,11 +486,11 @@ typedef struct tandem_snapshot_t {
   uint32_t beats[2];
   // Not 0: the other system's power level is high.
   uint32_t peer_powered;
-  // Valid frames received on CAN from third parties: from neither of the two systems.
+  // Valid frames received on CAN that neither of the two systems sent.
   uint32_t can_frames;
 } tandem_snapshot_t;
 
-// What the core must do now. Flags are 0 or 1.
+// The actions that the core must carry out now. Flags are 0 or 1.
 typedef struct tandem_actions_t {
   // Send a rising edge on the start line.
   uint32_t handshake;
@@ -499,23 +499,23 @@ typedef struct tandem_actions_t {
   // A `TANDEM_EDGE_…` to send on both heartbeat lines.
   uint32_t beat;
   // The output has just opened, or a frame was refused until this poll: send a control frame now
-  // (ask `tandem_redundancy_may_transmit`), do not wait for the next cycle.
+  // (if `tandem_redundancy_may_transmit` returns 1), do not wait for the next cycle.
   uint32_t transmit_now;
-  // The output just closed: discard control frames that wait in the transmit buffer.
+  // The output has just closed: discard control frames in the transmit buffer.
   uint32_t output_closed;
-  // Dual operation begins now in both systems: align the control cycle to it.
+  // Dual operation starts now in both systems: align the control cycle to this time.
   uint32_t synchronised;
-  // Write `state` to the flash: hand it to `tandem_store_request`.
+  // Write `state` to the flash: pass it to `tandem_store_request`.
   uint32_t persist;
   // The state, if `persist`.
   struct tandem_state_t state;
   // A `TANDEM_RESET_…` to request from the supply as soon as the store is settled.
   uint32_t reset;
-  // How many of `events` there are.
+  // Number of valid entries of `events`.
   uint32_t event_count;
-  // For the trace: kind and two details each.
+  // Events for the trace, each a kind and two details.
   uint32_t events[TANDEM_MAX_EVENTS][3];
-  // Poll again no later than this, in nanoseconds on the clock of the calls.
+  // Latest time of the next poll, in nanoseconds on the clock of `now_ns`.
   uint64_t deadline_ns;
 } tandem_actions_t;
 
@@ -523,34 +523,34 @@ typedef struct tandem_actions_t {
 typedef struct tandem_control_frame_t {
   // `TANDEM_SYSTEM_A` or `TANDEM_SYSTEM_B`: the sender.
   uint32_t system;
-  // Its mastership term.
+  // The sender's mastership term.
   uint32_t term;
-  // Its `TANDEM_ROLE_…`.
+  // The sender's `TANDEM_ROLE_…`.
   uint32_t role;
   // The `TANDEM_MODE_…` that produced the command.
   uint32_t mode;
 } tandem_control_frame_t;
 
-// A system's report about itself: over the link every control cycle, and in its status frame.
+// A system's report about itself, sent over the link every control cycle and in its status frame.
 typedef struct tandem_report_t {
-  // Its `TANDEM_ROLE_…`.
+  // The sender's `TANDEM_ROLE_…`.
   uint32_t role;
   // The `TANDEM_MODE_…` that it runs.
   uint32_t mode;
-  // The highest term that it knows.
+  // The highest term that it has seen or used.
   uint32_t term;
   // Not 0: it receives frames on CAN.
   uint32_t can_alive;
 } tandem_report_t;
 
-// Writes states to two sectors of the flash, one operation at a time, without waiting. Static,
-// zero at first.
+// The store, which writes states to two sectors of the flash, one operation at a time, without
+// waiting. Static, zero at first.
 typedef struct tandem_store_t {
   // Private.
   uint64_t opaque[16];
 } tandem_store_t;
 
-// Copies `count` bytes from `offset` of the flash to `into`; returns 0 on success.
+// A function that copies `count` bytes at `offset` of the flash to `into`; returns 0 on success.
 typedef int32_t (*tandem_flash_read_t)(void *context, uint32_t offset, uint8_t *into, uint32_t count);
 
 // The next operation on the flash.
@@ -559,9 +559,9 @@ typedef struct tandem_flash_op_t {
   uint32_t kind;
   // The number of the sector in the flash.
   uint32_t sector;
-  // Bytes from the begin of the flash.
+  // Offset from the start of the flash, in bytes.
   uint32_t offset;
-  // One record.
+  // The data of one record.
   uint8_t data[TANDEM_RECORD_BYTES];
 } tandem_flash_op_t;
 
@@ -569,131 +569,131 @@ typedef struct tandem_flash_op_t {
 extern "C" {
 #endif // __cplusplus
 
-// Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
-// (1 ..= 65536), 2^24 words in all at most; 0 if there can be no such FIFO. `TANDEM_FIFO_WORDS` is
-// the same as a constant.
+// Returns the words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words
+// each (1 ..= 65536), at most 2^24 words in all; 0 if a number is out of range.
+// `TANDEM_FIFO_WORDS` is the same as a constant.
 size_t tandem_fifo_words(size_t slots, size_t slot_words);
 
-// Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
-// must be given the same shape. Task; does not block.
+// Attaches the sending end of the FIFO in region `region`. It continues after the values that
+// earlier incarnations have sent. Both ends must get the same shape. Task; does not block.
 tandem_status_t tandem_fifo_producer_attach(struct tandem_fifo_producer_t *producer,
                                             const struct tandem_map_t *map,
                                             size_t region,
                                             size_t slots,
                                             size_t slot_words);
 
-// Lends the next slot, to be filled in place; its words hold an old value. Nothing is sent before
-// `tandem_fifo_send`; until then another loan lends the same slot. Does not block.
+// Lends the next slot, which the caller fills in place; its words hold an old value. Only
+// `tandem_fifo_send` sends it; until then a further loan lends the same slot. Does not block.
 //
 // `TANDEM_STATUS_FULL`
 tandem_status_t tandem_fifo_loan(struct tandem_fifo_producer_t *producer,
                                  struct tandem_words_t *words);
 
-// Sends the value in the slot that was lent. Does not block. Ring the receiver's doorbell, or
-// signal it through a mailbox, if it may be asleep.
+// Sends the value in the slot that was lent. Does not block. If the receiver may be asleep, ring
+// its doorbell or signal it through a mailbox.
 //
-// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 tandem_status_t tandem_fifo_send(struct tandem_fifo_producer_t *producer);
 
-// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
-// released. Task; does not block.
+// Attaches the receiving end of the FIFO in region `region`. It continues with the oldest value
+// that earlier incarnations have not released. Task; does not block.
 tandem_status_t tandem_fifo_consumer_attach(struct tandem_fifo_consumer_t *consumer,
                                             const struct tandem_map_t *map,
                                             size_t region,
                                             size_t slots,
                                             size_t slot_words);
 
-// The next value, to be read in place; it stays the next one until `tandem_fifo_release`.
-// Does not block.
+// Lends the next value, which the caller reads in place. Further calls lend the same value until
+// `tandem_fifo_release`. Does not block.
 //
 // `TANDEM_STATUS_EMPTY`
 tandem_status_t tandem_fifo_receive(struct tandem_fifo_consumer_t *consumer,
                                     struct tandem_words_t *words);
 
-// Frees the slot of the value that was received, for the producer. Does not block.
+// Frees the slot of the received value for the producer. Does not block.
 //
-// `TANDEM_STATUS_NOTHING_TO_END` if none was received.
+// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 tandem_status_t tandem_fifo_release(struct tandem_fifo_consumer_t *consumer);
 
-// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
-// `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
+// Returns the words of a channel of `slots` slots (4 if in doubt) of `slot_words` words each;
+// ranges as in `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
 size_t tandem_newest_words(size_t slots, size_t slot_words);
 
-// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
-// must be given the same shape. Task; does not block.
+// Attaches the writing end of the channel in region `region`. It continues after the values of
+// earlier incarnations. All ends must get the same shape. Task; does not block.
 tandem_status_t tandem_newest_writer_attach(struct tandem_newest_writer_t *writer,
                                             const struct tandem_map_t *map,
                                             size_t region,
                                             size_t slots,
                                             size_t slot_words);
 
-// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-// published before `tandem_newest_publish`. Does not block.
+// Lends the slot of the next value, which the caller fills in place; its words hold an old value.
+// Only `tandem_newest_publish` publishes it. Does not block.
 tandem_status_t tandem_newest_loan(struct tandem_newest_writer_t *writer,
                                    struct tandem_words_t *words);
 
 // Publishes the value in the slot that was lent. Does not block.
 //
-// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 tandem_status_t tandem_newest_publish(struct tandem_newest_writer_t *writer);
 
-// Attaches to the channel in region `region`. Task; does not block.
+// Attaches a reading end of the channel in region `region`. Task; does not block.
 tandem_status_t tandem_newest_reader_attach(struct tandem_newest_reader_t *reader,
                                             const struct tandem_map_t *map,
                                             size_t region,
                                             size_t slots,
                                             size_t slot_words);
 
-// The newest value, to be read in place. What is read counts only if `tandem_newest_finish`
-// returns `TANDEM_STATUS_OK`. Does not block.
+// Lends the newest value, which the caller reads in place. The read is valid only if
+// `tandem_newest_finish` returns `TANDEM_STATUS_OK`. Does not block.
 //
-// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
-// faster: try again.
+// `TANDEM_STATUS_EMPTY` if no value was published, `TANDEM_STATUS_OVERRUN` if the writer has
+// overwritten it: try again.
 tandem_status_t tandem_newest_view(struct tandem_newest_reader_t *reader,
                                    struct tandem_words_t *words);
 
-// Whether all that was read through the last view was one value; its number, counted over all
-// incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
+// Checks that all words read through the last view belong to one value. Writes its number, counted
+// over all incarnations of the writer and wrapping, to `number` (may be NULL). Does not block.
 //
 // `TANDEM_STATUS_OVERRUN`: discard what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 tandem_status_t tandem_newest_finish(struct tandem_newest_reader_t *reader, uint32_t *number);
 
-// Copies the newest value to `into`, as many words as both have, and its number to `number` (may
-// be NULL). Tries up to four times; does not block.
+// Copies the newest value to `into` (at most `count` words), and its number to `number` (may be
+// NULL). Tries up to four times; does not block.
 //
-// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: the content of `into` is void.
+// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: discard the content of `into`.
 //
 // # Safety
-// As all functions, for `count` initialised words at `into`.
+// The caller's contract, for `count` initialised words at `into`.
 tandem_status_t tandem_newest_read(struct tandem_newest_reader_t *reader,
                                    uint32_t *into,
                                    size_t count,
                                    uint32_t *number);
 
-// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
-// `TANDEM_BROADCAST_WORDS` is the same as a constant.
+// Returns the words of a ring of `slots` slots of `slot_words` words each; ranges as in
+// `tandem_fifo_words`. `TANDEM_BROADCAST_WORDS` is the same as a constant.
 size_t tandem_broadcast_words(size_t slots, size_t slot_words);
 
-// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
-// be given the same shape. Task; does not block.
+// Attaches the sending end of the ring in region `region`. It continues after the values of
+// earlier incarnations. All ends must get the same shape. Task; does not block.
 tandem_status_t tandem_broadcast_sender_attach(struct tandem_broadcast_sender_t *sender,
                                                const struct tandem_map_t *map,
                                                size_t region,
                                                size_t slots,
                                                size_t slot_words);
 
-// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-// sent before `tandem_broadcast_send`. Does not block.
+// Lends the slot of the next value, which the caller fills in place; its words hold an old value.
+// Only `tandem_broadcast_send` sends it. Does not block.
 tandem_status_t tandem_broadcast_loan(struct tandem_broadcast_sender_t *sender,
                                       struct tandem_words_t *words);
 
 // Sends the value in the slot that was lent. Does not block.
 //
-// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 tandem_status_t tandem_broadcast_send(struct tandem_broadcast_sender_t *sender);
 
-// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
-// not 0 the oldest value that is still there first. Task; does not block.
+// Attaches a receiving end of the ring in region `region`, for values sent from now on. If
+// `oldest` is not 0, it starts with the oldest value still in the ring. Task; does not block.
 tandem_status_t tandem_broadcast_receiver_attach(struct tandem_broadcast_receiver_t *receiver,
                                                  const struct tandem_map_t *map,
                                                  size_t region,
@@ -701,100 +701,100 @@ tandem_status_t tandem_broadcast_receiver_attach(struct tandem_broadcast_receive
                                                  size_t slot_words,
                                                  uint32_t oldest);
 
-// The next value, to be read in place; what is read counts, and the cursor moves on, only with
-// `tandem_broadcast_finish`. Does not block.
+// Lends the next value, which the caller reads in place. Only `tandem_broadcast_finish` confirms
+// the read and advances the cursor. Does not block.
 //
 // `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
-// received: how many goes to `lost` (may be NULL), and the next call continues behind them.
+// received: writes their number to `lost` (may be NULL); the next call continues after them.
 tandem_status_t tandem_broadcast_receive(struct tandem_broadcast_receiver_t *receiver,
                                          struct tandem_words_t *words,
                                          uint32_t *lost);
 
-// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
-// NULL). Does not block.
+// Ends the read and checks that all words belong to one value. Writes its number to `number` (may
+// be NULL). Does not block.
 //
-// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: discard what was read.
-// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
+// `TANDEM_STATUS_OVERRUN` as in `tandem_broadcast_receive`: discard what was read.
+// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 tandem_status_t tandem_broadcast_finish(struct tandem_broadcast_receiver_t *receiver,
                                         uint32_t *number,
                                         uint32_t *lost);
 
-// The profile for chips: nothing stalls, and the link reports as often as the heartbeat lines.
+// Writes the profile for chips: no task stalls, and reports are as frequent as heartbeats.
 //
 // # Safety
 // 1 of the caller's contract.
 tandem_status_t tandem_config_chip(struct tandem_config_t *config);
 
-// The profile for firmware: systems whose timers are late by far less than a millisecond.
+// Writes the profile for firmware: for systems whose timers are late by far less than 1 ms.
 tandem_status_t tandem_config_rt(struct tandem_config_t *config);
 
-// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
+// Checks that the values fit together; otherwise returns `TANDEM_STATUS_OUT_OF_RANGE`.
 tandem_status_t tandem_config_check(const struct tandem_config_t *config);
 
-// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
-// announced. A lock that an earlier incarnation held is not released by this: its next owner
-// recovers it. Task; does not block.
+// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which must
+// be announced. If an earlier incarnation held the lock, it stays held: the next owner recovers
+// it. Task; does not block.
 tandem_status_t tandem_lock_attach(struct tandem_lock_t *lock,
                                    const struct tandem_map_t *map,
                                    size_t region,
                                    uint32_t core,
                                    uint32_t generation);
 
-// Takes the lock, after at most `looks` polls of it (at least 1). `relax` waits between two polls;
-// NULL spins. Task; blocks no longer than the polls take.
+// Takes the lock, with at most `looks` polls (at least 1). `relax` waits between two polls; NULL
+// spins. Task; blocks no longer than the polls take.
 //
-// `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
-// from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
-// `TANDEM_STATUS_BUSY`: this end holds it already.
+// `TANDEM_STATUS_OK`: taken; the last owner had released it. `TANDEM_STATUS_RECOVERED`: taken, but
+// the last owner died holding it; repair its data. `TANDEM_STATUS_TIMED_OUT`: not taken.
+// `TANDEM_STATUS_BUSY`: this end already holds it.
 tandem_status_t tandem_lock_acquire(struct tandem_lock_t *lock,
                                     uint32_t looks,
                                     tandem_relax_t relax,
                                     void *context);
 
-// Takes the lock if it is free and no waiting core comes before this one. Any context; does not
-// block.
+// Takes the lock if it is free and no waiting core's turn is before this core's. Any context; does
+// not block.
 //
-// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if another core holds it.
+// Returns as `tandem_lock_acquire`, and `TANDEM_STATUS_BUSY` if the lock was not taken.
 tandem_status_t tandem_lock_try_acquire(struct tandem_lock_t *lock);
 
-// Gives the lock back. Any context; does not block.
+// Releases the lock. Any context; does not block.
 //
 // `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
 tandem_status_t tandem_lock_release(struct tandem_lock_t *lock);
 
 // Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-// once afterwards: an earlier incarnation may have died before it did. Task; does not block.
+// once afterwards: an earlier incarnation may have died before it rang. Task; does not block.
 tandem_status_t tandem_mailbox_sender_attach(struct tandem_mailbox_sender_t *sender,
                                              const struct tandem_map_t *map,
                                              size_t region);
 
-// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
-// visible to its handler; no signal is lost. Task or handler, one at a time: a task that shares
-// the sender with a handler keeps the handler away during the call. Does not block.
+// Signals task `task` (1 ..= 15) of the receiving core. Its handler sees everything that was
+// written to the LMU before; no signal is lost. Task or handler, one at a time: a task that shares
+// the sender with a handler must disable the handler during the call. Does not block.
 //
 // `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 tandem_status_t tandem_mailbox_signal(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
-// Signals a task and passes it a value; of several values it gets the newest. Otherwise as
-// `tandem_mailbox_signal`.
+// Signals a task and passes it a value. If several values are sent before the task runs, it gets
+// the newest. Otherwise like `tandem_mailbox_signal`.
 tandem_status_t tandem_mailbox_signal_with(struct tandem_mailbox_sender_t *sender,
                                            uint32_t task,
                                            uint32_t value);
 
-// How many signals to a task are not handled yet; 0 if an argument is not valid. Any context;
-// does not block.
+// Returns the number of signals to a task that are not yet handled; 0 if an argument is not valid.
+// Any context; does not block.
 uint32_t tandem_mailbox_open(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
-// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-// an earlier incarnation of this core left open are handled by the first poll. Task; does not
+// Attaches to the mailbox in region `region` as the receiving core, without handlers. The first
+// poll handles the signals that an earlier incarnation of this core left open. Task; does not
 // block.
 tandem_status_t tandem_mailbox_receiver_attach(struct tandem_mailbox_receiver_t *receiver,
                                                const struct tandem_map_t *map,
                                                size_t region);
 
-// Gives task `task` (1 ..= 15) a handler, which is called with `context`. Task; does not block.
+// Adds a handler for task `task` (1 ..= 15), which is called with `context`. Task; does not block.
 //
-// `TANDEM_STATUS_TAKEN` if it has one, `TANDEM_STATUS_BAD_POINTER` without a handler.
+// `TANDEM_STATUS_TAKEN` if the task has a handler, `TANDEM_STATUS_BAD_POINTER` if `run` is NULL.
 //
 // # Safety
 // 1 and 3 of the caller's contract; `run` may be called with `context` as long as the receiver is
@@ -804,44 +804,44 @@ tandem_status_t tandem_mailbox_add_task(struct tandem_mailbox_receiver_t *receiv
                                         tandem_task_t run,
                                         void *context);
 
-// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
-// signals there were to `signals` (may be NULL). Polls once and is bounded; a
-// signal that arrives during the call is left to the next one. Task or handler, always the same;
-// does not block.
+// Runs the handlers of the tasks that were signalled, the lowest id first, and writes the number
+// of signals to `signals` (may be NULL). Polls once and is bounded; a signal that arrives after
+// its task was handled is left to the next call. Task or handler, always the same; does not block.
 //
-// `TANDEM_STATUS_EMPTY` if there was none.
+// `TANDEM_STATUS_EMPTY` if there was no signal.
 tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver, uint32_t *signals);
 
-// How many signals named a task without a handler; they count as handled. Task; does not block.
+// Returns the number of signals to tasks without a handler, which count as handled. Task; does not
+// block.
 uint32_t tandem_mailbox_unknown(struct tandem_mailbox_receiver_t *receiver);
 
 // Announces that this core is going to sleep: from now on signals need the doorbell. Disable
-// interrupts, call this, sleep on `TANDEM_STATUS_OK`, enable them, call `tandem_mailbox_awake`.
-// Does not block.
+// interrupts, call this, sleep if it returns `TANDEM_STATUS_OK`, enable interrupts, and call
+// `tandem_mailbox_awake`. Does not block.
 //
 // `TANDEM_STATUS_DO_NOT_SLEEP` if signals are open: poll instead.
 tandem_status_t tandem_mailbox_prepare_sleep(struct tandem_mailbox_receiver_t *receiver);
 
-// Announces that this core is awake: signals need no doorbell. Does not block.
+// Announces that this core is awake: a signal does not need the doorbell. Does not block.
 tandem_status_t tandem_mailbox_awake(struct tandem_mailbox_receiver_t *receiver);
 
-// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`). `layout` must stay where it is
-// as long as a map uses it. Task; does not block.
+// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`) and writes it to `into`, which
+// must not move as long as a map uses it. Task; does not block.
 //
-// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or no UTF-8, or a
-// size is 0 or above 2^24 words.
+// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or not UTF-8, or
+// a size is 0 or above 2^24 words.
 tandem_status_t tandem_layout_init(struct tandem_layout_t *into,
                                    const struct tandem_region_t *regions,
                                    size_t count);
 
 // Formats an LMU of `bytes` bytes at `base` (a boundary of 64): zeroes it and writes the layout.
-// For the boot core or the supply, at power-on, before any other core uses it; a core that is
-// reset alone attaches instead. Task; takes as long as writing the LMU.
+// The boot core or the supply calls this at power-on, before any other core uses the LMU. If only
+// the boot core is reset, it attaches instead. Task; takes the time to write the whole LMU.
 //
 // `TANDEM_STATUS_TOO_SMALL`, `TANDEM_STATUS_MISALIGNED`
 //
 // # Safety
-// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+// 1, 2 and 3 of the caller's contract; `layout` does not move.
 tandem_status_t tandem_map_format(struct tandem_map_t *map,
                                   const struct tandem_layout_t *layout,
                                   void *base,
@@ -853,23 +853,23 @@ tandem_status_t tandem_map_format(struct tandem_map_t *map,
 // `_WRONG_LAYOUT`, `_TOO_SMALL`, `_MISALIGNED`
 //
 // # Safety
-// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+// 1, 2 and 3 of the caller's contract; `layout` does not move.
 tandem_status_t tandem_map_attach(struct tandem_map_t *map,
                                   const struct tandem_layout_t *layout,
                                   void *base,
                                   size_t bytes);
 
-// The words of region `index` of the layout, rounded up to whole cache lines: for data that this
-// library does not know. Any context; does not block.
+// Writes the words of region `index` of the layout, rounded up to whole cache lines, to `words`:
+// for the firmware's own data. Any context; does not block.
 //
 // `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
 tandem_status_t tandem_map_region(const struct tandem_map_t *map,
                                   size_t index,
                                   struct tandem_words_t *words);
 
-// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
-// earlier incarnation of this core owned is free to be taken over from here on. Task; does not
-// block.
+// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` when it starts. From
+// then on other cores may take over objects that an earlier incarnation of this core owned. Task;
+// does not block.
 //
 // `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
 // stop.
@@ -877,25 +877,25 @@ tandem_status_t tandem_incarnation_announce(const struct tandem_map_t *map,
                                             uint32_t core,
                                             uint32_t generation);
 
-// Marks an incarnation as dead: it was seen to end and will not run again. For the supervisor of
-// the cores. Any context; does not block.
+// Marks an incarnation as dead. The supervisor of the cores calls this when it has seen the
+// incarnation end. Any context; does not block.
 //
-// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
+// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation, or already marked.
 tandem_status_t tandem_incarnation_mark_dead(const struct tandem_map_t *map,
                                              uint32_t core,
                                              uint32_t generation);
 
-// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or an
-// argument is not valid. Any context; does not block.
+// Returns the generation of the living incarnation of a core; 0 if there is none, or an argument
+// is not valid. Any context; does not block.
 uint32_t tandem_incarnation_current(const struct tandem_map_t *map, uint32_t core);
 
-// Words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if there can be no such pool.
-// `TANDEM_POOL_WORDS` is the same as a constant.
+// Returns the words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if `blocks` is out
+// of range. `TANDEM_POOL_WORDS` is the same as a constant.
 size_t tandem_pool_words(size_t blocks);
 
 // Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
-// `core`, which was announced. The first attachment of an incarnation frees what earlier
-// incarnations of its core own. Task; does not block.
+// `core`, which must be announced. When an incarnation first attaches, this frees the words that
+// earlier incarnations of its core own. Task; does not block.
 tandem_status_t tandem_pool_attach(struct tandem_pool_t *pool,
                                    const struct tandem_map_t *map,
                                    size_t region,
@@ -903,16 +903,16 @@ tandem_status_t tandem_pool_attach(struct tandem_pool_t *pool,
                                    uint32_t core,
                                    uint32_t generation);
 
-// Borrows `count` words; they hold what an earlier owner left. Any context; does not block.
+// Borrows `count` words, which hold the values of an earlier owner. Any context; does not block.
 //
 // `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
-// `TANDEM_STATUS_BUSY` if other cores took what this one had found free: try again later.
+// `TANDEM_STATUS_BUSY` if other cores took the blocks that this one found free: try again later.
 tandem_status_t tandem_pool_get(struct tandem_pool_t *pool,
                                 size_t count,
                                 struct tandem_handle_t *handle);
 
-// The words that a handle names, if this incarnation owns them; it owns them until they are given
-// back or handed over. Any context; does not block.
+// Writes the words that a handle names to `words`, if this incarnation owns them. It owns them
+// until they are given back or handed over. Any context; does not block.
 //
 // `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 tandem_status_t tandem_pool_open(struct tandem_pool_t *pool,
@@ -925,26 +925,26 @@ tandem_status_t tandem_pool_open(struct tandem_pool_t *pool,
 // `TANDEM_STATUS_INVALID`
 tandem_status_t tandem_pool_give_back(struct tandem_pool_t *pool, struct tandem_handle_t handle);
 
-// Makes core `to` the owner. What this core wrote is visible to it when it opens the same handle;
-// sending the handle there is the caller's business. Any context; does not block.
+// Makes core `to` the owner. The caller sends it the handle. When that core opens the handle, it
+// sees everything that this core wrote. Any context; does not block.
 //
-// As `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
+// Returns as `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
 tandem_status_t tandem_pool_hand_over(struct tandem_pool_t *pool,
                                       struct tandem_handle_t handle,
                                       uint32_t to);
 
-// Frees what incarnations that are not alive own, and returns how many words that were.
+// Frees all words owned by incarnations that are not alive, and returns their number.
 // `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 size_t tandem_pool_reclaim_dead(struct tandem_pool_t *pool);
 
-// How many words are free, in whole blocks, at some moment during the call. Any context; bounded.
+// Returns the number of free words, in whole blocks, counted in one pass. Any context; bounded.
 size_t tandem_pool_free_words(struct tandem_pool_t *pool);
 
 // Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
-// `loaded` what the store found in the flash, `now_ns` the time of the start. Task; does not
-// block.
+// `loaded` the record that the store found in the flash, `now_ns` the time of the start. Task;
+// does not block.
 //
-// `TANDEM_STATUS_OUT_OF_RANGE` if a number has no meaning, or the configuration does not fit
+// `TANDEM_STATUS_OUT_OF_RANGE` if a number is not defined, or the configuration does not fit
 // together.
 tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
                                        const struct tandem_config_t *config,
@@ -953,30 +953,30 @@ tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
                                        const struct tandem_loaded_t *loaded,
                                        uint64_t now_ns);
 
-// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
-// Hand over everything from the CAN receiver *before* this. Times must not go back. Any context;
-// does not block. The actions are to be carried out.
+// Passes the state of the lines. Call it each period, and at once when an edge or the power level
+// interrupts. *Before* this, pass all frames from the CAN receiver. `now_ns` must not decrease.
+// Carry out the actions. Any context; does not block.
 tandem_status_t tandem_redundancy_poll(struct tandem_redundancy_t *machine,
                                        uint64_t now_ns,
                                        const struct tandem_snapshot_t *snapshot,
                                        struct tandem_actions_t *actions);
 
-// A control frame was received on CAN. Any context; does not block.
+// Passes a control frame that was received on CAN. Any context; does not block.
 tandem_status_t tandem_redundancy_control_frame(struct tandem_redundancy_t *machine,
                                                 uint64_t now_ns,
                                                 const struct tandem_control_frame_t *frame,
                                                 struct tandem_actions_t *actions);
 
-// A status frame of the other system was received on CAN. Any context; does not block.
+// Passes a status frame of the other system that was received on CAN. Any context; does not block.
 tandem_status_t tandem_redundancy_status_frame(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                const struct tandem_report_t *report,
                                                struct tandem_actions_t *actions);
 
-// A datagram of the other system arrived over the link: `words` of `count` words. Any context;
-// does not block.
+// Passes a datagram of the other system that arrived over the link: `count` words at `words`. Any
+// context; does not block.
 //
-// `TANDEM_STATUS_INVALID` if it is no report.
+// `TANDEM_STATUS_INVALID` if it is not a report.
 //
 // # Safety
 // 1 and 3 of the caller's contract, for `count` words.
@@ -986,18 +986,18 @@ tandem_status_t tandem_redundancy_link_report(struct tandem_redundancy_t *machin
                                               size_t count,
                                               struct tandem_actions_t *actions);
 
-// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
-// lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
-// does not block.
+// Passes a control frame that was received on CAN with the right CRC, but a wrong counter: frames
+// were lost, or the sender has restarted. The machine uses only its term; do not use its command.
+// Any context; does not block.
 tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machine,
                                               uint64_t now_ns,
                                               const struct tandem_control_frame_t *frame,
                                               struct tandem_actions_t *actions);
 
-// The vehicle reported which term it obeys: that of the last control frame that it accepted,
-// `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago, at `sent_ms` of
-// its own clock, of which the last eight bits count; below 0 if the report has no time. Any
-// context; does not block.
+// Passes a report of the vehicle about the term that it obeys: that of the control frame that it
+// accepted last, `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago,
+// at `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no
+// time). Any context; does not block.
 tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                uint32_t term,
@@ -1006,42 +1006,42 @@ tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machi
                                                uint64_t on_the_way_ns,
                                                struct tandem_actions_t *actions);
 
-// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
-// context; does not block.
+// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it again and again
+// while the fault lasts. Any context; does not block.
 tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,
                                             uint64_t now_ns,
                                             uint32_t failure,
                                             struct tandem_actions_t *actions);
 
-// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
-// send at once. Any context; does not block.
+// Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before each frame
+// is sent, and send at once. Any context; does not block.
 uint32_t tandem_redundancy_may_transmit(struct tandem_redundancy_t *machine, uint64_t now_ns);
 
-// The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
+// Returns the `TANDEM_ROLE_…` for frames; `TANDEM_ROLE_STARTING` without a machine. Any context.
 uint32_t tandem_redundancy_role(struct tandem_redundancy_t *machine);
 
-// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
+// Returns the `TANDEM_MODE_…` to run; a standby computes in the master's mode. Any context.
 uint32_t tandem_redundancy_mode(struct tandem_redundancy_t *machine);
 
-// The term for control frames; meaningful while the system drives. Any context.
+// Returns the term for control frames; valid while the system is master. Any context.
 uint32_t tandem_redundancy_term(struct tandem_redundancy_t *machine);
 
-// What to report to the other system now: the datagram for the link goes to `words`
-// (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
-// null. Any context; does not block.
+// Writes the current report to the other system: the datagram for the link to `words`
+// (`TANDEM_REPORT_WORDS` words), its content for the status frame to `report`. Both may be NULL.
+// Any context; does not block.
 //
 // # Safety
-// 1 and 3 of the caller's contract; `words` has room.
+// 1 and 3 of the caller's contract; `words` has room for `TANDEM_REPORT_WORDS` words.
 tandem_status_t tandem_redundancy_report(struct tandem_redundancy_t *machine,
                                          uint64_t now_ns,
                                          uint32_t *words,
                                          struct tandem_report_t *report);
 
-// The state that a new system is initialised with: A (0) is master, B (1) is standby.
+// Writes the initial state of a new system: A (0) is master, B (1) is standby.
 tandem_status_t tandem_state_factory(struct tandem_state_t *state, uint32_t system);
 
-// Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
-// `TANDEM_RECORD_BYTES`). At the start of a system; takes as long as reading them.
+// Reads the record from two sectors, `first_sector` and the next one, of `sector_bytes` bytes each
+// (a multiple of `TANDEM_RECORD_BYTES`). Call it when the system starts; it reads both sectors.
 //
 // # Safety
 // 1 and 3 of the caller's contract; `read` may be called with `context`.
@@ -1052,23 +1052,23 @@ tandem_status_t tandem_store_load(struct tandem_store_t *store,
                                   void *context,
                                   struct tandem_loaded_t *loaded);
 
-// Requests that a state be written: the one in the actions of the redundancy. Does not block.
+// Requests to write a state, the one in the actions of the redundancy. Does not block.
 tandem_status_t tandem_store_request(struct tandem_store_t *store,
                                      const struct tandem_state_t *state);
 
-// The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
-// `_FAILED`). Start it before the next call, or call `tandem_store_refused`. Does not block.
+// Writes the operation to start now to `op`; `flash` is a `TANDEM_FLASH_IDLE`, `_BUSY` or
+// `_FAILED`. Start it before the next call, or call `tandem_store_refused`. Does not block.
 tandem_status_t tandem_store_poll(struct tandem_store_t *store,
                                   uint32_t flash,
                                   struct tandem_flash_op_t *op);
 
-// The operation of the last poll was not started; the next poll returns it again. Does not block.
+// Reports that the last operation was not started; the next poll returns it again. Does not block.
 tandem_status_t tandem_store_refused(struct tandem_store_t *store);
 
-// 1 if all that was requested is durable, or never will be; else 0. Does not block.
+// Returns 1 if every requested state is durable or was given up, otherwise 0. Does not block.
 uint32_t tandem_store_is_settled(struct tandem_store_t *store);
 
-// Defined by the firmware: records what it can and resets the core. Must not return.
+// Defined by the firmware: should record the panic and reset the core. Must not return.
 extern void tandem_on_panic(void);
 
 #ifdef __cplusplus

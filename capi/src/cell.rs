@@ -1,7 +1,7 @@
-//! Memory that C gives: objects in it, values read from it, results written to it.
+//! Memory of C: places objects in it, reads values from it and writes results to it.
 //!
 //! All unsafe code that follows a pointer from C is here. The numbers in the `SAFETY` comments are
-//! those of the caller's contract at the head of the crate.
+//! those of the caller's contract in the crate's documentation.
 
 #![deny(unsafe_op_in_unsafe_fn)]
 
@@ -9,14 +9,14 @@ use crate::status::{TandemStatus, status};
 use core::mem::MaybeUninit;
 use core::sync::atomic::AtomicU32;
 
-/// The words of a slot or of an allocation in the LMU, to be accessed in place. Each word is read
-/// and written whole.
+/// The words of a slot or of an allocation in the LMU, which the caller accesses in place. Read and
+/// write each word as a whole.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemWords {
     /// The first word.
     pub first: *mut TandemWord,
-    /// How many words.
+    /// The number of words.
     pub count: usize,
 }
 
@@ -34,21 +34,21 @@ impl TandemWords {
     }
 }
 
-/// A type of C whose memory holds a value of Rust.
+/// A type of C whose memory holds a Rust value.
 ///
 /// # Safety
-/// [`fits`] holds for the two, and every bit pattern is a value of the implementing type.
+/// [`fits`] returns true for both types, and every bit pattern is a value of the implementing type.
 pub(crate) unsafe trait Opaque {
-    /// What is in it.
+    /// The type of the Rust value.
     type Inner;
-    /// The mark of an attached object of this type; not 0, and no other type's.
+    /// The mark of an attached object of this type: not 0, and different for each type.
     const MARK: u32;
 }
 
-/// How a value of Rust lies in memory of C.
+/// The layout of a Rust value in memory of C.
 #[repr(C)]
 pub(crate) struct Cell<T> {
-    /// [`Opaque::MARK`], [`IN_USE`], or anything else: not attached.
+    /// [`Opaque::MARK`] or [`IN_USE`]; any other value means that the object is not attached.
     mark: u32,
     value: MaybeUninit<T>,
 }
@@ -56,12 +56,12 @@ pub(crate) struct Cell<T> {
 /// The mark while a handler of C runs inside a call.
 const IN_USE: u32 = 0x7D00_FFFF;
 
-/// Whether a [`Cell`] with `T` has room in `O`.
+/// Returns whether a [`Cell`] with `T` fits in `O`.
 pub(crate) const fn fits<O, T>() -> bool {
     size_of::<Cell<T>>() <= size_of::<O>() && align_of::<Cell<T>>() <= align_of::<O>()
 }
 
-/// Gives a type of C its content, and checks at compile time that it has room.
+/// Assigns a Rust type to a type of C, and checks at compile time that it fits.
 macro_rules! opaque {
     ($outer:ty, $inner:ty, $mark:literal) => {
         const _: () = assert!(
@@ -84,9 +84,9 @@ fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
     Ok(pointer)
 }
 
-/// Puts a value into the memory of an object. An earlier value is forgotten, not dropped: the
-/// memory may hold anything. Refused with `Busy` while a handler of C runs inside a call of this
-/// very object, which has a reference to the earlier value.
+/// Writes a value to the memory of an object. It does not drop an earlier value, because the memory
+/// may hold anything. Returns `Busy` while a handler of C runs inside a call of the same object,
+/// because that call has a reference to the earlier value.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -96,8 +96,8 @@ pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(
     if unsafe { (&raw const (*cell).mark).read() } == IN_USE {
         return Err(TandemStatus::Busy);
     }
-    // SAFETY: not null and aligned; room by `Opaque`; ours alone for the call by 1 and 3, and no
-    // reference to the value is alive, as the mark says.
+    // SAFETY: not null and aligned; large enough by `Opaque`; by 1 and 3 no other code uses it
+    // during the call; the mark shows that no reference to the value exists.
     unsafe {
         (&raw mut (*cell).value).write(MaybeUninit::new(value));
         (&raw mut (*cell).mark).write(O::MARK);
@@ -105,7 +105,7 @@ pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(
     Ok(())
 }
 
-/// The cell of an attached object.
+/// Returns the cell of an attached object.
 ///
 /// # Safety
 /// 1 of the caller's contract.
@@ -119,18 +119,18 @@ unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, Tan
     }
 }
 
-/// The value in an attached object, for one call that runs no code of C.
+/// Returns the value in an attached object, for one call that runs no code of C.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; the reference ends with the call.
+/// 1 and 3 of the caller's contract; the caller uses the reference only during that call.
 pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: by the mark, `put` has written the value; ours alone for the call by 3.
+    // SAFETY: by the mark, `put` has written the value; by 3 no other code uses it meanwhile.
     Ok(unsafe { (*cell).value.assume_init_mut() })
 }
 
-/// The value in an attached object that is only read.
+/// Returns the value in an attached object, for reading only.
 ///
 /// # Safety
 /// 1 of the caller's contract; the object is not attached anew during the call.
@@ -141,7 +141,7 @@ pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inn
     Ok(unsafe { (*cell).value.assume_init_ref() })
 }
 
-/// The status of a call on an attached object that runs no code of C.
+/// Runs `call`, which runs no code of C, on an attached object. Returns its status.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -153,7 +153,7 @@ pub(crate) unsafe fn with<O: Opaque, R: Into<TandemStatus>>(
     status(|| call(unsafe { get(object) }?))
 }
 
-/// As [`with`], for a call that lends words of the LMU, or the reason why not.
+/// Like [`with`], for a call that lends words of the LMU: writes them to `words`.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -169,8 +169,8 @@ pub(crate) unsafe fn lend<O: Opaque>(
     })
 }
 
-/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C,
-/// which may call a function on the same object.
+/// Runs `call` on the value of an attached object. Marks the object as in use, because `call` may
+/// run code of C, which may call a function on the same object.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -180,8 +180,8 @@ pub(crate) unsafe fn occupy<O: Opaque, R>(
 ) -> Result<R, TandemStatus> {
     // SAFETY: 1 is passed on.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: as in `get`; the mark refuses calls while `call` runs, so the reference to the value
-    // is the only one. The mark is not part of the value.
+    // SAFETY: as in `get`; while `call` runs, the mark makes other calls return `Busy`, so the
+    // reference to the value is the only one. The mark is not part of the value.
     unsafe {
         (&raw mut (*cell).mark).write(IN_USE);
         let result = call((*cell).value.assume_init_mut());
@@ -190,7 +190,7 @@ pub(crate) unsafe fn occupy<O: Opaque, R>(
     }
 }
 
-/// A plain value from memory of C. `T` is made of integers and pointers only.
+/// Reads a plain value from memory of C. `T` consists of integers and pointers only.
 ///
 /// # Safety
 /// 1 of the caller's contract; the memory is initialised.
@@ -211,7 +211,7 @@ pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> 
     Ok(())
 }
 
-/// Writes an optional result: nothing if `to` is NULL.
+/// Writes an optional result; does nothing if `to` is NULL.
 ///
 /// # Safety
 /// 1 of the caller's contract.
@@ -223,13 +223,13 @@ pub(crate) unsafe fn write_if_wanted<T>(to: *mut T, value: T) -> Result<(), Tand
     unsafe { write(to, value) }
 }
 
-/// Checks that a result can be written there, before a call does what a bad pointer must not leave
-/// half-done.
+/// Checks that a result can be written to `to`, before a call makes a change that a bad pointer
+/// must not interrupt.
 pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
     checked(to).map(|_| ())
 }
 
-/// Checks plain words of C: not null, aligned, and no more than any slot or pool has.
+/// Checks plain words of C: not null, aligned, and not more than [`MAX_COUNT`].
 fn checked_words(first: *mut u32, count: usize) -> Result<*mut u32, TandemStatus> {
     match count {
         0 => Ok(core::ptr::dangling_mut()),
@@ -238,17 +238,17 @@ fn checked_words(first: *mut u32, count: usize) -> Result<*mut u32, TandemStatus
     }
 }
 
-/// Plain words of C. `count` of 0 gives an empty slice, whatever the pointer.
+/// Returns plain words of C. If `count` is 0, returns an empty slice for any pointer.
 ///
 /// # Safety
-/// 1 of the caller's contract, for `count` words that no one writes during the call.
+/// 1 of the caller's contract, for `count` words that no other code writes during the call.
 pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u32], TandemStatus> {
     let first = checked_words(first.cast_mut(), count)?;
     // SAFETY: not null and aligned; `count` words by the contract.
     Ok(unsafe { core::slice::from_raw_parts(first, count) })
 }
 
-/// Plain words of C to write to. `count` of 0 gives an empty slice, whatever the pointer.
+/// Returns plain words of C, for writing. If `count` is 0, returns an empty slice for any pointer.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract, for `count` initialised words.
@@ -257,7 +257,7 @@ pub(crate) unsafe fn words_mut<'c>(
     count: usize,
 ) -> Result<&'c mut [u32], TandemStatus> {
     let first = checked_words(first, count)?;
-    // SAFETY: not null and aligned; `count` words, ours for the call, by the contract.
+    // SAFETY: not null and aligned; `count` words that no other code uses, by the contract.
     Ok(unsafe { core::slice::from_raw_parts_mut(first, count) })
 }
 

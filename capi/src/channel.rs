@@ -1,5 +1,5 @@
-//! The channels: FIFO (every value, in order, or full), newest value (the last one, never torn),
-//! broadcast (every value, in order, or how many were lost).
+//! The channels: FIFO (every value in order, or full), newest value (the last value, never torn),
+//! broadcast (every value in order, or the number of lost values).
 
 use crate::cell::{self, Opaque, TandemWords, opaque};
 use crate::map::{self, TandemMap};
@@ -10,7 +10,7 @@ use tandem_shm::fifo::{self, Consumer, Incoming, Loan, Producer};
 use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
 use tandem_shm::{FitError, Shape, bare};
 
-/// The sending end of a FIFO. There is one at a time. Static, zero at first.
+/// The sending end of a FIFO. Each FIFO has one. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemFifoProducer {
@@ -18,7 +18,7 @@ pub struct TandemFifoProducer {
     pub opaque: [usize; 11],
 }
 
-/// The receiving end of a FIFO. There is one at a time. Static, zero at first.
+/// The receiving end of a FIFO. Each FIFO has one. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemFifoConsumer {
@@ -26,7 +26,7 @@ pub struct TandemFifoConsumer {
     pub opaque: [usize; 11],
 }
 
-/// The writing end of a newest-value channel. There is one at a time. Static, zero at first.
+/// The writing end of a newest-value channel. Each channel has one. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemNewestWriter {
@@ -34,7 +34,7 @@ pub struct TandemNewestWriter {
     pub opaque: [usize; 11],
 }
 
-/// A reading end of a newest-value channel; any number of them. Static, zero at first.
+/// A reading end of a newest-value channel; there may be any number. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemNewestReader {
@@ -42,7 +42,7 @@ pub struct TandemNewestReader {
     pub opaque: [usize; 20],
 }
 
-/// The sending end of a broadcast ring. There is one at a time. Static, zero at first.
+/// The sending end of a broadcast ring. Each ring has one. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemBroadcastSender {
@@ -50,8 +50,8 @@ pub struct TandemBroadcastSender {
     pub opaque: [usize; 11],
 }
 
-/// A receiving end of a broadcast ring, with its own cursor; any number of them. Static, zero at
-/// first.
+/// A receiving end of a broadcast ring, with its own cursor; there may be any number. Static, zero
+/// at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemBroadcastReceiver {
@@ -59,7 +59,7 @@ pub struct TandemBroadcastReceiver {
     pub opaque: [usize; 11],
 }
 
-/// An end, and whether a slot is lent through it.
+/// An end of a channel, and whether it has lent a slot.
 pub(crate) struct End<T> {
     end: T,
     lent: bool,
@@ -72,7 +72,7 @@ impl<T> From<T> for End<T> {
 }
 
 impl<T> End<T> {
-    /// Ends the lending; refuses if nothing is lent.
+    /// Ends a loan. Returns `NothingToEnd` if there is none.
     fn take_back(&mut self) -> Result<&mut T, S> {
         match core::mem::replace(&mut self.lent, false) {
             true => Ok(&mut self.end),
@@ -81,7 +81,7 @@ impl<T> End<T> {
     }
 }
 
-/// A reader, and the value that is being read.
+/// A reader, and the view of the value that is being read.
 pub(crate) struct Reading {
     reader: Reader<'static>,
     view: Option<View<'static>>,
@@ -115,7 +115,7 @@ impl From<ReadError> for S {
     }
 }
 
-/// The shape, if there is one with these numbers.
+/// Returns the shape with these numbers, if they are in range.
 fn shape(slots: usize, slot_words: usize) -> Result<Shape, S> {
     let slots_ok = slots.is_power_of_two() && (2..=1 << 16).contains(&slots);
     if slots_ok && (1..=1 << 16).contains(&slot_words) && slots * slot_words <= 1 << 24 {
@@ -140,16 +140,16 @@ where
     map::attach(object, map, region, made)
 }
 
-/// Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
-/// (1 ..= 65536), 2^24 words in all at most; 0 if there can be no such FIFO. `TANDEM_FIFO_WORDS` is
-/// the same as a constant.
+/// Returns the words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words
+/// each (1 ..= 65536), at most 2^24 words in all; 0 if a number is out of range.
+/// `TANDEM_FIFO_WORDS` is the same as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_fifo_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, fifo::words)
 }
 
-/// Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
-/// must be given the same shape. Task; does not block.
+/// Attaches the sending end of the FIFO in region `region`. It continues after the values that
+/// earlier incarnations have sent. Both ends must get the same shape. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_producer_attach(
     producer: *mut TandemFifoProducer,
@@ -162,8 +162,8 @@ pub unsafe extern "C" fn tandem_fifo_producer_attach(
     attach(producer, place, bare::fifo_producer::<()>)
 }
 
-/// Lends the next slot, to be filled in place; its words hold an old value. Nothing is sent before
-/// `tandem_fifo_send`; until then another loan lends the same slot. Does not block.
+/// Lends the next slot, which the caller fills in place; its words hold an old value. Only
+/// `tandem_fifo_send` sends it; until then a further loan lends the same slot. Does not block.
 ///
 /// `TANDEM_STATUS_FULL`
 #[unsafe(no_mangle)]
@@ -178,20 +178,20 @@ pub unsafe extern "C" fn tandem_fifo_loan(
     })
 }
 
-/// Sends the value in the slot that was lent. Does not block. Ring the receiver's doorbell, or
-/// signal it through a mailbox, if it may be asleep.
+/// Sends the value in the slot that was lent. Does not block. If the receiver may be asleep, ring
+/// its doorbell or signal it through a mailbox.
 ///
-/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+/// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> TandemStatus {
     cell::with(producer, |producer| {
-        // The same slot as was lent: only sending moves to the next.
+        // `loan` returns the slot that was lent: only `send` moves to the next one.
         Ok(producer.take_back()?.loan().map(Loan::send)?)
     })
 }
 
-/// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
-/// released. Task; does not block.
+/// Attaches the receiving end of the FIFO in region `region`. It continues with the oldest value
+/// that earlier incarnations have not released. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     consumer: *mut TandemFifoConsumer,
@@ -204,8 +204,8 @@ pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     attach(consumer, place, bare::fifo_consumer::<()>)
 }
 
-/// The next value, to be read in place; it stays the next one until `tandem_fifo_release`.
-/// Does not block.
+/// Lends the next value, which the caller reads in place. Further calls lend the same value until
+/// `tandem_fifo_release`. Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY`
 #[unsafe(no_mangle)]
@@ -220,9 +220,9 @@ pub unsafe extern "C" fn tandem_fifo_receive(
     })
 }
 
-/// Frees the slot of the value that was received, for the producer. Does not block.
+/// Frees the slot of the received value for the producer. Does not block.
 ///
-/// `TANDEM_STATUS_NOTHING_TO_END` if none was received.
+/// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) -> TandemStatus {
     cell::with(consumer, |consumer| {
@@ -231,15 +231,15 @@ pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) 
     })
 }
 
-/// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
-/// `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
+/// Returns the words of a channel of `slots` slots (4 if in doubt) of `slot_words` words each;
+/// ranges as in `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_newest_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, newest::words)
 }
 
-/// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
-/// must be given the same shape. Task; does not block.
+/// Attaches the writing end of the channel in region `region`. It continues after the values of
+/// earlier incarnations. All ends must get the same shape. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_writer_attach(
     writer: *mut TandemNewestWriter,
@@ -252,8 +252,8 @@ pub unsafe extern "C" fn tandem_newest_writer_attach(
     attach(writer, place, bare::newest_writer::<()>)
 }
 
-/// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-/// published before `tandem_newest_publish`. Does not block.
+/// Lends the slot of the next value, which the caller fills in place; its words hold an old value.
+/// Only `tandem_newest_publish` publishes it. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_loan(
     writer: *mut TandemNewestWriter,
@@ -267,19 +267,19 @@ pub unsafe extern "C" fn tandem_newest_loan(
 
 /// Publishes the value in the slot that was lent. Does not block.
 ///
-/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+/// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_publish(writer: *mut TandemNewestWriter) -> TandemStatus {
     cell::with(writer, publish)
 }
 
 fn publish(writer: &mut End<Writer<'static>>) -> Result<(), S> {
-    // The same slot as was lent: only publishing moves to the next.
+    // `loan` returns the slot that was lent: only `publish` moves to the next one.
     writer.take_back()?.loan().publish();
     Ok(())
 }
 
-/// Attaches to the channel in region `region`. Task; does not block.
+/// Attaches a reading end of the channel in region `region`. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_reader_attach(
     reader: *mut TandemNewestReader,
@@ -292,11 +292,11 @@ pub unsafe extern "C" fn tandem_newest_reader_attach(
     attach(reader, place, bare::newest_reader::<()>)
 }
 
-/// The newest value, to be read in place. What is read counts only if `tandem_newest_finish`
-/// returns `TANDEM_STATUS_OK`. Does not block.
+/// Lends the newest value, which the caller reads in place. The read is valid only if
+/// `tandem_newest_finish` returns `TANDEM_STATUS_OK`. Does not block.
 ///
-/// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
-/// faster: try again.
+/// `TANDEM_STATUS_EMPTY` if no value was published, `TANDEM_STATUS_OVERRUN` if the writer has
+/// overwritten it: try again.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_view(
     reader: *mut TandemNewestReader,
@@ -308,8 +308,8 @@ pub unsafe extern "C" fn tandem_newest_view(
     })
 }
 
-/// Whether all that was read through the last view was one value; its number, counted over all
-/// incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
+/// Checks that all words read through the last view belong to one value. Writes its number, counted
+/// over all incarnations of the writer and wrapping, to `number` (may be NULL). Does not block.
 ///
 /// `TANDEM_STATUS_OVERRUN`: discard what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 #[unsafe(no_mangle)]
@@ -323,13 +323,13 @@ pub unsafe extern "C" fn tandem_newest_finish(
     })
 }
 
-/// Copies the newest value to `into`, as many words as both have, and its number to `number` (may
-/// be NULL). Tries up to four times; does not block.
+/// Copies the newest value to `into` (at most `count` words), and its number to `number` (may be
+/// NULL). Tries up to four times; does not block.
 ///
-/// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: the content of `into` is void.
+/// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: discard the content of `into`.
 ///
 /// # Safety
-/// As all functions, for `count` initialised words at `into`.
+/// The caller's contract, for `count` initialised words at `into`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_read(
     reader: *mut TandemNewestReader,
@@ -348,15 +348,15 @@ pub unsafe extern "C" fn tandem_newest_read(
     })
 }
 
-/// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
-/// `TANDEM_BROADCAST_WORDS` is the same as a constant.
+/// Returns the words of a ring of `slots` slots of `slot_words` words each; ranges as in
+/// `tandem_fifo_words`. `TANDEM_BROADCAST_WORDS` is the same as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_broadcast_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, broadcast::words)
 }
 
-/// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
-/// be given the same shape. Task; does not block.
+/// Attaches the sending end of the ring in region `region`. It continues after the values of
+/// earlier incarnations. All ends must get the same shape. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_sender_attach(
     sender: *mut TandemBroadcastSender,
@@ -369,8 +369,8 @@ pub unsafe extern "C" fn tandem_broadcast_sender_attach(
     attach(sender, place, bare::broadcast_writer::<()>)
 }
 
-/// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-/// sent before `tandem_broadcast_send`. Does not block.
+/// Lends the slot of the next value, which the caller fills in place; its words hold an old value.
+/// Only `tandem_broadcast_send` sends it. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_loan(
     sender: *mut TandemBroadcastSender,
@@ -384,14 +384,14 @@ pub unsafe extern "C" fn tandem_broadcast_loan(
 
 /// Sends the value in the slot that was lent. Does not block.
 ///
-/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+/// `TANDEM_STATUS_NOTHING_TO_END` if no slot was lent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_send(sender: *mut TandemBroadcastSender) -> TandemStatus {
     cell::with(sender, publish)
 }
 
-/// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
-/// not 0 the oldest value that is still there first. Task; does not block.
+/// Attaches a receiving end of the ring in region `region`, for values sent from now on. If
+/// `oldest` is not 0, it starts with the oldest value still in the ring. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
     receiver: *mut TandemBroadcastReceiver,
@@ -408,7 +408,7 @@ pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
     attach(receiver, (map, region, slots, slot_words), end)
 }
 
-/// Writes how many values are lost.
+/// Writes the number of lost values and returns the status.
 ///
 /// # Safety
 /// 1 of the caller's contract.
@@ -420,11 +420,11 @@ unsafe fn overrun(lost: *mut u32, error: Lost) -> S {
     }
 }
 
-/// The next value, to be read in place; what is read counts, and the cursor moves on, only with
-/// `tandem_broadcast_finish`. Does not block.
+/// Lends the next value, which the caller reads in place. Only `tandem_broadcast_finish` confirms
+/// the read and advances the cursor. Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
-/// received: how many goes to `lost` (may be NULL), and the next call continues behind them.
+/// received: writes their number to `lost` (may be NULL); the next call continues after them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_receive(
     receiver: *mut TandemBroadcastReceiver,
@@ -440,11 +440,11 @@ pub unsafe extern "C" fn tandem_broadcast_receive(
     })
 }
 
-/// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
-/// NULL). Does not block.
+/// Ends the read and checks that all words belong to one value. Writes its number to `number` (may
+/// be NULL). Does not block.
 ///
-/// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: discard what was read.
-/// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
+/// `TANDEM_STATUS_OVERRUN` as in `tandem_broadcast_receive`: discard what was read.
+/// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_finish(
     receiver: *mut TandemBroadcastReceiver,
@@ -452,7 +452,7 @@ pub unsafe extern "C" fn tandem_broadcast_finish(
     lost: *mut u32,
 ) -> TandemStatus {
     cell::with(receiver, |receiver| {
-        // The same value again, or it was overwritten.
+        // `item` returns the same value again, or an error if it was overwritten.
         let finished = match receiver.take_back()?.item() {
             Ok(Some(item)) => item.finish(),
             Ok(None) => return Err(S::NothingToEnd),

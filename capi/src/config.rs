@@ -5,58 +5,58 @@ use crate::status::{TandemStatus, TandemStatus as S, status};
 use tandem_board::Duration;
 use tandem_redundancy::Config;
 
-/// Periods and limits of the redundancy; both systems must use the same. Times in microseconds.
-/// Begin with `tandem_config_rt`, change what must be, and let `tandem_config_check` say whether
-/// the values still fit together. What each means, and why it has its value, stands in
-/// `docs/redundancy.md`.
+/// Periods and limits of the redundancy; both systems must use the same values. Times are in
+/// microseconds. Start with `tandem_config_rt`, change the values that differ, and check with
+/// `tandem_config_check` that they still fit together. `docs/redundancy.md` explains each value and
+/// the reason for it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemConfig {
     /// Time between two heartbeats on each line.
     pub heartbeat_period_us: u32,
-    /// How many heartbeats in a row must be missing before a line counts as silent.
+    /// Number of consecutive missing heartbeats after which a line counts as silent.
     pub heartbeat_misses: u32,
-    /// How much later than due a heartbeat may arrive on top of that.
+    /// Further delay of a heartbeat that is tolerated.
     pub heartbeat_jitter_us: u32,
     /// Longest time between two polls.
     pub poll_interval_us: u32,
-    /// After how long a silence of both lines the master gives up its standby.
+    /// Silence of both lines after which the master counts its standby as failed.
     pub standby_limit_us: u32,
     /// Period of the control frames.
     pub control_period_us: u32,
-    /// How much later than due a control frame may arrive.
+    /// Delay of a control frame that is tolerated.
     pub control_margin_us: u32,
-    /// How many periods without a control frame make a master mute.
+    /// Number of control periods without a control frame or an echo after which a master is mute.
     pub mute_periods: u32,
     /// Time between two handshake edges.
     pub handshake_period_us: u32,
-    /// How long a system waits at power-on for the other's handshake.
+    /// Longest time that a system waits at power-on for the other system's handshake.
     pub start_limit_us: u32,
-    /// How much longer B waits than A wherever both might act at once.
+    /// Additional time that B waits where both systems might act at once.
     pub stagger_us: u32,
-    /// How much longer B waits before its sync edge.
+    /// Additional time that B waits before its sync edge.
     pub sync_stagger_us: u32,
-    /// How long a standby that has received a handshake waits for the sync edge.
+    /// Longest time that a standby that has received a handshake waits for the sync edge.
     pub promote_limit_us: u32,
-    /// How long heartbeats must have been back before the other system counts as recovered.
+    /// Time with heartbeats after which the other system counts as recovered.
     pub recover_after_us: u32,
     /// Not 0: dual operation resumes at run time when the other system has recovered.
     pub reintegrate: u32,
-    /// How many abnormal resets in a row are tolerated, 1 ..= 255.
+    /// Number of consecutive abnormal resets that are tolerated, 1 ..= 255.
     pub abnormal_limit: u32,
-    /// Operation without a reset for this long ends a row of abnormal resets.
+    /// Each such time without a reset subtracts one from the count of consecutive abnormal resets.
     pub healthy_after_us: u32,
-    /// Nothing received on CAN for this long, while the other system reports a live bus, is an open
-    /// circuit.
+    /// Time without a frame on CAN, while the other system reports a live bus, after which the
+    /// circuit counts as open.
     pub can_open_limit_us: u32,
     /// Time between two reports over the link.
     pub report_period_us: u32,
-    /// How long a report of the other system holds.
+    /// Time for which a report of the other system is valid.
     pub report_limit_us: u32,
-    /// Without a status frame of the standby on CAN for this long, a master has no backup.
+    /// Time without a status frame of the standby on CAN after which a master has no backup.
     pub status_limit_us: u32,
-    /// For this long after a takeover, a new standby takes over only if the vehicle's report
-    /// demands it.
+    /// Time after a change of the driver in which a new standby takes over only if the vehicle's
+    /// report demands it.
     pub hold_down_us: u32,
 }
 
@@ -91,7 +91,7 @@ impl From<Config> for TandemConfig {
 }
 
 impl TandemConfig {
-    /// The configuration, if its values fit together.
+    /// Returns the configuration if its values fit together.
     pub(crate) fn checked(&self) -> Result<Config, S> {
         let span = |us: u32| Duration::from_us(us.into());
         let config = Config {
@@ -122,7 +122,7 @@ impl TandemConfig {
     }
 }
 
-/// The profile for chips: nothing stalls, and the link reports as often as the heartbeat lines.
+/// Writes the profile for chips: no task stalls, and reports are as frequent as heartbeats.
 ///
 /// # Safety
 /// 1 of the caller's contract.
@@ -131,13 +131,13 @@ pub unsafe extern "C" fn tandem_config_chip(config: *mut TandemConfig) -> Tandem
     status(|| cell::write(config, Config::chip().into()))
 }
 
-/// The profile for firmware: systems whose timers are late by far less than a millisecond.
+/// Writes the profile for firmware: for systems whose timers are late by far less than 1 ms.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
     status(|| cell::write(config, Config::rt().into()))
 }
 
-/// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
+/// Checks that the values fit together; otherwise returns `TANDEM_STATUS_OUT_OF_RANGE`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_check(config: *const TandemConfig) -> TandemStatus {
     status(|| cell::read(config)?.checked().map(drop))

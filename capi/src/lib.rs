@@ -3,23 +3,23 @@
 //! The header is generated from this crate by cbindgen, with the doc comments of this crate. `cargo
 //! xtask c-header` writes it, and a test refuses a stale one.
 //!
-//! # What every function holds to
+//! # Rules for every function
 //!
-//! - **Objects live in memory that C gives**: opaque types of known size and alignment, statically
-//!   placed and zero at first. Nothing is allocated. An object that was not attached is refused
-//!   with `TANDEM_STATUS_NOT_ATTACHED`, because it lacks a mark.
-//! - **No panic crosses the boundary**: arguments are checked, and an error is a
-//!   [`TandemStatus`]. Where Rust would panic nevertheless, `tandem_on_panic` is
-//!   called, which the firmware defines.
+//! - **C provides the memory of objects**: their types are opaque, with known size and alignment;
+//!   objects are static and zero at first. Nothing is allocated. A function returns
+//!   `TANDEM_STATUS_NOT_ATTACHED` for an object without the mark of an attached one.
+//! - **No panic crosses the boundary**: functions check their arguments and return errors as
+//!   [`TandemStatus`]. If the library panics all the same, it calls `tandem_on_panic`, which the
+//!   firmware defines.
 //! - **Handlers that C registers run inside a call**, and may not use the object that called them:
 //!   they get `TANDEM_STATUS_BUSY`.
 //!
 //! # The caller's contract
 //!
-//! It is the safety section of every function, which passes it on to what it calls; `SAFETY`
-//! comments name its numbers.
+//! It is the safety section of every function, and also holds for the functions that it calls;
+//! `SAFETY` comments refer to these numbers.
 //!
-//! 1. A pointer is null or points to memory of its type that stays where it is.
+//! 1. A pointer is null or points to memory of its type that does not move.
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is
 //!    used.
 //! 3. One object is used by one context of one core at a time.
@@ -59,17 +59,17 @@ pub use redundancy::*;
 pub use status::*;
 pub use store::*;
 
-/// On bare metal the firmware defines the reaction to a panic.
+/// The panic handler on bare metal: calls a function that the firmware defines.
 #[cfg(target_os = "none")]
 mod on_panic {
     unsafe extern "C" {
-        /// Defined by the firmware: records what it can and resets the core. Must not return.
+        /// Defined by the firmware: should record the panic and reset the core. Must not return.
         fn tandem_on_panic() -> !;
     }
 
     #[panic_handler]
     fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
-        // SAFETY: no argument, nothing shared; the firmware defines it, or the link fails.
+        // SAFETY: takes no argument and shares no data. If it is not defined, the link fails.
         unsafe { tandem_on_panic() }
     }
 }

@@ -13,7 +13,7 @@ pub const TANDEM_LOCK_WORDS: usize = 16;
 
 const _: () = assert!(TANDEM_LOCK_WORDS == WORDS);
 
-/// One end of a lock: one for each task that takes it. Static, zero at first.
+/// One end of a lock. Each task that takes the lock has its own end. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemLock {
@@ -28,12 +28,12 @@ pub(crate) struct End {
 
 opaque!(TandemLock, End, 0x03);
 
-/// Waits about as long as `spins` spins (1 ..= 64) between two polls of a lock: yields or sleeps.
+/// Waits for about `spins` spins (1 ..= 64) between two polls of a lock: may yield or sleep.
 pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
 
-/// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
-/// announced. A lock that an earlier incarnation held is not released by this: its next owner
-/// recovers it. Task; does not block.
+/// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which must
+/// be announced. If an earlier incarnation held the lock, it stays held: the next owner recovers
+/// it. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_attach(
     lock: *mut TandemLock,
@@ -49,12 +49,12 @@ pub unsafe extern "C" fn tandem_lock_attach(
     })
 }
 
-/// Takes the lock, after at most `looks` polls of it (at least 1). `relax` waits between two polls;
-/// NULL spins. Task; blocks no longer than the polls take.
+/// Takes the lock, with at most `looks` polls (at least 1). `relax` waits between two polls; NULL
+/// spins. Task; blocks no longer than the polls take.
 ///
-/// `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
-/// from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
-/// `TANDEM_STATUS_BUSY`: this end holds it already.
+/// `TANDEM_STATUS_OK`: taken; the last owner had released it. `TANDEM_STATUS_RECOVERED`: taken, but
+/// the last owner died holding it; repair its data. `TANDEM_STATUS_TIMED_OUT`: not taken.
+/// `TANDEM_STATUS_BUSY`: this end already holds it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_acquire(
     lock: *mut TandemLock,
@@ -63,7 +63,7 @@ pub unsafe extern "C" fn tandem_lock_acquire(
     context: *mut c_void,
 ) -> TandemStatus {
     let relax = |spins| match relax {
-        // SAFETY: a function of C with this signature, called with the context that it came with.
+        // SAFETY: a function of C with this signature, called with the context that C passed.
         Some(relax) => unsafe { relax(context, spins) },
         None => spin(spins),
     };
@@ -85,10 +85,10 @@ fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S 
     if recovered { S::Recovered } else { S::Ok }
 }
 
-/// Takes the lock if it is free and no waiting core comes before this one. Any context; does not
-/// block.
+/// Takes the lock if it is free and no waiting core's turn is before this core's. Any context; does
+/// not block.
 ///
-/// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if another core holds it.
+/// Returns as `tandem_lock_acquire`, and `TANDEM_STATUS_BUSY` if the lock was not taken.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
     cell::with(lock, |end| {
@@ -100,7 +100,7 @@ pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> Tande
     })
 }
 
-/// Gives the lock back. Any context; does not block.
+/// Releases the lock. Any context; does not block.
 ///
 /// `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
 #[unsafe(no_mangle)]

@@ -1,4 +1,4 @@
-//! The sync mailbox, with handlers of C.
+//! The sync mailbox, with handlers in C.
 
 use crate::cell::{self, opaque};
 use crate::map::{self, TandemMap};
@@ -9,13 +9,13 @@ use tandem_shm::mailbox::{MAX_TASK, Receiver, Ring, Sender, Signals, TaskId, WOR
 
 /// Words of a mailbox.
 pub const TANDEM_MAILBOX_WORDS: usize = 64;
-/// Tasks are numbered from 1 to this; 0 is none.
+/// The largest task id. Ids start at 1; 0 means none.
 pub const TANDEM_MAX_TASK: u32 = 15;
 
 const _: () = assert!(TANDEM_MAILBOX_WORDS == WORDS && TANDEM_MAX_TASK == MAX_TASK as u32);
 
-/// The sending end of a mailbox. There is one at a time; tasks and handlers of the sending core
-/// that share it take turns, for example with interrupts disabled. Static, zero at first.
+/// The sending end of a mailbox. Each mailbox has one; tasks and handlers of the sending core that
+/// share it must exclude each other, for example with interrupts disabled. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemMailboxSender {
@@ -31,8 +31,8 @@ pub struct TandemMailboxReceiver {
     pub opaque: [usize; 56],
 }
 
-/// What a task does when it is signalled: `count` signals (at least 1) at once, `value` the newest
-/// that was sent to it (0 if there never was one). Runs inside `tandem_mailbox_poll`.
+/// The function of a task. `tandem_mailbox_poll` calls it with the number of signals (`count`, at
+/// least 1) and the newest value that was sent to the task (`value`, 0 if none was sent).
 pub type TandemTask =
     Option<unsafe extern "C" fn(context: *mut c_void, task: u32, count: u32, value: u32)>;
 
@@ -59,7 +59,7 @@ fn task_id(task: u32) -> Result<TaskId, S> {
 }
 
 /// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-/// once afterwards: an earlier incarnation may have died before it did. Task; does not block.
+/// once afterwards: an earlier incarnation may have died before it rang. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     sender: *mut TandemMailboxSender,
@@ -71,9 +71,9 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     })
 }
 
-/// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
-/// visible to its handler; no signal is lost. Task or handler, one at a time: a task that shares
-/// the sender with a handler keeps the handler away during the call. Does not block.
+/// Signals task `task` (1 ..= 15) of the receiving core. Its handler sees everything that was
+/// written to the LMU before; no signal is lost. Task or handler, one at a time: a task that shares
+/// the sender with a handler must disable the handler during the call. Does not block.
 ///
 /// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 #[unsafe(no_mangle)]
@@ -84,8 +84,8 @@ pub unsafe extern "C" fn tandem_mailbox_signal(
     cell::with(sender, |sender| Ok(sender.signal(task_id(task)?)))
 }
 
-/// Signals a task and passes it a value; of several values it gets the newest. Otherwise as
-/// `tandem_mailbox_signal`.
+/// Signals a task and passes it a value. If several values are sent before the task runs, it gets
+/// the newest. Otherwise like `tandem_mailbox_signal`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_signal_with(
     sender: *mut TandemMailboxSender,
@@ -106,8 +106,8 @@ impl From<Ring> for S {
     }
 }
 
-/// How many signals to a task are not handled yet; 0 if an argument is not valid. Any context;
-/// does not block.
+/// Returns the number of signals to a task that are not yet handled; 0 if an argument is not valid.
+/// Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
     let sender = cell::get(sender);
@@ -117,8 +117,8 @@ pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, t
     }
 }
 
-/// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-/// an earlier incarnation of this core left open are handled by the first poll. Task; does not
+/// Attaches to the mailbox in region `region` as the receiving core, without handlers. The first
+/// poll handles the signals that an earlier incarnation of this core left open. Task; does not
 /// block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
@@ -139,9 +139,9 @@ pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
     })
 }
 
-/// Gives task `task` (1 ..= 15) a handler, which is called with `context`. Task; does not block.
+/// Adds a handler for task `task` (1 ..= 15), which is called with `context`. Task; does not block.
 ///
-/// `TANDEM_STATUS_TAKEN` if it has one, `TANDEM_STATUS_BAD_POINTER` without a handler.
+/// `TANDEM_STATUS_TAKEN` if the task has a handler, `TANDEM_STATUS_BAD_POINTER` if `run` is NULL.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract; `run` may be called with `context` as long as the receiver is
@@ -166,12 +166,11 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
     })
 }
 
-/// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
-/// signals there were to `signals` (may be NULL). Polls once and is bounded; a
-/// signal that arrives during the call is left to the next one. Task or handler, always the same;
-/// does not block.
+/// Runs the handlers of the tasks that were signalled, the lowest id first, and writes the number
+/// of signals to `signals` (may be NULL). Polls once and is bounded; a signal that arrives after
+/// its task was handled is left to the next call. Task or handler, always the same; does not block.
 ///
-/// `TANDEM_STATUS_EMPTY` if there was none.
+/// `TANDEM_STATUS_EMPTY` if there was no signal.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_poll(
     receiver: *mut TandemMailboxReceiver,
@@ -189,7 +188,7 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
                 context,
             } => {
                 let number = task.index() as u32;
-                // SAFETY: a function of C with this signature, and the context it came with.
+                // SAFETY: a function of C with this signature, called with its own context.
                 unsafe { run(context, number, count, value) }
             }
             Entry { run: None, .. } => *unknown = unknown.wrapping_add(count),
@@ -203,15 +202,16 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
     })
 }
 
-/// How many signals named a task without a handler; they count as handled. Task; does not block.
+/// Returns the number of signals to tasks without a handler, which count as handled. Task; does not
+/// block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxReceiver) -> u32 {
     cell::get(receiver).map_or(0, |table| table.unknown)
 }
 
 /// Announces that this core is going to sleep: from now on signals need the doorbell. Disable
-/// interrupts, call this, sleep on `TANDEM_STATUS_OK`, enable them, call `tandem_mailbox_awake`.
-/// Does not block.
+/// interrupts, call this, sleep if it returns `TANDEM_STATUS_OK`, enable interrupts, and call
+/// `tandem_mailbox_awake`. Does not block.
 ///
 /// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are open: poll instead.
 #[unsafe(no_mangle)]
@@ -224,7 +224,7 @@ pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     })
 }
 
-/// Announces that this core is awake: signals need no doorbell. Does not block.
+/// Announces that this core is awake: a signal does not need the doorbell. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,

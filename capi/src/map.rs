@@ -9,25 +9,25 @@ use tandem_shm::map::{Layout, Map, MapError};
 
 /// Cores that share an LMU; they are numbered from 0.
 pub const TANDEM_CORES: usize = 3;
-/// The most regions of a layout.
+/// The largest number of regions of a layout.
 pub const TANDEM_MAX_REGIONS: usize = 32;
 /// The longest name of a region, in bytes.
 pub const TANDEM_MAX_NAME: usize = 31;
 
 const _: () = assert!(TANDEM_CORES == tandem_shm::incarnation::CORES);
 
-/// One region of a layout. Names and sizes, in order, are the same in every image of a system,
-/// whether in C or in Rust.
+/// One region of a layout. Every image of a system, in C or in Rust, must have the same names and
+/// sizes in the same order.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemRegion {
     /// The name: UTF-8, at most `TANDEM_MAX_NAME` bytes.
     pub name: *const c_char,
-    /// How many words of 4 bytes are asked for: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
+    /// Number of words of 4 bytes: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
     pub words: usize,
 }
 
-/// A layout of an LMU. Static, zero at first; `tandem_layout_init` makes it one.
+/// A layout of an LMU. Static, zero at first; `tandem_layout_init` initialises it.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemLayout {
@@ -36,7 +36,7 @@ pub struct TandemLayout {
 }
 
 /// An LMU that this core is attached to. Static, zero at first; `tandem_map_format` or
-/// `tandem_map_attach` makes it one.
+/// `tandem_map_attach` initialises it.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemMap {
@@ -44,10 +44,10 @@ pub struct TandemMap {
     pub opaque: [usize; 8],
 }
 
-/// A layout, and where each region begins.
+/// A layout, and the place of each region.
 pub(crate) struct Regions {
     layout: Layout,
-    /// First word and number of words.
+    /// First word and number of words of each region.
     places: [(u32, u32); TANDEM_MAX_REGIONS],
     count: usize,
 }
@@ -60,11 +60,11 @@ pub(crate) struct Attached {
 opaque!(TandemLayout, Regions, 0x01);
 opaque!(TandemMap, Attached, 0x02);
 
-/// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`). `layout` must stay where it is
-/// as long as a map uses it. Task; does not block.
+/// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`) and writes it to `into`, which
+/// must not move as long as a map uses it. Task; does not block.
 ///
-/// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or no UTF-8, or a
-/// size is 0 or above 2^24 words.
+/// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or not UTF-8, or
+/// a size is 0 or above 2^24 words.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_layout_init(
     into: *mut TandemLayout,
@@ -97,10 +97,10 @@ pub unsafe extern "C" fn tandem_layout_init(
     })
 }
 
-/// A string of C, of at most [`TANDEM_MAX_NAME`] bytes.
+/// Returns a string of C, of at most [`TANDEM_MAX_NAME`] bytes.
 ///
 /// # Safety
-/// Null, or a string that ends with 0, or memory of that many bytes, for the call.
+/// `first` is null, or points to a string that ends with 0, or to [`TANDEM_MAX_NAME`] + 1 bytes.
 unsafe fn name<'c>(first: *const c_char) -> Result<&'c str, S> {
     if first.is_null() {
         return Err(S::BadPointer);
@@ -116,13 +116,13 @@ unsafe fn name<'c>(first: *const c_char) -> Result<&'c str, S> {
 }
 
 /// Formats an LMU of `bytes` bytes at `base` (a boundary of 64): zeroes it and writes the layout.
-/// For the boot core or the supply, at power-on, before any other core uses it; a core that is
-/// reset alone attaches instead. Task; takes as long as writing the LMU.
+/// The boot core or the supply calls this at power-on, before any other core uses the LMU. If only
+/// the boot core is reset, it attaches instead. Task; takes the time to write the whole LMU.
 ///
 /// `TANDEM_STATUS_TOO_SMALL`, `TANDEM_STATUS_MISALIGNED`
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+/// 1, 2 and 3 of the caller's contract; `layout` does not move.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_map_format(
     map: *mut TandemMap,
@@ -144,7 +144,7 @@ pub unsafe extern "C" fn tandem_map_format(
 /// `_WRONG_LAYOUT`, `_TOO_SMALL`, `_MISALIGNED`
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+/// 1, 2 and 3 of the caller's contract; `layout` does not move.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_map_attach(
     map: *mut TandemMap,
@@ -174,7 +174,7 @@ impl From<MapError> for S {
 }
 
 /// # Safety
-/// 1 and 2 of the caller's contract; `layout` stays where it is.
+/// 1 and 2 of the caller's contract; `layout` does not move.
 unsafe fn parts(
     layout: *const TandemLayout,
     base: *mut c_void,
@@ -192,13 +192,13 @@ unsafe fn parts(
     if bytes > isize::MAX as usize {
         return Err(S::OutOfRange);
     }
-    // SAFETY: aligned; by 2 that many bytes are there and stay. Words are atomics, so that other
-    // cores may write them.
+    // SAFETY: aligned; by 2 the LMU has this many bytes and stays mapped. Words are atomics, so
+    // other cores may write to them.
     let words = unsafe { core::slice::from_raw_parts(first, bytes / 4) };
     Ok((regions, words))
 }
 
-/// The words of a region.
+/// Returns the words of a region.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -213,7 +213,7 @@ pub(crate) unsafe fn region(
     Ok(attached.map.words(begin as usize, count as usize)?)
 }
 
-/// Makes an end in region `index`, and puts it into memory of C.
+/// Makes an end in region `index`, and writes it to memory of C.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -226,7 +226,7 @@ pub(crate) unsafe fn attach<O: Opaque>(
     status(|| cell::put(object, end(region(map, index)?, incarnations(map)?)?))
 }
 
-/// The incarnation table.
+/// Returns the incarnation table.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -239,8 +239,8 @@ pub(crate) fn incarnation(core: u32, generation: u32) -> Result<Incarnation, S> 
     Incarnation::new(core as usize, generation).ok_or(S::OutOfRange)
 }
 
-/// The words of region `index` of the layout, rounded up to whole cache lines: for data that this
-/// library does not know. Any context; does not block.
+/// Writes the words of region `index` of the layout, rounded up to whole cache lines, to `words`:
+/// for the firmware's own data. Any context; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
 #[unsafe(no_mangle)]
@@ -252,9 +252,9 @@ pub unsafe extern "C" fn tandem_map_region(
     status(|| cell::write(words, TandemWords::of(region(map, index)?)))
 }
 
-/// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
-/// earlier incarnation of this core owned is free to be taken over from here on. Task; does not
-/// block.
+/// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` when it starts. From
+/// then on other cores may take over objects that an earlier incarnation of this core owned. Task;
+/// does not block.
 ///
 /// `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
 /// stop.
@@ -270,10 +270,10 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
     })
 }
 
-/// Marks an incarnation as dead: it was seen to end and will not run again. For the supervisor of
-/// the cores. Any context; does not block.
+/// Marks an incarnation as dead. The supervisor of the cores calls this when it has seen the
+/// incarnation end. Any context; does not block.
 ///
-/// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
+/// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation, or already marked.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     map: *const TandemMap,
@@ -288,8 +288,8 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     )
 }
 
-/// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or an
-/// argument is not valid. Any context; does not block.
+/// Returns the generation of the living incarnation of a core; 0 if there is none, or an argument
+/// is not valid. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_current(map: *const TandemMap, core: u32) -> u32 {
     let incarnations = incarnations(map);

@@ -8,9 +8,9 @@ use tandem_shm::pool::{
     BLOCK_WORDS, GetError, HandOverError, Handle, HandleError, MAX_BLOCKS, Pool,
 };
 
-/// Words of a block of a pool, the unit in which it lends.
+/// Words of a block, the unit in which a pool lends.
 pub const TANDEM_BLOCK_WORDS: usize = 16;
-/// The most blocks of a pool.
+/// The largest number of blocks of a pool.
 pub const TANDEM_MAX_BLOCKS: usize = 511;
 
 const _: () = assert!(TANDEM_BLOCK_WORDS == BLOCK_WORDS && TANDEM_MAX_BLOCKS == MAX_BLOCKS);
@@ -25,12 +25,12 @@ pub struct TandemPool {
 
 opaque!(TandemPool, Pool<'static>, 0x06);
 
-/// Names words that were lent. Plain data: it may be sent to another core as two words. Every use
-/// checks it, for it may be stale or forged.
+/// Names words that were lent. Plain data: it may be sent to another core as two words. The library
+/// checks it at every use, because it may be stale or forged.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemHandle {
-    /// Its content.
+    /// The handle as two words.
     pub words: [u32; 2],
 }
 
@@ -62,8 +62,8 @@ impl From<HandOverError> for S {
     }
 }
 
-/// Words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if there can be no such pool.
-/// `TANDEM_POOL_WORDS` is the same as a constant.
+/// Returns the words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if `blocks` is out
+/// of range. `TANDEM_POOL_WORDS` is the same as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
     match blocks {
@@ -73,8 +73,8 @@ pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
 }
 
 /// Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
-/// `core`, which was announced. The first attachment of an incarnation frees what earlier
-/// incarnations of its core own. Task; does not block.
+/// `core`, which must be announced. When an incarnation first attaches, this frees the words that
+/// earlier incarnations of its core own. Task; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_attach(
     pool: *mut TandemPool,
@@ -93,10 +93,10 @@ pub unsafe extern "C" fn tandem_pool_attach(
     })
 }
 
-/// Borrows `count` words; they hold what an earlier owner left. Any context; does not block.
+/// Borrows `count` words, which hold the values of an earlier owner. Any context; does not block.
 ///
 /// `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
-/// `TANDEM_STATUS_BUSY` if other cores took what this one had found free: try again later.
+/// `TANDEM_STATUS_BUSY` if other cores took the blocks that this one found free: try again later.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_get(
     pool: *mut TandemPool,
@@ -110,8 +110,8 @@ pub unsafe extern "C" fn tandem_pool_get(
     })
 }
 
-/// The words that a handle names, if this incarnation owns them; it owns them until they are given
-/// back or handed over. Any context; does not block.
+/// Writes the words that a handle names to `words`, if this incarnation owns them. It owns them
+/// until they are given back or handed over. Any context; does not block.
 ///
 /// `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 #[unsafe(no_mangle)]
@@ -137,10 +137,10 @@ pub unsafe extern "C" fn tandem_pool_give_back(
     cell::with(pool, |pool| Ok(pool.give_back(handle)?))
 }
 
-/// Makes core `to` the owner. What this core wrote is visible to it when it opens the same handle;
-/// sending the handle there is the caller's business. Any context; does not block.
+/// Makes core `to` the owner. The caller sends it the handle. When that core opens the handle, it
+/// sees everything that this core wrote. Any context; does not block.
 ///
-/// As `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
+/// Returns as `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_hand_over(
     pool: *mut TandemPool,
@@ -156,14 +156,14 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
     })
 }
 
-/// Frees what incarnations that are not alive own, and returns how many words that were.
+/// Frees all words owned by incarnations that are not alive, and returns their number.
 /// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_reclaim_dead(pool: *mut TandemPool) -> usize {
     cell::get(pool).map_or(0, |pool| pool.reclaim_dead())
 }
 
-/// How many words are free, in whole blocks, at some moment during the call. Any context; bounded.
+/// Returns the number of free words, in whole blocks, counted in one pass. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_free_words(pool: *mut TandemPool) -> usize {
     cell::get(pool).map_or(0, |pool| pool.free_words())

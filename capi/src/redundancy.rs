@@ -1,4 +1,4 @@
-//! The redundancy machine: gets the time and what was received, and returns what to do.
+//! The redundancy machine: takes the time and an input, and returns the actions to carry out.
 
 use crate::cell::{self, opaque};
 use crate::config::TandemConfig;
@@ -12,14 +12,14 @@ use tandem_redundancy::{
 
 /// The power was switched on.
 pub const TANDEM_CAUSE_POWER_ON: u32 = 0;
-/// The software asked for the reset.
+/// The software requested the reset.
 pub const TANDEM_CAUSE_SOFTWARE: u32 = 1;
-/// A watchdog was not serviced as it must be.
+/// A watchdog was not serviced correctly.
 pub const TANDEM_CAUSE_WATCHDOG: u32 = 2;
 /// A core trapped or died.
 pub const TANDEM_CAUSE_TRAP: u32 = 3;
 
-/// Role: not yet in one.
+/// Role: none yet, the system is starting.
 pub const TANDEM_ROLE_STARTING: u32 = 0;
 /// Role: drives the vehicle.
 pub const TANDEM_ROLE_MASTER: u32 = 1;
@@ -32,7 +32,7 @@ pub const TANDEM_ROLE_SUSPENDED: u32 = 3;
 pub const TANDEM_MODE_NONE: u32 = 0;
 /// Mode: automated driving with both systems healthy.
 pub const TANDEM_MODE_L3: u32 = 1;
-/// Mode: lane and distance keeping by the system that is left.
+/// Mode: lane and distance keeping by the remaining system.
 pub const TANDEM_MODE_DEGRADED_L2: u32 = 2;
 /// Mode: bringing the vehicle to a stop.
 pub const TANDEM_MODE_SAFE_STOP: u32 = 3;
@@ -64,7 +64,7 @@ pub const TANDEM_RESET_CORE_DEAD: u32 = 2;
 /// Hold the system in reset for good.
 pub const TANDEM_RESET_SUSPEND: u32 = 3;
 
-/// Room for the events of one call.
+/// The largest number of events of one call.
 pub const TANDEM_MAX_EVENTS: usize = 8;
 
 const _: () = assert!(TANDEM_MAX_EVENTS == Actions::EVENTS);
@@ -79,8 +79,8 @@ pub struct TandemRedundancy {
 
 opaque!(TandemRedundancy, Redundancy, 0x0E);
 
-/// The lines and the CAN receiver at one moment. Counts run on and wrap around; where they begin
-/// does not matter.
+/// The state of the lines and the CAN receiver at one time. Counts only increase, and wrap around;
+/// they may start at any value.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemSnapshot {
@@ -92,7 +92,7 @@ pub struct TandemSnapshot {
     pub beats: [u32; 2],
     /// Not 0: the other system's power level is high.
     pub peer_powered: u32,
-    /// Valid frames received on CAN from third parties: from neither of the two systems.
+    /// Valid frames received on CAN that neither of the two systems sent.
     pub can_frames: u32,
 }
 
@@ -102,23 +102,23 @@ pub struct TandemSnapshot {
 pub struct TandemControlFrame {
     /// `TANDEM_SYSTEM_A` or `TANDEM_SYSTEM_B`: the sender.
     pub system: u32,
-    /// Its mastership term.
+    /// The sender's mastership term.
     pub term: u32,
-    /// Its `TANDEM_ROLE_…`.
+    /// The sender's `TANDEM_ROLE_…`.
     pub role: u32,
     /// The `TANDEM_MODE_…` that produced the command.
     pub mode: u32,
 }
 
-/// A system's report about itself: over the link every control cycle, and in its status frame.
+/// A system's report about itself, sent over the link every control cycle and in its status frame.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemReport {
-    /// Its `TANDEM_ROLE_…`.
+    /// The `TANDEM_ROLE_…` of the system.
     pub role: u32,
     /// The `TANDEM_MODE_…` that it runs.
     pub mode: u32,
-    /// The highest term that it knows.
+    /// The highest term that it has seen or used.
     pub term: u32,
     /// Not 0: it receives frames on CAN.
     pub can_alive: u32,
@@ -129,7 +129,7 @@ pub const TANDEM_REPORT_WORDS: usize = 4;
 
 const _: () = assert!(TANDEM_REPORT_WORDS == LinkReport::WORDS);
 
-/// What the core must do now. Flags are 0 or 1.
+/// The actions that the core must carry out now. Flags are 0 or 1.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemActions {
@@ -140,23 +140,23 @@ pub struct TandemActions {
     /// A `TANDEM_EDGE_…` to send on both heartbeat lines.
     pub beat: u32,
     /// The output has just opened, or a frame was refused until this poll: send a control frame now
-    /// (ask `tandem_redundancy_may_transmit`), do not wait for the next cycle.
+    /// (if `tandem_redundancy_may_transmit` returns 1), do not wait for the next cycle.
     pub transmit_now: u32,
-    /// The output just closed: discard control frames that wait in the transmit buffer.
+    /// The output has just closed: discard control frames in the transmit buffer.
     pub output_closed: u32,
-    /// Dual operation begins now in both systems: align the control cycle to it.
+    /// Dual operation starts now in both systems: align the control cycle to this time.
     pub synchronised: u32,
-    /// Write `state` to the flash: hand it to `tandem_store_request`.
+    /// Write `state` to the flash: pass it to `tandem_store_request`.
     pub persist: u32,
     /// The state, if `persist`.
     pub state: TandemState,
     /// A `TANDEM_RESET_…` to request from the supply as soon as the store is settled.
     pub reset: u32,
-    /// How many of `events` there are.
+    /// Number of valid entries of `events`.
     pub event_count: u32,
-    /// For the trace: kind and two details each.
+    /// Events for the trace, each a kind and two details.
     pub events: [[u32; 3]; TANDEM_MAX_EVENTS],
-    /// Poll again no later than this, in nanoseconds on the clock of the calls.
+    /// Latest time of the next poll, in nanoseconds on the clock of `now_ns`.
     pub deadline_ns: u64,
 }
 
@@ -268,10 +268,10 @@ impl From<PeerReport> for TandemReport {
 }
 
 /// Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
-/// `loaded` what the store found in the flash, `now_ns` the time of the start. Task; does not
-/// block.
+/// `loaded` the record that the store found in the flash, `now_ns` the time of the start. Task;
+/// does not block.
 ///
-/// `TANDEM_STATUS_OUT_OF_RANGE` if a number has no meaning, or the configuration does not fit
+/// `TANDEM_STATUS_OUT_OF_RANGE` if a number is not defined, or the configuration does not fit
 /// together.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_init(
@@ -303,7 +303,7 @@ pub unsafe extern "C" fn tandem_redundancy_init(
     })
 }
 
-/// Passes an input to the machine, and writes what it answers.
+/// Passes an input to the machine, and writes the actions that it returns.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -336,9 +336,9 @@ unsafe fn pass_read<C: Copy>(
     pass(machine, now_ns, actions, || input(cell::read(from)?))
 }
 
-/// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
-/// Hand over everything from the CAN receiver *before* this. Times must not go back. Any context;
-/// does not block. The actions are to be carried out.
+/// Passes the state of the lines. Call it each period, and at once when an edge or the power level
+/// interrupts. *Before* this, pass all frames from the CAN receiver. `now_ns` must not decrease.
+/// Carry out the actions. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_poll(
     machine: *mut TandemRedundancy,
@@ -358,7 +358,7 @@ pub unsafe extern "C" fn tandem_redundancy_poll(
     pass_read(machine, now_ns, actions, snapshot, input)
 }
 
-/// A control frame was received on CAN. Any context; does not block.
+/// Passes a control frame that was received on CAN. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_control_frame(
     machine: *mut TandemRedundancy,
@@ -370,7 +370,7 @@ pub unsafe extern "C" fn tandem_redundancy_control_frame(
     pass_read(machine, now_ns, actions, frame, input)
 }
 
-/// A status frame of the other system was received on CAN. Any context; does not block.
+/// Passes a status frame of the other system that was received on CAN. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_status_frame(
     machine: *mut TandemRedundancy,
@@ -382,10 +382,10 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     pass_read(machine, now_ns, actions, report, input)
 }
 
-/// A datagram of the other system arrived over the link: `words` of `count` words. Any context;
-/// does not block.
+/// Passes a datagram of the other system that arrived over the link: `count` words at `words`. Any
+/// context; does not block.
 ///
-/// `TANDEM_STATUS_INVALID` if it is no report.
+/// `TANDEM_STATUS_INVALID` if it is not a report.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract, for `count` words.
@@ -404,9 +404,9 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     pass(machine, now_ns, actions, input)
 }
 
-/// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
-/// lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
-/// does not block.
+/// Passes a control frame that was received on CAN with the right CRC, but a wrong counter: frames
+/// were lost, or the sender has restarted. The machine uses only its term; do not use its command.
+/// Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     machine: *mut TandemRedundancy,
@@ -418,10 +418,10 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     pass_read(machine, now_ns, actions, frame, input)
 }
 
-/// The vehicle reported which term it obeys: that of the last control frame that it accepted,
-/// `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago, at `sent_ms` of
-/// its own clock, of which the last eight bits count; below 0 if the report has no time. Any
-/// context; does not block.
+/// Passes a report of the vehicle about the term that it obeys: that of the control frame that it
+/// accepted last, `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago,
+/// at `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no
+/// time). Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
@@ -441,8 +441,8 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     pass(machine, now_ns, actions, || Ok(input))
 }
 
-/// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
-/// context; does not block.
+/// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it again and again
+/// while the fault lasts. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_own_fault(
     machine: *mut TandemRedundancy,
@@ -454,8 +454,8 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
     pass(machine, now_ns, actions, input)
 }
 
-/// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
-/// send at once. Any context; does not block.
+/// Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before each frame
+/// is sent, and send at once. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_may_transmit(
     machine: *mut TandemRedundancy,
@@ -465,30 +465,30 @@ pub unsafe extern "C" fn tandem_redundancy_may_transmit(
     cell::get(machine).map_or(0, |machine| machine.may_transmit(now).into())
 }
 
-/// The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
+/// Returns the `TANDEM_ROLE_…` for frames; `TANDEM_ROLE_STARTING` without a machine. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) -> u32 {
     cell::get(machine).map_or(TANDEM_ROLE_STARTING, |machine| machine.role() as u32)
 }
 
-/// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
+/// Returns the `TANDEM_MODE_…` to run; a standby computes in the master's mode. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) -> u32 {
     cell::get(machine).map_or(TANDEM_MODE_NONE, |machine| machine.mode() as u32)
 }
 
-/// The term for control frames; meaningful while the system drives. Any context.
+/// Returns the term for control frames; valid while the system is master. Any context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) -> u32 {
     cell::get(machine).map_or(0, |machine| machine.term().bits())
 }
 
-/// What to report to the other system now: the datagram for the link goes to `words`
-/// (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
-/// null. Any context; does not block.
+/// Writes the current report to the other system: the datagram for the link to `words`
+/// (`TANDEM_REPORT_WORDS` words), its content for the status frame to `report`. Both may be NULL.
+/// Any context; does not block.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; `words` has room.
+/// 1 and 3 of the caller's contract; `words` has room for `TANDEM_REPORT_WORDS` words.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_report(
     machine: *mut TandemRedundancy,

@@ -3,41 +3,41 @@
 /// The result of a call. Below 16 the call succeeded; from 16 on it changed nothing.
 ///
 /// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
-/// 48 and above are mistakes of the caller.
+/// 48 and above are errors of the caller.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TandemStatus {
-    /// Done.
+    /// The call succeeded.
     Ok = 0,
-    /// The lock is taken, from an owner that died with it: what it guards may be half-changed.
+    /// The lock is taken, but its last owner died holding it: its data may be half-changed.
     Recovered = 1,
-    /// Signalled, and the receiver may be asleep: ring its doorbell.
+    /// The signal was sent, and the receiver may be asleep: ring its doorbell.
     RingNeeded = 2,
 
     /// Every slot or block is in use.
     Full = 16,
     /// There is nothing to receive or to read.
     Empty = 17,
-    /// Another core uses it, or the call that runs this handler does.
+    /// Another core uses the object, or the call that runs this handler does.
     Busy = 18,
-    /// The lock was not free in any of the permitted polls.
+    /// The lock could not be taken within the permitted number of polls.
     TimedOut = 19,
     /// The LMU is not formatted yet.
     NotReady = 20,
-    /// The other end was faster: what was read is void, or values are lost.
+    /// The other end overwrote values: discard what was read, or values are lost.
     Overrun = 21,
-    /// There is something to handle: do not sleep.
+    /// Signals are open: do not sleep.
     DoNotSleep = 22,
 
     /// The words are not an LMU of this library.
     WrongMagic = 32,
-    /// The LMU was formatted by another version of this library.
+    /// Another version of this library formatted the LMU.
     WrongVersion = 33,
-    /// The LMU was formatted by an image with another layout.
+    /// An image with another layout formatted the LMU.
     WrongLayout = 34,
     /// A later incarnation of this core is announced, or this one was marked dead: it must stop.
     Outdated = 35,
-    /// The words were given back, or reclaimed from a dead owner, since.
+    /// The words were already given back, or reclaimed from a dead owner.
     Stale = 36,
     /// The words belong to another core, or to an earlier incarnation of this one.
     NotOwner = 37,
@@ -50,15 +50,15 @@ pub enum TandemStatus {
     BadPointer = 48,
     /// A number is out of its range.
     OutOfRange = 49,
-    /// The object was not attached.
+    /// The object is not attached.
     NotAttached = 50,
-    /// The memory is smaller than the layout, or the region than what is to live in it.
+    /// The memory is smaller than the layout, or the region is too small for the object.
     TooSmall = 51,
     /// The memory does not begin at a boundary of 64 bytes.
     Misaligned = 52,
-    /// Nothing is lent, held or under way that this call could end.
+    /// There is no loan, lock or read that this call could end.
     NothingToEnd = 53,
-    /// The task id has a handler already.
+    /// The task id already has a handler.
     Taken = 54,
 }
 
@@ -72,13 +72,13 @@ impl From<tandem_shm::FitError> for TandemStatus {
 }
 
 impl From<()> for TandemStatus {
-    /// A call without a result of its own.
+    /// Converts the result of a call that returns only a status.
     fn from((): ()) -> Self {
         Self::Ok
     }
 }
 
-/// The status of a call, whichever way it ended.
+/// Runs `call` and returns its result or its error as a status.
 pub(crate) fn status<R: Into<TandemStatus>>(
     call: impl FnOnce() -> Result<R, TandemStatus>,
 ) -> TandemStatus {

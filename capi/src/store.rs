@@ -16,26 +16,26 @@ pub const TANDEM_RECORD_BYTES: usize = 32;
 
 const _: () = assert!(TANDEM_RECORD_BYTES == SystemState::BYTES);
 
-/// What a system knows about itself and the other beyond its own incarnation.
+/// The state of a system and its view of the other system, which are kept over resets.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TandemState {
-    /// Not 0: it was master last, or was initialised as master.
+    /// Not 0: this system was the last master, or was initialised as master.
     pub is_master: u32,
     /// Not 0: this system has failed and stays suspended.
     pub sys_failure: u32,
-    /// What failed in this system: a `TANDEM_FAILURE_…`.
+    /// The fault of this system, a `TANDEM_FAILURE_…`.
     pub failure_mode: u32,
     /// Not 0: the other system counts as failed.
     pub cpsys_failure: u32,
-    /// Abnormal resets so far.
+    /// Total number of abnormal resets.
     pub abn_resets: u32,
-    /// Starts so far.
+    /// Total number of starts.
     pub total_resets: u32,
-    /// Abnormal resets since the last time that this system ran well for long enough, 0 ..= 255.
+    /// Abnormal resets since this system last ran long enough without a fault, 0 ..= 255.
     pub abn_in_a_row: u32,
-    /// Incarnations that found their own command wrong, since the last time that this system ran
-    /// well for long enough, 0 ..= 255.
+    /// Incarnations that found their own command wrong since this system last ran long enough
+    /// without a fault, 0 ..= 255.
     pub wrong_in_a_row: u32,
     /// The highest mastership term seen or used.
     pub term: u32,
@@ -53,15 +53,15 @@ pub const TANDEM_FAILURE_IO_MODULE: u32 = 3;
 pub const TANDEM_FAILURE_PERCEPTION_CORE: u32 = 4;
 /// Core 2 does not answer.
 pub const TANDEM_FAILURE_PLANNING_CORE: u32 = 5;
-/// Control cycles are late again and again.
+/// Control cycles are late repeatedly.
 pub const TANDEM_FAILURE_DEADLINE: u32 = 6;
 /// No mastership term is left.
 pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
-/// Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
+/// The system's command differs from the one that its inputs require, or that reaches the vehicle.
 pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
-/// Its clock has drifted away from the vehicle's and the other system's.
+/// The system's clock differs too much from the vehicle's and the other system's.
 pub const TANDEM_FAILURE_CLOCK: u32 = 9;
-/// Its CAN controller was bus-off.
+/// The system's CAN controller was bus-off.
 pub const TANDEM_FAILURE_CAN_BUS_OFF: u32 = 10;
 
 const _: () = {
@@ -78,14 +78,14 @@ const _: () = {
     assert!(F::CanBusOff as u32 == TANDEM_FAILURE_CAN_BUS_OFF);
 };
 
-/// A state was found in the flash.
+/// The flash holds a state.
 pub const TANDEM_LOADED_STATE: u32 = 0;
 /// The flash was never written.
 pub const TANDEM_LOADED_BLANK: u32 = 1;
-/// There is something in the flash, but no valid record.
+/// The flash was written, but holds no valid record.
 pub const TANDEM_LOADED_LOST: u32 = 2;
 
-/// The record found in the flash.
+/// The record that was found in the flash.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemLoaded {
@@ -95,7 +95,7 @@ pub struct TandemLoaded {
     pub state: TandemState,
 }
 
-/// Nothing is to be started.
+/// There is no operation to start.
 pub const TANDEM_FLASH_NOTHING: u32 = 0;
 /// Erase sector `sector`.
 pub const TANDEM_FLASH_ERASE: u32 = 1;
@@ -110,9 +110,9 @@ pub struct TandemFlashOp {
     pub kind: u32,
     /// The number of the sector in the flash.
     pub sector: u32,
-    /// Bytes from the begin of the flash.
+    /// Offset from the start of the flash, in bytes.
     pub offset: u32,
-    /// One record.
+    /// The data of one record.
     pub data: [u8; TANDEM_RECORD_BYTES],
 }
 
@@ -123,8 +123,8 @@ pub const TANDEM_FLASH_BUSY: u32 = 1;
 /// The last operation failed.
 pub const TANDEM_FLASH_FAILED: u32 = 2;
 
-/// Writes states to two sectors of the flash, one operation at a time, without waiting. Static,
-/// zero at first.
+/// The store, which writes states to two sectors of the flash, one operation at a time, without
+/// waiting. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemStore {
@@ -134,7 +134,7 @@ pub struct TandemStore {
 
 opaque!(TandemStore, StateStore, 0x0D);
 
-/// Copies `count` bytes from `offset` of the flash to `into`; returns 0 on success.
+/// A function that copies `count` bytes at `offset` of the flash to `into`; returns 0 on success.
 pub type TandemFlashRead = Option<
     unsafe extern "C" fn(context: *mut c_void, offset: u32, into: *mut u8, count: u32) -> i32,
 >;
@@ -205,7 +205,7 @@ impl TandemLoaded {
     }
 }
 
-/// The state that a new system is initialised with: A (0) is master, B (1) is standby.
+/// Writes the initial state of a new system: A (0) is master, B (1) is standby.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_state_factory(
     state: *mut TandemState,
@@ -214,8 +214,8 @@ pub unsafe extern "C" fn tandem_state_factory(
     status(|| cell::write(state, TandemState::factory(system_id(system)?)))
 }
 
-/// Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
-/// `TANDEM_RECORD_BYTES`). At the start of a system; takes as long as reading them.
+/// Reads the record from two sectors, `first_sector` and the next one, of `sector_bytes` bytes each
+/// (a multiple of `TANDEM_RECORD_BYTES`). Call it when the system starts; it reads both sectors.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract; `read` may be called with `context`.
@@ -245,7 +245,7 @@ pub unsafe extern "C" fn tandem_store_load(
         };
         let (found, what) = StateStore::load(geometry, |offset, into| {
             let (first, count) = (into.as_mut_ptr(), into.len() as u32);
-            // SAFETY: a function of C with this signature, its context, and room for the bytes.
+            // SAFETY: a function of C with this signature, its own context, and `count` bytes.
             match unsafe { read(context, offset, first, count) } {
                 0 => Ok(()),
                 _ => Err(FlashError::Failed),
@@ -263,7 +263,7 @@ pub unsafe extern "C" fn tandem_store_load(
     })
 }
 
-/// Requests that a state be written: the one in the actions of the redundancy. Does not block.
+/// Requests to write a state, the one in the actions of the redundancy. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_request(
     store: *mut TandemStore,
@@ -275,8 +275,8 @@ pub unsafe extern "C" fn tandem_store_request(
     })
 }
 
-/// The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
-/// `_FAILED`). Start it before the next call, or call `tandem_store_refused`. Does not block.
+/// Writes the operation to start now to `op`; `flash` is a `TANDEM_FLASH_IDLE`, `_BUSY` or
+/// `_FAILED`. Start it before the next call, or call `tandem_store_refused`. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_poll(
     store: *mut TandemStore,
@@ -314,13 +314,13 @@ pub unsafe extern "C" fn tandem_store_poll(
     })
 }
 
-/// The operation of the last poll was not started; the next poll returns it again. Does not block.
+/// Reports that the last operation was not started; the next poll returns it again. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
     status(|| cell::get(store).map(StateStore::refused))
 }
 
-/// 1 if all that was requested is durable, or never will be; else 0. Does not block.
+/// Returns 1 if every requested state is durable or was given up, otherwise 0. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_is_settled(store: *mut TandemStore) -> u32 {
     cell::get(store).map_or(0, |store| store.is_settled().into())

@@ -1,4 +1,4 @@
-//! The functions of the header, called from Rust: what Miri can look at.
+//! Calls the functions of the header from Rust, so that Miri can check them.
 #![allow(clippy::unwrap_used)]
 
 use core::ffi::c_void;
@@ -13,7 +13,7 @@ const LMU_BYTES: usize = 8192;
 #[repr(align(64))]
 struct Lmu([AtomicU32; LMU_BYTES / 4]);
 
-/// What C would place statically; never moved once it is in use.
+/// The objects that C would place statically. They never move while they are in use.
 struct Objects {
     lmu: Lmu,
     layout: TandemLayout,
@@ -35,7 +35,7 @@ const SLOTS: usize = 4;
 const WORDS: usize = 3;
 const BLOCKS: usize = 4;
 
-/// Objects that are attached as core 0, on the heap: Miri sees every byte beyond them.
+/// Returns objects attached as core 0, on the heap, so that Miri finds each access outside them.
 fn objects() -> *mut Objects {
     let regions = [
         (c"mailbox", TANDEM_MAILBOX_WORDS),
@@ -49,8 +49,8 @@ fn objects() -> *mut Objects {
         name: name.as_ptr(),
         words,
     });
-    // SAFETY: zero is a value of integers and atomics; the box is leaked, so nothing moves; the
-    // pointers are to its fields.
+    // SAFETY: zero is a valid value of integers and atomics; the box is leaked, so its fields, to
+    // which the pointers point, do not move.
     unsafe {
         let o = Box::into_raw(Box::new(zeroed::<Objects>()));
         let map = &raw mut (*o).map;
@@ -80,11 +80,11 @@ fn objects() -> *mut Objects {
 }
 
 fn free(objects: *mut Objects) {
-    // SAFETY: made by `objects`, and nothing uses it any more.
+    // SAFETY: `objects` made the pointer, and no code uses it afterwards.
     drop(unsafe { Box::from_raw(objects) });
 }
 
-/// What C does with words: reads and writes through the pointer.
+/// Writes to lent words through the pointer, as C does.
 fn fill(words: TandemWords, value: u32) {
     for at in 0..words.count {
         // SAFETY: the library lent `count` words.
@@ -103,11 +103,11 @@ const NO_WORDS: TandemWords = TandemWords {
     count: 0,
 };
 
-/// Comes back to the receiver that runs it, and to others.
+/// A handler that calls functions on the receiver that runs it, and on other objects.
 unsafe extern "C" fn on_task(context: *mut c_void, task: u32, count: u32, value: u32) {
     assert_eq!((task, count, value), (5, 2, 9));
     let o = context.cast::<Objects>();
-    // SAFETY: the context is what the task was added with.
+    // SAFETY: the context is the pointer that the task was added with.
     unsafe {
         assert_eq!(
             tandem_mailbox_poll(&raw mut (*o).receiver, null_mut()),
@@ -150,7 +150,7 @@ fn a_handler_may_use_everything_but_the_receiver_that_runs_it() {
         let mut signals = 0;
         assert_eq!(tandem_mailbox_poll(receiver, &raw mut signals), S::Ok);
         assert_eq!(signals, 2);
-        // The handler signalled a task that the receiver does not have.
+        // The handler signalled a task without a handler.
         assert_eq!(tandem_mailbox_poll(receiver, null_mut()), S::Ok);
         assert_eq!(tandem_mailbox_unknown(receiver), 1);
         assert_eq!(tandem_mailbox_prepare_sleep(receiver), S::Ok);
@@ -167,11 +167,11 @@ fn a_handler_may_use_everything_but_the_receiver_that_runs_it() {
     free(o);
 }
 
-/// Between two polls: releases the lock, so that the waiter gets it.
+/// Runs between two polls: releases the lock, so that the waiter gets it.
 unsafe extern "C" fn give_way(context: *mut c_void, spins: u32) {
     assert!(spins >= 1);
     let o = context.cast::<Objects>();
-    // SAFETY: the context is what the call was given.
+    // SAFETY: the context is the pointer that was passed to the call.
     unsafe {
         assert_eq!(
             tandem_lock_release(&raw mut (*o).other_lock),
@@ -334,7 +334,7 @@ fn words_of_the_pool_are_named_by_handles_that_are_checked() {
     free(o);
 }
 
-/// Every object refuses memory that it was not attached in, and pointers that are none.
+/// Every function refuses an object that was not attached, and an invalid pointer.
 #[test]
 fn what_is_not_attached_is_refused() {
     // SAFETY: zero is a value of integers; all pointers are null or to locals.
@@ -367,7 +367,7 @@ fn what_is_not_attached_is_refused() {
             words: 1,
         };
         assert_eq!(tandem_layout_init(y, &raw const good, 1), S::Ok);
-        // A layout is no map.
+        // A layout is not accepted as a map.
         let as_map = y.cast::<TandemMap>();
         assert_eq!(tandem_incarnation_announce(as_map, 0, 1), S::NotAttached);
         let m = &raw mut map;
@@ -396,7 +396,7 @@ fn what_is_not_attached_is_refused() {
 struct Flash([u8; 256]);
 
 unsafe extern "C" fn read(context: *mut c_void, offset: u32, into: *mut u8, count: u32) -> i32 {
-    // SAFETY: the context is what the call was given, and `into` has room for `count` bytes.
+    // SAFETY: the context is the pointer passed to the call; `into` has room for `count` bytes.
     unsafe {
         let flash = &*context.cast::<Flash>();
         let (first, count) = (offset as usize, count as usize);
@@ -408,7 +408,7 @@ unsafe extern "C" fn read(context: *mut c_void, offset: u32, into: *mut u8, coun
     0
 }
 
-/// The next incarnation finds the state that the machine asked to store.
+/// The next incarnation loads the state that the machine requested to store.
 #[test]
 fn the_state_goes_through_the_flash_of_c() {
     let mut flash = Flash([0xFF; 256]);

@@ -1,11 +1,11 @@
-//! `include/tandem.h` is what cbindgen makes of the crate; `TANDEM_WRITE_HEADER=1` writes it.
+//! Checks that `include/tandem.h` is what cbindgen generates; `TANDEM_WRITE_HEADER=1` writes it.
 #![allow(clippy::unwrap_used)]
 
 use cbindgen::{Builder, Config};
 use std::fs;
 use std::path::Path;
 
-/// Types are in the style of C: `TandemLock` is `tandem_lock_t`.
+/// Converts the name of a type to the style of C: `TandemLock` becomes `tandem_lock_t`.
 fn c_name(name: &str) -> String {
     let mut made = String::new();
     for letter in name.chars() {
@@ -37,7 +37,7 @@ fn generated(room: &Path) -> String {
         .generate()
         .unwrap()
         .write(&mut header);
-    // The prefix is made from the type's name, `_t` included.
+    // cbindgen makes the prefix from the type's name, including `_t`.
     String::from_utf8(header)
         .unwrap()
         .replace("TANDEM_STATUS_T_", "TANDEM_STATUS_")

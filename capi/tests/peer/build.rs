@@ -1,4 +1,4 @@
-//! Compiles the peer in C, as its user would: header, static library, the system's compiler.
+//! Compiles the peer in C as a user would: header, static library and the system's compiler.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,7 +11,7 @@ fn room() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The static library that cargo built together with this test: the newest beside it.
+/// Returns the static library that cargo built with this test: the newest in the same folder.
 fn library() -> PathBuf {
     let exe = std::env::current_exe().unwrap();
     let beside = std::fs::read_dir(exe.parent().unwrap()).unwrap();
@@ -38,7 +38,7 @@ fn compiled(compiler: &str, arguments: &[&str], paths: &[&Path]) {
     assert!(output.status.success(), "{command:?}\n{said}");
 }
 
-/// The peer, compiled once for each test process. It stays in cargo's own folder, at one place.
+/// Compiles the peer once for each test process, and returns its path, which is always the same.
 pub(crate) fn peer() -> &'static Path {
     static PEER: LazyLock<PathBuf> = LazyLock::new(|| {
         let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -51,7 +51,7 @@ pub(crate) fn peer() -> &'static Path {
         paths.push(&library);
         paths.extend(libraries);
         compiled("cc", &["-std=c99", "-O2"], &paths);
-        // At once: other test processes may be starting theirs.
+        // A rename replaces the file atomically: other test processes may be starting it.
         let peer = place.join("tandem-capi-peer");
         std::fs::rename(&program, &peer).unwrap();
         peer
@@ -59,7 +59,7 @@ pub(crate) fn peer() -> &'static Path {
     &PEER
 }
 
-/// The header is good for C++, too. A machine without a compiler for it checks C only, and says so.
+/// Checks that the header compiles as C++, too. Without a C++ compiler it prints a note instead.
 pub(crate) fn compiles_as_cpp() {
     if Command::new("c++").arg("--version").output().is_err() {
         eprintln!("no C++ compiler: the header was not tried with one");

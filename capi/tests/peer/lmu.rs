@@ -14,7 +14,7 @@ use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region, SharedLock, S
 use tandem_shm::{fifo, mailbox};
 use tempfile::NamedTempFile;
 
-/// Without its number, which is the last word in the LMU.
+/// Words of an order without its number, which follows as the last word.
 pub(crate) const ORDER_WORDS: usize = 12;
 pub(crate) const ANSWER_WORDS: usize = 48;
 pub(crate) const NEWEST_WORDS: usize = 8;
@@ -24,7 +24,7 @@ const BLOCKS: usize = 8;
 type OrderWords = [u32; ORDER_WORDS + 1];
 type AnswerWords = [u32; ANSWER_WORDS];
 
-// The same as in layout.h.
+// These regions must be the same as in layout.h.
 const TO_C: Region<Mailbox> = Region::first("to c");
 const FROM_C: Region<Mailbox> = TO_C.then("from c");
 const LOCK: Region<SharedLock> = FROM_C.then("lock");
@@ -39,10 +39,10 @@ const LAYOUT: Layout = POOL.end();
 const LMU_WORDS: usize = 8192;
 const TASK_ORDERS: u8 = 1;
 const TASK_ANSWERS: u8 = 2;
-/// Far beyond what an answer takes: it decides only how late a failure is seen.
+/// Far longer than any answer takes. It only limits how late a failure is reported.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The orders to core 1; the same as in layout.h.
+/// The orders to core 1, with the same numbers as in layout.h.
 #[derive(Clone, Copy)]
 pub(crate) enum Order {
     Echo = 1,
@@ -56,7 +56,7 @@ pub(crate) enum Order {
     Stop,
 }
 
-/// A process that does not outlive the test.
+/// A process that is killed when it is dropped.
 pub(crate) struct Peer(Child);
 
 impl Peer {
@@ -77,7 +77,7 @@ impl Drop for Peer {
     }
 }
 
-/// Maps the file for as long as the test runs.
+/// Maps the file until the test process ends.
 fn shared(file: &File) -> &'static [AtomicU32] {
     file.set_len(4 * LMU_WORDS as u64).unwrap();
     // SAFETY: a new mapping of a file of this size, which is never unmapped; only atomics view it.
@@ -96,7 +96,7 @@ fn shared(file: &File) -> &'static [AtomicU32] {
     }
 }
 
-/// Core 0.
+/// Core 0 and its ends in the LMU.
 pub(crate) struct Bench {
     file: NamedTempFile,
     map: Map<'static>,
@@ -104,7 +104,7 @@ pub(crate) struct Bench {
     from: mailbox::Receiver<'static>,
     orders: fifo::Producer<'static, OrderWords>,
     answers: fifo::Consumer<'static, AnswerWords>,
-    /// How many orders were sent: the value that goes with each signal, and comes back.
+    /// Number of orders that were sent: the value of each signal, and of the answer's signal.
     sent: u32,
     since: Instant,
 }
@@ -168,12 +168,12 @@ impl Bench {
         words[..order.len()].copy_from_slice(order);
         words[ORDER_WORDS] = self.sent;
         self.orders.send(&words).unwrap();
-        // C polls; on a chip its doorbell would be rung if need be.
+        // C polls, so its doorbell need not be rung as on a chip.
         let task = mailbox::TaskId::new(TASK_ORDERS).unwrap();
         let _ = self.to.signal_with(task, self.sent);
     }
 
-    /// Lets others run, and ends a test that hangs.
+    /// Yields to other processes, and fails if the last order was sent too long ago.
     pub(crate) fn watch(&self) {
         assert!(self.since.elapsed() < PATIENCE, "C does not answer");
         std::thread::yield_now();
@@ -186,7 +186,7 @@ impl Bench {
                 None => self.watch(),
             }
         };
-        // The signal comes after the answer.
+        // C sends the signal after the answer.
         loop {
             let mut came = Vec::new();
             self.from.poll(|signals| came.push(signals));
@@ -208,7 +208,7 @@ impl Bench {
         answer
     }
 
-    /// Takes the next order back, in the place of the core that died with it.
+    /// Receives the next order in place of the core that died before it released it.
     pub(crate) fn drop_order(&self) {
         let stand_in = Incarnation::new(2, self.sent).unwrap();
         self.map.incarnations().announce(stand_in).unwrap();

@@ -1,4 +1,4 @@
-//! C beside Rust on the same words: a process in C, linked with the static library, is core 1.
+//! C and Rust use the same LMU: core 1 is a process in C, linked with the static library.
 #![allow(clippy::unwrap_used)]
 
 mod build;
@@ -11,7 +11,7 @@ use std::process::Command;
 use std::time::Duration;
 use tandem_shm::incarnation::Incarnation;
 
-/// The header is C99 without a warning, and C++; sizes and refusals are what it says.
+/// The header compiles as C99 without a warning, and as C++; sizes and errors are as documented.
 #[test]
 fn the_header_says_what_the_library_does() {
     build::compiles_as_cpp();
@@ -41,7 +41,7 @@ fn orders_and_answers_go_through_mailbox_and_fifo() {
     bench.stop(child);
 }
 
-/// T-LOCK-1 across the languages: what the lock guards never differs.
+/// T-LOCK-1 across the languages: under the lock, both guarded words are always equal.
 #[test]
 fn c_and_rust_exclude_each_other() {
     const ROUNDS: u32 = 2_000;
@@ -87,7 +87,7 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     bench.set_guarded([1, 1]);
     drop(acquired);
 
-    // Its successor continues where it stopped: the order that killed it is still the next one.
+    // The order that killed core 1 is still the next one: remove it, so that the successor can run.
     bench.drop_order();
     let child = bench.start(2);
     let answer = bench.ask(&[Order::Echo as u32, 5]);
@@ -95,7 +95,7 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     bench.stop(child);
 }
 
-/// Killed at any moment: a core that takes the lock from a living owner finds both words equal.
+/// C is killed at any time: without a reported recovery, the next owner finds both words equal.
 #[test]
 fn c_is_killed_at_any_moment_and_the_lock_tells() {
     let mut bench = Bench::new();
@@ -151,7 +151,7 @@ fn rust_dies_with_the_lock_and_c_is_told() {
     bench.stop(child);
 }
 
-/// What C publishes is never read torn, while it is being published.
+/// A value that C publishes is never read torn, even while it is being published.
 #[test]
 fn the_newest_value_of_c_is_whole() {
     const VALUES: u32 = 50_000;
@@ -206,7 +206,7 @@ fn every_broadcast_value_of_c_comes_or_is_counted_as_lost() {
 fn words_of_the_pool_are_handed_to_c_and_back() {
     let mut bench = Bench::new();
     let child = bench.start(1);
-    // Words are handed only to a core that is announced.
+    // Core 1 must be announced before words can be handed over to it.
     bench.ask(&[Order::Echo as u32]);
     let pool = bench.pool(0, 1);
     let free = pool.free_words();

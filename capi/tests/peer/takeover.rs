@@ -1,4 +1,4 @@
-//! The redundancy in C: system B takes over, and its twin in Rust answers the same, word for word.
+//! The redundancy in C: system B takes over, and returns the same words as its twin in Rust.
 
 use crate::lmu::{ANSWER_WORDS, Bench, Order};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
@@ -10,7 +10,7 @@ const INIT: u32 = 0;
 const POLL: u32 = 1;
 const CONTROL_FRAME: u32 = 2;
 
-/// The actions of the twin as the peer in C writes them into its answer.
+/// Returns the actions of the twin in the format in which the peer in C writes them to its answer.
 fn words(twin: &mut Redundancy, actions: Option<Actions>, now: Instant) -> [u32; ANSWER_WORDS] {
     let mut words = [0; ANSWER_WORDS];
     words[0] = Order::Redundancy as u32;
@@ -53,7 +53,7 @@ const QUIET: LineSnapshot = LineSnapshot {
     can_frames: 0,
 };
 
-/// What the edges of one system do to the counts that the other sees.
+/// Adds the edges that one system sends to the counts that the other system sees.
 fn act(actions: &Actions, seen: &mut LineSnapshot) {
     for action in actions.iter() {
         match action {
@@ -81,7 +81,7 @@ impl InC {
         Self { bench, twin }
     }
 
-    /// Tells both the same, and compares what they say.
+    /// Passes the same input to both, and compares their answers.
     fn on(&mut self, now: Instant, kind: u32, details: &[u32], input: Input) -> Actions {
         let [low, high] = now.to_words();
         let mut order = vec![Order::Redundancy as u32, kind, low, high];
@@ -131,7 +131,7 @@ fn new(system: SystemId, now: Instant) -> Redundancy {
     )
 }
 
-/// A drives for a while and dies in silence; B, in C, takes over within the bound.
+/// A drives for a while and then stops silently; B, in C, takes over within the bound.
 #[test]
 fn system_b_in_c_takes_over() {
     const CYCLES: u32 = 200;
