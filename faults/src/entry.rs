@@ -47,7 +47,7 @@ pub struct Fault {
     /// The system or the direction that fails.
     #[serde(rename = "of")]
     pub way: Way,
-    /// The begin of the fault, after the faults begin.
+    /// When it begins, counted from the start of the faults.
     #[serde(rename = "at-ms", with = "ms")]
     pub at: Duration,
     /// How long it lasts, if the kind does not say; until everything is restored if `None`.

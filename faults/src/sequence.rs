@@ -35,7 +35,7 @@ pub struct Sequence {
     pub faults: Vec<Fault>,
     /// Whether the faults begin at power-on. Otherwise they begin in dual operation, A driving.
     pub from_power_on: bool,
-    /// The time from the begin of the faults until everything is restored.
+    /// The time from the start of the faults until everything is restored.
     pub span: Duration,
 }
 

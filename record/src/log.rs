@@ -91,7 +91,7 @@ pub struct DriveFigures {
     /// Those collisions that the own vehicle caused.
     #[serde(default)]
     pub collisions_by_ego: u32,
-    /// Those collisions in which the own vehicle stood.
+    /// Those collisions in which the own vehicle was standing still.
     #[serde(default)]
     pub hit_while_standing: u32,
     /// Largest distance of the vehicle's centre outside all lanes of its direction, m.
@@ -198,7 +198,7 @@ pub enum VehicleRecord {
         at_ns: u64,
         /// Trace records that were lost because the trace was full.
         lost_trace: u64,
-        /// How long the vehicle's process was stopped, so that the world stood still, ms.
+        /// How long the vehicle's process was stopped, and with it the world, ms.
         stalled_ms: f64,
     },
 }

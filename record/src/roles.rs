@@ -79,7 +79,7 @@ impl RoleState {
 /// A time in which a system was in one state: scenario time in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
-    /// Begin of the span.
+    /// Start of the span.
     pub from_s: f64,
     /// End of the span.
     pub to_s: f64,

@@ -9,7 +9,7 @@ use tandem_vehicle::{LoggedFrame, Ruling};
 use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 
-/// A part of the run that stood still.
+/// A part of the run that stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
     /// A CPU of the machine: it did not run a waiting thread with a higher priority than the run.
@@ -18,10 +18,10 @@ pub enum Stood {
     Bus,
 }
 
-/// A time in which something stood still.
+/// A time in which a part of the run stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stall {
-    /// What stood still.
+    /// The part that stalled.
     pub of: Stood,
     /// Start of the stall, on the run's clock, ns.
     pub from_ns: u64,
@@ -42,7 +42,7 @@ pub struct ControlFrame {
     pub term: u32,
     /// The function that made it.
     pub mode: ModeCode,
-    /// Age of the oldest measurement behind it when it was sent, ns; `None` if there is none.
+    /// Age of the oldest measurement behind it at sending, ns; `None` if there is none.
     pub age_ns: Option<u64>,
     /// The vehicle's verdict on it.
     pub verdict: Ruling,
@@ -119,7 +119,7 @@ pub struct RunLog {
     pub supplies: Vec<(u64, SystemId, SupplyEvent)>,
     /// Changes of the systems' power.
     pub power: Vec<PowerChange>,
-    /// Times in which the bus stood still.
+    /// Times in which the bus stalled.
     pub held_up: Vec<Stall>,
     /// When the vehicle touched another one, ns.
     pub collisions_ns: Vec<u64>,

@@ -76,7 +76,7 @@ impl FailureMode {
     }
 }
 
-/// What a system knows about itself and the other, kept across restarts. T-RED-1
+/// The knowledge of a system about itself and the other, kept across restarts. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemState {
     /// This system was master last, or was initialised as master.

@@ -87,14 +87,14 @@ impl Budget {
         }
     }
 
-    /// The silence of a line that the machine needs: two periods, the lateness, and the stall.
+    /// Returns the limit of silence that the machine needs: two periods, lateness, and stall.
     const fn silence_needed(&self) -> Duration {
         let late = self.lateness.as_ns() + self.stall.as_ns();
         Duration::from_ns(self.heartbeat_period.as_ns() * 2 + late)
     }
 
-    /// The silence of a line that the goal permits: two control periods, minus the one since the
-    /// last frame, the poll, and 1 ms of margin.
+    /// Returns the limit of silence that the goal permits: two control periods, minus the one since
+    /// the last frame, the poll, and 1 ms of margin.
     const fn silence_permitted(&self) -> Duration {
         let rest = GOAL.as_ns() - CONTROL_PERIOD.as_ns() - MS.as_ns();
         Duration::from_ns(rest - self.poll_interval.as_ns())

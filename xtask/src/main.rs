@@ -505,7 +505,7 @@ fn bare_metal(root: &Path) -> Result<()> {
         let mut command = cargo(root, &["build", "--quiet", "--profile", "bare-metal"]);
         command.args(["--target", target]);
         command.args(packages.iter().flat_map(|package| ["-p", package]));
-        // While cargo builds, it locks the target folder: the tests are built in the default one.
+        // Not the default folder: cargo locks it during a build, and the tests are built there.
         command.env("CARGO_TARGET_DIR", firmware::build_dir(root));
         run(command)?;
         println!("{} build for {target}", packages.join(", "));

@@ -12,7 +12,7 @@ use crate::run_log::{ControlFrame, CoreEvent};
 /// A system without a status frame for longer than this is not standby, ns: they arrive every 100
 /// ms.
 const THERE_NS: u64 = 350_000_000;
-/// A run may end this long after the last status frame of a standby that still runs, s.
+/// A run may end this long after the last report of a standby that still runs, s.
 const SIGN_S: f64 = 0.25;
 
 /// A stop without a reason.

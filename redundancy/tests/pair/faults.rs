@@ -221,8 +221,8 @@ fn a_backup_without_can_is_not_reintegrated() {
     assert_eq!(pair.phase(A), Some(Phase::DegradedMaster));
 }
 
-/// T-RED-5: a system that resets abnormally again and again returns as standby up to the limit,
-/// then suspends. A power cycle gives it one more attempt. Time without a reset clears the count.
+/// T-RED-5: a system that resets abnormally returns as standby as often as the limit allows, then
+/// suspends. A power cycle gives it one more attempt. Time without a reset lowers the count.
 #[test]
 fn too_many_abnormal_resets_suspend() {
     let config = Config::rt();

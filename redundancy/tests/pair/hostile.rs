@@ -392,7 +392,7 @@ fn systems_that_do_not_hear_each_other_do_not_take_turns() {
     }
 }
 
-/// T-RED-9: a system with a dead receiver never ends control, whatever else it does.
+/// T-RED-9: a system with a dead receiver does not deprive the vehicle of control.
 #[test]
 fn a_deaf_system_deposes_no_sound_master() {
     for config in PROFILES {

@@ -51,7 +51,7 @@ pub(crate) struct System {
     pub(crate) powered: bool,
     /// Its supply holds it in reset for good.
     pub(crate) held: bool,
-    /// Starts at this time, for this cause.
+    /// The time and the cause of its next start.
     boot: Option<(u64, ResetCause)>,
     pub(crate) frozen_until: u64,
     thawed: bool,

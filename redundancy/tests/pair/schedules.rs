@@ -50,8 +50,8 @@ fn inject(pair: &mut Pair, fault: Fault) {
     }
 }
 
-/// Checks what must never happen, whatever fails: the driver changes without a cause; frames of a
-/// deposed master continue; two outputs on one bus stay open.
+/// Checks that under any faults the driver does not change without a cause, frames of a deposed
+/// master end, and two outputs on one bus do not stay open.
 fn check_safety(pair: &Pair, faults: usize) {
     // A fault may change the driver twice: away, and back when its consequence shows.
     assert!(
