@@ -1,4 +1,4 @@
-//! The LMU of each system, at the address from the linker script. A module of each board.
+//! The LMU of each system, at the address from the linker script. Each board includes this file.
 
 use core::ptr::addr_of;
 use core::sync::atomic::AtomicU32;
@@ -12,11 +12,11 @@ unsafe extern "C" {
     static __lmu_b: AtomicU32;
 }
 
-/// The LMU of a system.
+/// Returns the LMU of a system.
 #[must_use]
 pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
-    // SAFETY: link.x reserves 32 KiB there, from a boundary of 64 bytes on and used by nothing
-    // else; atomics may be shared; the memory is there as long as the machine.
+    // SAFETY: link.x reserves 32 KiB there for this use only, at a boundary of 64 bytes; atomics
+    // may be shared; the memory exists as long as the machine.
     unsafe {
         let begin = match system {
             SystemId::A => addr_of!(__lmu_a),

@@ -1,4 +1,4 @@
-//! The lines of a log: one at a time, although several processors write. A module of each board.
+//! Writes whole lines to a log that several processors share. Each board includes this file.
 
 use core::fmt::{self, Write};
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +7,7 @@ static BUSY: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line. While another processor writes one, calls `pause` repeatedly.
 pub(crate) fn write_line(uart: &mut impl Write, pause: impl Fn(), line: fmt::Arguments<'_>) {
-    // Acquire pairs with the Release below: lines stay whole.
+    // Acquire pairs with the Release below: only one processor writes at a time.
     while BUSY.swap(true, Ordering::Acquire) {
         pause();
     }

@@ -1,4 +1,4 @@
-//! All of `tandem-boot` without a board: its size is that of a bootloader without drivers.
+//! Links all of `tandem-boot` without a board, to measure the size of a bootloader without drivers.
 //! A panic stops the processor without a message, as in a product.
 #![no_std]
 #![no_main]

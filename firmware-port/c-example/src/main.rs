@@ -20,7 +20,7 @@ use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, Words};
 
 entry!(main);
 
-// The same as in c/main.c.
+// These regions must be the same as in c/main.c.
 const TO_2: Region<Mailbox> = Region::first("mailbox 0 to 2");
 const FROM_2: Region<Mailbox> = TO_2.then("mailbox 2 to 0");
 const ONE_TO_2: Region<Mailbox> = FROM_2.then("mailbox 1 to 2");
@@ -30,9 +30,9 @@ const WORK_1_TO_2: Region<Fifo<[u32; 16], 4>> = GUARDED.then("work 1 to 2");
 const RESULT_OF_2: Region<Newest<[u32; 2]>> = WORK_1_TO_2.then("result of 2");
 const LAYOUT: Layout = RESULT_OF_2.end();
 
-/// The core in C, and its hart.
+/// The number of the core in C, and of its hart.
 const IN_C: usize = 2;
-/// Its tasks.
+/// The tasks of the core in C.
 const PING: TaskId = task(1);
 const COUNT: TaskId = task(2);
 const DIE: TaskId = task(3);
@@ -40,15 +40,15 @@ const LEAD: TaskId = task(4);
 const WORK_THERE: TaskId = task(1);
 
 const PINGS: u32 = 1_000;
-/// Rounds before the first one whose instructions count.
+/// Number of rounds before the first one whose instructions count.
 const WARM_UP: u32 = 5;
 const TURNS: u32 = 300;
 const ITEMS: u32 = 500;
-/// Longer than any step takes, in ticks of 100 ns: 0.2 s. A machine that only spins needs some
-/// seconds of real time for it.
+/// Limit of each step, in ticks of 100 ns: 0.2 s, longer than any step takes. A machine that only
+/// spins needs a few seconds of real time for it.
 const PATIENCE: u64 = 2_000_000;
 
-/// State of core 1: it may begin, and has ended.
+/// The part that core 0 has requested from core 1; 0 after core 1 has finished.
 static STEP: AtomicU32 = AtomicU32::new(0);
 const SEND: u32 = 1;
 const CONTEND: u32 = 2;
@@ -76,7 +76,7 @@ fn main(hart: usize) -> ! {
     hart::park()
 }
 
-/// Polls until there is a result; yields the turn to the others between polls.
+/// Polls until there is a result; yields the turn to the other harts between polls.
 #[track_caller]
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let limit = hart::time() + PATIENCE;
@@ -102,7 +102,7 @@ impl Talk {
         }
     }
 
-    /// The value of the next answer. Sleeps until it arrives.
+    /// Returns the value of the next answer. Sleeps until it arrives.
     fn answer(&mut self) -> u32 {
         let limit = hart::time() + PATIENCE;
         let mut value = None;
@@ -196,7 +196,7 @@ fn ask(map: Map<'static>) {
     log!("redundancy    a system B in C leads alone after {after_ms} ms");
 }
 
-/// Two words that are equal whenever the lock is free.
+/// Returns the two guarded words, which are equal while the lock is free.
 fn guarded(map: Map<'static>) -> [u32; 2] {
     [0, 1].map(|at: usize| must(GUARDED.attach(&map))[at].load(Ordering::Relaxed))
 }
@@ -215,7 +215,7 @@ fn count(lock: &mut Lock<'static>, map: Map<'static>) {
     }
 }
 
-/// The sum of an item's words.
+/// Returns the sum of an item's words.
 fn sum(item: u32) -> u32 {
     (0..16).map(|at| word(item, at)).fold(0, u32::wrapping_add)
 }
@@ -224,7 +224,7 @@ fn word(item: u32, at: u32) -> u32 {
     (item * 16 + at).wrapping_mul(0x9E37_79B1)
 }
 
-/// The newest result is never torn, and the last one arrives.
+/// Reads the results; checks that the newest is never torn, and that the last one arrives.
 fn take_results(map: Map<'static>) {
     let reader = must(RESULT_OF_2.reader(&map));
     STEP.store(SEND, Ordering::Release);
@@ -239,7 +239,7 @@ fn take_results(map: Map<'static>) {
     });
 }
 
-/// Core 1: runs each part that core 0 starts.
+/// Core 1: runs each part when core 0 requests it.
 fn help(map: Map<'static>) {
     let mut to = must(ONE_TO_2.sender(&map, incarnation(1, 1)));
     let mut producer = must(WORK_1_TO_2.producer(&map, incarnation(1, 1)));

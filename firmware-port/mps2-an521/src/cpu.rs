@@ -1,19 +1,19 @@
-//! A processor: which one, its interrupts, its sleep.
+//! One processor: its number, its interrupts, and how it sleeps.
 
 use core::arch::asm;
 use core::ptr::{read_volatile, write_volatile};
 
-/// How many processors the machine has.
+/// Number of processors of the machine.
 pub const CPUS: usize = 2;
 
-/// Each processor reads its own number here.
+/// The register in which each processor reads its own number.
 const CPUID: usize = 0x5001_F000;
 const NVIC_ENABLE: usize = 0xE000_E100;
 
-/// 0 or 1: which processor this is.
+/// Returns the number of this processor, 0 or 1.
 #[must_use]
 pub fn number() -> usize {
-    // SAFETY: a register that can be read at any time and has no effect.
+    // SAFETY: a register that can be read at any time, without a side effect.
     unsafe { read_volatile(CPUID as *const u32) as usize % CPUS }
 }
 
@@ -27,11 +27,11 @@ pub fn enable_interrupt(number: u32) {
 pub fn without_interrupts<R>(f: impl FnOnce() -> R) -> R {
     let masked: u32;
     // SAFETY: reads and sets this processor's interrupt mask, and restores it below. Memory
-    // accesses stay between, for `asm!` without `nomem` is a barrier to the compiler.
+    // accesses stay in between, because `asm!` without `nomem` is a barrier to the compiler.
     unsafe { asm!("mrs {0}, PRIMASK", "cpsid i", out(reg) masked) };
     let result = f();
     if masked & 1 == 0 {
-        // SAFETY: they were enabled before.
+        // SAFETY: interrupts were enabled before.
         unsafe { asm!("cpsie i") };
     }
     result
@@ -40,6 +40,6 @@ pub fn without_interrupts<R>(f: impl FnOnce() -> R) -> R {
 /// Sleeps until an interrupt is pending. If interrupts are disabled, the pending interrupt ends the
 /// sleep but is not taken yet, so none is missed between a poll and the sleep.
 pub fn sleep() {
-    // SAFETY: changes nothing but the time.
+    // SAFETY: only waits.
     unsafe { asm!("dsb", "wfi") };
 }

@@ -1,10 +1,10 @@
 //! Bare metal: QEMU's `mps2-an521`. Two Cortex-M33 are two cores, the message handling unit is the
 //! doorbell, and a bank of the internal SRAM is the LMU.
 //!
-//! The controller has six cores and this machine two processors: it runs any two of the cores. One
-//! image runs on both; a program defines one main, [`entry!`], which each processor calls with its
-//! number. The facts about the machine are from Arm's documents DAI 0521 (AN521) and 101104
-//! (SSE-200) and from QEMU's behaviour.
+//! The controller has six cores and this machine two processors, so it runs any two of the cores.
+//! Both processors run one image. A program names its main with [`entry!`]; each processor calls it
+//! with its number. The facts about the machine are from Arm's documents DAI 0521 (AN521) and
+//! 101104 (SSE-200) and from QEMU's behaviour.
 #![no_std]
 
 pub mod board;

@@ -1,7 +1,7 @@
 //! The message handling units: the interrupts between the two processors.
 //!
-//! Each unit has a register of interrupt bits for each processor; any bit that is set holds the
-//! processor's interrupt line, and the receiver clears it.
+//! Each unit has a register of interrupt bits for each processor. While a bit is set, the
+//! processor's interrupt line is active; the receiver clears the bit.
 
 use crate::cpu::{self, CPUS};
 use core::ptr::{read_volatile, write_volatile};
@@ -12,21 +12,21 @@ use core::sync::atomic::{AtomicBool, Ordering};
 pub enum Unit {
     /// Unit 0: the doorbell.
     Doorbell = 0,
-    /// Unit 1: wires from outside the system, lines and the CAN bus.
+    /// Unit 1: wires from outside the system, which are the lines and the CAN bus.
     Wires = 1,
 }
 
 const BASE: usize = 0x5000_3000;
 const UNIT_BYTES: usize = 0x1000;
-/// From the registers of processor 0 to those of processor 1.
+/// Offset from the registers of processor 0 to those of processor 1.
 const CPU_BYTES: usize = 0x10;
 const STATUS: usize = 0x0;
 const SET: usize = 0x4;
 const CLEAR: usize = 0x8;
-/// The line of unit 0 at each processor; that of unit 1 follows.
+/// Number of the interrupt of unit 0 on each processor; that of unit 1 is the next.
 const FIRST_INTERRUPT: u32 = 6;
 
-/// An interrupt of this processor that is not consumed yet.
+/// For each processor, whether an interrupt has arrived that was not taken yet.
 static PENDING: [AtomicBool; CPUS] = [const { AtomicBool::new(false) }; CPUS];
 
 fn register(unit: Unit, cpu: usize, offset: usize) -> *mut u32 {
@@ -39,16 +39,16 @@ pub fn enable() {
     cpu::enable_interrupt(FIRST_INTERRUPT + 1);
 }
 
-/// Interrupts processor `to`, which may be this one. Everything written before is visible to it
-/// when it has taken the interrupt. Never blocks.
+/// Interrupts processor `to`, which may be this one. When it has taken the interrupt, it sees
+/// everything that this processor wrote before. Never blocks.
 pub fn interrupt(unit: Unit, to: usize) {
     // SeqCst is a `dmb` before the store to the device: pairs with the fence in `take_pending`.
     core::sync::atomic::fence(Ordering::SeqCst);
-    // SAFETY: a set register: other bits and other processors are not touched.
+    // SAFETY: a set register: the write does not change other bits or other processors.
     unsafe { write_volatile(register(unit, to % CPUS, SET), 1) };
 }
 
-/// Whether an interrupt arrived since the last call.
+/// Returns whether an interrupt has arrived since the last call.
 pub fn take_pending() -> bool {
     let pending = PENDING[cpu::number()].swap(false, Ordering::Relaxed);
     core::sync::atomic::fence(Ordering::SeqCst);

@@ -1,13 +1,13 @@
-//! From reset to main: a vector table for each processor, and the start of the second one.
+//! The start-up code from reset to main: the vector tables, and the start of processor 1.
 //!
-//! Processor 1 is held at power-on. Processor 0 clears .bss, starts clock and UART, gives processor
-//! 1 its vector table and releases it.
+//! Processor 1 is held in reset at power-on. Processor 0 clears .bss, starts clock and UART, and
+//! sets the vector table of processor 1; the board releases processor 1 later.
 
 use crate::{cpu, exit, mhu, timers, uart};
 use core::arch::{asm, global_asm};
 use core::ptr::write_volatile;
 
-/// System control: where processor 1 finds its vector table, and which processors are held.
+/// System control: the address of processor 1's vector table, and which processors are held.
 const INITSVTOR1: *mut u32 = 0x5002_1114 as *mut u32;
 const CPUWAIT: *mut u32 = 0x5002_1118 as *mut u32;
 
@@ -46,7 +46,7 @@ const fn vectors(stack: &'static u32, reset: Handler) -> Vectors {
     table
 }
 
-// SAFETY: the symbols are places that link.x defines; only their addresses are used.
+// SAFETY: link.x defines the symbols; only their addresses are used.
 #[unsafe(link_section = ".vectors.0")]
 #[used]
 static VECTORS_0: Vectors = vectors(unsafe { &__stack_0 }, tandem_reset_0);
@@ -62,7 +62,7 @@ global_asm!(
     ".global tandem_reset_1",
     ".thumb_func",
     "tandem_reset_0:",
-    // .bss, whole words; then the rest in Rust.
+    // Clears .bss by words, then calls Rust.
     "ldr r0, =__bss_start",
     "ldr r1, =__bss_end",
     "movs r2, #0",
@@ -89,16 +89,16 @@ unsafe extern "C" {
 extern "C" fn start_0() -> ! {
     timers::start();
     uart::start();
-    // SAFETY: the second processor has not run; its table is whole and stays.
+    // SAFETY: processor 1 has not run; its table is complete and is never changed.
     unsafe {
         write_volatile(INITSVTOR1, (&raw const VECTORS_1).addr() as u32);
     }
     main()
 }
 
-/// Starts the second processor; no effect if it runs.
+/// Starts processor 1. Has no effect if it already runs.
 pub(crate) fn release_second() {
-    // SAFETY: its vector table is whole and stays; the register holds the processor's reset.
+    // SAFETY: its vector table is complete and is never changed; the register only ends its reset.
     unsafe {
         asm!("dsb");
         write_volatile(CPUWAIT, 0);
@@ -111,6 +111,6 @@ extern "C" fn start_1() -> ! {
 
 fn main() -> ! {
     mhu::enable();
-    // SAFETY: the program defines it, with this signature, by `entry!`.
+    // SAFETY: the program defines the function with this signature by `entry!`.
     unsafe { tandem_main(cpu::number()) }
 }

@@ -1,4 +1,4 @@
-//! Time: CMSDK timer 0 is the clock of both processors, each one's SysTick its alarm.
+//! The time: CMSDK timer 0 is the clock of both processors; each uses its SysTick as alarm.
 
 use crate::cpu::{self, CPUS};
 use core::ptr::{read_volatile, write_volatile};
@@ -15,13 +15,13 @@ const TIMER_RELOAD: usize = TIMER + 8;
 const SYSTICK_CONTROL: *mut u32 = 0xE000_E010 as *mut u32;
 const SYSTICK_RELOAD: *mut u32 = 0xE000_E014 as *mut u32;
 const SYSTICK_VALUE: *mut u32 = 0xE000_E018 as *mut u32;
-/// Processor clock (20 MHz), interrupt, on.
+/// Runs from the processor clock (20 MHz), with its interrupt enabled.
 const SYSTICK_ON: u32 = 0b111;
 const SYSTICK_MAX: u64 = 0xFF_FFFF;
 
-/// Starts the clock. Processor 0, before processor 1 is started.
+/// Starts the clock. Processor 0 calls this before it starts processor 1.
 pub(crate) fn start() {
-    // SAFETY: the timer's registers, which nothing else uses.
+    // SAFETY: the timer's registers, which no other code uses.
     unsafe {
         write_volatile(TIMER_RELOAD as *mut u32, u32::MAX);
         write_volatile(TIMER_VALUE as *mut u32, u32::MAX);
@@ -29,8 +29,8 @@ pub(crate) fn start() {
     }
 }
 
-/// How each processor extends the 32-bit counter to 64 bits: the last value that it read, and how
-/// often the counter had wrapped around.
+/// The state with which a processor extends the 32-bit counter to 64 bits: the last value that it
+/// read, and how often the counter has wrapped around.
 struct Seen {
     low: AtomicU32,
     wraps: AtomicU32,
@@ -43,15 +43,15 @@ static SEEN: [Seen; CPUS] = [const {
     }
 }; CPUS];
 
-/// The time since the start. Each processor must read it at least once in 214 s, the period of the
-/// counter.
+/// Returns the time since the start. Each processor must call this at least once in 214 s, the
+/// period of the counter.
 #[must_use]
 pub fn now() -> Instant {
     let seen = &SEEN[cpu::number()];
     let ticks = cpu::without_interrupts(|| {
-        // SAFETY: reading has no effect.
+        // SAFETY: reading has no side effect.
         let low = !unsafe { read_volatile(TIMER_VALUE as *const u32) };
-        // Private to this processor, and no interrupt occurs in between.
+        // Relaxed: only this processor uses `seen`, and interrupts are off.
         let mut wraps = seen.wraps.load(Ordering::Relaxed);
         wraps += u32::from(low < seen.low.load(Ordering::Relaxed));
         seen.low.store(low, Ordering::Relaxed);
@@ -73,7 +73,7 @@ pub(crate) fn set_alarm(deadline: Instant) {
     }
 }
 
-/// Handler of SysTick: one interrupt is enough.
+/// Handler of SysTick: switches it off, because one interrupt is enough.
 pub(crate) extern "C" fn on_alarm() {
     // SAFETY: this processor's own SysTick.
     unsafe { write_volatile(SYSTICK_CONTROL, 0) };
@@ -82,10 +82,10 @@ pub(crate) extern "C" fn on_alarm() {
 const SLICER: usize = 0x5000_1000;
 
 /// Makes timer 1 expire every `ticks` of 50 ns, without an interrupt. The emulator ends a
-/// processor's turn whenever a timer expires, so this makes turns of that length: another schedule
-/// for each length.
+/// processor's turn whenever a timer expires, so turns have this length: each length gives another
+/// schedule.
 pub fn set_turns(ticks: u32) {
-    // SAFETY: timer 1's registers, which nothing else uses.
+    // SAFETY: timer 1's registers, which no other code uses.
     unsafe {
         write_volatile((SLICER + 8) as *mut u32, ticks);
         write_volatile((SLICER + 4) as *mut u32, ticks);

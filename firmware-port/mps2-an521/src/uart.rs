@@ -18,7 +18,7 @@ struct Uart;
 impl Write for Uart {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         for byte in text.bytes() {
-            // SAFETY: the UART's registers; `write_line` keeps the other processor out.
+            // SAFETY: the UART's registers; `write_line` excludes the other processor.
             unsafe {
                 while read_volatile(STATE) & TRANSMIT_FULL != 0 {}
                 write_volatile(DATA, byte.into());
@@ -28,11 +28,11 @@ impl Write for Uart {
     }
 }
 
-/// Switches the transmitter on. Processor 0.
+/// Switches the transmitter on. Processor 0 calls this.
 pub(crate) fn start() {
-    // SAFETY: the UART's registers, before anyone writes to it.
+    // SAFETY: the UART's registers, before any processor writes to it.
     unsafe {
-        // The smallest divider that the UART accepts: there is no real line.
+        // The smallest divider that the UART accepts; there is no real line.
         write_volatile(BAUD_DIVIDER, 16);
         write_volatile(CONTROL, TRANSMIT_ENABLE);
     }

@@ -1,5 +1,5 @@
-//! The cases of the conformance suite that two processors can run: one case for each start of the
-//! machine.
+//! Runs the cases of the conformance suite that two processors can run, one case for each start of
+//! the machine.
 //!
 //! Strap 0 is the number of the case. The status is 0 if it passed, 1 if a role failed, [`SKIPPED`]
 //! if this machine cannot run it, and [`NO_SUCH_CASE`] after the last one; the log gives the
@@ -20,10 +20,10 @@ const SKIPPED: u8 = 2;
 /// The status if there is no case with this number.
 const NO_SUCH_CASE: u8 = 3;
 
-/// How many roles have passed.
+/// Number of roles that have passed.
 static PASSED: AtomicU32 = AtomicU32::new(0);
 
-/// Why this machine cannot run the case; `None` if it can.
+/// Returns why this machine cannot run the case; `None` if it can.
 fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
     if case.parts.len() > cpu::CPUS {
         return Some("needs more than two cores");
@@ -69,7 +69,7 @@ fn main(own: usize) -> ! {
         );
         exit::exit(1);
     }
-    // AcqRel: the last processor sees everything that the other did.
+    // AcqRel: the processor that passes last sees everything that the other did.
     let passed = 1 + PASSED.fetch_add(1, Ordering::AcqRel);
     if passed as usize == case.parts.len() {
         log!("passed  {}", case.name);
@@ -78,7 +78,7 @@ fn main(own: usize) -> ! {
     rest()
 }
 
-/// This processor has no more work.
+/// Sleeps for the rest of the run: this processor has no more work.
 fn rest() -> ! {
     loop {
         cpu::sleep();

@@ -1,7 +1,7 @@
-//! The primitives of `shm` between the two processors: lock, mailbox, channels, pool.
+//! Tests the primitives of `shm` between the two processors: lock, mailbox, channels, pool.
 //!
-//! Strap 0: the length of a turn in ticks of 50 ns; strap 1: not 0 breaks the lock, and the program
-//! must detect it. The status is 0 if all checks passed.
+//! Strap 0: the length of a turn in ticks of 50 ns. Strap 1: if not 0, the test does not hold the
+//! lock, and its checks must detect that. The status is 0 if all checks passed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -37,7 +37,7 @@ const ROUNDS: u32 = 500;
 /// More polls than any wait here needs.
 const POLLS: u32 = 1_000_000;
 
-/// Waits until both processors have reached this step.
+/// The step that each processor has reached.
 static STEP: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
 fn meet(own: usize, step: u32) {
@@ -129,7 +129,7 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     Ok(())
 }
 
-/// Signals in both directions, with sleeps: none is lost, each arrives with its value.
+/// Signals in both directions, with sleeps: no signal is lost, and each arrives with its value.
 fn signal(own: usize, board: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let [to, from] = if own == 0 { [TO_1, TO_0] } else { [TO_0, TO_1] };
@@ -171,7 +171,7 @@ fn next(consumer: &mut Consumer<'_, [u32; 3]>) -> [u32; 3] {
     }
 }
 
-/// Every value, in order.
+/// Every value arrives, in order.
 fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     if own == 0 {
@@ -232,7 +232,7 @@ fn look(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> C
     Ok(())
 }
 
-/// Words are handed over, and their receiver gives them back.
+/// Processor 0 hands over words, and processor 1 reads them and gives them back.
 fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let pool = POOL.attach(&map, incarnation).map_err(|_| fit)?;

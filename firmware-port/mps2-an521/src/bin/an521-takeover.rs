@@ -1,11 +1,11 @@
 //! The redundancy on two processors, with the limits of a chip: core 0 of system A drives and
-//! hangs; that of B takes over.
+//! hangs; core 0 of B takes over.
 //!
-//! Lines, link and CAN join them, through the board. `Redundancy` and the protected frames are
-//! those of the host. No level line falls: a processor that hangs keeps its supply. Strap 0: how
-//! long after a second A hangs, us. Strap 1: by how much B moves its polls before that, us. The log
-//! says how long after A hung, and after its last control frame, the first one of B was sent. The
-//! status is 0 if both are within their bounds and B had sent none before.
+//! The board connects them by lines, link and CAN. `Redundancy` and the protected frames are those
+//! of the host. The level line does not fall: a processor that hangs keeps its supply. Strap 0: A
+//! hangs 1 s plus this time after its start, us. Strap 1: shift of B's polls before that, us. The
+//! log shows the times from A's hang, and from A's last control frame, to B's first control frame.
+//! The status is 0 if both are within their bounds and B sent none before.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -26,21 +26,21 @@ use tandem_redundancy::{
 entry!(main);
 
 const CONFIG: Config = Config::chip();
-/// Time from the start of system A to its sudden end; the strap is added.
+/// Time from the start of system A until it hangs; strap 0 is added.
 const HANGS_AFTER: Duration = Duration::from_ms(1_000);
-/// When B moves its polls: both have their roles by then.
+/// Time from the start of B until it shifts its polls: both have their roles by then.
 const MOVES_AFTER: Duration = Duration::from_ms(800);
-/// From A's end to B's first control frame, and from A's last control frame to it. Both include
-/// 0.2 ms of execution, some 6,000 instructions of B.
+/// Bounds of the times from A's hang, and from A's last control frame, to B's first control frame.
+/// Both include 0.2 ms of execution, about 6,000 instructions of B.
 const BOUNDS: [Duration; 2] = [Duration::from_ms(4), Duration::from_ms(14)];
-/// Longer than start and takeover take.
+/// End of the test: start and takeover take less time.
 const LIMIT: Duration = Duration::from_ms(3_000);
 
-/// While both processors sleep, the emulator can let two timers expire before it runs an
-/// instruction. Without shorter turns, an alarm was late by the whole wait.
+/// Length of a turn, in ticks. While both processors sleep, the emulator can let two timers expire
+/// before it runs an instruction. With longer turns, an alarm was late by the whole wait.
 const TURN: u32 = 400;
 
-/// When A hung, in microseconds since the start of the machine; 0 while it runs.
+/// Time at which A hung, in microseconds since the start of the machine; 0 while it runs.
 static HUNG_US: AtomicU32 = AtomicU32::new(0);
 
 fn main(own: usize) -> ! {
@@ -63,7 +63,7 @@ fn main(own: usize) -> ! {
     }
 }
 
-/// The redundancy's part of core 0 of one system.
+/// The redundancy on core 0 of one system.
 struct Core<'b> {
     board: &'b An521Board,
     machine: Redundancy,
@@ -71,7 +71,7 @@ struct Core<'b> {
     receiver: FrameReceiver,
     next_frame: Instant,
     takeover: Option<Takeover>,
-    /// When the newest control frame of the other system was on the bus.
+    /// Time at which the newest control frame of the other system was on the bus.
     heard_at: Option<Instant>,
 }
 
@@ -91,7 +91,7 @@ impl<'b> Core<'b> {
         }
     }
 
-    /// One cycle; returns when the next is due, and whether a control frame was sent.
+    /// Runs one cycle. Returns when the next is due, and whether a control frame was sent.
     fn cycle(&mut self) -> (Instant, bool) {
         let now = self.board.now();
         while let Some(received) = self.board.can().try_receive() {
@@ -115,8 +115,8 @@ impl<'b> Core<'b> {
         let snapshot = LineSnapshot::new(received, lines.peer_powered(), 0);
         let actions = self.machine.on(now, Input::Poll(snapshot));
         self.carry_out(&actions);
-        // Each poll, a millisecond: as often as a chip's profile says. A processor that hangs does
-        // not empty the link.
+        // Reports at each poll, every millisecond, as in a chip's profile. The link may be full: a
+        // processor that hangs does not empty it.
         let report = self.machine.link_report(now);
         let _full = self.board.link().try_send(&report.to_words());
         if actions.contains(Action::Transmit) {
@@ -136,7 +136,7 @@ impl<'b> Core<'b> {
         (actions.deadline().min(next_frame), sent)
     }
 
-    /// The control frame of the other system in this frame, if it passes its protection.
+    /// Returns the content of a control frame, if the frame passes its end-to-end protection.
     fn heard(&mut self, frame: &CanFrame) -> Option<ControlHeader> {
         let CanId::Standard(id) = frame.id() else {
             return None;
@@ -183,7 +183,7 @@ impl<'b> Core<'b> {
             match action {
                 Action::SendEdge(line, edge) => self.board.lines().send(line, edge),
                 Action::DiscardUnsent => self.board.can().discard_unsent(),
-                // `cycle` sends at once, and has no grid to align.
+                // `cycle` sends at once, and has no fixed cycle to align.
                 Action::Transmit | Action::AlignControl => {}
                 // These processors have no flash and no supply.
                 Action::Persist(_) | Action::Reset(_) => {}
@@ -249,7 +249,7 @@ fn take_over(board: &An521Board) -> Result<(), &'static str> {
             return Err("B takes over");
         }
         if now >= moves_at {
-            // A heartbeat is missing: the grid begins anew.
+            // Shifts the polls: without a heartbeat for two periods, their period starts again.
             moves_at = Instant::NEVER;
             let resumes =
                 now + CONFIG.heartbeat_period.times(2) + Duration::from_us(strap(1).into());

@@ -16,10 +16,10 @@ use tandem_board::{
     TraceRecord, Wake,
 };
 
-/// The core of each processor; `None` if it has none.
+/// The core that each processor runs; `None` if it runs none.
 pub type Cast = [Option<CoreAddress>; CPUS];
 
-/// The processor of this core.
+/// Returns the processor that runs this core.
 fn player(cast: &Cast, system: SystemId, core: CoreId) -> Option<usize> {
     cast.iter()
         .position(|part| *part == Some(CoreAddress { system, core }))
@@ -33,7 +33,7 @@ pub struct An521Board {
     lines: An521Lines,
     link: An521Link,
     absent: Absent,
-    /// The last records of the trace, and how many there were.
+    /// The last records of the trace, and the number of all records.
     trace: [Cell<TraceRecord>; TRACED],
     traced: Cell<usize>,
 }
@@ -41,7 +41,8 @@ pub struct An521Board {
 const TRACED: usize = 16;
 
 impl An521Board {
-    /// The core of this processor; `None` if it has none. Task context, once.
+    /// Returns the board of this processor's core; `None` if it has none. Call it once, in task
+    /// context.
     #[must_use]
     pub fn new(cast: Cast) -> Option<Self> {
         let own = cpu::number();
@@ -49,14 +50,14 @@ impl An521Board {
         let CoreAddress { system, core } = of;
         let second = cast[1].filter(|_| own == 0);
         if second.is_some_and(|second| second.core == CoreId::CONTROL) {
-            // Core 0 of a powered system is never held.
+            // Core 0 of a powered system is never held in reset.
             crate::start::release_second();
         }
         Some(Self {
             identity: Identity {
                 system,
                 core,
-                // No effect: the machine only resets as a whole.
+                // Always 1: the machine resets only as a whole.
                 generation: Generation(1),
             },
             cast,
@@ -69,15 +70,14 @@ impl An521Board {
         })
     }
 
-    /// How many records were written to the trace.
+    /// Returns the number of records that were written to the trace.
     #[must_use]
     pub fn traced(&self) -> usize {
         self.traced.get()
     }
 }
 
-/// The hardware of this machine has no faults: the cases of the suite that need one do not run on
-/// it.
+/// The hardware of this machine cannot have faults: test cases that need one do not run on it.
 impl FaultSource for An521Board {
     fn set_fault(&self, _: SystemId, _: HardwareFault, _: bool) {}
 }
@@ -124,7 +124,7 @@ impl Board for An521Board {
                 }
                 timers::set_alarm(deadline);
                 cpu::sleep();
-                // The interrupt that ended the sleep is taken when interrupts are enabled, before
+                // The interrupt that ended the sleep runs as soon as interrupts are enabled, before
                 // the next poll.
                 None
             });
@@ -155,7 +155,7 @@ impl Board for An521Board {
     }
 
     fn trace(&self, record: TraceRecord) {
-        // A handler must not write to the slot to which a task is writing.
+        // Otherwise a handler could write to the slot to which a task is writing.
         cpu::without_interrupts(|| {
             let count = self.traced.get();
             self.trace[count % TRACED].set(record);
@@ -195,7 +195,7 @@ impl Supply for Absent {
     const WINDOW_CLOSES_US: u32 = u32::MAX;
     const FIRST_SERVICE_US: u32 = u32::MAX;
 
-    /// The machine has only this reset cause.
+    /// The only reset cause of this machine.
     fn reset_cause(&self) -> ResetCause {
         ResetCause::PowerOn
     }
@@ -206,7 +206,7 @@ impl Supply for Absent {
 
     fn service_watchdog(&self, _: u8) {}
 
-    /// There is no reset generator; the core just stops.
+    /// Does nothing, because there is no reset generator: the caller stops the core.
     fn request_reset(&self, _: ResetRequest) {}
 
     fn show_role(&self, lamp: RoleLamp) {
@@ -215,7 +215,7 @@ impl Supply for Absent {
             RoleLamp::Standby | RoleLamp::Suspended => 0b10,
             RoleLamp::Master | RoleLamp::DegradedMaster => 0b11,
         };
-        // SAFETY: the register of the lamps; a race with the other processor affects only light.
+        // SAFETY: the register of the lamps; a race with the other processor affects only them.
         unsafe { core::ptr::write_volatile(LAMPS, lit) };
     }
 }

@@ -1,5 +1,5 @@
-//! The connections of the two systems: lines, link, CAN bus. The machine has none of them, so words
-//! in a bank of the SRAM, outside of the LMUs, stand for the wires.
+//! The connections between the two systems: lines, link, CAN bus. The machine has none of them, so
+//! words in a bank of the SRAM, outside the LMUs, replace the wires.
 
 use super::{Cast, player};
 use crate::cpu::CPUS;
@@ -19,12 +19,12 @@ use tandem_peripherals::network::LINK_DATAGRAMS;
 use tandem_shm::fifo::{self, Consumer, Producer};
 use tandem_shm::{Shape, bare};
 
-/// Datagrams under way.
+/// The queue of datagrams that were sent and not yet received.
 const DATAGRAMS: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
-/// Frames under way.
+/// The queue of frames that were sent and not yet received.
 const FRAMES: Shape = Shape::new(64, FRAME_WORDS);
 
-/// Words from a cache line on.
+/// Words that start at a cache line.
 #[repr(C, align(64))]
 struct Words<const N: usize>([AtomicU32; N]);
 
@@ -36,15 +36,15 @@ impl<const N: usize> Words<N> {
 
 /// All wires. Zero at power-on.
 struct Wires {
-    /// Edges, by the system that receives them, line and type.
+    /// Numbers of edges, by receiving system, line and type.
     edges: [[[AtomicU32; 2]; 3]; 2],
-    /// Datagrams, by the system that receives them.
+    /// Datagrams, by receiving system.
     link: [Words<{ fifo::words(DATAGRAMS) }>; 2],
-    /// Frames, by the processor that receives them.
+    /// Frames, by receiving processor.
     can: [Words<{ fifo::words(FRAMES) }>; CPUS],
-    /// Frames that found the receiver's FIFO full, by the processor that receives them.
+    /// Numbers of frames that were lost because the FIFO was full, by receiving processor.
     overruns: [AtomicU32; CPUS],
-    /// Whether a frame wakes the processor.
+    /// Not 0: a frame wakes the processor.
     wakes: [AtomicU32; CPUS],
 }
 
@@ -57,7 +57,7 @@ static WIRES: Wires = Wires {
     wakes: [const { AtomicU32::new(0) }; CPUS],
 };
 
-/// Memory for the wires; link.x and the types ensure its size and alignment.
+/// Returns the end. An error cannot occur: link.x and the types ensure size and alignment.
 fn fits<T, E>(end: Result<T, E>) -> T {
     match end {
         Ok(end) => end,
@@ -85,7 +85,7 @@ impl An521Lines {
 impl Lines for An521Lines {
     fn send(&self, line: Line, edge: Edge) {
         let edges = &WIRES.edges[self.own.peer().index()][line.index()];
-        // Release pairs with the Acquire in `received`: not required, but edges do not overtake.
+        // Release pairs with the Acquire in `received`, so that edges arrive in order, as on wires.
         edges[edge as usize].fetch_add(1, Ordering::Release);
         if let (true, Some(cpu)) = (line.interrupts(), self.peer_core_0) {
             mhu::interrupt(Unit::Wires, cpu);
@@ -97,13 +97,13 @@ impl Lines for An521Lines {
         WIRES.edges[self.own.index()][line.index()][edge as usize].load(Ordering::Acquire)
     }
 
-    /// Both systems have power while the one machine has.
+    /// True: both systems share the power of the machine.
     fn peer_powered(&self) -> bool {
         true
     }
 }
 
-/// The link of one system. For its core 0.
+/// The link of one system. Only its core 0 uses it.
 #[derive(Debug)]
 pub struct An521Link {
     to_peer: RefCell<Producer<'static, [u32; DATAGRAM_WORDS]>>,
@@ -134,13 +134,13 @@ impl Link for An521Link {
     }
 }
 
-/// The CAN controller of one core. With two cores the bus is a wire from each to the other.
+/// The CAN controller of one core. With two cores, the bus is one queue in each direction.
 #[derive(Debug)]
 pub struct An521Can {
     of: CoreAddress,
     own: usize,
     other: usize,
-    /// No core is at the other end: frames are dropped.
+    /// Whether there is no other core: then frames are dropped.
     alone: bool,
     transmit: RefCell<Producer<'static, [u32; FRAME_WORDS]>>,
     receive: RefCell<Consumer<'static, [u32; FRAME_WORDS]>>,
@@ -162,7 +162,7 @@ impl An521Can {
 }
 
 impl Can for An521Can {
-    /// The frame is on the bus at once; a receiver without room loses it.
+    /// Sends the frame at once; if the receiver's queue is full, the frame is lost.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         if self.alone {
             return Ok(());
@@ -185,7 +185,7 @@ impl Can for An521Can {
         Ok(())
     }
 
-    /// Nothing to discard: a frame is on the bus as soon as it is handed over.
+    /// Does nothing: `try_send` sends each frame at once.
     fn discard_unsent(&self) {}
 
     fn try_receive(&self) -> Option<Received> {
@@ -201,7 +201,7 @@ impl Can for An521Can {
         WIRES.overruns[self.own].load(Ordering::Relaxed)
     }
 
-    /// This bus destroys no frame.
+    /// No errors: this bus destroys no frame.
     fn errors(&self) -> CanErrors {
         CanErrors::default()
     }
