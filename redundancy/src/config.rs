@@ -3,7 +3,7 @@
 use tandem_board::{Duration, ResetCause, SystemId};
 
 /// Time between two echoes of the vehicle while a control frame is overdue. The first such echo is
-/// sent at the shortest third witness's limit of all profiles.
+/// sent when the shortest limit of the third witness in any profile ends.
 pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 
 /// The hold-down stops growing after this many changes of the driver, at 32 times the first.

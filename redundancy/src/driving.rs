@@ -72,7 +72,7 @@ impl Driving {
     }
 
     /// Whether the other may have taken over since this master was last permitted to transmit. It
-    /// cannot have before the third witness's limit has passed, nor if the other is off.
+    /// cannot do so before the third witness's limit has passed, or if it is off.
     pub(crate) fn may_be_deposed(
         &self,
         config: &Config,

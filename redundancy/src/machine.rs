@@ -269,7 +269,7 @@ impl Redundancy {
         &self.state
     }
 
-    /// Returns whether heartbeat line 1 and 2 are silent.
+    /// Returns whether each of the two heartbeat lines is silent.
     #[must_use]
     pub fn lines_silent(&self) -> [bool; 2] {
         self.witnesses.beats.silent()
@@ -372,8 +372,8 @@ impl Redundancy {
                 actions.push(Action::Transmit);
             }
             if seen.handshakes > 0 {
-                // The other starts while this system drives: the sync edge makes it follow. A
-                // handshake would be answered in turn by another driving system.
+                // The other starts while this system drives: the sync edge makes it follow. Send
+                // no handshake: another driving system would answer it with one, without end.
                 actions.push(SYNC);
             }
         }
@@ -551,7 +551,7 @@ impl Redundancy {
             }
             Phase::DegradedMaster => {
                 self.state.is_master = true;
-                // An own fault is no evidence against the other system.
+                // A fault of this system is no evidence against the other.
                 if on != Evidence::FaultStop {
                     self.set_peer_failed(now, true, actions);
                 }

@@ -5,7 +5,7 @@ use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
 /// If this many incarnations in a row found a wrong command, a further reset does not cure the
-/// system. It starts into the safe stop, or suspends beside a system that drives.
+/// system. It starts in the safe stop, or suspends beside a system that drives.
 pub(crate) const WRONG_COMMANDS: u8 = 2;
 
 /// The result of the checks: how to begin the start protocol.
@@ -15,7 +15,7 @@ pub(crate) struct StartDecision {
     /// Whether this system claims to lead.
     pub(crate) claims_master: bool,
     /// The fault for which this system suspends if the other system drives. If no system drives, it
-    /// starts into the safe stop, because silence does not stop a vehicle.
+    /// starts in the safe stop, because silence does not stop a vehicle.
     pub(crate) fault: Option<FailureMode>,
 }
 

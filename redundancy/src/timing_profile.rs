@@ -12,7 +12,7 @@ const CONTROL_PERIOD: Duration = Duration::from_ms(10);
 const GOAL: Duration = CONTROL_PERIOD.times(2);
 /// The least standby limit. Losing the standby is not urgent, because control frames continue.
 const STANDBY_LIMIT: Duration = Duration::from_ms(8);
-/// The least stagger: neither the order of switching on nor a takeover may depend on less.
+/// The smallest stagger. A shorter difference in time must not decide which system drives.
 const STAGGER: Duration = Duration::from_ms(20);
 const REPORT_LIMIT: Duration = Duration::from_ms(100);
 const SYNC_STAGGER: Duration = Duration::from_ms(5);
@@ -149,8 +149,8 @@ impl Budget {
         let misses = beats / self.heartbeat_period.as_ns();
         let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
 
-        // A control frame is late by the bus and the poll, 1 ms together, and by the stall. The
-        // standby drives one echo and one poll after its limit, and still meets the goal.
+        // The bus and the poll (1 ms together) and a stall delay a control frame. The standby
+        // begins to drive one echo and one poll after its limit, and still meets the goal.
         let margin_needed = Duration::from_ns(MS.as_ns() + self.stall.as_ns());
         let after = self.poll_interval.as_ns() + OVERDUE_ECHO.as_ns() + MS.as_ns();
         let margin_permitted = Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);

@@ -76,7 +76,7 @@ impl Standby {
 /// An intact link does.
 #[test]
 fn a_link_that_repeats_its_datagrams_is_no_sign_of_life() {
-    // The age of the report that arrives, by the time since the master's last report, ms.
+    // Name; age of an arriving report, from the time since the master's last one, ms; final phase.
     type Case = (&'static str, fn(u64) -> u64, Phase);
     let cases: [Case; 4] = [
         ("whole", |_| 0, Phase::Standby),

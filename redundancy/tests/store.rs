@@ -32,7 +32,7 @@ impl Flash {
             sector_bytes,
             first_sector: 1,
         };
-        // A sector before and behind, which the store must not touch.
+        // A sector before and one after, which the store must not touch.
         Self {
             bytes: vec![0xFF; 4 * sector_bytes as usize],
             geometry,
@@ -234,7 +234,7 @@ fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     assert_eq!(read(&flash), Some(state(5)));
 }
 
-/// T-RED-1: after a start the log continues behind its last record without erasing a sector. A
+/// T-RED-1: after a start the log continues after its last record without erasing a sector. A
 /// flash without a valid record is not trusted: its first sector is erased.
 #[test]
 fn the_first_write_after_a_start_erases_only_a_lost_flash() {

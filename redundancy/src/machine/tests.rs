@@ -54,7 +54,7 @@ impl Bench {
         self.machine.on(self.now, Input::Poll(self.snapshot))
     }
 
-    /// Returns a machine that inputs have brought into this phase.
+    /// Brings a new machine into this phase by inputs, and returns it.
     fn of(phase: Phase) -> Self {
         let mut bench = Self::starting();
         match phase {

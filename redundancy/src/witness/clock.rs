@@ -1,10 +1,10 @@
 //! The witness of the clocks: how far this system's clock has drifted from the vehicle's and from
 //! the other system's. Of three clocks, the one that differs from two is wrong.
 //!
-//! Each frame carries the time of sending on the sender's clock. The difference to the own clock is
+//! Each frame carries the time of sending on the sender's clock. The difference to the local clock is
 //! the offset of the two clocks minus the transmission time. A late frame only lowers the
 //! difference, so the largest difference of a window is the offset, and a stall of any of the three
-//! is no drift.
+//! does not count as drift.
 
 use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
@@ -31,7 +31,7 @@ struct Offset {
     began: Instant,
     heard: Instant,
     settled: u8,
-    /// Drift of the offset, µs; above zero if the own clock falls behind.
+    /// Drift of the offset, µs; above zero if the local clock falls behind.
     drifted: i32,
 }
 
@@ -47,7 +47,7 @@ impl Offset {
         }
     }
 
-    /// Takes the difference between the other clock at sending and the own clock at `at`, µs.
+    /// Takes the difference between the other clock at sending and the local clock at `at`, µs.
     /// Returns how much longer than usual the frame took, µs.
     fn update(&mut self, at: Instant, difference: u32) -> i32 {
         let beyond = difference.wrapping_sub(self.reference) as i32;
@@ -83,7 +83,7 @@ impl Offset {
     }
 }
 
-/// Compares the own clock with both others.
+/// Compares this system's clock with both others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Clocks {
     vehicle: Option<Offset>,

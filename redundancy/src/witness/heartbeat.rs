@@ -146,7 +146,7 @@ impl BeatReceiver {
         }
     }
 
-    /// Whether line 1 and line 2 are silent.
+    /// Returns whether each of the two lines is silent.
     pub(crate) fn silent(&self) -> [bool; 2] {
         self.lines.map(|line| line.silent)
     }

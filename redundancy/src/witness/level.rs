@@ -120,9 +120,9 @@ mod tests {
     use super::*;
     use tandem_board::Duration;
 
-    /// A system whose level fell is off when its heartbeats have ended with the level. If there
-    /// were none before, the level must be low, and no sign of life may arrive for longer than the
-    /// third witness's limit.
+    /// A system whose level fell counts as off if its heartbeats have ended too. If there were none
+    /// before, the level must stay low, and no other sign of life may have arrived for the third
+    /// witness's limit.
     #[test]
     fn a_fallen_level_counts_when_the_signs_of_life_have_ended() {
         let (rt, ns) = (Config::rt(), Duration::from_ns(1));

@@ -7,8 +7,8 @@ use tandem_redundancy::{
     PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
-/// T-RED-8: a standby polls when a limit ends, not a poll interval later, so that no limit costs
-/// control more time than its own length.
+/// T-RED-8: a standby polls at the moment when a limit ends, so a takeover does not wait for the
+/// next periodic poll.
 #[test]
 fn a_standby_polls_when_a_limit_ends() {
     let chip = Config::chip();
@@ -47,7 +47,7 @@ fn a_standby_polls_when_a_limit_ends() {
 
 /// T-RED-8: a link that falls silent with both lines shows a failed master before its control
 /// frames are missed. A link that fell silent more than its limit before the lines was cut, and
-/// shows nothing; nor does a link whose limit is not below the third witness's.
+/// shows nothing. A link whose limit is not below the third witness's shows nothing either.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
@@ -383,8 +383,8 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
     }
 }
 
-/// T-RED-9: an echo counts as a control frame only for a standby that has missed one: a frame is
-/// late by less than its margin.
+/// T-RED-9: an echo counts as a control frame only if the standby missed that frame: the vehicle
+/// accepted it more than the margin after the last frame that the standby heard.
 #[test]
 fn an_echo_replaces_a_control_frame_that_was_missed() {
     let ms = |span: Duration| span.as_us() / 1_000;
@@ -449,8 +449,8 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
     assert_eq!(bench.machine.state().wrong_in_a_row, 0);
 }
 
-/// A clock that differs from both others by more than the limit is reported once. A master whose
-/// own clock is wrong stops the vehicle.
+/// A clock that differs from both others by more than the limit is reported once. If it is the
+/// master's own, the master stops the vehicle.
 #[test]
 fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
     for (peer_ms, vehicle_ms, expected) in [

@@ -579,8 +579,8 @@ fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
 
 /// T-RED-9: the first term is 8 masterships above the known one (a term is `count << 1 | system`),
 /// and far above it unless the vehicle or a running system has reported the newest since the start.
-/// A system that has just started may not know it either, nor one whose flash is lost, even after a
-/// reset.
+/// A report of a system that has just started is not enough. If the flash is lost, the same holds
+/// after a reset.
 #[test]
 fn the_first_term_is_far_above_what_may_be_old() {
     const FAR: u32 = 2 * 1024;

@@ -75,11 +75,11 @@ struct Reached {
     /// follow.
     faults: usize,
     shown: Shown,
-    /// A digest of all fields above: two states with the same digest are one.
+    /// A digest of all fields above: two states with the same digest count as one.
     digest: u64,
 }
 
-/// What the last millisecond showed, or the end of the healing.
+/// The properties observed in the last millisecond, or at the end of the healing.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shown {
     two_terms_act: bool,

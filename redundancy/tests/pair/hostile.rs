@@ -87,8 +87,8 @@ fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
     }
 }
 
-/// T-RED-5: a system that is alone and crashes repeatedly does not fall silent: it starts into the
-/// safe stop. So do two systems with a permanent fault, and a healthy system is preferred to it.
+/// T-RED-5: a system that is alone and crashes repeatedly does not fall silent: it starts in the
+/// safe stop. So does one of two systems with a permanent fault; a healthy one drives instead.
 #[test]
 fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
     for config in PROFILES {

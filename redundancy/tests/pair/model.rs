@@ -9,7 +9,7 @@ use tandem_redundancy::{
 };
 
 pub(crate) const STEP_US: u64 = 100;
-/// How long a program of the data flash takes.
+/// Duration of a program operation of the data flash.
 const FLASH_US: u64 = 400;
 /// How long a reset and the start of the software take.
 pub(crate) const RESET_US: u64 = 5_000;
@@ -73,9 +73,9 @@ pub(crate) struct System {
     pub(crate) faults: Vec<FailureMode>,
     /// A fault that lasts until the next reset.
     pub(crate) until_reset: Option<FailureMode>,
-    /// Of a thousand frames this system misses this many.
+    /// How many of a thousand frames this system misses.
     pub(crate) misses_permille: u64,
-    /// Programs of its data flash so far.
+    /// Program operations of its data flash so far.
     pub(crate) programs: u32,
 }
 
