@@ -191,7 +191,7 @@ impl Bytes<'_> {
 
 /// Reads a recording and passes each entry to `into`.
 ///
-/// If the file cannot be read, contains an invalid entry, or `into` fails.
+/// Fails if the file cannot be read or contains an invalid entry, or if `into` fails.
 pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let bytes = fs::read(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;

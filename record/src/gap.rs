@@ -17,8 +17,8 @@ use crate::{RunLog, Takeover, ms_between};
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
-/// A longer stall of a standby may be a poll that is late by more than its jitter (3 ms), because
-/// the watch sees up to 2 ms less, ns.
+/// A longer stall of a standby may have delayed a poll by more than its jitter (3 ms): the observed
+/// length is up to 2 ms too short, ns.
 const HELD_UP_NS: u64 = 1_000_000;
 /// A system whose last status frame is older than this is not standby, ns: the frames arrive every
 /// 100 ms.
@@ -170,15 +170,15 @@ pub enum EndedBy {
 /// A time without an accepted control frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gap {
-    /// The last accepted frame before, ns.
+    /// Time of the last accepted frame before it, ns.
     pub from_ns: u64,
-    /// The first one after, or the end of the run, ns.
+    /// Time of the first one after it, or of the end of the run, ns.
     pub to_ns: u64,
     /// What ended the gap.
     pub ended_by: EndedBy,
     /// The longest permitted gap, ms.
     pub bound_ms: f64,
-    /// The part of a longer gap that stalls excuse, ms.
+    /// How much of it is excused by stalls, ms; 0 if it is within its bound.
     pub stalled_ms: f64,
     /// The stalls that excuse it.
     pub stalls: Vec<Stall>,
@@ -212,8 +212,8 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
     all
 }
 
-/// Returns all times between two accepted frames that overlap these times, ns, and the one from the
-/// last frame to the end of the run, in order. Stalls excuse only those beyond their bound.
+/// Returns all gaps between two accepted frames that overlap this span, ns, and the gap from the
+/// last frame to the end of the run, in order. Stalls excuse only gaps that exceed their bound.
 #[must_use]
 pub fn periods(
     log: &RunLog,
@@ -673,7 +673,7 @@ mod tests {
             (41, &[stall(OF_B, 5, 8)], false),
             (41, &[stall(Stood::Bus, 19, 22)], false),
             (71, &[stall(OF_B, 49, 52)], false),
-            // The second one costs only its length.
+            // The second stall lengthens the gap only by its own length.
             (44, &[stall(OF_B, 19, 22), stall(OF_B, 30, 33)], true),
             (47, &[stall(OF_B, 19, 22), stall(OF_B, 38, 41)], false),
         ] {
@@ -765,7 +765,7 @@ mod tests {
         assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
     }
 
-    /// A frame that was made before a stall and arrived after it is no fault of its sender.
+    /// A frame made before a stall that arrives after it does not count against its sender.
     #[test]
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);

@@ -18,7 +18,7 @@ pub struct Header {
     pub cpus: Vec<usize>,
 }
 
-/// The lanes around the own vehicle at one time.
+/// The lanes around the ego vehicle at one time.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RoadPiece {
     /// When the vehicle was there, ns.
@@ -41,7 +41,7 @@ pub struct Lane {
 pub struct Sample {
     /// The run's clock, ns.
     pub at_ns: u64,
-    /// Position of the own vehicle, m.
+    /// Position of the ego vehicle, m.
     pub x: f64,
     /// m
     pub y: f64,
@@ -59,7 +59,7 @@ pub struct Sample {
     pub lane: usize,
     /// Distance from that lane's centre line, left positive, m.
     pub lateral_error: f64,
-    /// Distance to the vehicle ahead in the own lane, bumper to bumper, m.
+    /// Distance to the vehicle ahead in the ego's lane, bumper to bumper, m.
     pub lead_gap: Option<f64>,
     /// How fast that distance shrinks, m/s.
     pub closing_speed: Option<f64>,
@@ -86,12 +86,12 @@ pub struct Other {
 /// The vehicle's own figures of the drive, taken at every millisecond.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct DriveFigures {
-    /// Contacts of the own vehicle.
+    /// Collisions of the ego vehicle.
     pub collisions: u32,
-    /// Those collisions that the own vehicle caused.
+    /// Those collisions that the ego vehicle caused.
     #[serde(default)]
     pub collisions_by_ego: u32,
-    /// Those collisions in which the own vehicle was standing still.
+    /// Those collisions in which the ego vehicle was stationary.
     #[serde(default)]
     pub hit_while_standing: u32,
     /// Largest distance of the vehicle's centre outside all lanes of its direction, m.
@@ -100,13 +100,13 @@ pub struct DriveFigures {
     /// Time on lanes of the other direction, s.
     #[serde(default)]
     pub wrong_way_s: f64,
-    /// Time that the vehicle stood without a reason ahead, s.
+    /// Time for which the vehicle stood although nothing ahead required it, s.
     #[serde(default)]
     pub standing_s: f64,
     /// When a goal of the scenario was reached, s; `None` if none was.
     #[serde(default)]
     pub goal_reached_s: Option<f64>,
-    /// Time that the vehicle drove where its operational design domain has ended, s.
+    /// Time for which the vehicle drove outside its operational design domain, s.
     #[serde(default)]
     pub outside_domain_s: f64,
     /// When the function first asked the driver to take over, s.
@@ -185,7 +185,7 @@ pub enum VehicleRecord {
         /// When it ran, ns.
         to_ns: u64,
     },
-    /// The own vehicle touched another one.
+    /// The ego vehicle touched another one.
     Collision {
         /// ns
         at_ns: u64,

@@ -4,7 +4,7 @@ use crate::RunLog;
 
 /// How much earlier than its real time a measurement may be placed, ns. The age in a control frame
 /// is rounded, and the world around an emulated machine advances in steps of 1 ms, so a frame has
-/// the time of the step before its sending. The times between measurements are longer.
+/// the time of the step before it was sent. The times between measurements are longer.
 const EARLY_NS: u64 = 1_100_000;
 
 /// The two distributions, ms.
@@ -18,11 +18,11 @@ pub struct Reaction {
 
 /// Finds, for each measurement, the control frames that reflect it, by the age that they contain.
 ///
-/// A control frame gives the age of its oldest measurement, as the controller knows it except for
-/// the shortest delay of the bus. Any further wait of a list for the bus is part of its age. So the
-/// oldest measurement of a frame is the last one taken by that time, not the last one that was on
-/// the bus. A measurement belongs to the last command whose oldest measurement is not newer. The
-/// reaction ends when that command first acts.
+/// A control frame contains the age of its oldest measurement. This age omits the shortest delay of
+/// the bus, but includes any longer wait for it. So the oldest measurement of a frame is the last
+/// one taken by that time, not the last one that was on the bus by then. A measurement belongs to
+/// the last command whose oldest measurement is not newer. The reaction ends when that command
+/// first acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
@@ -107,7 +107,7 @@ mod tests {
         kinds.sort_by(f64::total_cmp);
         kinds.dedup();
         assert_eq!(kinds, [5.0, 20.0]);
-        // 16 commands have a next one; each answers two lists.
+        // Of 16 commands 15 have a next one; each reflects two lists.
         assert_eq!(found.reaction_ms.len(), 2 * 15);
         let mut ages = found.age_ms;
         ages.sort_by(f64::total_cmp);
@@ -116,7 +116,7 @@ mod tests {
     }
 
     /// The clocks drift, so a measurement may be placed before its list was on the bus, and a world
-    /// in steps places it one step earlier. It must still belong to its own round.
+    /// that advances in steps places it one step earlier. It must still belong to its own round.
     #[test]
     fn a_measurement_that_is_placed_early_stays_in_its_round() {
         for early_ns in [WAY_NS, WAY_NS + MS] {

@@ -88,7 +88,7 @@ pub struct PowerChange {
 /// From this age on, a command is based on no measurement, ms.
 const NO_AGE_MS: f64 = 6_553.0;
 
-/// All of one run, each kind in the order of time.
+/// The complete log of one run; each kind of entry is in the order of time.
 #[derive(Clone, Debug, Default)]
 pub struct RunLog {
     /// How the run was started.

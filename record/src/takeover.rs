@@ -61,7 +61,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
                 Event::TookOver { cause, .. } => Some(cause),
                 _ => None,
             });
-            // A master with an own fault drives until it is relieved: the takeover is not false.
+            // A master that has a fault drives until it is relieved: the takeover is not false.
             let resigned = cause == Some(Evidence::MasterResigns);
             Takeover {
                 from: last.system,

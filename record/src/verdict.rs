@@ -24,7 +24,7 @@ pub enum InRun {
     Fails,
     /// The verdict reports it.
     Reported,
-    /// Only campaigns look for it, because they know the faults. There each finding fails.
+    /// Only campaigns look for it, because they know the faults. A finding fails the campaign.
     Campaign,
 }
 
@@ -60,8 +60,8 @@ pub const CONTROL_PERIOD_MAX_MS: f64 = 11.0;
 /// A wrong mode may last this long, s: a standby that falls silent on CAN is missed after 0.35 s,
 /// and one that has returned counts again after 1 s.
 pub const WRONG_MODE_MAX_S: f64 = 1.5;
-/// The vehicle must be at least this long behind the place of the vehicle ahead, s: the time gap
-/// that planning keeps at more than 60 km/h.
+/// The smallest permitted time gap to the vehicle ahead, s: the one that planning keeps at more
+/// than 60 km/h.
 pub const HEADWAY_MIN_S: f64 = 1.6;
 
 /// Defines the enum of the rules and their table from one list. A rule says what must not happen.
@@ -268,15 +268,15 @@ impl fmt::Display for Finding {
     }
 }
 
-/// The means that observed stalls of the machine.
+/// How stalls of the machine were observed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Watch {
-    /// None: time is virtual, and nothing stalls.
+    /// Not at all: time is virtual, and nothing stalls.
     #[default]
     Virtual,
-    /// Threads with a higher priority than the run: their lateness is evidence.
+    /// By threads with a higher priority than the run: their lateness is evidence.
     Urgent,
-    /// Threads of ordinary priority: their lateness is no evidence.
+    /// By threads of ordinary priority: their lateness is no evidence.
     Ordinary,
 }
 
@@ -335,8 +335,8 @@ impl Verdict {
         self.shown(|it| it.fails_run())
     }
 
-    /// Returns all parts of the verdict in words, each with its grade; the first says how the run
-    /// went if no finding does.
+    /// Returns all parts of the verdict in words, each with its grade. A part without a finding
+    /// says that all was well, or that the run was not judged.
     #[must_use]
     pub fn parts(&self) -> Vec<(Grade, String)> {
         let bad = self.objections().into_iter().map(|part| (Grade::Bad, part));
@@ -362,7 +362,7 @@ impl Verdict {
         parts
     }
 
-    /// Returns the findings that `which` selects, in words; of each rule only the first ones.
+    /// Returns the findings that `which` selects, in words: the first few of each rule.
     fn shown(&self, which: impl Fn(&Finding) -> bool) -> Vec<String> {
         let mut parts = Vec::new();
         for rule in Rule::all() {

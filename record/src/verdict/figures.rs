@@ -18,7 +18,7 @@ pub struct Beside {
     pub bounds: Bounds,
     /// The limits of the product that drove; `None` if there is no product, as for synthetic runs.
     pub product: Option<Config>,
-    /// The means that observed stalls of the machine.
+    /// How stalls of the machine were observed.
     pub watch: Watch,
     /// The times in which a CPU did not run.
     pub stalls: Vec<Stall>,
@@ -81,7 +81,7 @@ pub struct GapFigures {
     pub bound_ms: f64,
     /// What ended it: the evidence of a takeover, the same system, or the end of the run.
     pub ended_by: String,
-    /// The part that stalls of the bus and of the systems that must drive excuse, ms.
+    /// How much of it is excused by stalls of the bus and of the systems that must drive, ms.
     pub stalled_ms: f64,
     /// The stalls that excuse it, in words; empty if there were none.
     pub evidence: String,

@@ -12,7 +12,7 @@ use crate::run_log::{ControlFrame, CoreEvent};
 /// A system without a status frame for longer than this is not standby, ns: they arrive every 100
 /// ms.
 const THERE_NS: u64 = 350_000_000;
-/// A run may end this long after the last report of a standby that still runs, s.
+/// A standby counts as running at the end if its last report is at most this old, s.
 const SIGN_S: f64 = 0.25;
 
 /// A stop without a reason.
@@ -97,8 +97,8 @@ pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
 /// Returns how long, at most, the mode of the accepted frames did not fit the redundancy, s.
 ///
 /// L3 needs a second system: its status frames show whether there is one. A degraded master with a
-/// standby needs a cause: a change of its phase, or a failure. It is no cause that the master does
-/// not hear its standby, because the standby's frames are on the bus.
+/// standby needs a cause: a change of its phase, or a failure. A master that does not hear its
+/// standby has no cause, because the standby's frames are on the bus.
 #[must_use]
 pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let start_ns = log.start_ns.unwrap_or(0);
