@@ -28,7 +28,7 @@ fn tandem(arguments: &[&str], out: &Path) -> Command {
     command
 }
 
-/// Waits until the run ends. Fails if it does not end, or not with success.
+/// Waits until the run ends. Fails if it does not end successfully.
 fn end(mut run: Child) {
     let begin = Instant::now();
     let status = loop {
@@ -88,7 +88,7 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
         .strip_prefix("emulator of A: process ")
         .expect(&line)
         .to_owned();
-    // B drives at the end, even if A is killed before it drives. Mostly A has driven before.
+    // B drives at the end, even if A is killed before it drives. Usually A drives first.
     std::thread::sleep(Duration::from_secs(3));
     let kill = Command::new("kill").args(["-9", &pid]).status().unwrap();
     assert!(kill.success(), "the emulator ended by itself");

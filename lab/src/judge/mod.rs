@@ -77,7 +77,7 @@ fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
     judged
 }
 
-/// Returns one line for each file, and sums.
+/// Returns one line for each file, and the totals.
 fn table(judged: &[Judgement]) -> String {
     let longest = judged.iter().map(|it| it.file.len()).max().unwrap_or(0);
     let mut text = format!(

@@ -58,7 +58,7 @@ impl Coverage {
         serde_json::from_value(value.clone()).ok().map(Self)
     }
 
-    /// Returns the table if it is `whole`, and a line that names the missing combinations.
+    /// Returns a line that names the missing combinations; before it the table if `whole` is true.
     pub(super) fn text(&self, whole: bool) -> String {
         let mut text = String::new();
         if whole {

@@ -13,7 +13,7 @@ use tandem::collected::Collected;
 use tandem::metrics::Surroundings;
 use tandem::output::ReportFolder;
 
-/// Writes the report. Afterwards `bench` still has its story.
+/// Writes the report. The events of `bench` remain available.
 pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> Result<()> {
     let mut candump = String::new();
     for frame in bench.frames() {

@@ -190,7 +190,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     Ok(shown)
 }
 
-/// Returns the facts beside a recording in virtual time, with the limits of the profile rt.
+/// Returns what the rules need besides a recording in virtual time: the limits of the profile rt.
 /// `on_bus` is the longest delay from sending a frame to its arrival.
 fn virtual_time(on_bus: Duration) -> Beside {
     Beside {

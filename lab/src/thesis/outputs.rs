@@ -120,7 +120,7 @@ impl Outputs {
         }])
     }
 
-    /// Returns a time since the begin of the picture, s.
+    /// Returns a time since the beginning of the picture, s.
     fn at_s(&self, ns: u64) -> f64 {
         (ns as f64 - self.begin_ns as f64) * 1e-9
     }

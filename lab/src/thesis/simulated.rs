@@ -18,7 +18,7 @@ use tandem_vehicle::{Scenario, World};
 use super::outputs::Done;
 use super::two_cores::{Counted, Exchange, LAYOUT, LOCK, MAILBOX, payload};
 
-/// Index of the LMU word that both cores increment. It is behind the regions.
+/// Index of the LMU word that both cores increment. It is after the regions.
 const COUNTER_AT: usize = 8191;
 /// Delay of switching A on after B, as in the thesis.
 const STAGGER: Duration = Duration::from_ms(40);
