@@ -50,7 +50,7 @@ pub struct Fault {
     /// When it begins, counted from the start of the faults.
     #[serde(rename = "at-ms", with = "ms")]
     pub at: Duration,
-    /// How long it lasts, if the kind does not say; until everything is restored if `None`.
+    /// How long it lasts, unless the kind determines this; `None`: until everything is restored.
     #[serde(rename = "lasts-ms", with = "ms_or_none")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lasts: Option<Duration>,

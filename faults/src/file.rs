@@ -1,12 +1,12 @@
 //! Reads faults from a TOML file, and writes them to one.
 //!
 //! ```toml
-//! from-power-on = false   # else in dual operation, A driving
+//! from-power-on = false   # otherwise in dual operation; A drives
 //! mended-at-ms = 500.0    # when everything works again
 //!
 //! [[fault]]
 //! what = "loses-sent"     # see `Kind`
-//! of = "a"                # "a", "b" or "both"; of a wire: who sends on it
+//! of = "a"                # "a", "b" or "both"; of a wire: the system that sends on it
 //! at-ms = 12.5
 //! lasts-ms = 100.0        # without it: until everything works again
 //! amount = 10             # unit and range by kind

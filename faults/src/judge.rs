@@ -36,7 +36,7 @@ impl Observed<'_> {
         };
         let old_terms = self.acted.windows(2).filter(is_old).count();
         let most_changes = CHANGES_OF_A_FAULT * self.faults.len() + 1;
-        // Two faults that each leave the master its role may together end it.
+        // Two faults may together end a mastership that neither would end alone.
         let spared = matches!(self.faults, [one] if one.spares_the_master());
         let needless = if spared { self.changes } else { 0 };
         let figures = [

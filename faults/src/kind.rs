@@ -59,18 +59,18 @@ pub enum Kind {
     ResetBySoftware,
     /// A trap resets the system. `chaos` kills core 0 for that.
     ResetByTrap,
-    /// All cores of the system stand still. `chaos` sends SIGSTOP and SIGCONT.
+    /// All cores of the system freeze. `chaos` sends SIGSTOP and SIGCONT.
     Hang(Amount<1, 60_000>),
     /// A core dies. `chaos` sends SIGKILL.
     CoreDies(Amount<0, 2>),
-    /// A core stands still. `chaos` sends SIGSTOP; an emulated core 0 hangs until its watchdog
+    /// A core freezes. `chaos` sends SIGSTOP; an emulated core 0 hangs until its watchdog
     /// resets it.
     CoreHangs(Amount<0, 2>),
-    /// The process of the supply stands still.
+    /// The process of the supply freezes.
     SupplyHangs(Amount<1, 60_000>),
-    /// The process of the vehicle, which is the bus, stands still.
+    /// The process of the vehicle, which is the bus, freezes.
     VehicleHangs(Amount<1, 60_000>),
-    /// The process of `tandem run` stands still.
+    /// The process of `tandem run` freezes.
     LauncherHangs(Amount<1, 60_000>),
     /// A core out of control overwrites the whole LMU.
     Scribble,
@@ -86,7 +86,7 @@ pub enum Kind {
     FlashHangs,
     /// Power is lost for 20 ms, and the content of the data flash with it.
     FlashLost,
-    /// A frame that ends core 1 of each system that hears it is sent every 100 ms.
+    /// A frame that crashes core 1 of each receiving system is sent every 100 ms.
     Poison,
     /// The vehicle sends nothing.
     VehicleSilent,
@@ -359,7 +359,7 @@ impl Kind {
     ];
     /// Faults of both systems at once.
     pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
-    /// Faults of processes and emulated machines. A time of 1 ms is replaced by one that is drawn.
+    /// Faults of processes and emulated machines. A time of 1 ms is a placeholder for a random one.
     pub const OF_PROCESSES: [Self; 34] = {
         use Kind as K;
         [
@@ -400,7 +400,7 @@ impl Kind {
         ]
     };
 
-    /// Returns the kind with this time, instead of one that is to be drawn.
+    /// Returns the kind with this time in place of the placeholder, if it has a time.
     #[must_use]
     pub(crate) const fn with_time(self, ms: i32) -> Self {
         let amount = just(ms);

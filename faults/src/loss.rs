@@ -7,7 +7,7 @@ use tandem_record::verdict::required_limits::{CONTROL_PERIOD, POLL};
 /// How the vehicle loses its master. Each has a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Loss {
-    /// It does not lose it: the fault does not affect the master's frames.
+    /// No loss: the fault does not affect the master's frames.
     None,
     /// Both systems are stopped for this time.
     Stall(Duration),

@@ -253,7 +253,7 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
     let short_ms = 5 + draw.below(195);
     let short = Duration::from_ms(short_ms);
     let lasts = match kind {
-        // Stopped permanently: the watchdog resets it. Or continued before or after that.
+        // Stopped until the watchdog resets it; or else continued, before or after that reset.
         Kind::CoreHangs(_) if draw.below(2) == 0 => None,
         Kind::CoreHangs(_) => Some(short),
         _ => Some(Duration::from_ms(20 + draw.below(600))),

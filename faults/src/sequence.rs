@@ -33,7 +33,7 @@ pub struct Sequence {
     pub number: u64,
     /// The faults.
     pub faults: Vec<Fault>,
-    /// Whether the faults begin at power-on. Otherwise they begin in dual operation, A driving.
+    /// Whether the faults begin at power-on. Otherwise they begin in dual operation; A drives.
     pub from_power_on: bool,
     /// The time from the start of the faults until everything is restored.
     pub span: Duration,
