@@ -1,9 +1,9 @@
 //! Broken variants of the product, kept as patches: each must be caught by the test that it names.
 //!
 //! A patch begins with two lines: `Broken: what is wrong`, and `Caught by: arguments of cargo
-//! nextest run`, or `Caught by: simulator GROUP`: one of 1,000 sequences of faults of that group is
-//! violated, and at most three faults remain when it is shrunk. A person starts the tests, because
-//! each variant is a separate build. The gate only checks that each patch still applies.
+//! nextest run`, or `Caught by: simulator GROUP`: one of 1,000 sequences of faults of that group
+//! breaks a rule, and at most three faults remain when it is shrunk. A person starts the tests,
+//! because each variant is a separate build. The gate only checks that each patch still applies.
 
 use crate::{PRESENT, git_files, read};
 use anyhow::{Context, Result, ensure};

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const TARGET: &str = "riscv32imac-unknown-none-elf";
 const QEMU: &str = "qemu-system-riscv32";
-/// Longer than any image here runs on a busy machine; then an image that hangs is killed.
+/// Longer than any image here takes on a busy machine. An image that takes longer is killed.
 const LIMIT: Duration = Duration::from_secs(300);
 /// How much worse than the baseline a measurement may be, in percent.
 const TOLERANCE_PERCENT: u64 = 5;

@@ -27,7 +27,7 @@ const TIMES: [u64; 2] = [1_000, 5_000];
 /// The permitted difference with another compiler than the table's, in percent. With the same
 /// compiler a case takes the same number of instructions in each run.
 const OTHER_COMPILER_PERCENT: f64 = 5.0;
-/// The starts of two runs differ by some hundred instructions, because of the environment's size.
+/// The starts of two runs differ by a few hundred instructions, because of the environment's size.
 const NOISE: f64 = 0.3;
 
 /// Counts, and compares with the table; `save` makes a new one. Without valgrind it prints this and

@@ -1,7 +1,7 @@
 //! Mutants: each is one small change of a crate, which its tests must notice.
 //!
-//! `.cargo/mutants.toml` excludes code that is no behaviour, and each change that no test can
-//! notice, with the reason.
+//! `.cargo/mutants.toml` lists the excluded code, and each change that no test can notice, with the
+//! reasons.
 
 use crate::{cargo, target_dir};
 use anyhow::{Context, Result, bail};
@@ -9,9 +9,9 @@ use std::fs;
 use std::path::Path;
 
 const PACKAGES: [&str; 3] = ["tandem-bus", "tandem-redundancy", "tandem-shm"];
-/// Of a crate's mutants that compile, at least this share must be noticed.
+/// The tests must notice at least this share of a crate's mutants that compile.
 const CAUGHT_PERCENT: usize = 95;
-/// Longer than the tests of a crate run on a loaded machine.
+/// Longer than the tests of a crate take on a loaded machine.
 const TIMEOUT_SECONDS: &str = "120";
 /// The exit status of cargo-mutants says what it found: 2 missed, 3 time-outs. Others are errors.
 const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];

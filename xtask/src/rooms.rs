@@ -53,7 +53,7 @@ impl Rooms {
         Ok(Self(rooms))
     }
 
-    /// Returns the circles of dependency between the modules of a folder.
+    /// Returns the cycles of dependencies between the modules of a folder.
     pub(crate) fn circles(&self) -> Vec<String> {
         let mut findings = Vec::new();
         for Room { file, tree, .. } in &self.0 {
@@ -392,7 +392,7 @@ mod tests {
         tree
     }
 
-    /// Returns the circles of a crate with the modules `a::{b, c}` and these texts.
+    /// Returns the cycles of a crate with the modules `a::{b, c}` and these texts.
     fn circles(a: &str, b: &str, c: &str) -> Vec<(String, BTreeSet<String>)> {
         tree(&[("", "mod a;"), ("a", a), ("a::b", b), ("a::c", c)]).circles()
     }

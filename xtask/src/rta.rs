@@ -255,7 +255,7 @@ mod tests {
         assert_eq!(set, [Some(3.0), Some(6.0), Some(20.0)]);
     }
 
-    /// Liu and Layland's condition fails, and so does the task: two tasks of 50 % and a third one.
+    /// Tasks of 50 %, 33 % and 24 % need more than the processor has: the third has no response.
     #[test]
     fn what_cannot_be_done_in_time_has_no_response() {
         let set = responses_of(&[(10.0, 20.0), (10.0, 30.0), (12.0, 50.0)]);
@@ -272,12 +272,12 @@ mod tests {
             jitter: 1.0,
             ..load(3.0, 7.0)
         };
-        // Alone 5 + 3; with a jitter of 1 two releases fall into 8 > 7 - 1.
+        // 5 + 3 = 8. With a jitter of 1 the second release is at 7 - 1 < 8: 8 + 3 = 11.
         assert_eq!(response(5.0, 0.0, &[load(3.0, 8.0)], 100.0), Some(8.0));
         assert_eq!(response(5.0, 0.0, &[late], 100.0), Some(11.0));
     }
 
-    /// The page states the same shortest distance of doorbells as the task table of core 0.
+    /// The page states the same shortest time between doorbells as the task table of core 0.
     #[test]
     fn the_page_says_the_distance_of_doorbells() {
         let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PAGE);
