@@ -1,6 +1,6 @@
 //! Passes each image's linker script to the linker.
 
-/// Images that a bootloader starts from a slot, and where they are linked.
+/// Images that a bootloader starts from a slot, with their linker scripts.
 const IN_SLOTS: [(&str, &str); 3] = [
     ("slot-controller", "slot-a.x"),
     ("slot-controller-b", "slot-b.x"),
@@ -19,7 +19,7 @@ fn main() {
         println!("cargo:rustc-link-arg-bin={name}=-L{folder}");
         println!("cargo:rustc-link-arg-bin={name}=-T{folder}/{script}");
     }
-    // A peer in C, which no other image links.
+    // FreeRTOS's message buffer in C, which only the image `bench` links.
     if let Ok(archive) = std::env::var("DEP_TANDEM_FREERTOS_MESSAGE_BUFFER") {
         println!("cargo:rustc-link-arg-bin=bench={archive}");
     }

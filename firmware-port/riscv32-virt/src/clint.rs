@@ -1,4 +1,4 @@
-//! The CLINT: a software interrupt for each hart, which is the doorbell, and a timer for each.
+//! The CLINT: for each hart a software interrupt, which is its doorbell, and a timer.
 
 use crate::hart::HARTS;
 use core::arch::asm;
@@ -8,16 +8,16 @@ const MSIP: usize = 0x0200_0000;
 const MTIMECMP: usize = 0x0200_4000;
 const MTIME: usize = 0x0200_BFF8;
 
-/// Nanoseconds of one tick.
+/// Length of one tick in nanoseconds.
 pub const TICK_NS: u64 = 100;
 
 /// Raises the software interrupt of a hart. The hart that takes it sees everything that this hart
 /// wrote before.
 #[inline]
 pub fn post(hart: usize) {
-    // SAFETY: one word a hart; the machine ignores those of harts that it does not have. The fence
-    // pairs with that in `clear`: memory first, then the device. (A fence of the memory
-    // model does not order devices.)
+    // SAFETY: one word for each hart; the machine ignores words of harts that it does not have.
+    // The fence pairs with the one in `clear`: memory first, then the device. (A fence of the
+    // memory model does not order devices.)
     unsafe {
         asm!("fence rw, ow");
         write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 1);
@@ -27,7 +27,7 @@ pub fn post(hart: usize) {
 /// Clears the software interrupt of this hart.
 #[inline]
 pub fn clear(hart: usize) {
-    // SAFETY: as in `post`, with whose fence this one pairs: the device first, then memory.
+    // SAFETY: as in `post`. The fence pairs with the one in `post`: the device first, then memory.
     unsafe {
         write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 0);
         asm!("fence iorw, iorw");
@@ -38,8 +38,8 @@ pub fn clear(hart: usize) {
 #[inline]
 pub fn set_timer(hart: usize, ticks: u64) {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *mut u32;
-    // SAFETY: the two words of this hart's register. The high word is made the latest first, so
-    // that no value in between is in the past.
+    // SAFETY: the two words of this hart's register. The high word is set to its maximum first, so
+    // that no intermediate value is in the past.
     unsafe {
         write_volatile(register.add(1), u32::MAX);
         write_volatile(register, ticks as u32);
@@ -47,20 +47,20 @@ pub fn set_timer(hart: usize, ticks: u64) {
     }
 }
 
-/// The time of a hart's timer interrupt, past or future.
+/// Returns the time of a hart's timer interrupt, which may be in the past.
 #[must_use]
 pub fn timer(hart: usize) -> u64 {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *const u32;
-    // SAFETY: the two words of the register; the hart that changes them does not run now, or
-    // any value will do for the caller.
+    // SAFETY: the two words of the register. The hart that changes them does not run now, or the
+    // caller accepts any value.
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }
 
 /// Advances the clock of all harts to `ticks`, below 2^32.
 ///
-/// The emulator's register loses its upper half when the lower is written, so the clock must not be
-/// set any more after 429 s.
+/// A write to the lower word clears the upper word in the emulator, so the clock must not be set
+/// after 429 s.
 pub(crate) fn jump_to(ticks: u32) {
-    // SAFETY: the lower word of the clock; timers that the jump passes expire at once.
+    // SAFETY: the lower word of the clock; timers within the jump expire at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };
 }

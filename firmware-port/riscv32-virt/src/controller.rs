@@ -1,14 +1,14 @@
-//! The three cores of the whole controller: for a stand-alone image, and for one in a slot.
+//! The three cores of the whole controller: for a stand-alone image, and for an image in a slot.
 //!
-//! Core 0 of a system that is alone in its machine runs its tasks under FreeRTOS, in every
-//! incarnation. The kernel's statics exist once in an image, so with both systems in one machine
-//! core 0 runs the tasks to completion. Cores 1 and 2 have no kernel.
+//! If the machine has one system, its core 0 runs its tasks under FreeRTOS, in every incarnation.
+//! The kernel's statics exist once in an image, so with both systems in one machine each core 0
+//! runs its tasks to completion instead. Cores 1 and 2 have no kernel.
 //!
-//! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both.
+//! Strap `First`: the systems in this machine, 1 A, 2 B, 3 both.
 //! Strap `Second`, bit 0: a system that returns becomes the standby of the running one. Bit 1: the
-//! timing profile is `chip`, else `rt`. Only both systems in one machine can keep the limits of
-//! `chip`: from one machine to another, edges and datagrams take up to 2 ms.
-//! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
+//! timing profile is `chip`, otherwise `rt`. The limits of `chip` hold only with both systems in
+//! one machine: between two machines, edges and datagrams take up to 2 ms.
+//! Strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0 means none.
 
 use crate::board::VirtBoard;
 use crate::memory::{Strap, strap};
@@ -32,12 +32,12 @@ const REINTEGRATE: u32 = 1;
 const CHIP: u32 = 2;
 /// Bytes of the stack of each task of core 0.
 const STACK_BYTES: usize = 16 << 10;
-/// Turns of 50 us: the emulator runs one hart at a time, and none may wait long for another.
+/// A turn, 50 us: the emulator runs one hart at a time, so a long turn delays the other harts.
 pub const SLICE_TICKS: u32 = 500;
-/// How many doorbells were held back.
+/// Number of doorbells that were held back.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// One incarnation of one core.
+/// Runs one incarnation of one core.
 pub fn core(board: &VirtBoard) {
     match board.identity().core {
         CoreId::CONTROL if strap(Strap::First) == BOTH_SYSTEMS => {
@@ -49,11 +49,11 @@ pub fn core(board: &VirtBoard) {
     }
 }
 
-/// An image that has kept a role for this long is approved.
+/// Core 2 approves an image that has kept a role for this long.
 const PROVES_ITSELF: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
 
-/// One incarnation of one core of an image in a slot: core 2 approves the image. Programming the
-/// flash takes less time than its cycle. U-3
+/// Runs one incarnation of one core of an image in a slot. Core 2 approves the image: to program
+/// the flash takes less time than its cycle. U-3
 pub fn core_in_slot(board: &VirtBoard) {
     if board.identity().core != CoreId::PLANNING {
         return core(board);
@@ -91,8 +91,8 @@ fn config() -> Config {
     config
 }
 
-/// The overload from strap `Third`: bits 0 to 7 are the task's index in the table plus 1, bits 8 to
-/// 15 how much longer a job takes, ms, bits 16 to 31 the interval between two such jobs, in jobs.
+/// Returns the overload from strap `Third`: bits 0 to 7 are the task's index in the table plus 1,
+/// bits 8 to 15 the extra time of a job in ms, bits 16 to 31 the interval of such jobs, in jobs.
 fn overload() -> Option<Overload> {
     let [task, ms, low, high] = strap(Strap::Third).to_le_bytes();
     Some(Overload {
@@ -102,14 +102,13 @@ fn overload() -> Option<Overload> {
     })
 }
 
-/// The kernel, new in every incarnation of the core.
+/// Returns the kernel, which is new in every incarnation of the core.
 fn kernel() -> Kernel {
     if let Ok(first) = Kernel::take() {
         return first;
     }
-    // SAFETY: the kernel and the heap are this hart's alone, and its start-up code has thrown the
-    // stack of its last incarnation away. What that incarnation shares with other harts is not of
-    // the heap.
+    // SAFETY: only this hart uses the kernel and the heap, and its start-up code has discarded the
+    // stack of its last incarnation. Data that it shares with other harts is not on the heap.
     unsafe {
         tandem_rtos::riscv32::after_reset();
         heap::restart();
@@ -120,7 +119,7 @@ fn kernel() -> Kernel {
     }
 }
 
-/// Core 0 with its tasks under FreeRTOS.
+/// Runs core 0 with its tasks under FreeRTOS.
 fn under_kernel(board: &VirtBoard) -> ! {
     log!(
         "core 0 of {} runs its tasks under FreeRTOS, incarnation {}",

@@ -1,4 +1,4 @@
-//! Sleeping until the doorbell or a deadline: race-free, and without taking the interrupt.
+//! Waits for the doorbell or a deadline, without a race and without taking the interrupt.
 
 use crate::clint;
 use crate::hart::{self, HARTS, MSI, MTI};
@@ -6,11 +6,11 @@ use crate::trap::{self, HartState};
 use core::sync::atomic::Ordering::Relaxed;
 
 /// Sleeps until this hart's doorbell has rung or `deadline` (in ticks) has passed, and consumes the
-/// ring. Returns whether it was the doorbell. Task context, interrupts on.
+/// ring. Returns whether the doorbell rang. Task context, interrupts on.
 ///
 /// Interrupts are switched off before the poll, so an interrupt between the poll and the sleep ends
 /// the sleep: `wfi` wakes for every enabled interrupt, even while interrupts are off. A ring that
-/// ends the sleep is consumed right here, which is cheaper than to take the interrupt.
+/// ends the sleep is consumed here, which is cheaper than taking the interrupt.
 #[inline]
 pub fn wait(deadline: Option<u64>) -> bool {
     let number = hart::number() % HARTS;
@@ -20,7 +20,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
     let rung = loop {
         if hart::pending() & MSI != 0 {
             if clear(number, state) {
-                // The reset is taken here, and does not return.
+                // The interrupt handler resets the hart here, and does not return.
                 hart::interrupts_on();
             }
             state.rung.store(false, Relaxed);
@@ -36,7 +36,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
                 clint::set_timer(number, deadline);
                 hart::enable(MTI);
             }
-            // The slicing timer need not wake a sleeping hart.
+            // The timer that ends turns need not wake a sleeping hart.
             None => hart::disable(MTI),
         }
         hart::sleep();
@@ -46,7 +46,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
     rung
 }
 
-/// Consumes a ring, if there was one, without sleeping.
+/// Consumes a ring without sleeping. Returns whether there was one.
 pub fn take() -> bool {
     let number = hart::number() % HARTS;
     let pending = hart::pending() & MSI != 0;
@@ -56,9 +56,9 @@ pub fn take() -> bool {
     trap::STATES[number].rung.swap(false, Relaxed) || pending
 }
 
-/// Clears the ring, unless it is a reset. The carrier's request is read afterwards: one that
-/// arrives in between is either seen, or rings again. Returns whether it is a reset; then the
-/// doorbell has been rung again, for the interrupt.
+/// Clears the ring, and then reads whether the carrier requests a reset: a request that arrives in
+/// between is seen, or rings again. Returns whether there is a request; then it has rung the
+/// doorbell again, so that the interrupt handler runs.
 #[inline]
 fn clear(number: usize, state: &HartState) -> bool {
     clint::clear(number);
@@ -69,7 +69,7 @@ fn clear(number: usize, state: &HartState) -> bool {
     reset
 }
 
-/// Gives the timer back to the slicing, if there is any.
+/// Sets the timer to the end of this hart's turn, or disables it if turns have no limit.
 #[inline]
 fn rearm(number: usize, state: &HartState) {
     match state.slice.load(Relaxed) {
@@ -81,7 +81,7 @@ fn rearm(number: usize, state: &HartState) {
     }
 }
 
-/// From now on this hart's turn ends after this many ticks, wherever it is; 0: no limit. See
+/// Limits the turns of this hart to this many ticks from now on; 0 means no limit. See
 /// [`hart::yield_turn`].
 pub fn set_slice(ticks: u32) {
     let number = hart::number() % HARTS;
@@ -92,8 +92,8 @@ pub fn set_slice(ticks: u32) {
     });
 }
 
-/// A hash of the places where the turns of a hart ended since the last call, and starts a new one.
-/// The hart must not be slicing.
+/// Returns a hash of the code addresses at which the turns of a hart have ended since the last
+/// call, and starts a new one. The turns of the hart must have no limit during the call.
 pub fn take_places(hart: usize) -> u32 {
     trap::STATES[hart % HARTS].places.swap(0, Relaxed)
 }

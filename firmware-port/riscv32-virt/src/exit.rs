@@ -1,4 +1,4 @@
-//! The end of a program: the emulator's test device, and the reaction to a panic or an exception.
+//! Ends a program by the emulator's test device: on request, after a panic, or an exception.
 
 use crate::uart::print_now;
 use core::panic::PanicInfo;
@@ -14,14 +14,14 @@ pub fn exit(status: u16) -> ! {
         0 => PASS,
         code => u32::from(code) << 16 | FAIL,
     };
-    // SAFETY: the one register of the test device; the emulator ends with the store.
+    // SAFETY: the only register of the test device; the store ends the emulator.
     unsafe { write_volatile(FINISHER, value) };
     crate::hart::park()
 }
 
-/// The status of an emulator that ended because a hart panicked.
+/// The status of the emulator if a hart panicked.
 pub const PANICKED: u16 = 101;
-/// The status of an emulator that ended because of an exception.
+/// The status of the emulator if an exception occurred.
 pub const EXCEPTION: u16 = 102;
 
 #[panic_handler]

@@ -1,11 +1,11 @@
-//! One hart: its number, its interrupt switches, its counters, and yielding the emulator's turn.
+//! One hart: its number, its interrupts, its counters, and how it yields the emulator's turn.
 
 use core::arch::{asm, global_asm};
 
 global_asm!(include_str!("start.S"));
 
-/// Room for the harts of an image: three for each system, the carrier, and one more, so that a mask
-/// limits a number to the range.
+/// Length of tables by hart: three for each system, the carrier, and one more, so that a mask
+/// keeps a number in range.
 pub const HARTS: usize = 8;
 
 /// The hart that emulates the hardware outside the chips.
@@ -15,7 +15,7 @@ const MSTATUS_MIE: usize = 1 << 3;
 pub(crate) const MSI: usize = 1 << 3;
 pub(crate) const MTI: usize = 1 << 7;
 
-/// The number of this hart.
+/// Returns the number of this hart.
 #[inline]
 #[must_use]
 pub fn number() -> usize {
@@ -25,18 +25,18 @@ pub fn number() -> usize {
     hart
 }
 
-/// The cycle counter. Under `-icount shift=0` one cycle is one instruction of any hart.
+/// Returns the cycle counter. Under `-icount shift=0` one cycle is one instruction of any hart.
 #[inline]
 #[must_use]
 pub fn cycles() -> u32 {
     let cycles: u32;
-    // Not `nomem`: measured code must not move across the read.
+    // Without `nomem`, so that measured code does not move across the read.
     // SAFETY: reads a counter.
     unsafe { asm!("csrr {}, mcycle", out(reg) cycles, options(nostack, preserves_flags)) };
     cycles
 }
 
-/// The time of the CLINT, in its ticks of 100 ns.
+/// Returns the time of the CLINT, in its ticks of 100 ns.
 #[inline]
 #[must_use]
 pub fn time() -> u64 {
@@ -57,8 +57,8 @@ pub fn time() -> u64 {
 /// Switches the interrupts of this hart on.
 #[inline]
 pub fn interrupts_on() {
-    // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere.
-    // Not `nomem`: all writes for a handler must come before.
+    // SAFETY: the handlers of this crate access only atomics, so they may run anywhere.
+    // Without `nomem`, so that all writes for a handler happen before.
     unsafe { asm!("csrsi mstatus, {}", const MSTATUS_MIE, options(nostack)) };
 }
 
@@ -66,7 +66,7 @@ pub fn interrupts_on() {
 #[inline]
 pub fn interrupts_off() -> bool {
     let before: usize;
-    // SAFETY: no handler runs from here on; see `interrupts_on` for the memory.
+    // SAFETY: no handler runs after this; see `interrupts_on` for memory accesses.
     unsafe {
         asm!("csrrci {}, mstatus, {}", out(reg) before, const MSTATUS_MIE, options(nostack));
     }
@@ -90,26 +90,26 @@ unsafe extern "C" {
 
 /// Clears the stack of this hart and jumps.
 pub(crate) fn leave(hart: usize, entry: u32) -> ! {
-    // SAFETY: the bootloader has checked what lies there. This image's stack is used no more, and
-    // what it shares with other harts are atomics.
+    // SAFETY: the bootloader has checked the image at `entry`. No code uses this image's stack
+    // afterwards, and it shares only atomics with other harts.
     unsafe { tandem_jump(hart, entry) }
 }
 
 /// Enables these interrupts on this hart.
 #[inline]
 pub(crate) fn enable(which: usize) {
-    // SAFETY: as `interrupts_on`.
+    // SAFETY: as in `interrupts_on`.
     unsafe { asm!("csrs mie, {}", in(reg) which, options(nostack)) };
 }
 
 /// Disables these interrupts on this hart.
 #[inline]
 pub(crate) fn disable(which: usize) {
-    // SAFETY: as `interrupts_off`.
+    // SAFETY: as in `interrupts_off`.
     unsafe { asm!("csrc mie, {}", in(reg) which, options(nostack)) };
 }
 
-/// The interrupts that are pending, enabled or not.
+/// Returns the pending interrupts, enabled or not.
 #[inline]
 pub(crate) fn pending() -> usize {
     let pending: usize;
@@ -118,7 +118,7 @@ pub(crate) fn pending() -> usize {
     pending
 }
 
-/// The interrupted code address of the interrupt that is being handled.
+/// Returns the code address that the current interrupt has interrupted.
 #[inline]
 pub(crate) fn interrupted_at() -> usize {
     let at: usize;
@@ -127,35 +127,35 @@ pub(crate) fn interrupted_at() -> usize {
     at
 }
 
-/// Sleeps until an enabled interrupt is pending; it is taken only if interrupts are switched on.
+/// Sleeps until an enabled interrupt is pending. Its handler runs only if interrupts are on.
 #[inline]
 pub fn sleep() {
     // SAFETY: stops this hart until an interrupt; memory may have changed in between.
     unsafe { asm!("wfi", options(nostack)) };
 }
 
-/// Sleeps for good: this hart has no more work. Interrupts are served if they are switched on.
+/// Sleeps forever: this hart has no more work. If interrupts are on, their handlers still run.
 pub fn park() -> ! {
     loop {
         sleep();
     }
 }
 
-/// Yields the emulator's turn to the next hart, and continues when all others had theirs.
+/// Yields the emulator's turn to the next hart, and continues when all other harts had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
 /// when it interrupts another, or when a timer expires. So a hart that spins must yield, or the
 /// hart that it waits for does not run. This is a sleep that ends at once: the supervisor's
-/// software interrupt is always pending (see start.S) and enabled just here. On a chip with real
-/// cores it would be `spin_loop`.
+/// software interrupt is always pending (see start.S) and enabled only here. On a chip with real
+/// cores, use `spin_loop` instead.
 #[inline]
 pub fn yield_turn() {
-    // SAFETY: the interrupt is delegated to supervisor mode, which nothing runs in: it ends the
+    // SAFETY: the interrupt is delegated to supervisor mode, in which no code runs: it ends the
     // sleep and is never taken.
     unsafe { asm!("csrsi mie, 2", "wfi", "csrci mie, 2", options(nostack)) };
 }
 
-/// Yields the turn until `holds`.
+/// Yields the turn until `holds` returns true.
 #[inline]
 pub fn yield_until(mut holds: impl FnMut() -> bool) {
     while !holds() {

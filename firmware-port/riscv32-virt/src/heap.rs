@@ -1,11 +1,11 @@
-//! The heap of the hart that runs a kernel: it never frees. For programs that allocate only while
-//! they start.
+//! The heap of the hart that runs a kernel. It never frees single allocations: it is for programs
+//! that allocate only while they start.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
-/// Bytes of the heap; it is linked only into programs that use it.
+/// Bytes of the heap. Only programs that use it link it.
 const BYTES: usize = 128 << 10;
 
 #[repr(align(64))]
@@ -14,7 +14,7 @@ struct Heap {
     used: AtomicUsize,
 }
 
-// SAFETY: each byte is given out once: `used` only rises, by compare-and-swap.
+// SAFETY: each byte is allocated once: `used` only increases, by compare-and-swap.
 unsafe impl Sync for Heap {}
 
 #[global_allocator]
@@ -23,7 +23,7 @@ static HEAP: Heap = Heap {
     used: AtomicUsize::new(0),
 };
 
-// SAFETY: what `alloc` returns is aligned, inside of `memory`, and never given out again.
+// SAFETY: `alloc` returns aligned memory inside `memory`, and never the same bytes again.
 unsafe impl GlobalAlloc for Heap {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let mut begin = 0;

@@ -2,7 +2,7 @@
 //! the doorbell, and a section at a fixed address is the LMU.
 //!
 //! One image runs on all harts (decision 0008): 0 to 2 are the cores of system A, 3 to 5 those of
-//! system B, 6 is the carrier. A program defines one main, [`entry!`], which every hart calls with
+//! system B, 6 is the carrier. A program names its main with [`entry!`]; every hart calls it with
 //! its number.
 #![no_std]
 
@@ -27,10 +27,10 @@ pub mod uart;
 
 use tandem_shm::mailbox::TaskId;
 
-/// The value of a result that is an error only if the memory layout is wrong.
+/// Returns the value of a result that is an error only if the memory layout is wrong.
 ///
 /// # Panics
-/// If it is an error.
+/// If the result is an error.
 #[track_caller]
 pub fn must<T, E>(result: Result<T, E>) -> T {
     match result {
@@ -39,7 +39,7 @@ pub fn must<T, E>(result: Result<T, E>) -> T {
     }
 }
 
-/// Task `number` of a mailbox, in a constant.
+/// Returns task `number` of a mailbox, for constants.
 ///
 /// # Panics
 /// If there is no such task.
@@ -51,7 +51,7 @@ pub const fn task(number: u8) -> TaskId {
     }
 }
 
-/// Names the function that each hart calls after the start, and after each reset of its own.
+/// Names the function that each hart calls after the start, and after each reset of the hart.
 #[macro_export]
 macro_rules! entry {
     ($main:path) => {

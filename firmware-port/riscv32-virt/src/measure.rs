@@ -1,14 +1,14 @@
-//! What a path costs: a round repeated, and its fewest and most instructions.
+//! Measures the cost of a path: repeats it, and prints its fewest and most instructions.
 
 use crate::log;
 
-/// Rounds that count.
+/// Number of rounds that count.
 pub const ROUNDS: u32 = 1000;
-/// Rounds before the first one that counts.
+/// Number of rounds before the first one that counts.
 pub const WARM_UP: u32 = 5;
 
-/// Repeats `prepare` and a round that returns how long it took, and prints the shortest and the
-/// longest: `bench NAME MIN MAX`.
+/// Repeats `prepare` and `round`, which returns its number of instructions, and prints the fewest
+/// and the most: `bench NAME MIN MAX`.
 pub fn repeat(name: &str, prepare: impl Fn(), mut round: impl FnMut(u32) -> u32) {
     let (mut min, mut max) = (u32::MAX, 0);
     for number in 0..WARM_UP + ROUNDS {

@@ -19,7 +19,8 @@ unsafe extern "C" {
     static __stacks: u32;
 }
 
-/// System A's LMU as seen from this core in its first incarnation, after another has formatted it.
+/// Waits until another core has formatted system A's LMU, attaches to it, and announces the first
+/// incarnation of `core`.
 ///
 /// # Panics
 /// If there is no such core.
@@ -37,17 +38,17 @@ pub fn attach(core: usize, layout: Layout) -> (Map<'static>, Incarnation) {
     }
 }
 
-/// Bytes of the stack of one hart; as in link.x and start.S.
+/// Bytes of the stack of one hart; must be the same as in link.x and start.S.
 const STACK_BYTES: usize = 256 << 10;
 
-/// The largest number of bytes of its stack that a hart has used so far. The memory of a machine is
-/// zero at its start, so the unused part is the part that is still zero.
+/// Returns the largest number of bytes of its stack that a hart has used so far. The memory of a
+/// machine is zero at its start, so the unused part is still zero.
 #[must_use]
 pub fn stack_used(hart: usize) -> usize {
     let words = STACK_BYTES / 4;
     let hart = hart % crate::hart::HARTS;
-    // SAFETY: link.x reserves these bytes for each hart; whatever their owner does at that time, it
-    // is words that are read.
+    // SAFETY: link.x reserves these bytes for each hart; any value of a word is valid, even if its
+    // hart writes to it at this time.
     let is_zero = |index: &usize| unsafe {
         let stack = addr_of!(__stacks).add(hart * words);
         stack.add(*index).read_volatile() == 0
@@ -58,30 +59,30 @@ pub fn stack_used(hart: usize) -> usize {
 /// Bytes that link.x gives to the recording.
 const RECORDING_BYTES: usize = 64 << 20;
 
-/// The recorded frames from the emulator.
+/// Returns the recorded frames that the emulator has loaded.
 #[must_use]
 pub fn recording() -> &'static [u32] {
     let begin = addr_of!(__recording);
-    // SAFETY: link.x reserves the place, which only the emulator has written, before the start; no
-    // more words are taken than it has.
+    // SAFETY: link.x reserves the memory, which only the emulator writes, before the start; the
+    // length is limited to its size.
     unsafe {
         let len = begin.read_volatile() as usize;
         core::slice::from_raw_parts(begin.add(1), len.min(RECORDING_BYTES / 4 - 1))
     }
 }
 
-/// The words that the emulator writes before the start, as pins that are tied high or low on a
-/// carrier board. Zero if a word was not set.
+/// Returns a word that the emulator writes before the start, like pins that are tied high or low on
+/// a carrier board. Zero if the word was not set.
 #[must_use]
 pub fn strap(strap: Strap) -> u32 {
-    // SAFETY: link.x reserves 4 KiB there; nothing writes them after the start.
+    // SAFETY: link.x reserves 4 KiB there, which no code writes after the start.
     unsafe { addr_of!(__straps).add(strap as usize).read_volatile() }
 }
 
-/// Words of straps before those of the public key.
+/// Index of the first word of the public key in the straps.
 const KEY_AT: usize = 16;
 
-/// The public key that the bootloader of this machine trusts, as if in fuses of a chip.
+/// Returns the public key that the bootloader of this machine trusts. A chip has it in fuses.
 #[must_use]
 pub fn public_key() -> [u8; 32] {
     let mut key = [0; 32];

@@ -8,7 +8,7 @@ use embedded_storage::nor_flash::{
 };
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR};
 
-/// Its address; as in link.x.
+/// Address of the program flash; must be the same as in link.x.
 pub const BEGIN: u32 = 0x8500_0000;
 const ERASED: u8 = 0xFF;
 
@@ -21,7 +21,7 @@ unsafe extern "C" {
 pub struct ProgramFlash;
 
 fn cells(offset: u32, len: usize) -> &'static [AtomicU8] {
-    // SAFETY: link.x reserves 2 MiB there; atomics may be shared; the machine keeps the memory.
+    // SAFETY: link.x reserves 2 MiB there; atomics may be shared; the memory is never unmapped.
     let all =
         unsafe { core::slice::from_raw_parts(addr_of!(__program_flash), FLASH_BYTES as usize) };
     &all[offset as usize..][..len]

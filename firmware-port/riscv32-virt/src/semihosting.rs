@@ -1,7 +1,7 @@
-//! Files of the host: the emulator's semihosting calls.
+//! Access to files of the host by the emulator's semihosting calls.
 //!
-//! A call is answered before the next instruction: the whole machine and its clock stand still
-//! until the host has finished. ("Semihosting for AArch32 and AArch64", and the RISC-V supplement.)
+//! A call completes before the next instruction: the whole machine and its clock stop until the
+//! host has finished. ("Semihosting for AArch32 and AArch64", and the RISC-V supplement.)
 
 use core::arch::asm;
 use core::sync::atomic::AtomicU32;
@@ -10,7 +10,7 @@ use core::sync::atomic::AtomicU32;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct File(usize);
 
-/// The host cannot open, write or read it.
+/// The host could not open, write or read a file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HostError;
 
@@ -21,11 +21,11 @@ const READ_BINARY: usize = 1;
 const WRITE_BINARY: usize = 5;
 
 /// # Safety
-/// The parameters must be those of the call, and what they point to must be as long as they say.
+/// The parameters must be those of the call, and must give the true length of what they point to.
 unsafe fn call(number: usize, parameters: &[usize; 3]) -> isize {
     let result: isize;
-    // SAFETY: the three instructions are the call; the emulator reads `parameters` and reads or
-    // writes what they point to, by the caller's promise, and changes no other register.
+    // SAFETY: the three instructions are the call. The emulator reads `parameters`, reads or writes
+    // the memory that they point to, which the caller guarantees, and changes only a0.
     unsafe {
         asm!(
             ".balign 16",
@@ -61,10 +61,10 @@ impl File {
         Self::open(path, WRITE_BINARY)
     }
 
-    /// Writes all of it.
+    /// Writes all words.
     pub(crate) fn write(self, words: &[AtomicU32]) -> Result<(), HostError> {
         let parameters = [self.0, words.as_ptr() as usize, size_of_val(words)];
-        // SAFETY: a handle, a buffer and its length. The call returns how much was not written.
+        // SAFETY: a handle, a buffer and its length. The call returns the bytes not written.
         match unsafe { call(SYS_WRITE, &parameters) } {
             0 => Ok(()),
             _ => Err(HostError),
@@ -76,7 +76,7 @@ impl File {
         let (mut at, mut left) = (into.as_ptr() as usize, size_of_val(into));
         while left > 0 {
             // SAFETY: a handle, the rest of a buffer that may be written through a shared
-            // reference, and its length. The call returns how much of it was not filled.
+            // reference, and its length. The call returns the number of bytes not filled.
             let unfilled = unsafe { call(SYS_READ, &[self.0, at, left]) };
             match usize::try_from(unfilled) {
                 Ok(unfilled) if unfilled < left => {

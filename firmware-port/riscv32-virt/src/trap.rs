@@ -1,39 +1,40 @@
-//! The interrupt handlers: a doorbell sets a flag, or calls the program's handler; a timer ends the
-//! hart's turn.
+//! The interrupt handlers: the doorbell sets a flag and calls the program's handler; the timer ends
+//! the hart's turn.
 
 use crate::hart::{HARTS, MSI, MTI};
 use crate::{clint, hart};
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
-/// A handler: runs in interrupt context and never blocks.
+/// A handler, which runs in interrupt context and must never block.
 pub type InterruptHandler = fn();
 
-/// The state of one hart's handlers. On its own cache line.
+/// The state of one hart's handlers, on its own cache line.
 #[repr(C, align(64))]
 pub(crate) struct HartState {
-    /// A doorbell arrived while this hart was awake.
+    /// Whether the doorbell rang while this hart was awake.
     pub(crate) rung: AtomicBool,
-    /// Length of a turn in ticks; 0: no limit.
+    /// Length of a turn in ticks; 0 means no limit.
     pub(crate) slice: AtomicU32,
-    /// A hash of the places where this hart's turns ended.
+    /// A hash of the code addresses at which this hart's turns ended.
     pub(crate) places: AtomicU32,
-    /// Where the last turn ended, and how many turns in a row have ended there.
+    /// The code address at which the last turn ended, and how often in a row (at most 6).
     ended_at: AtomicU32,
     repeats: AtomicU32,
-    /// The carrier requests that this hart stand still.
+    /// Whether the carrier requests that this hart stop.
     pub(crate) held: AtomicBool,
-    /// Between two incarnations: one of the four below.
+    /// The state of the hart's incarnation: 0, [`STANDS`], [`GOES`] or [`RUNS`].
     incarnation: AtomicU32,
     on_doorbell: AtomicPtr<()>,
     on_turn: AtomicPtr<()>,
 }
 
-// Its first incarnation has not yet begun to stand still: 0.
-/// Its last incarnation is over, and nothing of it runs.
+// 0: the machine has started, and the hart has not yet stopped for the first time.
+/// The hart is stopped: its last incarnation is over, and none of its code runs.
 const STANDS: u32 = 1;
-/// The carrier releases it. The carrier may revoke that; the first to change the word succeeds.
+/// The carrier has released the hart, which has not started yet. The carrier may still revoke that:
+/// the one that changes the word first succeeds.
 const GOES: u32 = 2;
-/// It runs.
+/// The hart runs.
 const RUNS: u32 = 3;
 
 impl HartState {
@@ -44,8 +45,8 @@ impl HartState {
     }
 }
 
-/// For each hart. It belongs to the carrier, because it outlives the image that a hart runs.
-// SAFETY: the fields are atomics, of which zero is a value: a null pointer is no handler.
+/// The state of each hart, in the carrier's memory, because it outlives the image of a hart.
+// SAFETY: the fields are atomics, for which zero is valid: a null pointer means no handler.
 #[unsafe(link_section = ".bss.carrier.harts")]
 pub(crate) static STATES: [HartState; HARTS] = unsafe { core::mem::zeroed() };
 
@@ -53,7 +54,7 @@ unsafe extern "C" {
     fn tandem_restart_hart(hart: usize) -> !;
 }
 
-/// This hart's function at its doorbell, in addition to recording the ring.
+/// Sets the function that runs at this hart's doorbell, after the ring is recorded.
 pub fn on_doorbell(handler: InterruptHandler) {
     STATES[hart::number() % HARTS]
         .on_doorbell
@@ -61,7 +62,7 @@ pub fn on_doorbell(handler: InterruptHandler) {
     hart::enable(MSI);
 }
 
-/// A hart's function at the end of each of its turns.
+/// Sets the function that runs at the end of each turn of a hart; `None` for no function.
 pub(crate) fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
     let handler = handler.map_or(core::ptr::null_mut(), |handler| handler as *mut ());
     STATES[hart % HARTS]
@@ -69,13 +70,13 @@ pub(crate) fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
         .store(handler, Ordering::Relaxed);
 }
 
-/// Ends the incarnation of another hart at its next doorbell, which is rung here. Wait until it
+/// Rings the doorbell of another hart, whose handler ends its incarnation. Wait until the hart
 /// [`stands`].
 pub(crate) fn hold(hart: usize) {
     let state = &STATES[hart % HARTS];
     // Release pairs with the Acquire in `is_held`.
     state.held.store(true, Ordering::Release);
-    // A hart that was released and has not started yet stays where it is.
+    // A hart that was released and has not started yet stays stopped.
     let taken_back =
         state
             .incarnation
@@ -85,29 +86,29 @@ pub(crate) fn hold(hart: usize) {
     }
 }
 
-/// Whether a hart that is held stands still.
+/// Returns whether a hart that is held has stopped.
 pub(crate) fn stands(hart: usize) -> bool {
     // Acquire pairs with the Release in `begin_held`.
     STATES[hart % HARTS].incarnation.load(Ordering::Acquire) == STANDS
 }
 
-/// Releases a hart that stands still.
+/// Releases a hart that has stopped.
 pub(crate) fn release(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.held.store(false, Ordering::Relaxed);
-    // Release pairs with the Acquire in `sleep_while_held`: it sees all preparations.
+    // Release pairs with the Acquire in `sleep_while_held`: the hart sees all preparations.
     state.incarnation.store(GOES, Ordering::Release);
     clint::post(hart);
 }
 
-/// This hart stands from now on, with nothing of its last incarnation. Interrupts are off.
+/// Marks this hart as stopped, and clears the state of its last incarnation. Interrupts are off.
 pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.rung.store(false, Ordering::Relaxed);
     forget_handler(hart);
     hart::disable(MTI);
     hart::enable(MSI);
-    // Release pairs with the Acquire in `stands`: the carrier never touches a running hart.
+    // Release pairs with the Acquire in `stands`: the carrier sees the end of the incarnation.
     state.incarnation.store(STANDS, Ordering::Release);
 }
 
@@ -125,7 +126,7 @@ pub(crate) fn sleep_while_held(hart: usize) {
     }
 }
 
-/// This hart leaves its image: its handlers no longer run. Interrupts are off.
+/// Removes this hart's handlers, before the hart leaves its image. Interrupts are off.
 pub(crate) fn forget_handler(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.slice.store(0, Ordering::Relaxed);
@@ -134,8 +135,8 @@ pub(crate) fn forget_handler(hart: usize) {
     }
 }
 
-/// Ends this incarnation if the carrier has requested that. For a doorbell's handler under an
-/// operating system that has its own trap vector.
+/// Ends this incarnation if the carrier has requested it. For the doorbell handler of an operating
+/// system with its own trap vector.
 pub fn end_if_held() {
     let number = hart::number() % HARTS;
     end_if(number, &STATES[number]);
@@ -144,8 +145,8 @@ pub fn end_if_held() {
 #[inline]
 fn end_if(number: usize, state: &HartState) {
     if state.is_held() {
-        // SAFETY: the incarnation that was interrupted is over: nothing of its stack is used again,
-        // and what it shares with other harts are atomics.
+        // SAFETY: the interrupted incarnation is over: no code uses its stack again, and it shares
+        // only atomics with other harts.
         unsafe { tandem_restart_hart(number) };
     }
 }
@@ -164,7 +165,7 @@ extern "C" fn tandem_on_doorbell() {
 fn call(handler: &AtomicPtr<()>) {
     let handler = handler.load(Ordering::Relaxed);
     if !handler.is_null() {
-        // SAFETY: only `on_doorbell` and `on_turn` store here, and they store a `InterruptHandler`.
+        // SAFETY: only `on_doorbell` and `on_turn` store here; both store an `InterruptHandler`.
         let handler: InterruptHandler = unsafe { core::mem::transmute(handler) };
         handler();
     }
@@ -174,7 +175,7 @@ fn call(handler: &AtomicPtr<()>) {
 extern "C" fn tandem_on_timer() {
     let number = hart::number() % HARTS;
     match STATES[number].slice.load(Ordering::Relaxed) {
-        // The interrupt only had to end a sleep.
+        // The interrupt has only ended a sleep.
         0 => hart::disable(MTI),
         ticks => {
             let HartState {
@@ -190,8 +191,8 @@ extern "C" fn tandem_on_timer() {
             hart::yield_turn();
             call(&STATES[number].on_turn);
             // The timer of another hart may end this turn, and this hart's timer then expires while
-            // the others run: short turns that keep step with each other make no progress. So a
-            // hart that stays where it is gets longer turns.
+            // the others run: short turns in step with each other make no progress. So if the turns
+            // of a hart end at one address again and again, they become longer.
             let stays = ended_at.load(Ordering::Relaxed) == place;
             let times = match stays {
                 true => (repeats.load(Ordering::Relaxed) + 1).min(6),

@@ -14,7 +14,7 @@ struct Uart;
 impl Write for Uart {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         for byte in text.bytes() {
-            // SAFETY: the registers of the 16550; `write_line` keeps other harts out.
+            // SAFETY: the registers of the 16550; `write_line` excludes other harts.
             unsafe {
                 while read_volatile((UART + LINE_STATUS) as *const u8) & TRANSMITTER_EMPTY == 0 {}
                 write_volatile(UART as *mut u8, byte);
@@ -26,7 +26,7 @@ impl Write for Uart {
 
 /// Writes a line. Blocks; task context.
 pub fn print(line: fmt::Arguments<'_>) {
-    // Off: a reset must not interrupt this hart while it has the UART.
+    // Interrupts are off, so that no reset interrupts this hart while it uses the UART.
     crate::hart::without_interrupts(|| write_line(&mut Uart, crate::hart::yield_turn, line));
 }
 

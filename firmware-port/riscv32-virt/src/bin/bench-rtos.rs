@@ -1,8 +1,8 @@
-//! From a task of FreeRTOS on core 0 to bare core 1 and back to the task, counted in instructions.
+//! Counts the instructions from a task of FreeRTOS on core 0 to core 1 and back to the task.
 //!
-//! Hart 0 runs the kernel, hart 1 is bare. The task signals core 1 through a mailbox and waits for
+//! Hart 0 runs the kernel, hart 1 has none. The task signals core 1 through a mailbox and waits for
 //! a notification; core 1's handler signals back; core 0's doorbell interrupt notifies the task.
-//! Each round begins right after a tick, so that no tick occurs within it.
+//! Each round starts directly after a tick, so that no tick occurs within it.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -19,16 +19,16 @@ use tandem_shm::region::{Mailbox, Region};
 
 entry!(main);
 
-/// The LMU is formatted, and hart 1 may attach.
+/// True when the LMU is formatted and hart 1 may attach.
 static READY: AtomicBool = AtomicBool::new(false);
-/// Signals that were returned.
+/// Number of signals that hart 1 has returned.
 static BACK: AtomicU32 = AtomicU32::new(0);
-/// When hart 1 began to wake the task.
+/// Cycle at which hart 1 began to wake the task.
 static BEGAN_AT: AtomicU32 = AtomicU32::new(0);
-/// The next doorbell is one without a signal.
+/// Whether the next doorbell comes without a signal.
 static BARE: AtomicBool = AtomicBool::new(false);
 
-/// What hart 1 is asked for: a signal at once; a signal, or a bare interrupt, when hart 0 is idle.
+/// Requests to hart 1: a signal at once; a signal, or only an interrupt, when hart 0 is idle.
 const ANSWER: TaskId = task(1);
 const SIGNAL: TaskId = task(2);
 const INTERRUPT: TaskId = task(3);
@@ -45,7 +45,7 @@ const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
 const MAILBOX_1_TO_0: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 1 to 0");
 const LAYOUT: Layout = MAILBOX_1_TO_0.end();
 
-/// Hart 0: the kernel with one task.
+/// Hart 0: runs the kernel with one task.
 fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
@@ -54,7 +54,7 @@ fn control() -> ! {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let (map, own) = memory::attach(0, LAYOUT);
     let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
-    // Core 0 requests its doorbell for every signal.
+    // From now on core 1 rings core 0's doorbell for every signal.
     back.poll(|_| ());
     let _nothing_there = back.prepare_sleep();
     let on_doorbell = move |ctx: &_| {
@@ -80,7 +80,7 @@ fn measure_all(ctx: &TaskContext) {
     let (map, own) = memory::attach(0, LAYOUT);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
-        // No other task is ready: a call of the kernel and back.
+        // No other task is ready, so this measures one call of the kernel.
         let begin = hart::cycles();
         ctx.yield_now();
         hart::cycles().wrapping_sub(begin)
@@ -111,7 +111,7 @@ fn ask(to: &mut Sender<'_>, what: TaskId) {
     }
 }
 
-/// Measures a round that returns how long it took; each begins right after a tick.
+/// Measures `round`, which returns its number of instructions. Each round starts after a tick.
 fn bench(ctx: &TaskContext, name: &str, mut round: impl FnMut() -> u32) {
     measure::repeat(name, || ctx.delay(Ticks(1)), |_| round());
 }

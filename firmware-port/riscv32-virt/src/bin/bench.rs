@@ -1,8 +1,8 @@
-//! The costs of the paths between cores, counted in instructions.
+//! Counts the instructions of the paths between cores.
 //!
 //! Hart 0 measures, hart 1 answers, hart 2 contends. Under `-icount shift=0` all harts share one
-//! cycle counter, which counts the instructions of the running hart. So a span from one hart to
-//! another is the length of the path between them. Prints `bench NAME MIN MAX` for each.
+//! cycle counter, which counts the instructions of the running hart. So the difference between two
+//! harts' readings is the length of the path between them. Prints `bench NAME MIN MAX` for each.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -38,7 +38,7 @@ const FIFO: TaskId = task(3);
 const VALUE: TaskId = task(4);
 const STOP: TaskId = task(5);
 
-/// When the answering side was reached, and how many times.
+/// Cycle at which hart 1 was reached last, and how often it was reached.
 static SEEN_AT: AtomicU32 = AtomicU32::new(0);
 static SEEN: AtomicU32 = AtomicU32::new(0);
 /// The current work of harts 1 and 2.
@@ -50,24 +50,24 @@ const CONTEND: u32 = 4;
 const SPSC: u32 = 5;
 const CHANNEL: u32 = 6;
 const BUFFER: u32 = 7;
-/// Rounds of the contended lock that may begin, and that each hart has ended.
+/// Contended lock: the started round, the number of harts that have ended it, the last cycle.
 static GO: AtomicU32 = AtomicU32::new(0);
 static ENDED: AtomicU32 = AtomicU32::new(0);
 static LAST_AT: AtomicU32 = AtomicU32::new(0);
 
-/// A peer's queue, and the end of it that hart 1 takes.
+/// A value that hart 0 hands over to hart 1: a peer's queue, or one end of it.
 struct Handed<T>(UnsafeCell<T>);
 
-// SAFETY: hart 0 uses it until it stores `PART`, with Release; hart 1 takes it over when it sees
-// that, with Acquire, and hart 0 never uses it again.
+// SAFETY: hart 0 uses the value until it stores `PART` with Release; hart 1 uses it after it has
+// read that with Acquire; hart 0 does not use it again.
 #[allow(unsafe_code)]
 unsafe impl<T: Send> Sync for Handed<T> {}
 
 impl<T> Handed<T> {
-    /// The value, for the hart whose it is.
+    /// Returns the value, for the hart that owns it now.
     ///
     /// # Safety
-    /// Each hart calls it once, and hart 1 after it has seen its part.
+    /// Each hart calls this at most once, hart 1 only after it has read its part from `PART`.
     #[allow(unsafe_code, clippy::mut_from_ref)]
     unsafe fn value(&self) -> &mut T {
         // SAFETY: as above.
@@ -78,7 +78,7 @@ impl<T> Handed<T> {
 static QUEUE: Handed<spsc::Queue<u32, 5>> = Handed(UnsafeCell::new(spsc::Queue::new()));
 static CONSUMER: Handed<Option<spsc::Consumer<'static, u32>>> = Handed(UnsafeCell::new(None));
 
-/// The least that embassy-sync needs between several cores: a spin lock with interrupts off.
+/// The smallest mutex for embassy-sync between several cores: a spin lock with interrupts off.
 struct HartMutex(AtomicBool);
 
 // SAFETY: one hart is inside at a time, and its interrupts are off.
@@ -88,7 +88,7 @@ unsafe impl RawMutex for HartMutex {
 
     fn lock<R>(&self, work: impl FnOnce() -> R) -> R {
         hart::without_interrupts(|| {
-            // Acquire pairs with the Release of the hart that was inside before.
+            // Acquire pairs with the Release below, in the hart that was inside before.
             while self.0.swap(true, Ordering::Acquire) {
                 hart::yield_turn();
             }
@@ -101,18 +101,18 @@ unsafe impl RawMutex for HartMutex {
 
 static EMBASSY: Channel<HartMutex, u32, 4> = Channel::new();
 
-/// Bytes of FreeRTOS's message buffer: room for each message of a run and its length. A message
-/// that begins again at the front takes 4 instructions more.
+/// Bytes of FreeRTOS's message buffer: room for each message of a run with its length, so that it
+/// does not wrap around, which takes 4 more instructions.
 const BYTES: usize = 8 * (WARM_UP + ROUNDS + 1) as usize;
-/// The buffer, of the kernel's own sources: its memory, and that of its state.
+/// The memory of FreeRTOS's message buffer: for the messages, and for its state.
 static MESSAGES: Handed<([u8; BYTES], [u32; 16])> = Handed(UnsafeCell::new(([0; BYTES], [0; 16])));
-/// What the kernel made of it.
+/// The handle of the message buffer that the kernel returned.
 static BUFFER_AT: AtomicPtr<c_void> = AtomicPtr::new(null_mut());
-/// Its type, as `xStreamBufferGenericCreateStatic` takes it.
+/// The type of buffer for `xStreamBufferGenericCreateStatic`.
 const MESSAGE_BUFFER: i32 = 1;
 
-// SAFETY: stream_buffer.h of the kernel: `size_t` and pointers have 32 bits here, and so have
-// `BaseType_t` and `TickType_t`. One hart may send and one receive.
+// SAFETY: as in stream_buffer.h of the kernel: `size_t`, pointers, `BaseType_t` and `TickType_t`
+// have 32 bits here. One hart may send and one receive.
 #[allow(unsafe_code)]
 unsafe extern "C" {
     fn xStreamBufferGenericCreateStatic(
@@ -142,12 +142,12 @@ fn settle() {
     (0..8).for_each(|_| hart::yield_turn());
 }
 
-/// Measures a round that returns how long it took; each begins while all other harts are idle.
+/// Measures `round`, which returns its number of instructions. Other harts are idle when it starts.
 fn bench(name: &str, round: impl FnMut(u32) -> u32) {
     measure::repeat(name, settle, round);
 }
 
-/// How long `act` takes to reach hart 1.
+/// Returns the number of instructions from `act` until hart 1 is reached.
 fn reach(act: impl FnOnce()) -> u32 {
     let before = SEEN.load(Ordering::Relaxed);
     let begin = hart::cycles();
@@ -156,7 +156,7 @@ fn reach(act: impl FnOnce()) -> u32 {
     SEEN_AT.load(Ordering::Relaxed).wrapping_sub(begin)
 }
 
-/// Hart 1 was reached.
+/// Hart 1 calls this when it is reached: stores the cycle.
 #[inline(always)]
 fn reached() {
     let at = hart::cycles();
@@ -164,7 +164,7 @@ fn reached() {
     SEEN.store(SEEN.load(Ordering::Relaxed) + 1, Ordering::Release);
 }
 
-/// Rings hart 1, which a signal has found asleep.
+/// Rings hart 1, which must be asleep.
 fn ring(ring: Ring) {
     match ring {
         Ring::Needed => clint::post(1),
@@ -209,7 +209,7 @@ fn measure_all() -> ! {
             ring(to.signal(NEWEST));
         })
     });
-    // Varies: each end reads the other's index only when its copy requires it.
+    // The result varies: each end reads the other's index only when its copy requires it.
     bench("fifo/4-bytes", |number| {
         reach(|| {
             must(queue.send(&number));
@@ -242,11 +242,11 @@ fn measure_all() -> ! {
     exit::exit(0)
 }
 
-/// What others use for the same between two cores; the board's doorbell wakes the receiver.
+/// Measures three other libraries on the same path; the board's doorbell wakes the receiver.
 #[inline(never)]
 #[allow(unsafe_code)]
 fn peers(part: impl Fn(u32)) {
-    // SAFETY: hart 0 calls this once, and hart 1 has not seen its part.
+    // SAFETY: hart 0 calls this once, and has not yet stored the part of hart 1.
     let (mut producer, consumer) = unsafe { QUEUE.value() }.split();
     // SAFETY: as above.
     *unsafe { CONSUMER.value() } = Some(consumer);
@@ -264,7 +264,7 @@ fn peers(part: impl Fn(u32)) {
             clint::post(1);
         })
     });
-    // SAFETY: as above; the memory has these bytes, and the kernel's state has 9 words at most.
+    // SAFETY: as above; the memory has `BYTES` bytes, and the kernel's state has at most 9 words.
     let buffer = unsafe {
         let (memory, state) = MESSAGES.value();
         let (memory, state) = (memory.as_mut_ptr(), state.as_mut_ptr());
@@ -275,7 +275,7 @@ fn peers(part: impl Fn(u32)) {
     part(BUFFER);
     bench("freertos/message-buffer-4-bytes", |number| {
         reach(|| {
-            // SAFETY: this hart alone sends, 4 bytes from a valid place, without waiting.
+            // SAFETY: only this hart sends, 4 bytes from a valid address, without waiting.
             let sent = unsafe { xStreamBufferSend(buffer, &number, 4, 0) };
             assert!(sent == 4);
             clint::post(1);
@@ -283,7 +283,7 @@ fn peers(part: impl Fn(u32)) {
     });
 }
 
-/// Takes the lock, lets the others find it taken, and releases it.
+/// Takes the lock, yields so that the other harts find it taken, and releases it.
 fn take(lock: &mut Lock<'_>) {
     let guard = must(lock.lock(10_000, |_| hart::yield_turn()));
     hart::yield_turn();
@@ -292,8 +292,8 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first it does nothing but wake, in three ways, then three peers, then the mailbox, then
-/// it contends.
+/// Hart 1: first only wakes, in three ways, then receives by three peers and by the mailbox, and
+/// then contends for the lock.
 fn answer() -> ! {
     let (map, own) = memory::attach(1, LAYOUT);
     trap::on_doorbell(reached);
@@ -310,7 +310,7 @@ fn answer() -> ! {
     wake_by_mailbox(&map, own)
 }
 
-/// The least: `wfi` wakes the hart without a trap, and the interrupt is cleared.
+/// The minimum: `wfi` wakes the hart without a trap, and the hart clears the interrupt.
 #[inline(never)]
 fn wake_by_wfi() {
     hart::interrupts_off();
@@ -322,7 +322,7 @@ fn wake_by_wfi() {
     hart::interrupts_on();
 }
 
-/// The same with what the board needs: which interrupt it was, whether it is a reset, the deadline.
+/// The same by the board's wait, which also checks the interrupt, a reset, and the deadline.
 #[inline(never)]
 fn wake_by_doorbell() {
     while PART.load(Ordering::Acquire) == DOORBELL {
@@ -334,7 +334,7 @@ fn wake_by_doorbell() {
 #[inline(never)]
 #[allow(unsafe_code)]
 fn wake_by_spsc() {
-    // SAFETY: hart 1 calls this once, after it has seen its part.
+    // SAFETY: hart 1 calls this once, after it has read its part from `PART`.
     let Some(mut consumer) = unsafe { CONSUMER.value() }.take() else {
         return;
     };
@@ -365,7 +365,7 @@ fn wake_by_message_buffer() {
     while PART.load(Ordering::Acquire) == BUFFER {
         doorbell::wait(None);
         let mut value = 0;
-        // SAFETY: this hart alone receives, 4 bytes into a valid place, without waiting.
+        // SAFETY: only this hart receives, 4 bytes to a valid address, without waiting.
         if unsafe { xStreamBufferReceive(buffer, &mut value, 4, 0) } == 4 {
             core::hint::black_box(value);
             reached();
@@ -395,7 +395,7 @@ fn wake_by_mailbox(map: &Map<'static>, own: Incarnation) -> ! {
     }
 }
 
-/// The receiving ends of the channels; their tasks have been reached when they have the value.
+/// The receiving ends of the channels. Their tasks call `reached` after they have read the value.
 struct Values {
     queue: fifo::Consumer<'static, u32>,
     newest: newest::Reader<'static, u32>,
@@ -420,7 +420,7 @@ impl Values {
     }
 }
 
-/// Hart 1 and 2: take the lock once in each round.
+/// Harts 1 and 2: take the lock once in each round.
 fn contend(hart: usize) -> ! {
     let (map, own) = memory::attach(hart, LAYOUT);
     let mut lock = must(LOCK.attach(&map, own));

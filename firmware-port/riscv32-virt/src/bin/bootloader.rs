@@ -1,8 +1,8 @@
 //! The first program of a machine with one system: boot ROM, bootloader on core 0, and the carrier.
 //!
-//! Strap `First`: which system, 1 A, 2 B. The emulator loads the program flash and the public key
-//! (see `memory`). Core 0 jumps to the image in its slot; cores 1 and 2 follow when they are
-//! released.
+//! Strap `First`: the system, 1 A, 2 B. The emulator loads the program flash and the public key
+//! (see `memory`). Core 0 jumps to the image in its slot; cores 1 and 2 jump to it when core 0
+//! releases them.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -17,14 +17,14 @@ use tandem_boot::{Bank, Leave, Trust, TrustMode, rom_choice, start};
 
 entry!(main);
 
-/// Turns of 50 us.
+/// Length of a turn: 50 us.
 const SLICE_TICKS: u32 = 500;
 
 fn main(hart: usize) -> ! {
     run(hart, SLICE_TICKS, core, Peripherals::play_for_world)
 }
 
-/// The first program of a core in each of its incarnations.
+/// Runs first on each core, in each of its incarnations.
 fn core(board: &VirtBoard) {
     if board.identity().core == CoreId::CONTROL {
         let begin = board.now();
@@ -49,7 +49,7 @@ fn boot(board: &VirtBoard) -> tandem_boot::Launch {
         mode: TrustMode::Strict,
     };
     let keeper = ByTimer::new(board);
-    // In a flash without a bootloader, this program replaces it.
+    // If the flash holds no bootloader, this program runs as the primary one.
     let mut bank = rom_choice(&mut ProgramFlash).unwrap_or(Bank::Primary);
     loop {
         match start(board, ProgramFlash, trust, bank, &keeper) {

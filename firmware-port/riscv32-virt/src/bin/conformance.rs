@@ -1,7 +1,7 @@
-//! The conformance suite on this board: each case on two freshly powered systems.
+//! Runs the conformance suite on this board. For each case, both systems are switched on anew.
 //!
-//! The carrier's hart is the rig. Prints a line for each case, and one at the end; the status is
-//! the number of cases that failed.
+//! The carrier's hart is the rig. It prints one line for each case, and one at the end; the status
+//! is the number of cases that failed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -17,14 +17,14 @@ use tandem_peripherals::supply::Change;
 
 entry!(main);
 
-/// Turns of 100 us: roles that spin must not starve the others.
+/// Length of a turn, 100 us, so that roles that spin do not starve the others.
 const SLICE_TICKS: u32 = 1_000;
-/// After this time a case hangs: longer than a role's patience.
+/// A case that takes longer than this hangs. It is longer than a role waits.
 const HANGS_AFTER_TICKS: u64 = 60 * 10_000_000;
 
 /// The current case.
 static CASE: AtomicU32 = AtomicU32::new(0);
-/// How the role of each hart ended.
+/// The result of the role of each hart.
 static RESULTS: [AtomicU32; CoreAddress::COUNT] = [const { AtomicU32::new(0) }; CoreAddress::COUNT];
 const RUNS: u32 = 0;
 const PASSED: u32 = 1;
@@ -38,7 +38,7 @@ fn result_of(place: CoreAddress) -> &'static AtomicU32 {
     &RESULTS[place.index()]
 }
 
-/// The program of each core in each of its incarnations.
+/// Runs on each core, in each of its incarnations.
 fn play_role(board: &VirtBoard) {
     let case = CASE.load(Ordering::Relaxed) as usize;
     let place = board.identity().address();
@@ -53,11 +53,11 @@ fn play_role(board: &VirtBoard) {
             FAILED
         }
     };
-    // Release pairs with the Acquire of the rig.
+    // Release pairs with the Acquire in the rig.
     result_of(place).store(result, Ordering::Release);
 }
 
-/// Why a case did not pass; the log above has the observation of its role.
+/// Why a case did not pass. The log before it shows the failure of its role.
 enum Fault {
     Failed(CoreAddress),
     Hung,
@@ -90,7 +90,7 @@ impl VirtRig<'_> {
             if let Some(part) = case.parts.iter().find(|part| failed(part.place)) {
                 return Err(Fault::Failed(part.place));
             }
-            // The carrier polls at least every millisecond.
+            // Polls at least every millisecond.
             match self.peripherals.step(hart::time() + 10_000) {
                 Some((system, Change::Reset(_)))
                     if !case.setting.restarts()

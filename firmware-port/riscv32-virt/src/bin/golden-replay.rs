@@ -1,5 +1,5 @@
-//! The driving functions over frames from the emulator's memory, and the digest of their outputs: a
-//! host prints the same digest. Strap `First`: duration in milliseconds.
+//! Runs the driving functions over recorded frames in the emulator's memory, and prints the digest
+//! of their outputs. A host prints the same digest. Strap `First`: duration in milliseconds.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -1,8 +1,8 @@
-//! Tasks of FreeRTOS that change digital outputs, as in the thesis before an oscilloscope.
+//! Tasks of FreeRTOS that change digital outputs, which the thesis shows on an oscilloscope.
 //! T-RTOS-3, T-RTOS-4
 //!
-//! Hart 0 runs the kernel. Each change of an output is recorded with the time of the CLINT, in
-//! ticks of 100 ns; when both tests are over, all changes are printed.
+//! Hart 0 runs the kernel. The program records each change of an output with the time of the CLINT,
+//! in ticks of 100 ns, and prints all changes after both tests.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -14,13 +14,13 @@ use tandem_rtos::{Kernel, Priority, TaskContext, TaskOptions, TickSource, Ticks}
 
 entry!(main);
 
-/// Room for the changes of one output: 360 ms at 10 ms, plus some.
+/// Room for the changes of one output: one every 10 ms in 360 ms, plus a reserve.
 const ROOM: usize = 64;
 
-/// The changes of one output. One task writes; another reads after that has ended.
+/// The changes of one output. One task writes; another reads after the first has ended.
 struct Probe {
     count: AtomicU32,
-    /// In ticks of the CLINT since the test began.
+    /// Times of the changes, in ticks of the CLINT since the start of the test.
     at: [AtomicU32; ROOM],
 }
 
@@ -40,11 +40,11 @@ impl Probe {
     }
 }
 
-/// When the current test began; the test and its tasks run on one hart.
+/// Start time of the current test. Relaxed accesses: the test and its tasks run on one hart.
 static BEGIN: AtomicU32 = AtomicU32::new(0);
 static PROBES: [[Probe; 3]; 2] = [const { [const { Probe::new() }; 3] }; 2];
 
-/// The time in ticks of the CLINT; the upper half stays zero here.
+/// Returns the time in ticks of the CLINT. Its upper half is always zero in this program.
 fn now() -> u32 {
     hart::time() as u32
 }
@@ -65,13 +65,13 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-/// The task that starts both tests and sleeps while they run.
+/// The task that starts both tests, and sleeps while they run.
 fn run(ctx: &TaskContext) {
     let mut wake = ctx.now();
-    // From here on the work between two sleeps starts with a tick.
+    // After this, the work between two sleeps starts at a tick.
     ctx.delay_until(&mut wake, Ticks(1));
     for test in 0..TESTS.len() {
-        // The tasks exist before the tick with which they all start.
+        // The tasks are created before the tick at which they all start.
         let before = wake;
         for (output, probe) in TESTS[test].outputs.iter().zip(&PROBES[test]) {
             let options = TaskOptions::new(output.name, Priority::new(output.priority));

@@ -1,13 +1,13 @@
-//! The primitives of the LMU under hundreds of schedules: each a pattern of turns of three harts.
+//! Tests the primitives of the LMU in hundreds of schedules: patterns of turns of three harts.
 //!
 //! Under icount, a timer that ends a hart's turn after a fixed number of instructions makes one
-//! particular interleaving, the same in each run. Hart 6 sweeps the length of the turns and the
-//! offset between the harts, and makes them run the tests of lock, mailbox, pool and channels in
-//! each. Schedules are distinguished by the places in the code where the turns of each hart ended,
-//! and by the order in which the harts got the lock.
+//! particular interleaving, the same in each run. Hart 6 varies the length of the turns and the
+//! offset between the harts, and starts the tests of lock, mailbox, pool and channels for each. Two
+//! schedules differ if the turns of a hart ended at different code addresses, or if the harts got
+//! the lock in another order.
 //!
 //! Strap `Mode`: 0, the tests must pass in every schedule; 1, at least one schedule must detect a
-//! deliberately broken lock. Strap `First`: how many lengths of turns.
+//! deliberately broken lock. Strap `First`: the number of lengths of turns.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -27,13 +27,13 @@ use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, SharedPool, 
 
 entry!(main);
 
-/// The shortest turn, in ticks: shorter ones end before the handler has returned.
+/// The shortest turn, in ticks: a shorter one ends before the handler has returned.
 const SHORTEST: u32 = 8;
 /// Number of lengths of turns, unless a strap sets it.
 const LENGTHS: u32 = 100;
-/// Offsets of harts 1 and 2, in spins; coprime, so that no two harts keep step.
+/// Offsets of harts 1 and 2, in spins; coprime, so that no two harts run in step.
 const OFFSETS: [[u32; 2]; 4] = [[0, 0], [7, 0], [3, 11], [13, 5]];
-/// After this many ticks a test hangs: a wake-up or the lock was lost.
+/// A test that takes more ticks than this hangs: a wake-up or the lock was lost.
 const HANGS_AFTER: u64 = 2_000_000;
 
 const CORES: usize = 3;
@@ -41,7 +41,7 @@ const POOL_BLOCKS: usize = 8;
 type Value = [u32; 6];
 
 const LOCK: Region<SharedLock> = Region::first("lock");
-/// The counter, the order of its owners, and the word of the broken lock.
+/// Three words: the counter, a hash of the order of its owners, and the broken lock.
 const COUNTER: Region<Words<3>> = LOCK.then("counter, and the order of its owners");
 const MAILBOX_0_TO_1: Region<Mailbox> = COUNTER.then("mailbox 0 to 1");
 const MAILBOX_2_TO_1: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 2 to 1");
@@ -50,20 +50,20 @@ const FIFO: Region<Fifo<[u32; 2], 4>> = POOL.then("queue 2 to 0");
 const NEWEST: Region<Newest<Value>> = FIFO.then("newest value 1 to 0 and 2");
 const LAYOUT: Layout = NEWEST.end();
 
-/// Rounds of each test: several turns long, so that turns end at all places of a test.
+/// Number of rounds of each test. A test takes several turns, so that turns end everywhere in it.
 const ROUNDS: u32 = 40;
 
-/// The schedule: its number (0: none yet), the length of turns, the offsets.
+/// The current schedule: its number (0 means none yet), the length of turns, the offsets.
 static SCHEDULE: AtomicU32 = AtomicU32::new(0);
 static LENGTH: AtomicU32 = AtomicU32::new(0);
 static OFFSET: [AtomicU32; CORES] = [const { AtomicU32::new(0) }; CORES];
-/// Harts that have passed all tests of the schedule.
+/// Number of harts that have finished the tests of the schedule.
 static PASSED: AtomicU32 = AtomicU32::new(0);
-/// A test failed: its number.
+/// The number of a test that failed; 0 if none did.
 static FAILED: AtomicU32 = AtomicU32::new(0);
-/// Harts that have reached a test.
+/// Number of arrivals at barriers, of all harts.
 static ARRIVED: AtomicU32 = AtomicU32::new(0);
-/// The writer of the newest value has finished.
+/// Whether the writer of the newest value has finished.
 static WRITTEN: AtomicBool = AtomicBool::new(false);
 
 const TESTS: [&str; 5] = ["", "lock", "mailbox", "pool", "channels"];
@@ -76,7 +76,7 @@ fn main(hart: usize) -> ! {
     }
 }
 
-/// A number that names a failure of a test.
+/// The result of a check; the error is the number of the test that failed.
 type Checked = Result<(), u32>;
 
 fn check(holds: bool, test: u32) -> Checked {
@@ -87,7 +87,7 @@ fn is_broken() -> bool {
     strap(Strap::Mode) == 1
 }
 
-/// Hart 6: every schedule, one after the other.
+/// Hart 6: runs all schedules, one after the other.
 fn sweep() -> ! {
     hart::interrupts_on();
     let lengths = match strap(Strap::First) {
@@ -131,7 +131,7 @@ fn sweep() -> ! {
     exit::exit(0)
 }
 
-/// One schedule: returns the order in which the harts got the lock, or the test that failed.
+/// Runs one schedule. Returns the order in which the harts got the lock, or the test that failed.
 fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     let Ok(map) = Map::format(memory::lmu(SystemId::A), LAYOUT) else {
         return Err(0);
@@ -143,14 +143,14 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     LENGTH.store(length, Relaxed);
     OFFSET[1].store(offsets[0], Relaxed);
     OFFSET[2].store(offsets[1], Relaxed);
-    // Release pairs with the Acquire of the players: they see all of the above.
+    // Release pairs with the Acquire in `player`: the harts see all values above.
     SCHEDULE.store(number, Release);
     (0..CORES).for_each(clint::post);
     let limit = hart::time() + HANGS_AFTER;
     while PASSED.load(Acquire) < CORES as u32 {
         let failed = FAILED.load(Relaxed);
         if failed != 0 {
-            // The others may wait for the one that failed: let them give up.
+            // Other harts may wait for the one that failed: gives them time to stop.
             let limit = hart::time() + HANGS_AFTER;
             while PASSED.load(Acquire) < CORES as u32 && hart::time() < limit {
                 doorbell::wait(Some(hart::time() + 100));
@@ -166,7 +166,7 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     Ok(counter(&map)[1].load(Relaxed))
 }
 
-/// Different numbers that were seen.
+/// A set of numbers.
 struct Distinct {
     seen: [u32; 1024],
     count: usize,
@@ -189,7 +189,7 @@ impl Distinct {
     }
 }
 
-/// Harts 0 to 2: run every schedule when it is set.
+/// Harts 0 to 2: run each schedule when hart 6 has set it.
 fn player(hart: usize) -> ! {
     hart::interrupts_on();
     let mut number = 0;
@@ -214,13 +214,13 @@ fn player(hart: usize) -> ! {
     }
 }
 
-/// Barrier number `time`, from 1 on; `Err` if another hart has failed.
+/// Waits at barrier number `time` (from 1) for the other harts; `Err` if one of them has failed.
 fn meet(time: u32) -> Checked {
     ARRIVED.fetch_add(1, Release);
     until(|| ARRIVED.load(Acquire) >= time * CORES as u32)
 }
 
-/// Spins until `holds`; the slicing timer lets the others run. `Err` if another hart has failed.
+/// Spins until `holds` returns true; the timer ends its turns. `Err` if another hart has failed.
 fn until(mut holds: impl FnMut() -> bool) -> Checked {
     while !holds() {
         check(FAILED.load(Relaxed) == 0, 0)?;
@@ -246,7 +246,7 @@ fn all_tests(hart: usize, generation: u32) -> Checked {
     test_channels(&map, hart, incarnation)
 }
 
-/// The words of the counter.
+/// Returns the words of the counter.
 fn counter(map: &Map<'static>) -> &'static [AtomicU32] {
     match COUNTER.attach(map) {
         Ok(words) => words,
@@ -254,13 +254,13 @@ fn counter(map: &Map<'static>) -> &'static [AtomicU32] {
     }
 }
 
-/// A read, then a write that depends on it: if another hart runs in between, an increment is lost.
+/// Increments by a read and a write: if another hart runs in between, an increment is lost.
 fn count(map: &Map<'static>, hart: usize) {
     let [counter, order] = [0, 1].map(|index: usize| &counter(map)[index]);
     let (count, hash) = (counter.load(Relaxed), order.load(Relaxed));
     (0..4).for_each(|_| core::hint::spin_loop());
     counter.store(count + 1, Relaxed);
-    // FNV-1a over the owners, in order.
+    // FNV-1a over the owners, in their order.
     let hash = if hash == 0 { 0x811C_9DC5 } else { hash };
     order.store((hash ^ hart as u32).wrapping_mul(0x0100_0193), Relaxed);
 }
@@ -280,7 +280,7 @@ fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
     Ok(())
 }
 
-/// The same with a lock that tests and takes in two steps: the defect that the schedules must find.
+/// The same with a lock that tests and takes in two steps: the schedules must find this defect.
 fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
     let word = &counter(map)[2];
     for _ in 0..ROUNDS {
@@ -294,7 +294,7 @@ fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
     check(counted == CORES as u32 * ROUNDS, 1)
 }
 
-/// T-SYNC-3: harts 0 and 2 signal hart 1, which sleeps whenever it may; every signal arrives.
+/// T-SYNC-3: harts 0 and 2 signal hart 1, which sleeps as often as it can; every signal arrives.
 fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     let task = |number| TaskId::new(number).ok_or(2u32);
     if hart != 1 {
@@ -330,13 +330,13 @@ fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     Ok(())
 }
 
-/// T-SHM-1: no hart gets words that another one has, and all are given back.
+/// T-SHM-1: no hart gets words that another hart owns, and all words are given back.
 fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
     let pool = POOL.attach(map, incarnation).map_err(|_| 3u32)?;
     for round in 0..ROUNDS {
         let words = 1 + (round as usize * 7 + hart * 5) % 40;
         let Ok(handle) = pool.get(words) else {
-            // The two others may have the remaining words.
+            // The other two harts may own the remaining words.
             continue;
         };
         let mine = pool.open(handle).map_err(|_| 3u32)?;
@@ -353,7 +353,7 @@ fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
     Ok(())
 }
 
-/// T-CHAN-1..3: a queue from 2 to 0 in order; newest values of 1 at 0 and 2, whole and never older.
+/// T-CHAN-1..3: a queue from hart 2 to 0 keeps the order; hart 1's newest values stay whole.
 fn test_channels(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     let mut reader = NEWEST.reader(map).map_err(|_| 4u32)?;
     match hart {
@@ -391,7 +391,7 @@ fn test_channels(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     }
 }
 
-/// Reads the newest value, if there is one that is whole.
+/// Reads the newest value, if there is one. Checks that it is whole and not older than `last`.
 fn read_newest(reader: &mut Reader<'_, Value>, last: &mut u32) -> Checked {
     if let Ok((_, read)) = reader.read() {
         let number = read[0] >> 8;

@@ -1,5 +1,5 @@
-//! One core sends messages to another, which handles them when called: only mailbox and FIFO, both
-//! ends. The same function as a message library such as RPMsg-Lite.
+//! One core sends messages to another, which handles them when it is signalled. Links both ends of
+//! mailbox and FIFO only: the functions of a message library such as RPMsg-Lite.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -1,4 +1,4 @@
-//! Only the start-up: `cargo xtask firmware size` subtracts it from the other images.
+//! Links only the start-up code. `cargo xtask firmware size` subtracts its size from other images.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -1,4 +1,4 @@
-//! Every primitive of `shm` once: map, incarnations, lock, mailbox, pool, the three channels.
+//! Uses every primitive of `shm` once: map, incarnations, lock, mailbox, pool, the three channels.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

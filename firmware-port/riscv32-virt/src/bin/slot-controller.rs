@@ -1,5 +1,5 @@
-//! The whole controller for slot A of a system that is alone in its machine: the bootloader's image
-//! starts it. The straps are those of [`controller`].
+//! The whole controller, in slot A, for a machine with one system. The bootloader's image starts
+//! it. The straps are those of [`controller`].
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -9,7 +9,7 @@ use tandem_board_riscv32_virt::entry;
 
 entry!(main);
 
-/// How often each core sends, and core 0 services the watchdog.
+/// Period in which each core sends a frame, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(10);
 
 fn main(hart: usize) -> ! {

@@ -1,5 +1,5 @@
-//! Two experiments of the thesis between cores 0 and 1: 4 bytes to the task that they wake, and a
-//! counter with and without the lock. T-SYNC-4, T-LOCK-2
+//! Two experiments of the thesis with cores 0 and 1: 4 bytes that wake a task and are passed to it,
+//! and a counter with and without the lock. T-SYNC-4, T-LOCK-2
 //!
 //! Prints `exchange SENT RECEIVED INSTRUCTIONS` for each message. Then, for the counter without the
 //! lock and with it, `counter LOCKED INCREMENTS COUNTER` and, for each core, `seen LOCKED CORE`
@@ -24,23 +24,23 @@ const LOCK: Region<SharedLock> = MAILBOX.then("lock");
 const COUNTER: Region<Words<1>> = LOCK.then("counter");
 const LAYOUT: Layout = COUNTER.end();
 
-/// Messages. Their number counts in one byte, as in the thesis.
+/// Number of messages. Each carries its number in one byte, as in the thesis.
 const MESSAGES: u32 = 250;
-/// Increments of each core.
+/// Number of increments of each core.
 const INCREMENTS: u32 = 10_000;
-/// Values that each core shows.
+/// Number of values that the program prints for each core.
 const SHOWN: usize = 10;
-/// A turn of a core ends after this many ticks, wherever it is; those of core 1 are one longer, so
-/// that the two do not keep step.
+/// Length of a turn of core 0, in ticks. A turn of core 1 is one tick longer, so that the two cores
+/// do not run in step.
 const TURN_TICKS: u32 = 8;
 
-/// The value that core 1's task received last, when, and the number of values.
+/// The value that core 1's task received last, the cycle of that, and the number of values.
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
 static AT: AtomicU32 = AtomicU32::new(0);
 static TASKS: AtomicU32 = AtomicU32::new(0);
-/// Cores that have reached the beginning or the end of a count.
+/// Number of arrivals of cores at the start or the end of a count.
 static ARRIVED: AtomicU32 = AtomicU32::new(0);
-/// The messages are over.
+/// True when all messages were sent and the counts begin.
 static COUNTS: AtomicBool = AtomicBool::new(false);
 static SEEN: [[AtomicU32; SHOWN]; 2] = [const { [const { AtomicU32::new(0) }; SHOWN] }; 2];
 
@@ -63,9 +63,9 @@ fn core_0() -> ! {
     exit::exit(0)
 }
 
-/// 6.4.2: sends 4 bytes to core 1, which sleeps, and waits for its task.
+/// Section 6.4.2: sends 4 bytes to core 1, which sleeps, and waits for its task.
 fn exchange(to: &mut Sender<'_>, number: u32) {
-    // Until core 1 sleeps.
+    // Waits until core 1 sleeps.
     (0..8).for_each(|_| hart::yield_turn());
     let sent = u32::from_le_bytes([number as u8, 1, 2, 3]);
     let begin = hart::cycles();
@@ -99,14 +99,14 @@ fn core_1() -> ! {
     hart::park()
 }
 
-/// 6.4.3: both cores count, first without the lock and then with it. Core 0 prints.
+/// Section 6.4.3: both cores count, first without the lock and then with it. Core 0 prints.
 fn count_both(map: &Map<'static>, own: Incarnation) {
     let core = own.core();
     hart::interrupts_on();
     let mut lock = must(LOCK.attach(map, own));
     let counter = &must(COUNTER.attach(map))[0];
     for (round, locked) in [(0_u32, false), (1, true)] {
-        // Both begin and end together.
+        // Both cores start and end each count together.
         let meet = |time| {
             ARRIVED.fetch_add(1, Release);
             hart::yield_until(|| ARRIVED.load(Acquire) >= 2 * (3 * round + time));
@@ -119,7 +119,7 @@ fn count_both(map: &Map<'static>, own: Incarnation) {
         for number in 0..INCREMENTS as usize {
             let wait = |_| hart::yield_turn();
             let guard = locked.then(|| must(lock.lock(u32::MAX, wait)).into_guard());
-            // Read, modify, write: not one atomic addition.
+            // Read, modify, write, instead of one atomic addition.
             let value = counter.load(Relaxed) + 1;
             core::hint::spin_loop();
             counter.store(value, Relaxed);

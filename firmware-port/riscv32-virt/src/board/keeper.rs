@@ -1,5 +1,5 @@
-//! Services the watchdog while a bootloader computes, from the timer that ends the turns of its
-//! hart: checking a signature takes longer than the window.
+//! Services the watchdog while a bootloader computes, because a signature check takes longer than
+//! the window. Runs in the interrupt of the timer that ends the turns of the hart.
 
 use super::{VirtBoard, VirtSupply};
 use crate::peripherals::now;
@@ -8,21 +8,21 @@ use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use tandem_board::{Board, CoreAddress, Duration, Instant, Supply, watchdog_answer};
 use tandem_boot::{Keeper, first_service, next_service};
 
-/// When the next service is due, in microseconds (low word), for the machine's one bootloader.
+/// Time at which the bootloader must service the watchdog next, in microseconds (low word).
 static DUE_US: AtomicU32 = AtomicU32::new(0);
-/// How often it was serviced.
+/// Number of services in this incarnation.
 static SERVED: AtomicU32 = AtomicU32::new(0);
 
 fn now_us() -> u32 {
     (now().as_ns() / 1_000) as u32
 }
 
-/// Services from an interrupt. The hart must have turns: see [`run`](super::run).
+/// Services the watchdog from an interrupt. Turns must have a length: see [`run`](super::run).
 #[derive(Debug)]
 pub struct ByTimer(());
 
 impl ByTimer {
-    /// The system of this core 0 has just started.
+    /// Starts the services. Core 0 calls this immediately after its start.
     #[must_use]
     pub fn new(board: &VirtBoard) -> Self {
         let first = first_service::<<VirtBoard as Board>::Supply>();
@@ -36,7 +36,7 @@ impl ByTimer {
     }
 }
 
-/// In the interrupt of core 0, or with interrupts off.
+/// Services the watchdog if it is due. Runs in the interrupt of core 0, or with interrupts off.
 fn serve() {
     if now_us().wrapping_sub(DUE_US.load(Relaxed)).cast_signed() < 0 {
         return;
@@ -55,20 +55,20 @@ fn serve() {
 }
 
 impl Keeper for ByTimer {
-    /// A sleeping hart has no turns.
+    /// Services the watchdog before the hart sleeps, because a sleeping hart has no turns.
     fn keep(&self) -> Instant {
         hart::without_interrupts(serve);
         let left = DUE_US.load(Relaxed).wrapping_sub(now_us());
         now() + Duration::from_us(left.into())
     }
 
-    /// The application services the watchdog at once when it starts: wait until the window is open.
+    /// Waits until the window is open: the application services the watchdog as soon as it starts.
     fn hand_over(&self) -> bool {
         hart::without_interrupts(|| trap::on_turn(hart::number(), None));
         let served = SERVED.load(Relaxed) > 0;
         let next = next_service::<VirtSupply>().as_ns() / 1_000;
         let last = DUE_US.load(Relaxed).wrapping_sub(next as u32);
-        // The supply's clock may be slower.
+        // 1 ms more, because the supply's clock may be slower.
         while served && now_us().wrapping_sub(last) < VirtSupply::WINDOW_OPENS_US + 1_000 {
             hart::yield_turn();
         }

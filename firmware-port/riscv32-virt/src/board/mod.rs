@@ -1,4 +1,4 @@
-//! The board of one core, for one incarnation of the core.
+//! The board of one core, for one of its incarnations.
 
 mod keeper;
 mod parts;
@@ -17,10 +17,10 @@ use tandem_board::{
 };
 use tandem_peripherals::codec::encode_trace;
 
-/// QEMU's `virt` machine, seen as a core of one of the systems.
+/// QEMU's `virt` machine as the board of one core.
 ///
-/// Made by [`run`] at the start of each incarnation. Programming the flash and servicing the
-/// watchdog are for core 0 only; on another core they panic.
+/// [`run`] makes it at the start of each incarnation. Only core 0 may program the flash and service
+/// the watchdog; on another core these calls panic.
 #[derive(Clone, Debug)]
 pub struct VirtBoard {
     identity: Identity,
@@ -48,7 +48,7 @@ impl VirtBoard {
     }
 }
 
-/// Ticks of the clock at an instant, rounded up; `None` if the clock never reaches it.
+/// Converts an instant to ticks of the clock, rounded up; `None` for [`Instant::NEVER`].
 fn ticks(at: Instant) -> Option<u64> {
     (at != Instant::NEVER).then(|| at.as_ns().div_ceil(clint::TICK_NS))
 }
@@ -79,7 +79,7 @@ impl Board for VirtBoard {
     fn release_core(&self, core: CoreId) {
         let of = self.identity;
         assert!(of.core == CoreId::CONTROL, "only core 0 releases cores");
-        // Release pairs with the Acquire of the carrier, which releases the core.
+        // Release pairs with the Acquire in the carrier, which releases the core.
         system(of.system)
             .released
             .fetch_or(1 << core.index(), Release);
@@ -119,7 +119,7 @@ impl Board for VirtBoard {
 
     fn trace(&self, record: TraceRecord) {
         let registers = peripherals::core(self.identity.address());
-        // Tasks and handlers of a core interrupt each other, but the ring has only one writer.
+        // Handlers interrupt tasks of a core, but the ring may have only one writer at a time.
         hart::without_interrupts(|| {
             if !registers.trace.put(&encode_trace(self.now(), record)) {
                 registers.trace_lost.fetch_add(1, Relaxed);
@@ -135,10 +135,10 @@ impl FaultSource for VirtBoard {
 }
 
 /// Runs a program on all harts: `core` for each incarnation of each core, `outside` once on the
-/// carrier. Every hart's main calls it.
+/// carrier. The main of every hart calls this.
 ///
-/// Core 0 starts when the carrier switches its system on, another core when core 0 releases it;
-/// when `core` returns, the core sleeps until a reset. `slice` is the length of its turns in ticks
+/// Core 0 starts when the carrier switches its system on, another core when core 0 releases it.
+/// When `core` returns, the core sleeps until a reset. `slice` is the length of its turns in ticks
 /// (see [`hart::yield_turn`]).
 pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Peripherals) -> !) -> ! {
     if hart == CARRIER {
@@ -172,7 +172,7 @@ fn begin(address: CoreAddress, slice: u32, core: fn(&VirtBoard)) -> ! {
 }
 
 impl VirtBoard {
-    /// The role that this system shows.
+    /// Returns the role that this system shows.
     #[must_use]
     pub fn lamp(&self) -> RoleLamp {
         let lamp = &system(self.identity.system).lamp;
@@ -180,7 +180,7 @@ impl VirtBoard {
     }
 }
 
-/// Leaving this image for one in a slot. T-BOOT-7
+/// The jump from this image to one in a slot. T-BOOT-7
 impl VirtBoard {
     /// Sets the start addresses of this system's cores; `None` for a core that does not start.
     pub fn set_entries(&self, entries: [Option<u32>; CoreId::COUNT]) {
@@ -190,7 +190,7 @@ impl VirtBoard {
         }
     }
 
-    /// Cleans up and jumps to this core's start address; returns if it has none.
+    /// Resets CAN module and interrupts, and jumps to this core's start address, if it has one.
     pub fn jump(&self) {
         let place = self.identity.address();
         let entry = system(place.system).entries[place.core.index()].load(Relaxed);
@@ -198,8 +198,7 @@ impl VirtBoard {
             return;
         }
         hart::interrupts_off();
-        // The CAN module: discard unsent frames, and received ones that are not for the
-        // application.
+        // The CAN module: discard unsent frames, and received frames, which are for the bootloader.
         let registers = peripherals::core(place);
         registers.wake_on_receive.store(false, Relaxed);
         registers.transmit.discard();

@@ -1,4 +1,4 @@
-//! The parts of the board: each gives access to some of the carrier's registers.
+//! The parts of the board. Each accesses some of the carrier's registers.
 
 use crate::peripherals::{self, SystemRegisters};
 use crate::{clint, hart};
@@ -14,7 +14,7 @@ use tandem_peripherals::codec::{
 use tandem_peripherals::data_flash::{self, Operation};
 use tandem_peripherals::watchdog::{Window, question};
 
-/// The registers of the system of core `of`.
+/// Returns the registers of the system of core `of`.
 fn system(of: CoreAddress) -> &'static SystemRegisters {
     peripherals::system(of.system)
 }
@@ -68,7 +68,7 @@ impl Can for VirtCan {
 
     fn wake_on_receive(&self, on: bool) {
         let registers = peripherals::core(self.0);
-        // Release pairs with the Acquire of the bus.
+        // Release pairs with the Acquire in `broadcast`.
         registers.wake_on_receive.store(on, Release);
         if on && !registers.receive.is_empty() {
             clint::post(hart::number());
@@ -164,7 +164,7 @@ impl Supply for VirtSupply {
     fn service_watchdog(&self, answer: u8) {
         must_be_control(self.0, "serves the watchdog");
         let registers = system(self.0);
-        // Full: the supply is behind, and the next service will be enough.
+        // If the queue is full, the supply has not read the last services: the next one is enough.
         if registers
             .services
             .put(&encode_service(peripherals::now(), answer))
@@ -175,7 +175,7 @@ impl Supply for VirtSupply {
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        // Release pairs with the Acquire of the carrier: everything before the request is done.
+        // Release pairs with the Acquire in the carrier, which sees everything done before.
         let register = &system(self.0).request;
         register.store(1 + request.code(), Release);
         peripherals::call();

@@ -1,13 +1,13 @@
-//! The data flash of a system: RAM with the behaviour of NOR flash, while the machine runs.
+//! The data flash of a system: RAM that behaves like NOR flash, until the machine ends.
 
 use crate::clint::TICK_NS;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 use tandem_board::{FlashError, Instant};
 use tandem_peripherals::data_flash::{ERASED, Operation, SIZE, range};
 
-/// The cells, and when the operation under way ends (low word of the clock).
+/// The cells, and the start and length of the current operation (low word of the clock, ticks).
 ///
-/// Only core 0 of the system uses it, and the carrier while that core stands still. An operation
+/// Only core 0 of the system uses it, and the carrier while that core is stopped. An operation
 /// changes the cells at its start; until its end the flash is busy.
 pub(crate) struct Registers {
     cells: [AtomicU8; SIZE],
@@ -16,7 +16,7 @@ pub(crate) struct Registers {
 }
 
 impl Registers {
-    /// As delivered: erased.
+    /// Erases all cells, as in a new flash.
     pub(crate) fn erase_all(&self) {
         self.cells
             .iter()
@@ -45,7 +45,7 @@ impl Registers {
         Ok(())
     }
 
-    /// Starts an operation; an erase needs no data.
+    /// Starts an operation. For an erase, `data` is empty.
     pub(crate) fn begin(
         &self,
         operation: Result<Operation, FlashError>,

@@ -1,4 +1,4 @@
-//! The carrier's connection to the world outside, which runs on the host, in lock-step.
+//! The carrier's connection to the world outside, which runs on the host in step with the machine.
 
 use super::ring::Ring;
 use super::{SystemRegisters, now, system};
@@ -15,7 +15,7 @@ use tandem_cosim::{
 use tandem_peripherals::codec::FRAME_WORDS;
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
-/// The status of a machine whose world has ended.
+/// The status of the machine if the world has ended.
 const ABANDONED: u16 = 3;
 
 type Buffer = [AtomicU32; MAX_WORDS];
@@ -24,22 +24,22 @@ type Buffer = [AtomicU32; MAX_WORDS];
 static OUT: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
 #[unsafe(link_section = ".bss.carrier")]
 static IN: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
-/// Frames that were on the bus here since the last exchange.
-// SAFETY: a queue is atomics, of which zero is a value.
+/// Frames that were on this machine's bus since the last exchange.
+// SAFETY: a queue consists of atomics, for which zero is a valid value.
 #[unsafe(link_section = ".bss.carrier")]
 static FRAMES: Ring<128, FRAME_WORDS> = unsafe { core::mem::zeroed() };
 
 pub(super) struct Host {
     to: File,
     from: File,
-    /// When the next exchange is due, in ticks.
+    /// Time of the next exchange, in ticks.
     due: u64,
-    /// Words in `OUT`.
+    /// Number of words in `OUT`.
     len: usize,
 }
 
 impl Host {
-    /// Opens the pipes; ends the machine if there are none.
+    /// Opens the pipes; ends the machine if they do not exist.
     pub(super) fn open() -> Self {
         let open = || {
             let to = File::open_to_write(c"to-world")?;
@@ -58,9 +58,9 @@ impl Host {
         self.due
     }
 
-    /// A frame was on the bus.
+    /// Records a frame of the bus for the next exchange.
     pub(super) fn on_bus(&mut self, frame: &[u32; FRAME_WORDS]) {
-        // No CAN bus carries more than 128 in a millisecond; the world does not get further ones.
+        // No CAN bus carries more than 128 frames in a millisecond; further frames are dropped.
         let _ = FRAMES.put(frame);
     }
 
@@ -77,7 +77,7 @@ impl Host {
         self.len + ITEM_WORDS <= MAX_WORDS
     }
 
-    /// Reports to the world what happened in the systems `here`, and passes its answer to `act`.
+    /// Reports the events of the systems `here` to the world. Calls `act` for each item it answers.
     pub(super) fn exchange(&mut self, here: [bool; 2], act: &mut dyn FnMut(Item)) {
         self.due = (time() / PERIOD_TICKS + 1) * PERIOD_TICKS;
         self.write(here)
@@ -143,7 +143,7 @@ impl Host {
         }
     }
 
-    /// Edges and datagrams sent to a system that is not in this machine.
+    /// Adds the edges and datagrams that were sent to a system that is not in this machine.
     fn put_signals(&mut self, to: SystemId) {
         let registers = system(to);
         for line in Line::ALL {
@@ -167,7 +167,7 @@ impl Host {
         }
     }
 
-    /// Reads an answer: its head gives its length.
+    /// Reads an answer, whose first words give its length.
     fn read(&self) -> Result<&'static [AtomicU32], HostError> {
         self.from.read(&IN[..ANSWER_WORDS])?;
         let len = IN[1].load(Relaxed) as usize;
@@ -179,7 +179,7 @@ impl Host {
     }
 }
 
-/// The role that a system shows.
+/// Returns the role that a system shows.
 fn lamp(system: &SystemRegisters) -> RoleLamp {
     RoleLamp::from_code(system.lamp.load(Relaxed)).unwrap_or(RoleLamp::Starting)
 }

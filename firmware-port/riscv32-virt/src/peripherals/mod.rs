@@ -1,14 +1,14 @@
 //! The emulated peripherals: CAN bus, lines, link, data flash, and the two supplies.
 //!
 //! The machine has none of these, so a separate hart emulates them: the *carrier*, named after the
-//! carrier board of a TC297. Cores see registers, which are atomics in the carrier's memory, and
-//! are interrupted by their doorbell. Instant effects (edges, flash) happen where the core accesses
+//! carrier board of a TC297. Cores access registers, which are atomics in the carrier's memory; the
+//! doorbell interrupts them. Effects without delay (edges, flash) happen on the core that accesses
 //! the register. Effects that need a third party (the bus, the supplies) happen on the carrier's
-//! hart. The models of `tandem-peripherals` decide what happens.
+//! hart. The models of `tandem-peripherals` decide the effects.
 //!
 //! With a world outside, the carrier exchanges messages with it once a millisecond of virtual time:
-//! see [`Peripherals::connect`]. A system that is not in this machine then has the same registers
-//! here: edges and datagrams to it collect there, and are sent with the next exchange.
+//! see [`Peripherals::connect`]. A system that is not in this machine has registers here, too: they
+//! collect the edges and datagrams to it, which the carrier sends with the next exchange.
 
 pub(crate) mod data_flash;
 mod host;
@@ -28,15 +28,15 @@ use tandem_peripherals::network::LINK_DATAGRAMS;
 /// The carrier's registers for one core.
 #[repr(C)]
 pub(crate) struct CoreRegisters {
-    /// Frames on their way to the bus.
+    /// Frames that the core has sent and that are not yet on the bus.
     pub(crate) transmit: Ring<32, FRAME_WORDS>,
     /// Frames received from the bus.
     pub(crate) receive: Ring<256, FRAME_WORDS>,
     pub(crate) overruns: AtomicU32,
-    /// The error counters of the CAN controller, in their word.
+    /// The error counters of the CAN controller, packed in one word.
     pub(crate) can_errors: AtomicU32,
     pub(crate) wake_on_receive: AtomicBool,
-    /// Time (2) and record (4).
+    /// Trace records: 2 words of time and 4 words of record.
     pub(crate) trace: Ring<512, TRACE_WORDS>,
     pub(crate) trace_lost: AtomicU32,
 }
@@ -45,34 +45,34 @@ pub(crate) struct CoreRegisters {
 #[repr(C)]
 pub(crate) struct SystemRegisters {
     pub(crate) cores: [CoreRegisters; CoreId::COUNT],
-    /// Received edges, by line and kind.
+    /// Number of received edges, by line and type.
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
     pub(crate) flash: data_flash::Registers,
-    /// Services of the watchdog on their way to the supply.
+    /// Services of the watchdog that the supply has not read yet.
     pub(crate) services: Ring<4, SERVICE_WORDS>,
-    /// How many services core 0 gave in this incarnation; wraps around.
+    /// Number of services of core 0 in this incarnation; wraps around.
     pub(crate) service_count: AtomicU32,
-    /// The supply is on and holds the system out of reset.
+    /// Whether the supply is on and the system is not held in reset.
     pub(crate) powered: AtomicBool,
-    /// The level line to the other system is cut: it reads as high.
+    /// Whether the level line to the other system is cut: then it reads as high.
     pub(crate) level_cut: AtomicBool,
     pub(crate) generation: AtomicU32,
     pub(crate) cause: AtomicU32,
     /// The system's request to its reset generator.
     pub(crate) request: AtomicU32,
     pub(crate) lamp: AtomicU32,
-    /// The faults of the system's hardware, by bits.
+    /// The faults of the system's hardware, one bit each.
     pub(crate) faults: AtomicU32,
-    /// The cores that core 0 has released and that have not started yet, by bits.
+    /// The cores that core 0 has released and that have not started yet, one bit each.
     pub(crate) released: AtomicU32,
     /// Start address of each core in the slot that booted; 0 for a core that does not start.
     pub(crate) entries: [AtomicU32; CoreId::COUNT],
 }
 
 impl CoreRegisters {
-    /// As at power-on. The core stands still.
+    /// Clears the registers to their state at power-on. The core must be stopped.
     fn clear(&self) {
         self.transmit.clear();
         self.receive.clear();
@@ -81,17 +81,17 @@ impl CoreRegisters {
     }
 }
 
-// The linker scripts keep it apart from the RAM of the cores, at the same place in all images.
-// SAFETY: registers are atomics, of which zero is a value.
+// The linker scripts place it outside the RAM of the cores, at the same address in all images.
+// SAFETY: registers are atomics, for which zero is a valid value.
 #[unsafe(link_section = ".bss.carrier.systems")]
 static SYSTEMS: [SystemRegisters; 2] = unsafe { core::mem::zeroed() };
 
-/// The registers of a system.
+/// Returns the registers of a system.
 pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {
     &SYSTEMS[system.index()]
 }
 
-/// The registers of a core. Its hart has the number of [`CoreAddress::index`].
+/// Returns the registers of a core. Its hart has the number [`CoreAddress::index`].
 pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
     &system(address.system).cores[address.core.index()]
 }
@@ -113,7 +113,7 @@ pub(crate) fn set_fault(of: SystemId, fault: HardwareFault, present: bool) {
     call();
 }
 
-/// The time.
+/// Returns the current time.
 pub(crate) fn now() -> Instant {
     Instant::from_ns(hart::time() * clint::TICK_NS)
 }

@@ -1,15 +1,15 @@
-//! A queue of records between two harts: one puts, the other takes.
+//! A queue of records between two harts: one hart puts records, the other takes them.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Up to `SLOTS` records (a power of two) of `WORDS` words, or one less word and its length. Zeroed
-/// memory is an empty queue.
+/// A queue of up to `SLOTS` records (a power of two) of at most `WORDS` words. Zeroed memory is an
+/// empty queue.
 pub(crate) struct Ring<const SLOTS: usize, const WORDS: usize> {
-    /// Records put so far; the putting hart's. Wraps around.
+    /// Number of records put, written by the putting hart. Wraps around.
     put: AtomicU32,
-    /// Records taken so far; the taking hart's. Wraps around.
+    /// Number of records taken, written by the taking hart. Wraps around.
     taken: AtomicU32,
-    /// Records put before the last discard; the putting hart's. Wraps around.
+    /// Number of records put before the last discard, written by the putting hart. Wraps around.
     discarded: AtomicU32,
     slots: [[AtomicU32; WORDS]; SLOTS],
 }
@@ -19,26 +19,26 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
     pub(crate) fn put(&self, record: &[u32]) -> bool {
         const { assert!(SLOTS.is_power_of_two()) };
         let put = self.put.load(Ordering::Relaxed);
-        // Acquire pairs with the Release in `take`: the slot has been read.
+        // Acquire pairs with the Release in `take_if`: the slot has been read.
         if put.wrapping_sub(self.taken.load(Ordering::Acquire)) as usize >= SLOTS {
             return false;
         }
         for (word, value) in self.slots[put as usize % SLOTS].iter().zip(record) {
             word.store(*value, Ordering::Relaxed);
         }
-        // Release pairs with the Acquire in `take`: the slot has been written.
+        // Release pairs with the Acquire in `take_if`: the slot has been written.
         self.put.store(put.wrapping_add(1), Ordering::Release);
         true
     }
 
-    /// Discards the records that were put and not yet taken. For the putting hart.
+    /// Discards the records that were put and not yet taken. Only the putting hart calls this.
     pub(crate) fn discard(&self) {
-        // Relaxed: `put` orders a record that is put later after this.
+        // Relaxed: the Release in `put` orders later records after this store.
         self.discarded
             .store(self.put.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
-    /// The number of the next record to take. Discarded records count as taken.
+    /// Returns the number of the next record to take. Discarded records count as taken.
     fn first_wanted(&self) -> u32 {
         let taken = self.taken.load(Ordering::Relaxed);
         let discarded = self.discarded.load(Ordering::Relaxed);
@@ -55,7 +55,7 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         self.take_if(|| true)
     }
 
-    /// Takes the oldest record, if there is one and `wanted` holds.
+    /// Takes the oldest record, if there is one and `wanted` returns true.
     pub(crate) fn take_if(&self, wanted: impl FnOnce() -> bool) -> Option<[u32; WORDS]> {
         let taken = self.first_wanted();
         if self.put.load(Ordering::Acquire) == taken || !wanted() {
@@ -71,7 +71,7 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         self.put.load(Ordering::Acquire) == self.taken.load(Ordering::Relaxed)
     }
 
-    /// Forgets all records, while the hart at the other end stands still.
+    /// Removes all records. The hart at the other end must be stopped.
     pub(crate) fn clear(&self) {
         self.put.store(0, Ordering::Relaxed);
         self.taken.store(0, Ordering::Relaxed);

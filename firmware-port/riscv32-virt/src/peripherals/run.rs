@@ -16,20 +16,20 @@ use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::controller::Confinement;
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
-/// Cycles between two reads when a yielded turn was not used by any hart: four, and fewer than any
-/// working hart takes.
+/// Limit of the cycles between two reads if no hart used the yielded turn. Without another hart it
+/// takes four cycles; a working hart takes more than this limit.
 const YIELD_CYCLES: u32 = 6;
 
 /// The carrier, on its own hart.
 pub struct Peripherals {
-    /// By [`SystemId::index`].
+    /// The supplies, by [`SystemId::index`].
     supplies: [Supply; 2],
-    /// The systems in this machine, by [`SystemId::index`].
+    /// Whether each system is in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
-    /// An item that the world sends for a time between two exchanges, and that time, in ticks.
+    /// The time in ticks, between two exchanges, at which to carry out an item, and the item.
     later: Option<(u64, Option<Item>)>,
-    /// By [`CoreAddress::index`].
+    /// The fault confinement of each CAN controller, by [`CoreAddress::index`].
     confinements: [Confinement; CoreAddress::COUNT],
 }
 
@@ -44,8 +44,8 @@ impl Peripherals {
         }
     }
 
-    /// From now on exchanges messages with the world outside, on the host, through two pipes in the
-    /// emulator's folder. Only the systems `here` are in this machine.
+    /// Connects to the world outside, on the host, through two pipes in the emulator's folder. From
+    /// now on the carrier exchanges messages. Only the systems `here` are in this machine.
     pub fn connect(&mut self, here: [bool; 2]) {
         self.here = here;
         self.host = Some(Host::open());
@@ -60,8 +60,8 @@ impl Peripherals {
         self.supplies = [Supply::new(config); 2];
     }
 
-    /// Switches on, at the same time, those of the systems that are off: LMU zero, no edges,
-    /// generation 1.
+    /// Switches on at the same time all systems of `all` that are off, with a zeroed LMU, no edges,
+    /// and generation 1.
     pub fn power_on(&mut self, all: &[SystemId]) {
         let off = |supplies: &[Supply; 2], which: &SystemId| {
             supplies[which.index()].power() == Power::Off
@@ -77,7 +77,7 @@ impl Peripherals {
             registers.link.clear();
             registers.generation.store(0, Relaxed);
         }
-        // Frames of the first system must not be lost when the second one starts.
+        // A separate loop: the first loop must not clear edges that a started system has sent.
         for which in all {
             let change = self.supplies[which.index()].power_on(now());
             self.carry_out(*which, change);
@@ -87,22 +87,22 @@ impl Peripherals {
     /// Switches a system off, in any state.
     pub fn power_off(&mut self, which: SystemId) {
         let change = self.supplies[which.index()].power_off();
-        // Also at the start of the machine, before any core stands still.
+        // `or`: at the start of the machine the supply is off, but its cores have not stopped yet.
         self.carry_out(which, change.or(Some(Change::PowerOff)));
     }
 
-    /// Makes a system as delivered: its data flash erased, its hardware without a fault. The system
-    /// must be off.
+    /// Resets a system to its state when new: erases its data flash and removes all faults of its
+    /// hardware. The system must be off.
     pub fn renew(&mut self, which: SystemId) {
         system(which).flash.erase_all();
         system(which).faults.store(0, Relaxed);
         system(which).level_cut.store(false, Relaxed);
     }
 
-    /// Emulates the hardware around the systems in this machine for the world outside. They are
-    /// without power at first: the world connects the battery, and ends the machine.
+    /// Emulates the hardware around the systems in this machine, with a world outside. The systems
+    /// are off at first: the world connects the battery, and later ends the machine.
     ///
-    /// Strap `First`: which systems are here, 1 A, 2 B, 3 both.
+    /// Strap `First`: the systems in this machine, 1 A, 2 B, 3 both.
     pub fn play_for_world(&mut self) -> ! {
         let systems = strap(Strap::First);
         self.connect([systems & 1 != 0, systems & 2 != 0]);
@@ -116,14 +116,14 @@ impl Peripherals {
         }
     }
 
-    /// Does all pending work, and sleeps until there is more, at most until `deadline` (in ticks).
-    /// Returns early with the change of a supply, if there is one.
+    /// Does all pending work, and waits until there is more, at most until `deadline` (in ticks).
+    /// If a supply changes, returns early with that change.
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
         self.exchange();
         if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
             self.act(item);
-            // The world measures from here. Cores that are to stop stand still by now.
+            // The world measures from this time. Cores that the item stops have already stopped.
             log!("carried out at {} ns", now().as_ns());
         }
         for which in self.systems() {
@@ -146,12 +146,12 @@ impl Peripherals {
         None
     }
 
-    /// Idles until it is called or `deadline` has passed. When no hart has any work, the clock
-    /// jumps to the next time at which one has.
+    /// Waits until the carrier's doorbell rings or `deadline` has passed. If no hart has work, sets
+    /// the clock to the next time at which one has.
     ///
-    /// The emulator could do that: with all harts asleep its main loop moves the virtual clock. But
-    /// then two of its threads serve the timers, on a busy host in varying order, and the harts get
-    /// varying turns. So the carrier never sleeps, and one thread serves the timers.
+    /// The emulator could do that: if all harts sleep, its main loop advances the clock. But then
+    /// two of its threads serve the timers, in varying order on a busy host, and the turns of the
+    /// harts vary. So the carrier does not sleep, and one thread serves the timers.
     fn rest(&self, deadline: u64) {
         while !doorbell::take() {
             let now = time();
@@ -166,7 +166,7 @@ impl Peripherals {
             let timers = (0..CARRIER).map(clint::timer).filter(|timer| *timer > now);
             match u32::try_from(timers.fold(deadline, u64::min)) {
                 Ok(next) => clint::jump_to(next),
-                // After 429 s the emulator must do it.
+                // After 429 s the carrier must sleep, so that the emulator advances the clock.
                 Err(_) => {
                     doorbell::wait(Some(deadline));
                     return;
@@ -175,7 +175,7 @@ impl Peripherals {
         }
     }
 
-    /// The systems in this machine.
+    /// Returns the systems in this machine.
     pub fn systems(&self) -> impl Iterator<Item = SystemId> + use<> {
         let here = self.here;
         SystemId::ALL
@@ -183,9 +183,9 @@ impl Peripherals {
             .filter(move |system| here[system.index()])
     }
 
-    /// If it is time, reports to the world what happened, and carries out its answer.
+    /// If an exchange is due, reports to the world, and carries out its answer.
     fn exchange(&mut self) {
-        // Taken out while it works on the rest.
+        // `act` needs `self`, so the host is taken out of it meanwhile.
         if let Some(mut host) = self.host.take() {
             if time() >= host.due() {
                 host.exchange(self.here, &mut |item| self.act(item));
@@ -194,7 +194,7 @@ impl Peripherals {
         }
     }
 
-    /// Carries out the world's answer.
+    /// Carries out one item of the world's answer.
     fn act(&mut self, item: Item) {
         if let Some((_, later @ None)) = &mut self.later {
             *later = Some(item);
@@ -203,7 +203,7 @@ impl Peripherals {
         match item {
             Item::Frame(mut words) => {
                 set_time(&mut words, now());
-                // Not sent by a core of this machine.
+                // `None`: no core of this machine sent the frame.
                 self.broadcast(None, &words);
             }
             Item::Edges {
@@ -221,7 +221,7 @@ impl Peripherals {
                 }
             }
             Item::Datagram { to, words } => {
-                // A core that does not receive in time loses frames.
+                // If the queue is full, the datagram is lost: the core did not receive in time.
                 let _ = system(to).link.put(&words);
             }
             Item::Level { of, high } => self.set_power(of, high),
@@ -250,10 +250,10 @@ impl Peripherals {
         }
     }
 
-    /// Passes a supply the content of its registers, and polls it.
+    /// Passes the content of its registers to a supply, and polls it.
     fn look_after(&mut self, which: SystemId) -> Option<Change> {
         let registers = system(which);
-        // Acquire pairs with the Release of core 0.
+        // Acquire pairs with the Release in `release_core`.
         let released = registers.released.swap(0, Acquire);
         for core in CoreId::ALL {
             let hart = CoreAddress::new(which, core).index();
@@ -262,7 +262,7 @@ impl Peripherals {
             }
         }
         let supply = &mut self.supplies[which.index()];
-        // Acquire pairs with the Release of the core that asks. 0: no request.
+        // Acquire pairs with the Release in `request_reset`. 0 means no request.
         if let Some(code) = registers.request.swap(0, Acquire).checked_sub(1) {
             supply.request(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend));
         }
@@ -277,7 +277,7 @@ impl Peripherals {
                 return change;
             }
         }
-        // A core stands still as soon as `hold` has returned.
+        // True: all cores have stopped as soon as `hold` has returned.
         supply.poll(now(), true)
     }
 
@@ -290,8 +290,7 @@ impl Peripherals {
         }
     }
 
-    /// Stops a system and lets its level line fall. Its supply shows the lamp: a chip in reset does
-    /// not.
+    /// Stops a system and lowers its level line. Sets the lamp, which a chip in reset cannot.
     fn hold(&mut self, which: SystemId, lamp: RoleLamp) {
         let registers = system(which);
         for core in CoreId::ALL {
@@ -304,8 +303,7 @@ impl Peripherals {
         self.set_power(which, false);
     }
 
-    /// Waits until these cores of a system, which are held, stand still: the emulator must first
-    /// give each its turn.
+    /// Waits until these held cores of a system have stopped: each needs a turn of the emulator.
     fn until_stopped(which: SystemId, cores: &[CoreId]) {
         for core in cores {
             while !trap::stands(CoreAddress::new(which, *core).index()) {
@@ -321,7 +319,7 @@ impl Peripherals {
         }
     }
 
-    /// Begins the next incarnation of a system that is held.
+    /// Starts the next incarnation of a system that is held.
     fn release(&mut self, which: SystemId, cause: ResetCause) {
         let registers = system(which);
         registers.cores.iter().for_each(super::CoreRegisters::clear);
@@ -336,11 +334,11 @@ impl Peripherals {
         registers.services.clear();
         registers.service_count.store(0, Relaxed);
         self.set_power(which, true);
-        // Core 0 releases the others. T-BOOT-2
+        // Core 0 releases the other cores. T-BOOT-2
         trap::release(CoreAddress::new(which, CoreId::CONTROL).index());
     }
 
-    /// The bus: every frame is passed to all cores but its sender, in one order.
+    /// The bus: passes every frame to all cores except its sender, to all in the same order.
     fn move_frames(&mut self) {
         loop {
             let mut moved = false;
@@ -352,7 +350,7 @@ impl Peripherals {
                 if let Some(mut frame) = core(sender).transmit.take_if(sends) {
                     moved = true;
                     set_time(&mut frame, now());
-                    // The ring identifies the sender, not the words.
+                    // The sender is the core whose ring held the frame, whatever its words say.
                     set_sender(&mut frame, Sender::Core(sender));
                     self.broadcast(Some(sender), &frame);
                     if let Some(host) = &mut self.host {
@@ -370,14 +368,14 @@ impl Peripherals {
         }
     }
 
-    /// When a frame that the bus has destroyed is to be tried again.
+    /// Returns the times at which frames that the bus has destroyed are sent again.
     fn retries(&self) -> impl Iterator<Item = Instant> {
         let waiting = CoreAddress::ALL.into_iter().zip(&self.confinements);
         let waiting = waiting.filter(|(address, _)| !core(*address).transmit.is_empty());
         waiting.map(|(_, confinement)| confinement.due())
     }
 
-    /// Gives a frame to all cores but its sender.
+    /// Passes a frame to all cores except its sender.
     pub(super) fn broadcast(&mut self, sender: Option<CoreAddress>, frame: &[u32; FRAME_WORDS]) {
         for receiver in CoreAddress::ALL {
             let to = receiver.system;
