@@ -1,8 +1,8 @@
 //! The witness of the clocks: how far this system's clock has drifted from the vehicle's and from
 //! the other system's. Of three clocks, the one that differs from two is wrong.
 //!
-//! Each frame carries the time of sending on the sender's clock. The difference to the local clock is
-//! the offset of the two clocks minus the transmission time. A late frame only lowers the
+//! Each frame carries the time of sending on the sender's clock. The difference to the local clock
+//! is the offset of the two clocks minus the transmission time. A late frame only lowers the
 //! difference, so the largest difference of a window is the offset, and a stall of any of the three
 //! does not count as drift.
 

@@ -4,8 +4,8 @@ use super::{Bench, CONFIG, sound};
 use tandem_board::SystemId;
 use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
-/// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
-/// shows that the other runs is broken: it is reported once, and ignored until it has been high for
+/// T-RED-9: a level line is broken if it is low while a heartbeat, a control frame, a report or the
+/// vehicle shows that the other runs. It is reported once, and ignored until it has been high for
 /// long enough. Each sign alone is enough.
 #[test]
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {

@@ -319,9 +319,9 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     }
 }
 
-/// T-RED-8: a master that runs but is not heard is mute when the vehicle says so; without an echo,
-/// when this system hears CAN or the other says that it does not drive. After an outage of CAN the
-/// master has time to be heard again.
+/// T-RED-8: a master that runs but is not heard is mute when the vehicle says so. Without an echo,
+/// it is mute if this system hears CAN or the other says that it does not drive. After an outage
+/// of CAN the master has time to be heard again.
 #[test]
 fn a_mute_master_is_relieved_when_its_limit_ends() {
     let (mute, witness) = (CONFIG.mute_limit(), CONFIG.witness_limit());

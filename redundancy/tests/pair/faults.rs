@@ -131,8 +131,8 @@ fn no_transmission_on_a_stale_lease() {
     );
 }
 
-/// T-RED-3: a frozen standby is no failure of the master: no system takes over, not even when the
-/// standby resumes with old data; the master degrades and recovers.
+/// T-RED-3: a frozen standby does not count as a failed master: no system takes over, even when the
+/// standby resumes with old data. The master degrades and recovers.
 #[test]
 fn a_thawed_standby_does_not_take_over() {
     for config in [Config::rt(), Config::desktop()] {
