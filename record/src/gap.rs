@@ -662,8 +662,8 @@ mod tests {
         assert!(found.iter().all(|gap| !gap.is_explained()));
     }
 
-    /// A standby that was held up restarts its limits once. That costs the stall and the time that
-    /// it had already waited, which is at most that of a takeover.
+    /// A standby that was held up restarts its limits once. The gap may be longer by the stall
+    /// and by the time that it had already waited, which is at most that of a takeover.
     #[test]
     fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
         for (to_ms, stalls, is_explained) in [

@@ -25,7 +25,7 @@ pub enum Stop {
     SafeStop(f64),
 }
 
-/// Returns the stop of this run that has no reason, if there is one. Reasons for a minimal-risk
+/// Returns the stop of this run without a reason, if there is one. Reasons for a minimal-risk
 /// stop are a failure, a core that was late, and a bus that stalled.
 #[must_use]
 pub fn stop(log: &RunLog) -> Option<Stop> {
