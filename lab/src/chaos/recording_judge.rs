@@ -29,7 +29,7 @@ pub(super) struct Outcome {
     pub(super) detection_ms: Option<f64>,
     /// The longest time without control, ms, without the parts that stalls excuse.
     pub(super) gap_ms: f64,
-    /// The bound of that time, by the sign that ended it, ms.
+    /// The bound of that time, by the evidence that ended it, ms.
     pub(super) bound_ms: f64,
     /// Time from the last control frame before the fault to the fault, ms.
     pub(super) phase_ms: f64,
