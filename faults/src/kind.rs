@@ -288,9 +288,9 @@ const BEAT_1: Wire = Wire::Line(Line::Heartbeat1);
 const BEAT_2: Wire = Wire::Line(Line::Heartbeat2);
 const START: Wire = Wire::Line(Line::Start);
 
-/// The lists from which campaigns draw. A number of a sequence always means the same faults, so no
-/// list may change except [`Kind::FURTHER`], which may grow at its end: this changes only the
-/// numbers of the group swarm.
+/// The lists from which campaigns draw. A sequence number must always give the same faults, so no
+/// list may change. Only [`Kind::FURTHER`] may grow at its end: this changes only the numbers of
+/// the group swarm.
 impl Kind {
     /// All faults of one system or of a wire, with the parameters that the simulator uses.
     pub const OF_ONE_SYSTEM: [Self; 50] = {
