@@ -189,7 +189,7 @@ fn released(root: &Path, name: &str) -> PathBuf {
     build_dir(root).join(TARGET).join("release").join(name)
 }
 
-/// Returns the command for an emulated machine with this image, and these words from an address on.
+/// Returns the command for an emulated machine with this image, and these words at an address.
 /// Deterministic: one instruction takes 2^`shift` ns, and time jumps when all harts sleep.
 fn machine(qemu: &str, machine: &[&str], elf: &Path, shift: u32, words: (u32, &[u32])) -> Command {
     let mut command = Command::new(qemu);

@@ -103,9 +103,9 @@ enum Task {
         #[arg(long, conflicts_with = "weakened")]
         long: bool,
     },
-    /// Run the tests of shm under Miri, on 64 and on 32 bit, and those of its interface for C
+    /// Run the tests of shm under Miri, for 64 and 32 bits, and those of its interface for C
     Miri {
-        /// Only on 32 bit, as firmware is
+        /// Only for a 32-bit target, like the firmware
         #[arg(long)]
         quick: bool,
     },

@@ -1,6 +1,6 @@
 //! Response-time analysis of core 0's tasks, from the times measured in a run.
 //!
-//! Fixed priorities, pre-emptive, with locks that lend priority: the worst response of a task is
+//! Fixed priorities, pre-emptive, locks with priority inheritance: the worst response of a task is
 //! the smallest `R = C + B + Σ ⌈(R + J) / T⌉ · C` over all tasks and handlers above it (Joseph and
 //! Pandya 1986; Audsley et al. 1993; blocking after Sha, Rajkumar and Lehoczky 1990).
 
