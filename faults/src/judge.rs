@@ -64,3 +64,83 @@ pub fn known(sequence: &Sequence, rule: Rule) -> Option<&'static str> {
     (rule == Rule::Changes && sequence.spoils_frames_of_both())
         .then_some("frames of both systems are lost or wrong, so each relieves the other rightly")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::amount::just;
+    use crate::entry::Way;
+    use crate::kind::Kind;
+    use tandem_board::Duration;
+    use tandem_vehicle::gate::Ruling;
+
+    const fn frame(at_ms: u64, system: u8, term: u32) -> Acceptance {
+        Acceptance {
+            at_ns: at_ms * 1_000_000,
+            system,
+            term,
+            verdict: Ruling::Accepted,
+        }
+    }
+
+    const fn fault(kind: Kind, way: Way) -> Fault {
+        Fault {
+            kind,
+            way,
+            at: Duration::ZERO,
+            lasts: None,
+        }
+    }
+
+    /// Each rule by the least that breaks it, beside what does not.
+    #[test]
+    fn each_rule_finds_what_breaks_it() {
+        // B takes over from A.
+        let one = [frame(0, 0, 2), frame(10, 0, 2), frame(24, 1, 3)];
+        let power_loss = [fault(Kind::PowerLoss, Way::A)];
+        let stray = [fault(Kind::StrayBeats(just(3)), Way::A)];
+        let sound = Observed {
+            faults: &power_loss,
+            acted: &one,
+            changes: 1,
+            collisions: 0,
+        };
+        let rules = |observed: Observed<'_>| -> Vec<Rule> {
+            let findings = observed.findings();
+            findings.iter().map(|finding| finding.rule).collect()
+        };
+        assert_eq!(rules(sound), []);
+        let back_to = |system, term| [one[0], one[1], one[2], frame(34, system, term)];
+        for (acted, broken) in [
+            // A frame of the term that B ended.
+            (back_to(0, 2), vec![Rule::OldTerm, Rule::TwoMasters]),
+            // One term belongs to both.
+            (back_to(0, 3), vec![Rule::OldTerm]),
+            (back_to(0, 4), vec![]),
+        ] {
+            let acted = &acted;
+            assert_eq!(rules(Observed { acted, ..sound }), broken, "{acted:?}");
+        }
+        for (faults, changes, broken) in [
+            (&power_loss[..], 3, vec![]),
+            (&power_loss, 4, vec![Rule::Changes]),
+            (&[], 1, vec![]),
+            (&[], 2, vec![Rule::Changes]),
+            (&stray, 0, vec![]),
+            (&stray, 1, vec![Rule::Needless]),
+        ] {
+            let observed = Observed {
+                faults,
+                changes,
+                ..sound
+            };
+            assert_eq!(rules(observed), broken, "{faults:?} {changes}");
+        }
+        let collisions = 1;
+        let collided = Observed {
+            collisions,
+            ..sound
+        };
+        assert_eq!(rules(collided), [Rule::Collision]);
+    }
+}

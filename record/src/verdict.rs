@@ -108,7 +108,7 @@ rules! {
     SlowControl, "control_period_p50_ms", AtMost(CONTROL_PERIOD_MAX_MS, "ms"), Fails,
         "the control period was too long throughout";
     WrongMode, "wrong_mode_s", AtMost(WRONG_MODE_MAX_S, "s"), Fails,
-        "the mode did not fit the redundancy that there was";
+        "the mode did not match the redundancy that was left";
     Limits, "gap_bound_ms", Given("that of the profile"), Fails,
         "the product's limits permit more than the requirement";
     Leftovers, "leftovers", AtMost(0.0, ""), Fails, "a file or a process was left";
@@ -121,7 +121,7 @@ rules! {
         "the vehicle obeyed no system, though one could drive";
     BothSuspended, "", Given("at the end"), Campaign, "both systems had suspended themselves";
     ObeysNoMaster, "", Given("at the end"), Campaign,
-        "the vehicle obeyed a system that did not believe to be master";
+        "the vehicle obeyed a system without the role of master";
     Unsteady, "", Given("in the last 200 ms"), Campaign,
         "frames were late or refused, or the driver changed twice";
     OldTerm, "", Given("never"), Campaign,

@@ -325,14 +325,14 @@ impl Bench {
         }
         for SystemEvent { at, system, kind } in self.pair.events() {
             let (core, generation) = (CoreId::CONTROL, Generation(1));
-            let keeps_events = match kind {
+            let event = match kind {
                 SystemEventKind::Started(_) => SupplyEvent::CoreStarted { core, generation },
                 SystemEventKind::Reset(cause) => SupplyEvent::Reset(cause),
                 SystemEventKind::Suspended => SupplyEvent::Suspended,
                 SystemEventKind::CoreDied(core) => SupplyEvent::CoreDied { core, signal: 0 },
                 _ => continue,
             };
-            log.push(Entry::Supply(at, system, keeps_events));
+            log.push(Entry::Supply(at, system, event));
         }
         let at_ns = self.vehicle.borrow().accepted.first().map(|it| it.at_ns);
         let start = at_ns.map(|at_ns| VehicleRecord::Start { at_ns });
@@ -383,12 +383,12 @@ impl Bench {
         }
         if let Some(world) = vehicle.world() {
             let (drive, speed) = (world.metrics(), world.snapshot().speed);
-            let keeps_events = format!(
+            let text = format!(
                 "vehicle at {speed:.1} m/s after {:.1} m, at least {:.2} s behind the next one; \
                  {} collisions, {:.2} m beside its lanes",
                 drive.distance_m, vehicle.headway_s, drive.collisions, drive.excursion_max_m,
             );
-            lines.push((self.pair.now(), keeps_events));
+            lines.push((self.pair.now(), text));
         }
         lines.sort_by_key(|(at, _)| *at);
         let line =

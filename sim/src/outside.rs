@@ -189,6 +189,12 @@ fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
 
 /// Returns the same control frame with another steering angle. No receiver can detect the change.
 pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
+    // A small change is plausible for the gate.
+    steered(frame, |angle| angle + 0.001)
+}
+
+/// Returns the same control frame with the steering angle, rad, that `steer` makes of its own.
+pub(crate) fn steered(frame: &CanFrame, steer: impl FnOnce(f32) -> f32) -> CanFrame {
     let CanId::Standard(id) = frame.id() else {
         return *frame;
     };
@@ -199,8 +205,7 @@ pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
     else {
         return *frame;
     };
-    // A small change is plausible for the gate.
-    control.steering_angle += 0.001;
+    control.steering_angle = steer(control.steering_angle);
     let encoded = FrameTransmitter::new().encode(&Message::Control { system, control });
     let mut data = encoded.data().to_vec();
     tandem_bus::e2e::protect(id, frame.data()[2], &mut data);

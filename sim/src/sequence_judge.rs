@@ -143,6 +143,25 @@ impl Bench {
         }
     }
 
+    /// Returns the rules that the roles violate after the end: one system drives and none stands
+    /// by, or a system that may drive stops the vehicle. `may_drive`: whether the faults leave one.
+    pub(crate) fn judge_roles(&mut self, may_drive: bool) -> Vec<Rule> {
+        let is_alone = |bench: &Self| {
+            let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
+            bench.suspended() == 0 && !SystemId::ALL.iter().any(stands_by)
+        };
+        let mut broken = vec![];
+        if is_alone(self) {
+            // After a long hold-down the other system may have started only now. It may still
+            // become standby or suspend itself.
+            self.pair.run_for(self.settles_within());
+            broken.extend(is_alone(self).then_some(Rule::NoStandby));
+        }
+        let is_stopped = may_drive && self.vehicle.borrow().is_stopped();
+        broken.extend(is_stopped.then_some(Rule::Stopped));
+        broken
+    }
+
     /// Returns the newest record in the flash of a system, and the number of used slots.
     fn record_of(&self, system: SystemId) -> (Loaded, usize) {
         let bytes = self.pair.flash(system);
@@ -170,3 +189,6 @@ fn longest_gap(accepted: &[Acceptance], from: Instant, until: Instant) -> Durati
     }
     Duration::from_ns(longest.max(until_ns.saturating_sub(last)))
 }
+
+#[cfg(test)]
+mod tests;

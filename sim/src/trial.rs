@@ -3,7 +3,6 @@
 use crate::bench::{Bench, Profile};
 pub use crate::sequence_judge::Tried;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use tandem_board::{RoleLamp, SystemId};
 use tandem_faults::Sequence;
 use tandem_record::verdict::Rule;
 
@@ -30,21 +29,7 @@ impl Profile {
         let bound = sequence.bound(&self.bounds());
         let bound = bound.map(|(_, bound)| bound + self.time.allowance());
         let mut trial = bench.judge(&sequence.faults, [begin, restored], bound);
-        let is_alone = |bench: &Bench| {
-            let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
-            !SystemId::ALL.iter().any(stands_by)
-        };
-        if trial.suspended == 0 && is_alone(&bench) {
-            // After a long hold-down the other system may have started only now. It may still
-            // become standby or suspend itself.
-            bench.pair.run_for(bench.settles_within());
-            if bench.suspended() == 0 && is_alone(&bench) {
-                trial.violations.push(Rule::NoStandby);
-            }
-        }
-        if bound.is_some() && bench.vehicle.borrow().is_stopped() {
-            trial.violations.push(Rule::Stopped);
-        }
+        trial.violations.extend(bench.judge_roles(bound.is_some()));
         (trial, bench)
     }
 

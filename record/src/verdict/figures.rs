@@ -327,3 +327,122 @@ impl Figures {
         Verdict::new(findings, beside.watch)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::HAND_OVER_MS;
+    use crate::verdict::{InRun, RULES};
+    use tandem_board::Duration;
+
+    /// A run with one takeover, without a finding.
+    fn sound() -> (Figures, RunLog, Beside) {
+        let takeover = TakeoverFigures {
+            from: "A".to_owned(),
+            to: "B".to_owned(),
+            at_s: 4.0,
+            cause: String::new(),
+            detected_ms: None,
+            gap_ms: 14.0,
+            bound_ms: 20.0,
+            is_false: false,
+            evidence: String::new(),
+            held_up: false,
+        };
+        let figures = Figures {
+            complete: true,
+            control_frames: 1,
+            control_period_p50_ms: Some(11.0),
+            two_masters_ms: 0.0,
+            both_transmitted_ms: HAND_OVER_MS,
+            hand_over_ms: HAND_OVER_MS,
+            stale_frames: 0,
+            gaps: vec![],
+            takeovers: vec![takeover],
+            false_takeovers: 0,
+            wrong_mode_s: 1.5,
+            redundancy_lost_s: None,
+            leftovers: vec![],
+        };
+        let beside = Beside {
+            product: Some(Config::rt()),
+            ..Beside::default()
+        };
+        (figures, RunLog::default(), beside)
+    }
+
+    type Change = fn(&mut Figures, &mut RunLog, &mut Beside);
+
+    /// What breaks each rule of a run, and nothing else.
+    const BREAKS: &[(Rule, Change)] = &[
+        (Rule::NoControl, |it, _, _| it.control_frames = 0),
+        (Rule::CutShort, |it, _, _| it.complete = false),
+        (Rule::Collision, |_, log, _| log.figures.collisions = 1),
+        (Rule::LeftLane, |_, log, _| {
+            log.figures.excursion_max_m = 0.01;
+        }),
+        (Rule::LateralError, |_, log, _| {
+            log.figures.lateral_error_max_m = 0.86;
+        }),
+        (Rule::OutsideDomain, |_, log, _| {
+            log.figures.outside_domain_s = 0.01;
+        }),
+        (Rule::Stopped, |_, log, _| log.figures.standing_s = 0.01),
+        (Rule::Gap, |it, _, _| {
+            it.gaps.push(GapFigures {
+                at_s: 4.0,
+                gap_ms: 20.1,
+                bound_ms: 20.0,
+                ended_by: String::new(),
+                stalled_ms: 0.0,
+                evidence: String::new(),
+                explained: false,
+            });
+        }),
+        (Rule::TwoMasters, |it, _, _| it.two_masters_ms = 0.01),
+        (Rule::BothTransmitted, |it, _, _| {
+            it.both_transmitted_ms = HAND_OVER_MS + 0.01;
+        }),
+        (Rule::StaleFrames, |it, _, _| it.stale_frames = 1),
+        (Rule::Needless, |it, _, _| it.takeovers[0].is_false = true),
+        (Rule::SlowControl, |it, _, _| {
+            it.control_period_p50_ms = Some(11.01);
+        }),
+        (Rule::WrongMode, |it, _, _| it.wrong_mode_s = 1.51),
+        (Rule::Limits, |_, _, beside| {
+            let product = beside.product.as_mut().unwrap();
+            product.control_margin = Duration::from_ms(400);
+        }),
+        (Rule::Leftovers, |it, _, _| {
+            it.leftovers.push("a file".to_owned());
+        }),
+        (Rule::NoStandby, |it, _, _| it.redundancy_lost_s = Some(6.0)),
+        (Rule::TakeoverAsked, |_, log, _| {
+            log.figures.takeover_asked_s = Some(6.0);
+        }),
+    ];
+
+    #[test]
+    fn each_rule_of_a_run_finds_what_breaks_it() {
+        let findings = |change: Change| {
+            let (mut figures, mut log, mut beside) = sound();
+            change(&mut figures, &mut log, &mut beside);
+            figures.verdict(&log, &beside).findings
+        };
+        assert_eq!(findings(|_, _, _| ()), []);
+        for (rule, change) in BREAKS {
+            let found = findings(*change);
+            assert!(found.iter().any(|it| it.rule == *rule), "{rule}: {found:?}");
+            assert!(found.iter().all(|it| it.rule == *rule), "{rule}: {found:?}");
+        }
+        // A minimal-risk stop without a failure is a stop without a reason as well.
+        let stop = findings(|_, log, _| log.figures.safe_stop_s = Some(6.0));
+        let stop: Vec<Rule> = stop.iter().map(|it| it.rule).collect();
+        assert_eq!(stop, [Rule::SafeStop, Rule::Stopped]);
+        // No rule of a run is left out here.
+        for row in RULES.iter().filter(|row| row.in_run != InRun::Campaign) {
+            let is_here = row.rule == Rule::SafeStop || BREAKS.iter().any(|it| it.0 == row.rule);
+            assert!(is_here, "{}", row.rule);
+        }
+    }
+}
