@@ -75,7 +75,8 @@ impl From<VehicleRecord> for Entry {
 impl Entry {
     /// Appends the entry.
     ///
-    /// Returns the writer's errors.
+    /// # Errors
+    /// Those of the writer.
     pub fn write(&self, into: &mut impl Write) -> io::Result<()> {
         let (kind, content) = match self {
             Self::Trace(traced) => (TRACE, trace_bytes(traced)),
@@ -191,7 +192,8 @@ impl Bytes<'_> {
 
 /// Reads a recording and passes each entry to `into`.
 ///
-/// Fails if the file cannot be read or contains an invalid entry, or if `into` fails.
+/// # Errors
+/// If the file cannot be read or contains an invalid entry, or if `into` fails.
 pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let bytes = fs::read(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
