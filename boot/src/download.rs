@@ -84,7 +84,7 @@ impl Image {
         Some(self.place() + part.offset + self.done)
     }
 
-    /// Returns how many bytes may follow there.
+    /// Returns how many bytes may follow at the offset of [`expects`](Self::expects).
     fn room(&self) -> usize {
         let part = self
             .manifest

@@ -226,9 +226,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Whether to answer a request. If the host names no system, both loaders receive its request:
-    /// at power-on only A answers. A loader that waits because of a request or an empty slot is the
-    /// only one that waits, and answers.
+    /// Whether to answer a request. If the host names no system, both loaders receive its request.
+    /// At power-on only A answers it. A loader that waits for a requested download, or because
+    /// nothing can boot, always answers: the other loader does not wait then.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;

@@ -54,7 +54,7 @@ pub enum Refusal {
     Digest,
     /// The entry in the file differs from the manifest's.
     Entry,
-    /// The data are no S-records, even after repetition.
+    /// The data are not S-records, even after repeats.
     Record,
     /// The flash fails.
     Flash,

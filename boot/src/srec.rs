@@ -235,7 +235,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-4: the longest record is read, also after a line that is longer.
+    /// T-BOOT-4: the longest record is accepted, even after a line that is too long.
     #[test]
     fn the_longest_record_fits() {
         let text = line(1, &[0x12, 0x34], &[0x5A; MAX_DATA]);
@@ -253,7 +253,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-4: a lost frame makes the record wrong; the next record is read again.
+    /// T-BOOT-4: a lost frame makes its record invalid; the next record is read correctly.
     #[test]
     fn a_lost_frame_costs_one_record() {
         let text = format!("{}\r\n", line(3, &[0xA0, 4, 0, 0], &[7; 16]));
@@ -275,7 +275,7 @@ mod tests {
     }
 
     proptest! {
-        /// T-BOOT-4: a written record is read back, in either case of the digits.
+        /// T-BOOT-4: a written record is read back, with upper-case or lower-case digits.
         #[test]
         fn what_is_written_is_read(
             address: u32,

@@ -13,7 +13,7 @@ use tandem_board::{Board, Can, Duration, Instant, ResetRequest, Supply, watchdog
 pub enum Leave {
     /// In the application. Clean up (T-BOOT-7), then jump.
     Jump(Launch),
-    /// In the bootloader of the primary bank, which is on trial. Clean up as before a jump.
+    /// In the bootloader on trial in the primary bank. Clean up as for a jump, then start it.
     StartPrimary,
 }
 
@@ -79,8 +79,8 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
     }
 }
 
-/// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests it, and
-/// if the flash fails. Core 0, task context; blocks.
+/// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests a
+/// reset or the flash fails. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,

@@ -157,7 +157,7 @@ mod tests {
     }
 
     proptest! {
-        /// E-4: two implementations agree, also if a bit was changed.
+        /// E-4: two implementations agree, even if a bit was changed.
         #[test]
         fn signatures_of_another_implementation_verify(
             seed: [u8; 32],
@@ -173,7 +173,7 @@ mod tests {
             prop_assert_eq!(verify(&public, &message, &signature), changed.is_none());
         }
 
-        /// E-4: reduces numbers of up to 512 bits, also multiples of the order.
+        /// E-4: reduces numbers of up to 512 bits, including multiples of the order.
         #[test]
         fn numbers_are_reduced(wide: [u8; 64], times: u8) {
             let expected = salty::Scalar::from_u512_le(&wide);

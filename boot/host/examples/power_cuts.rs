@@ -37,7 +37,7 @@ struct Arguments {
     /// Sweep a bootloader with a defect instead; bricks must appear
     #[arg(long, value_parser = ["one-slot", "one-bank"])]
     broken: Option<String>,
-    /// Live one life and end: what the sweep starts
+    /// Run one life and exit; the sweep starts this
     #[arg(long, hide = true, num_args = 5, value_names = ["SCENARIO", "ACTS", "SEED", "TICK", "TEAR"])]
     life: Option<Vec<u64>>,
 }

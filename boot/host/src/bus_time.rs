@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     /// The lengths of the standard, with the space between frames: without stuff bits 47 + 8 n bits
-    /// (standard id) and 67 + 8 n (extended); at most one stuff bit for four bits.
+    /// (standard id) and 67 + 8 n (extended); at most one stuff bit per four bits.
     #[test]
     fn lengths_are_within_those_of_the_standard() {
         for len in 0..=8usize {

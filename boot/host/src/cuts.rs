@@ -1,8 +1,8 @@
 //! Losses of power at every point of an update, and the checks afterwards.
 //!
-//! A *point* is a moment of an erase or program operation in a life, with one state in which the
-//! operation leaves the changing bits. The caller supplies a function that runs a life, in a new
-//! process or as a [`Life`] in this one. U-5
+//! A *point* is a moment of an erase or program operation in a life, together with the state of
+//! the changing bits after the loss of power. The caller supplies a function that runs a life, in
+//! a new process or as a [`Life`] in this one. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
@@ -20,7 +20,7 @@ pub enum CutScenario {
     Rollback,
     /// A new bootloader is downloaded, installed, tried, approved and sealed.
     Bootloader,
-    /// The same with a new bootloader that crashes.
+    /// As `Bootloader`, with a new bootloader that crashes.
     CrashingBootloader,
     /// The repair of a damaged primary bank.
     DamagedBootloader,
@@ -30,7 +30,7 @@ pub enum CutScenario {
     RefusedFile,
 }
 
-/// A defect of the wiring, with which the sweep must find bricks.
+/// A defect of the wiring. The sweep must find bricks if it is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WiringDefect {
     /// Both slots of the application are the same memory: a download overwrites the active image.

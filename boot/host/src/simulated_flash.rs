@@ -54,7 +54,7 @@ impl Cell {
     };
 }
 
-/// The reason for which an operation failed.
+/// Why an operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelError {
     /// Power is lost: every operation fails until [`SimulatedFlash::power_on`].
@@ -98,7 +98,7 @@ pub struct SimulatedFlash {
     overwrites: Vec<u32>,
     erased_bytes: u64,
     programmed_pages: u64,
-    /// A defect for tests that must fail: the range is the same memory as that from the offset on.
+    /// A defect for tests that must fail: the range maps to the memory that begins at the offset.
     alias: Option<(Range<u32>, u32)>,
 }
 
@@ -126,8 +126,8 @@ impl SimulatedFlash {
         }
     }
 
-    /// Adds a wiring defect: `range` is the same memory as that from `place` on. So two slots, or
-    /// two banks of the bootloader, are one.
+    /// Adds a wiring defect: `range` maps to the memory that begins at `place`, so two slots, or
+    /// two banks of the bootloader, share one memory.
     #[must_use]
     pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
         self.alias = Some((range, place));
@@ -167,7 +167,7 @@ impl SimulatedFlash {
         (self.erased_bytes, self.programmed_pages)
     }
 
-    /// Returns the offsets of pages that were programmed while not erased or weak.
+    /// Returns the offsets of pages that were programmed while not erased or with weak bits.
     #[must_use]
     pub fn overwrites(&self) -> &[u32] {
         &self.overwrites
@@ -444,7 +444,7 @@ mod tests {
         }
     }
 
-    /// U-5: weak bits read as their kind says, also after saving, until they are erased.
+    /// U-5: weak bits read as their [`Tear`] says, even after saving, until they are erased.
     #[test]
     fn weak_bits_stay_weak_until_they_are_erased() {
         for (tear, within_life, between_lives) in [

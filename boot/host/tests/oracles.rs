@@ -95,7 +95,7 @@ fn files() -> Vec<String> {
     files
 }
 
-/// T-BOOT-4: we read the same from a file as bincopy, and refuse each file that it refuses.
+/// T-BOOT-4: we read the same data from a file as bincopy, and refuse each file that it refuses.
 #[test]
 fn bincopy_reads_the_same() {
     if !have(
