@@ -1,5 +1,5 @@
-//! Prints the digests of sequences of faults, one line for each surrounding and each setting of
-//! time. `cargo xtask campaign sim-digest` compares them.
+//! Prints the digests of sequences of faults, one line for each pair of [`Around`] and [`Time`].
+//! `cargo xtask campaign sim-digest` compares them.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use tandem_faults::Group;

@@ -285,7 +285,7 @@ impl Bench {
         }
     }
 
-    /// The time after restoring within which a system must drive: longer than a start of both.
+    /// The limit from restoring everything until a system drives: longer than a start of both.
     #[must_use]
     pub fn settles_within(&self) -> Duration {
         let limits = &self.config.redundancy;

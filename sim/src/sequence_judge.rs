@@ -15,7 +15,7 @@ use tandem_vehicle::gate::Acceptance;
 /// The outcome of one sequence.
 #[derive(Clone, Debug, Default)]
 pub struct Tried {
-    /// The longest time without an accepted control frame, from the first fault to restoring all.
+    /// The longest gap from the first fault until everything was restored.
     pub gap: Duration,
     /// How many times the driving system changed.
     pub changes: usize,
@@ -46,8 +46,8 @@ impl fmt::Display for Tried {
 const PROGRAMS_OF_A_FAULT: usize = 12;
 
 impl Bench {
-    /// Judges a run whose faults began at `begin` and whose last fault was restored at `restored`.
-    /// `bound`: the longest permitted gap between these times.
+    /// Judges a run whose faults began at `begin`. Everything was restored at `restored`. `bound`:
+    /// the longest permitted gap between these times.
     #[must_use]
     pub fn judge(
         &self,

@@ -2,7 +2,7 @@
 //! 1 or 2 is never interrupted.
 //!
 //! Core 0 has an executor over the task table that schedules as FreeRTOS does: fixed priorities, a
-//! tick of 1 ms, a doorbell whose interrupts have a minimum distance. The body of a job runs when
+//! tick of 1 ms, a doorbell whose interrupts have a minimum spacing. The body of a job runs when
 //! the job first gets the processor, and its messages leave when the job ends. So a job uses the
 //! oldest inputs and produces the latest outputs that its execution permits. Locks take no time.
 //!
@@ -33,7 +33,7 @@ struct Flow {
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     doorbell: DoorbellThrottle,
-    /// The running body has reported the begin of a job.
+    /// The running body has reported the start of a job.
     has_begun: Cell<bool>,
 }
 

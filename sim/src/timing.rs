@@ -17,7 +17,7 @@ pub enum Time {
     Worst,
 }
 
-/// A pair of figures, typical and worst. Of a task or handler: measured p99 and maximum, ns.
+/// A pair of figures, typical and worst. For a task or handler: measured p99 and maximum, ns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured(u64, u64);
 

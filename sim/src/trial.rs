@@ -6,8 +6,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use tandem_faults::Sequence;
 use tandem_record::verdict::Rule;
 
-/// A sequence whose number is a multiple of this runs for the whole time within which a system must
-/// drive, even if master and standby are stable earlier.
+/// After its faults, a sequence runs until master and standby are stable. A sequence whose number
+/// is a multiple of this always runs for the whole time of [`Bench::settles_within`].
 const HEALS_WHOLLY: u64 = 16;
 
 impl Profile {
