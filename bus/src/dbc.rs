@@ -5,15 +5,15 @@ use crate::signal::{FrameError, FrameInfo, Signal, Walk, layouts, value_tables};
 /// A sensor that sends object lists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum SensorId {
-    /// Long range radar in front.
+    /// Front long-range radar.
     RadarFront,
-    /// Corner radar in front on the left.
+    /// Front left corner radar.
     RadarFrontLeft,
-    /// Corner radar in front on the right.
+    /// Front right corner radar.
     RadarFrontRight,
-    /// Corner radar behind on the left.
+    /// Rear left corner radar.
     RadarRearLeft,
-    /// Corner radar behind on the right.
+    /// Rear right corner radar.
     RadarRearRight,
     /// Camera behind the windscreen.
     CameraFront,
@@ -64,7 +64,7 @@ layouts! {
     Control[0x0A0, 0x0A1] {
         /// Role of the sender.
         role: RoleCode = ROLE("Role", 24, 2, 0..=3),
-        /// Function that produced the command; None: the driver drives, and the command is what the vehicle does.
+        /// Function that produced the command; None: the driver drives, and the command repeats the present motion.
         mode: ModeCode = MODE("Mode", 26, 3, 0..=7),
         /// The function asks the driver to take over.
         takeover_request: bool = TAKEOVER_REQUEST("TakeoverRequest", 30, 1, 0..=1),
@@ -74,28 +74,28 @@ layouts! {
         steering_angle: f32 = STEERING_ANGLE("SteeringAngle", 64, 16, -32768..=32767; 2e-5),
         /// Requested longitudinal acceleration. -32.768 ..= 32.767 m/s2 in steps of 0.001
         acceleration: f32 = ACCELERATION("Acceleration", 80, 16, -32768..=32767; 0.001),
-        /// Age of the sensor data that the command rests on. 0 ..= 6553.5 ms in steps of 0.1
+        /// Age of the sensor data on which the command is based. 0 ..= 6553.5 ms in steps of 0.1
         command_age: f32 = COMMAND_AGE("CommandAge", 96, 16, 0..=65535; 0.1),
-        /// When the frame was made, on the clock of its sender, wraps around; 0 = not known. 0 ..= 65535 ms
+        /// Time at which the frame was made, by the sender's clock; wraps around; 0 = unknown. 0 ..= 65535 ms
         sent_at: u16 = SENT_AT("SentAt", 112, 16, 0..=65535),
     }
-    /// The mastership term that the vehicle obeys: that of the last control frame which it accepted.
+    /// The mastership term that the vehicle obeys: the term of the last accepted control frame.
     ///
     /// Layout of `GateEcho`.
     GateEcho[0x0A8] {
-        /// Control frames of the term that is obeyed that were refused as implausible or too long on their way, wraps around. 0 ..= 255
+        /// Number of control frames of the obeyed or a higher term that were implausible or arrived too late; wraps around. 0 ..= 255
         refused: u8 = REFUSED("Refused", 24, 8, 0..=255),
         /// Highest mastership term that was accepted; 0 = none yet. 0 ..= 4294967295
         term: u32 = TERM("Term", 32, 32, 0..=4294967295),
         /// Time since the last control frame of this term was accepted; 6553.5 = that or more. 0 ..= 6553.5 ms in steps of 0.1
         term_age: f32 = TERM_AGE("TermAge", 64, 16, 0..=65535; 0.1),
-        /// Counter of the control frame that is obeyed. 0 ..= 255
+        /// Counter of the last accepted control frame. 0 ..= 255
         obeyed_counter: u8 = OBEYED_COUNTER("ObeyedCounter", 80, 8, 0..=255),
-        /// When the frame was made, on the clock of the vehicle, wraps around. 0 ..= 255 ms
+        /// Time at which the frame was made, by the vehicle's clock; wraps around. 0 ..= 255 ms
         sent_at: u8 = SENT_AT("SentAt", 88, 8, 0..=255),
-        /// Road wheel angle that is obeyed, left positive. -0.65536 ..= 0.65534 rad in steps of 0.00002
+        /// Requested road wheel angle of the last accepted control frame, left positive. -0.65536 ..= 0.65534 rad in steps of 0.00002
         steering_angle: f32 = STEERING_ANGLE("SteeringAngle", 96, 16, -32768..=32767; 2e-5),
-        /// Longitudinal acceleration that is obeyed. -32.768 ..= 32.767 m/s2 in steps of 0.001
+        /// Requested longitudinal acceleration of the last accepted control frame. -32.768 ..= 32.767 m/s2 in steps of 0.001
         acceleration: f32 = ACCELERATION("Acceleration", 112, 16, -32768..=32767; 0.001),
     }
     /// Redundancy state.
@@ -104,19 +104,19 @@ layouts! {
     Status[0x0B0, 0x0B1] {
         /// Role of the sender.
         role: RoleCode = ROLE("Role", 24, 4, 0..=15),
-        /// Function in operation.
+        /// Active function.
         mode: ModeCode = MODE("Mode", 28, 4, 0..=15),
         /// This system has failed.
         sys_failure: bool = SYS_FAILURE("SysFailure", 32, 1, 0..=1),
-        /// The other system is taken for failed.
+        /// The sender considers the other system to have failed.
         cpsys_failure: bool = CPSYS_FAILURE("CpsysFailure", 33, 1, 0..=1),
         /// Heartbeat line 1 is silent.
         line1_silent: bool = LINE1_SILENT("Line1Silent", 34, 1, 0..=1),
         /// Heartbeat line 2 is silent.
         line2_silent: bool = LINE2_SILENT("Line2Silent", 35, 1, 0..=1),
-        /// Whether the other system would command the same.
+        /// Whether the commands of both systems agree.
         agreement: AgreementCode = AGREEMENT("Agreement", 36, 2, 0..=3),
-        /// Which own fault. 0 ..= 255
+        /// Code of the sender's own failure. 0 ..= 255
         failure_mode: u8 = FAILURE_MODE("FailureMode", 40, 8, 0..=255),
         /// Highest mastership term known. 0 ..= 4294967295
         term: u32 = TERM("Term", 48, 32, 0..=4294967295),
@@ -129,11 +129,11 @@ layouts! {
         /// Control cycles that were late, saturated. 0 ..= 255
         deadline_misses: u8 = DEADLINE_MISSES("DeadlineMisses", 120, 8, 0..=255),
     }
-    /// Motion of the own vehicle from its chassis sensors.
+    /// Motion of the vehicle from its chassis sensors.
     ///
     /// Layout of `EgoMotion`.
     EgoMotion[0x110] {
-        /// 0 until the first control frame was accepted: the world stands still and waits.
+        /// 0 until the vehicle accepts the first control frame: until then the scenario does not advance.
         world_running: bool = WORLD_RUNNING("WorldRunning", 24, 1, 0..=1),
         /// Longitudinal speed over ground at the centre of gravity. -327.68 ..= 327.67 m/s in steps of 0.01
         speed: f32 = SPEED("Speed", 32, 16, -32768..=32767; 0.01),
@@ -148,21 +148,21 @@ layouts! {
         /// Side slip angle at the centre of gravity. -0.65536 ..= 0.65534 rad in steps of 0.00002
         slip_angle: f32 = SLIP_ANGLE("SlipAngle", 112, 16, -32768..=32767; 2e-5),
     }
-    /// What the driver asks for.
+    /// Requests of the driver.
     ///
     /// Layout of `DriverRequest`.
     DriverRequest[0x120] {
-        /// Automated driving is asked for.
+        /// The driver requests automated driving.
         engage: bool = ENGAGE("Engage", 24, 1, 0..=1),
         /// The driver steers or brakes against the function.
         overrides: bool = OVERRIDES("Overrides", 25, 1, 0..=1),
-        /// Where the route leads: to the lane on the left or right, or on in the own lane; Free: anywhere.
+        /// Lane that the route needs: left, right or the present one (Keep); Free: any lane.
         route: RouteCode = ROUTE("Route", 26, 2, 0..=3),
-        /// The shorter of the two distances to the vehicle ahead.
+        /// The driver selects the shorter of two distances to the vehicle ahead.
         near_gap: bool = NEAR_GAP("NearGap", 28, 1, 0..=1),
         /// Desired speed. 0 ..= 655.35 m/s in steps of 0.01
         set_speed: f32 = SET_SPEED("SetSpeed", 32, 16, 0..=65535; 0.01),
-        /// Desired place in the own lane, from its centre, left positive; as far as the lane has room. -1.28 ..= 1.27 m in steps of 0.01
+        /// Desired offset from the centre of the lane, left positive; limited to the room in the lane. -1.28 ..= 1.27 m in steps of 0.01
         lane_offset: f32 = LANE_OFFSET("LaneOffset", 48, 8, -128..=127; 0.01),
     }
     /// Begins the object list of one measurement; ObjectCount object frames follow.
@@ -174,7 +174,7 @@ layouts! {
         /// Time of the measurement on the sensor's clock, wraps around. 0 ..= 4294967295 us
         measured_at: u32 = MEASURED_AT("MeasuredAt", 32, 32, 0..=4294967295),
     }
-    /// One object. Vehicle frame: origin at the centre of gravity of the own vehicle, x forward, y left.
+    /// One object. Vehicle frame: origin at the vehicle's centre of gravity, x forward, y left.
     ///
     /// Layout of `RadarFrontObject`, `RadarFrontLeftObject`, `RadarFrontRightObject`, `RadarRearLeftObject`, `RadarRearRightObject`, `CameraFrontObject`.
     SensorObject[0x201, 0x211, 0x221, 0x231, 0x241, 0x251] {
@@ -186,9 +186,9 @@ layouts! {
         x: f32 = X("X", 32, 16, -32768..=32767; 0.01),
         /// Centre of the object. -327.68 ..= 327.67 m in steps of 0.01
         y: f32 = Y("Y", 48, 16, -32768..=32767; 0.01),
-        /// Velocity over ground minus own velocity over ground, along the own x axis. -327.68 ..= 327.67 m/s in steps of 0.01
+        /// Velocity over ground minus the vehicle's velocity over ground, along the vehicle's x axis. -327.68 ..= 327.67 m/s in steps of 0.01
         vx: f32 = VX("VX", 64, 16, -32768..=32767; 0.01),
-        /// The same along the own y axis. -327.68 ..= 327.67 m/s in steps of 0.01
+        /// The same along the vehicle's y axis. -327.68 ..= 327.67 m/s in steps of 0.01
         vy: f32 = VY("VY", 80, 16, -32768..=32767; 0.01),
         /// Signal `Length`. 0 ..= 25.5 m in steps of 0.1
         length: f32 = LENGTH("Length", 96, 8, 0..=255; 0.1),
@@ -199,17 +199,17 @@ layouts! {
         /// Standard deviation of Y. 0 ..= 5.1 m in steps of 0.02
         y_deviation: f32 = Y_DEVIATION("YDeviation", 120, 8, 0..=255; 0.02),
     }
-    /// Lanes ahead. Centre line of the own lane in the vehicle frame: y(x) = C0 + C1 x + C2 x^2 + C3 x^3.
+    /// Lanes ahead. Centre line of the vehicle's lane in the vehicle frame: y(x) = C0 + C1 x + C2 x^2 + C3 x^3.
     ///
     /// Layout of `CameraLanes`.
     CameraLanes[0x270] {
-        /// The camera sees the own lane.
+        /// The camera sees the vehicle's lane.
         valid: bool = VALID("Valid", 24, 1, 0..=1),
         /// There is a lane to the left in the same direction.
         left_exists: bool = LEFT_EXISTS("LeftExists", 25, 1, 0..=1),
         /// There is a lane to the right in the same direction.
         right_exists: bool = RIGHT_EXISTS("RightExists", 26, 1, 0..=1),
-        /// The lane continues behind OwnEnd, but outside of the operational design domain.
+        /// The lane continues beyond OwnEnd, but outside the operational design domain.
         ends_domain: bool = ENDS_DOMAIN("EndsDomain", 27, 1, 0..=1),
         /// Signal `C0`. -32.768 ..= 32.767 m in steps of 0.001
         c0: f32 = C0("C0", 32, 16, -32768..=32767; 0.001),
@@ -219,21 +219,21 @@ layouts! {
         c2: f32 = C2("C2", 64, 16, -32768..=32767; 1e-6),
         /// Signal `C3`. -0.00032768 ..= 0.00032767 1/m2 in steps of 0.00000001
         c3: f32 = C3("C3", 80, 16, -32768..=32767; 1e-8),
-        /// The polynomial holds up to this x. 0 ..= 255 m
+        /// The polynomial is valid up to this x. 0 ..= 255 m
         view_range: u8 = VIEW_RANGE("ViewRange", 96, 8, 0..=255),
-        /// Width of the own lane. 0 ..= 5.1 m in steps of 0.02
+        /// Width of the vehicle's lane. 0 ..= 5.1 m in steps of 0.02
         width: f32 = WIDTH("Width", 104, 8, 0..=255; 0.02),
         /// Width of the lane to the left. 0 ..= 5.1 m in steps of 0.02
         left_width: f32 = LEFT_WIDTH("LeftWidth", 112, 8, 0..=255; 0.02),
         /// Width of the lane to the right. 0 ..= 5.1 m in steps of 0.02
         right_width: f32 = RIGHT_WIDTH("RightWidth", 120, 8, 0..=255; 0.02),
-        /// Distance to the end of the own lane; 6553.5 = no end in sight. 0 ..= 6553.5 m in steps of 0.1
+        /// Distance to the end of the vehicle's lane; 6553.5 = no end in sight. 0 ..= 6553.5 m in steps of 0.1
         own_end: f32 = OWN_END("OwnEnd", 128, 16, 0..=65535; 0.1),
         /// The same for the lane to the left. 0 ..= 6553.5 m in steps of 0.1
         left_end: f32 = LEFT_END("LeftEnd", 144, 16, 0..=65535; 0.1),
         /// The same for the lane to the right. 0 ..= 6553.5 m in steps of 0.1
         right_end: f32 = RIGHT_END("RightEnd", 160, 16, 0..=65535; 0.1),
-        /// Signed speed limit; 655.35 = none. 0 ..= 655.35 m/s in steps of 0.01
+        /// Posted speed limit; 655.35 = none. 0 ..= 655.35 m/s in steps of 0.01
         speed_limit: f32 = SPEED_LIMIT("SpeedLimit", 176, 16, 0..=65535; 0.01),
     }
 }
@@ -258,9 +258,9 @@ pub enum Message {
         /// The values.
         status: Status,
     },
-    /// Motion of the own vehicle from its chassis sensors.
+    /// Motion of the vehicle from its chassis sensors.
     EgoMotion(EgoMotion),
-    /// What the driver asks for.
+    /// Requests of the driver.
     DriverRequest(DriverRequest),
     /// Begins the object list of one measurement.
     SensorHeader(SensorId, SensorHeader),

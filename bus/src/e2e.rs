@@ -1,6 +1,6 @@
 //! End-to-end protection after AUTOSAR profile 5: a CRC and a counter in every frame.
 //!
-//! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first, byte 2 a counter that goes up by one
+//! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first; byte 2 is a counter that goes up by one
 //! with every frame of an id and wraps around. The CRC covers the bytes from 2 on and then the
 //! data id, low byte first; the data id is the CAN id and is not sent, so a frame under a wrong id
 //! is detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)

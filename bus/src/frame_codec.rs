@@ -4,7 +4,7 @@ use crate::signal::{Decode, Encode, List, MAX_LEN};
 use crate::{CameraLanes, FRAMES, FrameError, FrameInfo, Message, e2e};
 
 impl Message {
-    /// Reads a frame with a standard id. Does not check the end-to-end protection:
+    /// Reads a frame with a standard id, without a check of the end-to-end protection.
     /// [`FrameReceiver`](crate::FrameReceiver) does both.
     ///
     /// # Errors

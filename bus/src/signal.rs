@@ -1,5 +1,5 @@
-//! Where the bits of a signal are, and the one walk over a frame's signals that encodes, decodes or
-//! lists them.
+//! The position of a signal's bits, and the walk over a frame's signals. Encoding, decoding and
+//! listing share this walk.
 
 use core::fmt;
 use core::ops::RangeInclusive;

@@ -149,7 +149,7 @@ fn we_decode_the_frames_of_cantools() {
         let data = bytes(words.next().unwrap());
         let message = Message::decode(id, &data).unwrap();
         assert_same_values(&message, &pairs(words));
-        // All bytes but the CRC, which cantools does not know.
+        // All bytes except the CRC, which cantools does not know.
         assert_eq!(message.encode(data[2]).data()[2..], data[2..], "{line}");
     }
 }

@@ -127,7 +127,7 @@ enum Senders {
 }
 
 /// The frames that share a struct: `ControlA` of `SystemA` and `ControlB` of `SystemB` are
-/// `Control`, the `<Sensor>Header` of all sensors are `SensorHeader`, and any other frame is alone.
+/// `Control`, the `<Sensor>Header` of all sensors are `SensorHeader`; other frames share none.
 struct Layout<'a> {
     name: String,
     senders: Senders,
@@ -540,7 +540,7 @@ impl Field {
     }
 }
 
-/// What `src/signal.rs` needs to know of a signal.
+/// The arguments of `Signal::new` in `src/signal.rs` for a signal.
 fn signal_place(message: &Message, signal: &Signal) -> Result<String> {
     let Signal {
         name,

@@ -187,8 +187,8 @@ proptest! {
         let mut data = fill[..frame_info.len].to_vec();
         protect(frame_info.id, counter, &mut data);
         let at = place.index(data.len() - 1);
-        // The CRC stands before the data in the frame, but after them in the code word: byte 1 and
-        // byte 2 are not adjacent there.
+        // The CRC is at the start of the frame but at the end of the code word: bytes 1 and 2 are
+        // not adjacent in the code word.
         prop_assume!(at != 1);
         let [low, high] = damage.to_le_bytes();
         data[at] ^= low;
