@@ -21,8 +21,8 @@ use tandem_shm::newest::{Reader, Writer};
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;
 
-/// The core polls this long after the time at which a round is expected: one poll finds it, if the
-/// sensors are punctual.
+/// The core polls this long after a round is expected: if the sensors are punctual, one poll is
+/// enough.
 const MARGIN: Duration = Duration::from_us(200);
 /// How long a cycle waits for a late list. The sensors' clocks and the bus delay it less.
 const PATIENCE: Duration = Duration::from_ms(5);
@@ -102,8 +102,9 @@ impl<'b, B: Board> Core1<'b, B> {
     }
 
     /// Reads the frames that have arrived. If they release a cycle, the cycle begins, and the next
-    /// [`Core::poll`] completes it. For an executor that gives a cycle time: frames that arrive in
-    /// between wait for the next cycle. Returns whether a cycle has begun. Context as of `poll`.
+    /// [`Core::poll`] completes it. For an executor that simulates execution time: frames that
+    /// arrive during a cycle wait for the next one. Returns whether a cycle has begun. Context as
+    /// of `poll`.
     pub fn begin(&mut self) -> bool {
         if self.attached.is_none() {
             self.attach();
@@ -163,7 +164,7 @@ impl<'b, B: Board> Core1<'b, B> {
         completed
     }
 
-    /// The release that is due: the round is complete, or the time to wait for it is over.
+    /// The due release: the round is complete, or the time to wait for it is over.
     fn release(&mut self) -> Option<Release> {
         let completed = self.receive();
         let limit = self.expected + PATIENCE;

@@ -19,7 +19,7 @@ use tandem_shm::newest::{Reader, Writer};
 /// Period of polls without a doorbell: a lost doorbell costs one cycle.
 const LOOK: Duration = Duration::from_ms(50);
 
-/// The planning task with all that it uses: what core 1's signal runs.
+/// The planning task with all that it uses. Core 1's signal runs it.
 struct Planning<'b, B: Board> {
     board: &'b B,
     map: ControllerMap<'b>,
@@ -40,7 +40,7 @@ impl<B: Board> Planning<'_, B> {
         self.trace(Event::TaskOut { task, leaves });
     }
 
-    /// Computes core 0's newest step again, from the own copy of the trajectory.
+    /// Computes core 0's newest step again, from this core's copy of the trajectory.
     fn judge_control(&mut self) {
         if let Ok(Some(step)) = self.control_steps.fetch()
             && let Some((trajectory, ego)) = self.planner.last()

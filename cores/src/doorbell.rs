@@ -47,7 +47,7 @@ impl DoorbellThrottle {
         RingOutcome::HeldBack
     }
 
-    /// The doorbell may have rung. Returns whether its tasks run now. Such a call begins no new
+    /// The doorbell may have rung. Returns whether its tasks run now. This call begins no new
     /// distance, so it delays no ring.
     pub fn may_have_rung(&self, now: Instant) -> bool {
         if now < self.opens() {
@@ -130,7 +130,7 @@ mod tests {
             assert_eq!(throttle.due(), at_us(start + 5_000));
             assert!(!throttle.pass_if_due(at_us(start + 4_999)));
             assert!(throttle.pass_if_due(at_us(start + 5_000)));
-            // That began the next distance.
+            // Passing that ring began the next distance.
             assert_eq!(throttle.ring(at_us(start + 6_000)), RingOutcome::HeldBack);
             assert_eq!(throttle.ring(at_us(start + 10_000)), RingOutcome::Passes);
             assert!(!throttle.pass_if_due(at_us(start + 20_000)));

@@ -1,4 +1,4 @@
-//! The part of the download protocol (`docs/boot.md`) that an application receives: a host wants
+//! The part of the download protocol (`docs/boot.md`) that an application receives: a host asks for
 //! the bootloader of this system. T-BOOT-1
 
 use tandem_board::{CanFrame, CanId, SystemId};

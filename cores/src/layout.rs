@@ -45,19 +45,19 @@ const _: () = assert!(
     "the LMU of a TC297 has 32 KiB"
 );
 
-/// The LMU as one incarnation of one core of the controller sees it.
+/// The view that one incarnation of one core of the controller has of the LMU.
 #[derive(Clone, Copy)]
 pub struct ControllerMap<'a> {
     /// Where the regions are.
     pub map: Map<'a>,
-    /// This incarnation, which was announced.
+    /// This announced incarnation.
     pub incarnation: Incarnation,
     alive: &'a [LmuWord],
 }
 
 impl<'a> ControllerMap<'a> {
-    /// Attaches this core, and announces its incarnation. Core 0 formats an LMU that is not
-    /// formatted, as it is after power-on, or that holds anything else.
+    /// Attaches this core, and announces its incarnation. Core 0 formats an LMU that is
+    /// unformatted, as after power-on, or that has other content.
     ///
     /// # Errors
     /// [`MapError`]: not formatted yet (try again), or formatted for another image.
@@ -79,7 +79,7 @@ impl<'a> ControllerMap<'a> {
         else {
             panic!("this board's generation breaks its contract")
         };
-        // An incarnation that is announced as over cannot be this one: its supply gives out
+        // An incarnation that is announced as over cannot be this one: its supply assigns the
         // generations.
         let _outdated = map.incarnations().announce(incarnation);
         let alive = ALIVE.attach(&map)?;
@@ -97,8 +97,8 @@ impl<'a> ControllerMap<'a> {
         word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
-    /// Core 2 has computed a step of core 0 again: whether that was right. Core 0 reads how many in
-    /// succession were not.
+    /// Stores whether core 2 found a step of core 0 right. Core 0 reads how many successive ones
+    /// were not.
     pub fn judge_control(&self, right: bool) {
         let word = &self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1];
         let wrong = if right {
@@ -110,7 +110,7 @@ impl<'a> ControllerMap<'a> {
         word.store(wrong, Relaxed);
     }
 
-    /// How many steps of core 0 in succession core 2 has found wrong.
+    /// How many successive steps of core 0 core 2 has found wrong.
     #[must_use]
     pub fn wrong_steps(&self) -> u32 {
         self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1].load(Relaxed)
@@ -123,8 +123,8 @@ impl<'a> ControllerMap<'a> {
     }
 }
 
-/// Time as it crosses the LMU inside scene and trajectory is on the clock that all cores of a
-/// system share; the span since then, in ns, saturated.
+/// Returns the age in ns, saturated. Times of scene and trajectory in the LMU are on the clock that
+/// all cores of a system share.
 #[must_use]
 pub fn age_ns(now: Instant, at: Instant) -> u32 {
     u32::try_from(now.since(at).as_ns()).unwrap_or(u32::MAX)

@@ -44,7 +44,7 @@ const RETRY: Duration = Duration::from_ms(1);
 pub struct Config {
     /// Limits of heartbeats, start protocol and takeover.
     pub redundancy: tandem_redundancy::Config,
-    /// Core 1 or 2 is silent if it has not passed through a cycle for longer than this.
+    /// Core 1 or 2 is silent if it has not completed a cycle for longer than this.
     pub alive_limit: Duration,
     /// How long cores 1 and 2 may take from the start to their first cycle, and the sensors to
     /// show a lane.
@@ -52,7 +52,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// For chips, where nothing stalls.
+    /// For chips, which do not stall.
     #[must_use]
     pub const fn chip() -> Self {
         Self {
@@ -96,8 +96,8 @@ enum ReceivedFrame {
 /// The next received frame of the DBC whose CRC is right, or request of a host, with the time at
 /// which it was on the bus. Skips other frames.
 ///
-/// Takes at most `left` frames from the receiver, of whatever kind, and counts `left` down; 0 means
-/// that more may wait.
+/// Takes at most `left` frames of any kind from the receiver, and counts `left` down; 0 means that
+/// more may wait.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::FrameReceiver,

@@ -1,25 +1,25 @@
 //! Releases of a periodic task on absolute time.
 //!
 //! A release happens at `start + n · period` exactly, never relative to when the last one ran, so
-//! nothing drifts. What runs the task, and what it waits for, is the executor's.
+//! nothing drifts. The executor decides what runs the task and how it waits.
 
 use tandem_board::{Duration, Instant};
 
 /// One release of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Release {
-    /// When it was to run.
+    /// When the task should run.
     pub at: Instant,
-    /// Releases of this task that passed without a run and are skipped; 0 in time.
+    /// Earlier releases of this task that are skipped because it did not run in time.
     pub missed: u32,
 }
 
 /// The points at which a timer can wake a task.
 #[derive(Clone, Copy, Debug)]
 pub struct TickGrid {
-    /// One of them, or earlier by less than it takes to notice.
+    /// The time of a tick, or slightly earlier.
     pub origin: Instant,
-    /// Time between two.
+    /// Time between two ticks.
     pub period: Duration,
 }
 
@@ -101,7 +101,7 @@ impl Grid {
     }
 }
 
-/// The numbers of the cycles that a task has worked on, of those that another core has published.
+/// The number of the last cycle of another core that a task has used.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cycles(Option<u32>);
 

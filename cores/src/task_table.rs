@@ -1,8 +1,8 @@
 //! The table of all tasks: what runs on which core, when, and how urgently.
 //!
 //! Everything that names a task reads this table: the executors of core 0, the trace, the report,
-//! the response-time analysis, and the tables in `docs/`. A code that is not in it is shown by its
-//! number.
+//! the response-time analysis, and the tables in `docs/`. A code that is not in the table is shown
+//! as its number.
 
 use crate::doorbell::DOORBELL_DISTANCE;
 use tandem_board::{CoreId, Duration};
@@ -29,7 +29,7 @@ impl TaskCode {
     /// Core 0: fetches scene and trajectory when core 2 signals.
     pub const TRAJECTORY_INPUT: Self = Self(9);
 
-    /// Whether it does the control cycle.
+    /// Whether this task runs the control cycle.
     #[must_use]
     pub const fn is_control(self) -> bool {
         matches!(self, Self::CONTROL | Self::DEGRADED)
@@ -76,8 +76,8 @@ pub struct TaskInfo {
     pub released_by: &'static [ReleasedBy],
     /// Time between two releases. Control's is a tick less while its grid follows the trajectories.
     pub period: Duration,
-    /// The longest time from a release to the end of its job. `None` if the trace does not have
-    /// the release; then the analysis takes the period.
+    /// The longest time from a release to the end of its job. `None` if the trace has no such
+    /// release; the analysis then uses the period.
     pub deadline: Option<Duration>,
     /// Priority of the kernel's task, 1 to 30: a higher one pre-empts a lower one. 0 on cores
     /// without a kernel.
@@ -131,7 +131,7 @@ pub const CORE_0: [TaskInfo; 6] = [
     TaskInfo {
         code: TaskCode::CONTROL,
         name: "control",
-        // A takeover begins the grid anew, at once.
+        // A takeover restarts the grid at once.
         released_by: &[Period, Task(TaskCode::ROLES)],
         period: Duration::from_ms(10),
         deadline: Some(Duration::from_ms(10)),
@@ -176,7 +176,7 @@ pub const CORE_0: [TaskInfo; 6] = [
 pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
     code: TaskCode::PERCEPTION,
     name: "perception",
-    // The sensors' round: looked for when it is expected, and then at each frame.
+    // The sensors' round: polled for when it is expected, and then at each frame.
     released_by: &[OwnDeadline, Doorbell],
     period: Duration::from_ms(50),
     deadline: Some(Duration::from_ms(50)),
@@ -207,7 +207,7 @@ pub const fn tasks(core: CoreId) -> &'static [TaskInfo] {
     }
 }
 
-/// What is known of a task of this core; `None` if it has no name.
+/// The table row of this task of the core; `None` if there is none.
 #[must_use]
 pub fn task(core: CoreId, code: TaskCode) -> Option<&'static TaskInfo> {
     tasks(core).iter().find(|info| info.code == code)
@@ -239,7 +239,7 @@ pub struct IrqInfo {
     pub code: IrqCode,
     /// Its name.
     pub name: &'static str,
-    /// Shortest time between two.
+    /// Shortest time between two interrupts.
     pub period: Duration,
 }
 
@@ -280,7 +280,7 @@ mod tests {
     }
 
     /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. No two
-    /// tasks have one priority, so their order is never the kernel's to choose.
+    /// tasks have one priority, so the kernel never chooses their order.
     #[test]
     fn the_priorities_of_core_0_are_rate_monotonic() {
         for pair in CORE_0.windows(2) {

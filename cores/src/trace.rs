@@ -24,7 +24,7 @@ pub enum Begin {
     Released {
         /// Time since the release, ns.
         late_ns: u32,
-        /// Releases before this one that no job answered.
+        /// Earlier releases for which no job ran.
         missed: u32,
     },
 }
@@ -69,7 +69,7 @@ pub enum Event {
         /// Code of the [`ResetCause`](tandem_board::ResetCause); 0 on cores 1 and 2.
         cause: u8,
     },
-    /// Role and mode of the system are now these, with their codes in the frames.
+    /// The system's role or mode changed. The fields use the codes of the frames.
     Role {
         /// 0 starting, 1 master, 2 standby, 3 suspended.
         role: u8,
@@ -84,12 +84,12 @@ pub enum Event {
         from: Phase,
         /// After.
         to: Phase,
-        /// On what evidence.
+        /// The evidence for it.
         on: Evidence,
     },
     /// This system became master because the other failed.
     TookOver {
-        /// On what evidence.
+        /// The evidence for it.
         cause: Evidence,
         /// Time since the other's last heartbeat, µs.
         since_heartbeat_us: u32,
@@ -98,7 +98,7 @@ pub enum Event {
         /// The new term.
         term: u32,
     },
-    /// The other system is taken for failed, or no longer.
+    /// The other system is considered failed, or healthy again.
     PeerFailed(bool),
     /// A heartbeat line went silent, or came back; another line was found broken.
     Line {
@@ -107,7 +107,7 @@ pub enum Event {
         /// Went silent, or is broken.
         silent: bool,
     },
-    /// Both heartbeat lines are silent, but the other system is seen to live.
+    /// Both heartbeat lines are silent, but other witnesses show that the other system runs.
     LinesSplit,
     /// Nothing arrives on CAN, or frames arrive again.
     CanSilent(bool),
@@ -125,7 +125,7 @@ pub enum Event {
     StateLost,
     /// One control cycle of core 0.
     ControlCycle {
-        /// Start after its release, ns.
+        /// Delay of the start after the release, ns.
         lateness_ns: u32,
         /// Execution time, ns.
         execution_ns: u32,
@@ -183,14 +183,14 @@ pub enum Event {
         /// limit, or doorbells that were held back.
         beyond: u32,
     },
-    /// A task has the CPU from now on.
+    /// A task gets the CPU.
     TaskIn {
         /// Which.
         task: TaskCode,
         /// How it gets the CPU.
         begin: Begin,
     },
-    /// A task gives the CPU up.
+    /// A task leaves the CPU.
     TaskOut {
         /// Which.
         task: TaskCode,
@@ -231,7 +231,7 @@ pub enum Event {
         /// Whose.
         core: CoreId,
     },
-    /// The running task takes up a signal of another core.
+    /// The running task takes a signal of another core.
     Woken {
         /// From which core.
         core: CoreId,
@@ -245,8 +245,8 @@ pub enum Event {
         /// Bytes that were never used.
         free_bytes: u32,
     },
-    /// How well the other system agrees with this one's commands: at each change, and whenever the
-    /// difference has become larger than ever by a tenth of the limit.
+    /// How well the other system agrees with this one's commands. Traced at each change, and when
+    /// the largest difference has grown by a tenth of the limit.
     Agreement {
         /// 0 agreed, 1 disagreed, 2 unresolved: a safe stop is asked for.
         stage: u8,
@@ -260,8 +260,8 @@ pub enum Event {
     },
     /// This system found that its command is wrong, and leaves.
     WrongCommand {
-        /// 0: the vehicle obeys another one than was sent, or refuses it. 1: core 2 computes
-        /// another one from the same inputs.
+        /// 0: the vehicle obeys a command other than the one sent, or refuses it. 1: core 2
+        /// computes another command from the same inputs.
         witness: u8,
     },
     /// The output driver has had a fault for the confirmation time.
@@ -273,7 +273,7 @@ pub enum Event {
     Held {
         /// Which.
         task: TaskCode,
-        /// From the lock to its release, with what interrupted it, ns.
+        /// From the lock to its release, including interruptions, ns.
         longest_ns: u32,
     },
 }
@@ -334,7 +334,7 @@ impl Event {
     }
 }
 
-/// What a record carries: three small fields, and three numbers.
+/// The content of a record: three small fields, and three numbers.
 #[derive(Clone, Copy, Default)]
 struct Fields {
     a: u8,

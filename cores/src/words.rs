@@ -12,7 +12,7 @@ use heapless::Vec;
 use tandem_board::Instant;
 pub use tandem_shm::{Corrupt, Payload};
 
-/// Largest magnitude that a physical quantity may have: far above all that occurs, and small enough
+/// Largest magnitude that a physical quantity may have: far above all real values, and small enough
 /// that no product of three overflows.
 const LIMIT: f32 = 1e6;
 
@@ -312,7 +312,7 @@ mod tests {
     use super::*;
 
     impl Object {
-        /// A truck that cuts in from the right, each field with a value of its own.
+        /// A truck that cuts in from the right, with a different value in each field.
         pub(crate) const fn truck() -> Self {
             Self {
                 id: 7,
@@ -398,7 +398,7 @@ mod tests {
         );
     }
 
-    /// T-SHM-4: bytes of another core are refused or decoded, whatever they are.
+    /// T-SHM-4: any bytes of another core are refused or decoded.
     #[test]
     fn scribbled_words_are_refused_or_decoded() {
         let good = to_words(&scene());

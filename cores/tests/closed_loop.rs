@@ -11,7 +11,7 @@ use tandem_cores::driving::knowledge::Knowledge;
 use tandem_cores::driving::types::{Maneuver, Object};
 use tandem_vehicle::Scenario;
 
-/// How long every scenario is driven, s.
+/// Duration of every scenario, s.
 const SECONDS: f64 = 60.0;
 /// When a fault hits the controller, s: scenarios with events have theirs around this time.
 const EVENT_S: f64 = 24.0;
@@ -24,7 +24,7 @@ fn is_emergency(scenario: &Scenario) -> bool {
     ["cut-in", "hard-braking"].contains(&scenario.name())
 }
 
-/// Checks that every run must pass, whatever happened to the controller.
+/// Checks that every run must pass, with any fault of the controller.
 fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
     let m = drive.metrics();
     let run = format!("{} seed {seed}: {m:?}", scenario.name());
@@ -102,8 +102,8 @@ fn degrades_amid_the_drive() {
         drive.systems[0].planning_is_dead = true;
         drive.run(SECONDS - EVENT_S, &mut |_, _, _| {});
         assert_eq!(drive.produced, Some(Function::L2));
-        // A change of lanes may have been under way: the lane that the vehicle is in is kept, so
-        // the offset is no error there.
+        // A change of lanes may have been under way: the vehicle keeps the lane that it is in, so
+        // its offset is not an error.
         let m = drive.metrics();
         let run = format!("{} seed {seed}: {m:?}", scenario.name());
         assert_eq!(m.collisions, 0, "{run}");
@@ -141,7 +141,7 @@ fn a_takeover_is_not_felt() {
     }
 }
 
-/// T-CHIP-5: a system that joins as the vehicle ahead begins to brake knows this from its first
+/// T-CHIP-5: a system that joins as the vehicle ahead begins to brake detects this in its first
 /// cycle if it receives knowledge. False knowledge creates no object, whether or not the own
 /// sensors can contradict it at once. A second later, when commands begin to be compared, all
 /// systems have the same knowledge.
@@ -231,7 +231,7 @@ fn a_plan_is_continued_by_a_system_that_joins() {
     }
 }
 
-/// Any one sensor may be missing for the whole drive; the camera's lanes may be missing for a
+/// Any single sensor may be missing for the whole drive; the camera's lanes may be missing for a
 /// while.
 #[test]
 fn drives_without_any_one_sensor() {
@@ -268,7 +268,7 @@ fn a_safe_stop_stops() {
     assert_eq!(m.collisions, 0);
 }
 
-/// The same frames at the same times give the same commands to the bit.
+/// The same frames at the same times give bit-identical commands.
 #[test]
 fn deterministic() {
     let commands = || {

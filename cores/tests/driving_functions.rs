@@ -18,7 +18,7 @@ fn at_ms(ms: u64) -> Instant {
     Instant::ORIGIN + Duration::from_ms(1_000 + ms)
 }
 
-/// Feeds perception with a straight three-lane road and an ego that drives as the test demands.
+/// Feeds perception with a straight three-lane road and an ego that moves as the test specifies.
 struct Feed {
     perception: Perception,
     now: Instant,
@@ -98,8 +98,8 @@ fn seen(x: f32, y: f32, vx: f32, vy: f32) -> SensorObject {
     }
 }
 
-/// T-CHIP-4: what two sensors see is one object at once, with its velocity over ground and its
-/// kind.
+/// T-CHIP-4: an object that two sensors see is confirmed at once, with its velocity over ground and
+/// class.
 #[test]
 fn two_sensors_confirm_one_object_at_once() {
     let mut feed = Feed::new(20.0);
@@ -157,7 +157,7 @@ fn the_own_motion_is_compensated() {
     feed.yaw_rate = 0.3;
     let (mut heading, mut ego) = (0.0_f32, (0.0_f32, 0.0_f32));
     for _ in 0..30 {
-        // A thing at (60, 20) in the plane, seen from an ego on a circle.
+        // An object at (60, 20) in the plane, seen from an ego on a circle.
         let middle = heading + 0.5 * 0.3 * 0.05;
         ego = (ego.0 + 0.5 * middle.cos(), ego.1 + 0.5 * middle.sin());
         heading += 0.3 * 0.05;
@@ -175,7 +175,7 @@ fn the_own_motion_is_compensated() {
     assert!(object.vx.abs() < 0.6 && object.vy.abs() < 0.6, "{object:?}");
 }
 
-/// The camera may be blind for 300 ms; then there are no lanes, until it sees again.
+/// The camera may be blind for 300 ms; after that there are no lanes until it sees again.
 #[test]
 fn lanes_are_carried_along_and_then_given_up() {
     let mut feed = Feed::new(20.0);
@@ -207,7 +207,7 @@ fn a_cut_in_is_foreseen() {
     assert!(foreseen_at.is_some_and(|y| y > 2.4), "{foreseen_at:?}");
 }
 
-/// The driver's request reaches the scene, and its end too.
+/// The start and the end of the driver's request reach the scene.
 #[test]
 fn the_drivers_request_is_passed_on() {
     let mut feed = Feed::new(25.0);
@@ -282,7 +282,7 @@ fn is_finite(trajectory: &Trajectory) -> bool {
     })
 }
 
-/// A new plan begins where the old one is, although what was measured is noisy.
+/// A new plan begins on the old one, although the measurements are noisy.
 #[test]
 fn plans_join_each_other() {
     let mut planner = Planner::new();
@@ -335,8 +335,7 @@ fn brakes_for_a_standing_obstacle() {
 }
 
 /// The vehicle brakes for a road user that comes towards it or crosses its way if they would meet,
-/// and not for one that is in the lane at a time when the vehicle is not there, or seems to be far
-/// away.
+/// but not for one that is in the lane at another time, or seems to be far away.
 #[test]
 fn only_who_would_be_met_is_braked_for() {
     let moving = |x: f32, y: f32, vx: f32, vy: f32| Object {
@@ -439,7 +438,7 @@ fn from_standstill_a_free_lane_is_taken() {
     }
 }
 
-/// Without lanes the plan follows the driven curve, slower and slower.
+/// Without lanes the plan follows the present curve and slows down.
 #[test]
 fn without_lanes_the_plan_slows_down() {
     let mut scene = scene(0, 20.0, &[]);
@@ -522,7 +521,7 @@ fn control_refuses_old_and_broken_trajectories() {
     assert_eq!(control.last(), before);
 }
 
-/// T-RED-4: the system that takes over begins with the command that acted last.
+/// T-RED-4: the system that takes over continues from the last command that acted.
 #[test]
 fn every_function_goes_on_from_the_last_command() {
     let last = Command {

@@ -1,8 +1,8 @@
 //! Core 0 as tasks of FreeRTOS, over any board: one kernel task for each row of the task table.
 //!
 //! [`start`] is the whole interface. The board's clock must be the one that drives the kernel's
-//! tick: CLOCK_MONOTONIC on the host, `mtime` on riscv32. Waits end with a tick, so releases are
-//! laid on ticks. All memory is taken from the heap before the kernel starts.
+//! tick: CLOCK_MONOTONIC on the host, `mtime` on riscv32. Waits end with a tick, so releases lie on
+//! ticks. All memory is taken from the heap before the kernel starts.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -37,11 +37,11 @@ const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 /// Above the tick.
 const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 
-/// The task that waits for the end of the distance when the doorbell has rung too early. The other
-/// one that it releases, the roles, runs at every tick.
+/// The task that waits for the end of the distance when the doorbell has rung too early. The
+/// doorbell's other task, the roles, runs at every tick.
 const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 
-/// The choices of the machine.
+/// Options that depend on the machine.
 #[derive(Clone, Copy, Debug)]
 pub struct RuntimeOptions {
     /// Bytes of each task's stack.
@@ -52,7 +52,7 @@ pub struct RuntimeOptions {
     pub overload: Option<Overload>,
 }
 
-/// Jobs that take longer than they should, to test the other tasks.
+/// Makes some jobs longer than they should be, to test the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overload {
     /// The task that is overloaded.
@@ -89,7 +89,7 @@ impl fmt::Display for RuntimeError {
 
 impl core::error::Error for RuntimeError {}
 
-/// The state that all tasks reach.
+/// The state that all tasks share.
 struct Runtime<B: Board + 'static> {
     board: &'static B,
     shared: Mutex<SharedState<'static, B>>,
@@ -103,7 +103,7 @@ struct Runtime<B: Board + 'static> {
 /// A task's state for the trace, which distinguishes switches within a job from those between jobs.
 #[derive(Default)]
 struct TaskState {
-    /// The kernel's number of it.
+    /// The kernel's number of the task.
     number: AtomicU32,
     in_job: AtomicBool,
     waits_for_lock: AtomicBool,
@@ -129,9 +129,9 @@ struct OfTask<'a, B: Board + 'static> {
     ctx: &'a TaskContext,
     runtime: &'static Runtime<B>,
     task: Core0Task,
-    /// Of all less urgent tasks.
+    /// Handles of all less urgent tasks.
     below: Handles,
-    /// Jobs until the next one that is overloaded.
+    /// Jobs until the next overloaded one.
     jobs_left: Cell<u32>,
 }
 
@@ -212,10 +212,10 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
     }
 }
 
-/// Waits for a notification, at the longest until the first tick that is not before `deadline`.
+/// Waits for a notification, but no longer than until the first tick at or after `deadline`.
 ///
-/// The roles are asked at each tick. If their deadline lies between two ticks, they are asked at
-/// the one before: a wasted poll is cheaper than a late heartbeat.
+/// The roles are polled at each tick. If their deadline lies between two ticks, they are polled at
+/// the earlier one: a wasted poll is cheaper than a late heartbeat.
 fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: Instant) {
     let ctx = executor.ctx;
     let now = ticks.before(executor.runtime.board.now());
@@ -234,8 +234,7 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
     }
 }
 
-/// Writes to the trace how much of its stack the task needs, and for how long it keeps others
-/// waiting.
+/// Traces how much of its stack the task has used, and the longest time for which it held a lock.
 fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
     let state = executor.runtime.state(executor.task);
     let longest_ns = state.held_ns.load(Relaxed);

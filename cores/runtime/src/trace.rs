@@ -1,4 +1,4 @@
-//! The kernel's events as events of the cores' trace.
+//! Converts the kernel's events to events of the cores' trace.
 
 use crate::Runtime;
 use core::sync::atomic::Ordering::Relaxed;
@@ -8,8 +8,7 @@ use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{Interrupt, KernelEventKind, TraceSink};
 
-/// Between two jobs a task only waits for the next, which is not traced; nor are the kernel's own
-/// tasks.
+/// Does not trace the wait of a task between two jobs, or the kernel's own tasks.
 impl<B: Board + Sync> TraceSink for Runtime<B> {
     fn record(&self, event: tandem_rtos::KernelEvent) {
         let irq = if event.subject == u32::from(Interrupt::DOORBELL.number()) {

@@ -2,7 +2,7 @@
 //! give. T-RED-9
 //!
 //! Two channels cannot vote. A difference that lasts is reported, and a system that finds itself
-//! wrong leaves. If neither does, the vehicle is stopped. The rule and its reasons stand in
+//! wrong leaves. If neither does, the vehicle is stopped. The rule and its reasons are in
 //! `docs/decisions/0020-two-systems-that-disagree.md`.
 
 use crate::driving::types::Command;
@@ -14,8 +14,8 @@ use tandem_redundancy::Phase;
 /// Both systems have run the same functions for this long before they are compared: a system that
 /// has just joined does not yet track all that the other tracks.
 const WARM_UP: Duration = Duration::from_ms(1000);
-/// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has
-/// no cause that a system can find in itself.
+/// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has a
+/// cause that no system can find in itself.
 const RESOLVE: Duration = Duration::from_ms(300);
 /// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
@@ -26,9 +26,9 @@ const PERIOD_S: f32 = 0.01;
 
 /// Limits of one axis of the comparison.
 pub(super) struct Limits {
-    /// Difference of the accelerations that is tolerated for ever, m/s².
+    /// Difference of the accelerations that is always tolerated, m/s².
     pub(super) tolerance: f32,
-    /// What exceeds it may add up to this, m/s.
+    /// Limit of the sum of what exceeds the tolerance, m/s.
     limit: f32,
 }
 
@@ -54,7 +54,8 @@ struct Excess {
 }
 
 impl Excess {
-    /// Adds a difference of accelerations, m/s²; the share of the limit that is used, 0 to 1.
+    /// Adds a difference of accelerations, m/s². Returns the share of the limit that is used, 0 to
+    /// 1.
     fn add(&mut self, difference: f32, limits: &Limits) -> f32 {
         let add = |sum: f32, by: f32| {
             let sum = sum + (by - limits.tolerance) * PERIOD_S;
@@ -91,18 +92,18 @@ impl Deviation {
     }
 }
 
-/// Compares, and decides what follows.
+/// Compares the commands of both systems and decides the stage.
 #[derive(Clone, Debug)]
 pub(super) struct Agreement {
     stage: Stage,
     lateral: Excess,
     longitudinal: Excess,
-    /// In which phase this system is, and since when the systems can be compared in it.
+    /// The phase of this system, and since when the systems can be compared in it.
     phase: Option<Phase>,
     since: Option<Instant>,
     disagreed: Instant,
     absent: u8,
-    /// Successive reports of the other system that it is unresolved.
+    /// Successive reports of the other system with [`Stage::Unresolved`].
     reports: u8,
     /// The largest share of a limit that was traced, in tenths.
     worst_tenths: u8,
@@ -144,8 +145,7 @@ impl Agreement {
         deviation: Option<Deviation>,
     ) -> Option<Change> {
         if self.phase.replace(phase) != Some(phase) {
-            // After a takeover the command is still moving from the other system's command to the
-            // own one.
+            // After a takeover the command still moves from the other system's to this system's.
             self.forget();
         }
         let Some(deviation) = deviation else {
@@ -195,7 +195,7 @@ impl Agreement {
         Some((self.stage, 100))
     }
 
-    /// There is no other system to compare with. A stop that was asked for stays.
+    /// Called when there is no other system to compare with. A requested stop stays.
     fn forget(&mut self) -> Option<Change> {
         let ends = self.stage == Stage::Disagreed;
         *self = Self {
@@ -220,7 +220,7 @@ mod tests {
         Instant::from_ns(cycle * 10_000_000)
     }
 
-    /// Commands whose accelerations differ by so much, m/s².
+    /// The deviation of commands whose accelerations differ by these values, m/s².
     fn apart(lateral: f32, longitudinal: f32) -> Option<Deviation> {
         let command = Command {
             steering_angle: lateral / SPEED / SPEED * WHEELBASE_M,
@@ -229,7 +229,7 @@ mod tests {
         Some(Deviation::of(&command, &Command::default(), SPEED))
     }
 
-    /// Runs cycles from the end of the warm-up on; when each stage began, in cycles after it.
+    /// Runs cycles from the end of the warm-up. Returns the cycle in which each stage began.
     fn stages(deviations: impl Iterator<Item = Option<Deviation>>) -> Vec<(u64, Stage)> {
         let mut agreement = Agreement::new();
         for cycle in 0..100 {
@@ -251,8 +251,8 @@ mod tests {
         stages
     }
 
-    /// T-RED-9: a tolerated difference never adds up. A larger one is reported the sooner the
-    /// larger it is, whatever its sign, and asks for a stop if no system leaves.
+    /// T-RED-9: a tolerated difference never adds up. A larger one is reported, sooner if it is
+    /// larger, with either sign, and leads to a stop if no system leaves.
     #[test]
     fn a_difference_that_lasts_is_told_and_then_stops_the_vehicle() {
         use Stage::{Disagreed, Unresolved};
@@ -279,7 +279,7 @@ mod tests {
         assert_eq!(stages(left(50)), [(3, Disagreed), (33, Unresolved)]);
     }
 
-    /// T-RED-9: the other system may ask for the stop, if it does so again and again.
+    /// T-RED-9: the other system may ask for the stop, if it does so repeatedly.
     #[test]
     fn the_other_system_may_ask_for_the_stop() {
         let mut agreement = Agreement::new();

@@ -1,4 +1,4 @@
-//! Alive supervision: core 0 notices when core 1 or 2 no longer passes through its cycles.
+//! Alive supervision: core 0 notices when core 1 or 2 no longer completes its cycles.
 
 use tandem_board::{CoreId, Duration, Instant};
 
@@ -15,8 +15,8 @@ struct Watched {
 /// Polls are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
 /// cores 1 and 2 with it: time in which core 0 did not poll does not count as silence.
 const HELD_UP: Duration = Duration::from_ms(20);
-/// This much of that time counts nevertheless, so that a core 0 that is always late still finds a
-/// dead core.
+/// This much of that time counts nevertheless, so that core 0 finds a dead core even if it is
+/// always late.
 const COUNTS: Duration = Duration::from_ms(5);
 
 /// Watches the cycle counters of cores 1 and 2.
@@ -75,8 +75,7 @@ impl Alive {
         self.watched.iter().find(silent).map(|watched| watched.core)
     }
 
-    /// Whether both cores have passed through a cycle in this incarnation: the chain can carry a
-    /// drive.
+    /// Whether both cores have completed a cycle in this incarnation: the chain can then drive.
     pub(crate) fn all_seen(&self) -> bool {
         self.watched.iter().all(|watched| watched.seen)
     }
@@ -114,7 +113,7 @@ mod tests {
         assert_eq!(both_stop.last().flatten(), Some(CoreId::PERCEPTION));
     }
 
-    /// Polls every millisecond; returns when the first core was silent, and which.
+    /// Polls every millisecond. Returns when the first core was silent, and its id.
     fn poll(
         alive: &mut Alive,
         mut ms: core::ops::Range<u64>,
@@ -124,7 +123,7 @@ mod tests {
     }
 
     /// T-CHIP-3: cores that were held up together with core 0 may run before they are judged. A
-    /// dead one is found after that, and also by a core 0 that is always late.
+    /// dead one is found after that, even if core 0 is always late.
     #[test]
     fn time_without_polls_is_no_silence() {
         let mut alive = Alive::new(at(0), FIRST, |_| 0);

@@ -10,14 +10,14 @@ use tandem_bus::{DriverRequest, EgoMotion, FrameReceiver, FrameTransmitter, Gate
 
 /// Motions of the chassis between two control cycles: usually three; twice as many fit.
 const MOTIONS: usize = 6;
-/// A slower vehicle stands still, m/s: the noise of the measured speed stays below.
+/// A slower vehicle counts as standing, m/s: the noise of the measured speed is smaller.
 const STANDSTILL: f32 = 0.1;
 
 /// The inputs that have arrived since the driving function last ran.
 #[derive(Default)]
 pub(super) struct Inbox {
     motions: Deque<(Instant, Ego), MOTIONS>,
-    /// What the vehicle obeys, unless this system drives.
+    /// The command that the vehicle obeys, unless this system drives.
     obeyed: Option<Command>,
     driver: Option<Driver>,
 }
@@ -43,7 +43,7 @@ pub(super) struct CanPort {
     pub(super) transmitter: FrameTransmitter,
     /// Valid frames that neither system sent; wraps around.
     pub(super) third_party_frames: u32,
-    /// Is taken at the beginning of each control cycle.
+    /// Emptied at the beginning of each control cycle.
     pub(super) inbox: Inbox,
     /// The vehicle does not move.
     pub(super) stands: bool,

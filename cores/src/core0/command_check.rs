@@ -81,7 +81,7 @@ impl CommandCheck<'_> {
 
     /// The vehicle's echo. Returns whether this system's command is wrong.
     pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> bool {
-        // The vehicle's speed while this system stops it because no reset has cured its command.
+        // The vehicle's speed, if this system stops it because no reset has repaired its command.
         let stops = redundancy.stops_for_its_command();
         let speed = self.last_output.filter(|_| stops).map(|last| last.speed);
         let term = redundancy.term().bits();
@@ -106,8 +106,8 @@ impl CommandCheck<'_> {
         (unresolved && now.since(at) <= PEER_MAX_AGE).then_some(command)
     }
 
-    /// Compares this system's command with the other's and publishes the step for core 2.
-    /// `output`: of this cycle.
+    /// Compares this system's command with the other's and publishes the step for core 2. `output`:
+    /// the output of this cycle.
     pub(super) fn cycle(
         &mut self,
         now: Instant,
@@ -120,7 +120,7 @@ impl CommandCheck<'_> {
         self.compared = compared.or(self.compared);
         let own = match phase {
             Some(Phase::Standby) => Some((output.standalone, output.mode)),
-            // The other's command is a cycle old.
+            // The other system's command is one cycle old.
             Some(Phase::Master | Phase::DegradedMaster) => {
                 last.map(|last| (last.command, last.mode))
             }

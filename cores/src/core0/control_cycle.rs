@@ -17,7 +17,7 @@ use tandem_board::{Board, Instant, Link};
 use tandem_bus::Message;
 use tandem_redundancy::Mode;
 
-/// What the first section of a cycle takes.
+/// The inputs that the first section of a cycle takes.
 struct Inputs {
     release: Instant,
     begin: Instant,

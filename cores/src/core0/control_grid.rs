@@ -19,7 +19,7 @@ pub(super) struct ControlGrid {
     ticks: TickGrid,
     grid: Grid,
     follow: Follow,
-    /// A control cycle that the degraded task has yet to do.
+    /// A control cycle that the degraded task has not run yet.
     for_degraded: Option<Release>,
 }
 
@@ -110,8 +110,8 @@ mod tests {
 
     const PERIOD_US: u64 = 10_000;
 
-    /// The waits of these trajectories, which arrive this much after the beginning of their round,
-    /// µs, and where the grid is at the end. A round has five control periods.
+    /// The waits of trajectories that arrive this long after the beginning of their round, µs, and
+    /// the grid's last position. A round has five control periods.
     fn waits(mut grid_us: u64, arrivals_us: [u64; 20]) -> ([u64; 20], u64) {
         let mut follow = Follow::default();
         let waits = arrivals_us.map(|arrival_us| {

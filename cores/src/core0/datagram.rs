@@ -9,7 +9,7 @@ use tandem_bus::e2e::{Checker, protect};
 /// Words of the longest datagram.
 pub(super) const MAX_WORDS: usize = 32;
 
-/// Ids for the protection: above those of CAN, so that no frame passes for a datagram.
+/// Ids for the protection: above those of CAN, so that no frame is accepted as a datagram.
 pub(super) const PEER_COMMAND: u16 = 0x0801;
 pub(super) const KNOWLEDGE_REQUEST: u16 = 0x0802;
 pub(super) const KNOWLEDGE_CHUNK: u16 = 0x0803;

@@ -8,7 +8,7 @@ use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
-/// A control frame that is to be sent, or would be if the output were open.
+/// The content of a control frame. It is sent only if the output is open.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Output {
     pub(crate) command: Command,
@@ -32,11 +32,12 @@ pub struct Driving {
     scene: Option<Scene>,
     motion: MotionControl,
     degraded: DegradedControl,
-    /// What was commanded last by this system, or is obeyed while it does not drive.
+    /// The last command of this system; while it does not drive, the command that the vehicle
+    /// obeys.
     last: Command,
     /// Limits the command that this system would have given had it driven all the time.
     standalone: Shaper,
-    /// Control cycles for which the vehicle is still taken to obey the other system.
+    /// Remaining control cycles for which the vehicle counts as obeying the other system.
     follows: u8,
     function: Function,
     driver: Driver,
@@ -44,7 +45,7 @@ pub struct Driving {
     in_domain: bool,
 }
 
-/// Without the chassis' own motion for this long there is nothing to control by.
+/// A motion of the chassis older than this cannot be used for control.
 const EGO_MAX_AGE: Duration = Duration::from_ms(100);
 
 /// An echo of the vehicle holds for this many control cycles.
@@ -88,14 +89,14 @@ impl Driving {
         ))
     }
 
-    /// What the vehicle obeys, while this system does not drive: a takeover starts from there
-    /// without a jerk, whatever the other system sent.
+    /// The command that the vehicle obeys while this system does not drive. A takeover continues
+    /// from it without a jerk, whatever the other system sent.
     pub(crate) fn on_obeyed(&mut self, command: Command) {
         self.last = command;
         self.follows = FOLLOWS_CYCLES;
     }
 
-    /// What the driver's frame says. It holds until the next one.
+    /// The driver's request from the latest frame. It holds until the next frame.
     pub(crate) fn on_driver(&mut self, driver: Driver) {
         self.driver = driver;
     }

@@ -70,7 +70,7 @@ pub(super) fn send_encoded<B: Board>(board: &B, encoded: &Encoded) -> bool {
     frame.is_ok_and(|frame| board.can().try_send(&frame).is_ok())
 }
 
-/// A control frame of the other system, as the redundancy takes it.
+/// A control frame of the other system, in the form that the redundancy takes.
 pub(super) fn received_control(from: u8, control: &Control) -> Option<ControlHeader> {
     Some(ControlHeader {
         system: SystemId::from_index(usize::from(from))?,
@@ -104,7 +104,7 @@ pub(super) const fn driver(request: &DriverRequest) -> Driver {
     }
 }
 
-/// The term that the vehicle obeys, as it said `on_the_way` ago.
+/// The term that the vehicle obeyed when it sent this echo, `on_the_way` ago.
 pub(super) fn received_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
     ObeyedTerm {
         term: Term::from_bits(echo.term),

@@ -27,7 +27,7 @@ const CHUNKS_PER_CYCLE: usize = 2;
 /// A system asks in this many control cycles of its redundancy: for 300 ms.
 const ASKING_CYCLES: u32 = 30;
 
-/// Of requests and chunks. Those of another version are refused.
+/// Version of requests and chunks. Other versions are refused.
 const VERSION: u8 = 1;
 
 /// Words of a chunk before its content.
@@ -107,8 +107,8 @@ impl KnowledgeTransfer<'_> {
     ) {
         // A full link drops the datagram. Requests repeat; a lost chunk costs its transfer.
         let Some(redundancy) = redundancy.filter(|it| it.phase().is_driving()) else {
-            // Cores 1 and 2 may take long before the redundancy starts: only cycles after that
-            // count.
+            // Count only cycles after the redundancy has started: cores 1 and 2 may take long
+            // before.
             if self.asked < ASKING_CYCLES {
                 self.asked += u32::from(redundancy.is_some());
                 let _full = link.try_send(&self.receiver.request());
@@ -124,7 +124,7 @@ impl KnowledgeTransfer<'_> {
     }
 }
 
-/// The end of a driving system.
+/// The end of the transfer in a driving system.
 #[derive(Debug)]
 struct KnowledgeSender {
     requests: Checker,
@@ -171,7 +171,7 @@ impl KnowledgeSender {
                 .is_some_and(|(_, at)| now.since(at) <= REQUEST_HOLDS)
     }
 
-    /// Begins a transfer, unless this scene was sent.
+    /// Begins a transfer, unless this scene was sent before.
     fn begin(&mut self, now: Instant, term: u32, knowledge: &Knowledge) {
         let Some((incarnation, _)) = self.requested else {
             return;
@@ -213,7 +213,7 @@ impl KnowledgeSender {
     }
 }
 
-/// The end of a joining system.
+/// The end of the transfer in a joining system.
 #[derive(Debug)]
 struct KnowledgeReceiver {
     incarnation: u32,
@@ -239,7 +239,7 @@ impl KnowledgeReceiver {
         }
     }
 
-    /// The datagram that asks.
+    /// The datagram that requests a transfer.
     fn request(&mut self) -> [u32; 2] {
         let mut words = [0, self.incarnation];
         seal(KNOWLEDGE_REQUEST, VERSION, &mut self.counter, &mut words);
@@ -434,7 +434,7 @@ mod tests {
         assert_eq!(fed(&mut KnowledgeReceiver::new(77), &newer), []);
     }
 
-    /// T-CHIP-5: values that no road has are refused although their protection is right.
+    /// T-CHIP-5: values that no road has are refused, even with a valid protection.
     #[test]
     fn implausible_knowledge_is_refused() {
         let wrong: [fn(&mut Knowledge); 6] = [

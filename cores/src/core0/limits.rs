@@ -14,9 +14,9 @@ use tandem_redundancy::LineSnapshot;
 /// Frames beyond the limit wait in the receiver for the next poll.
 pub const CAN_FRAMES: u32 = 64;
 
-/// Datagrams that one poll takes from the link, which is as many as a link holds. Of these the
-/// newest valid report counts. The other system sends one in a control cycle (each millisecond with
-/// the profile of a chip), its command, and while one of both joins a request or two chunks.
+/// Datagrams that one poll takes from the link: as many as a link holds. The newest valid report
+/// counts. In a control cycle the other system sends a report (each millisecond with the profile of
+/// a chip), its command, and a request or two chunks while one system joins.
 pub const LINK_DATAGRAMS: u32 = 16;
 
 /// Edges in a millisecond beyond which a line is flooded. Edges are counters: a flood costs no time
@@ -37,7 +37,7 @@ struct Excess {
     beyond: u32,
 }
 
-/// Counts what is beyond the limits.
+/// Counts the events beyond the limits.
 #[derive(Debug)]
 pub(super) struct Floods {
     since: Instant,
@@ -66,14 +66,14 @@ impl Floods {
         excess.beyond = excess.beyond.saturating_add(beyond);
     }
 
-    /// The poll has taken as many frames as it may. `overruns`: running count of the frames that
-    /// the receiver has lost.
+    /// Called when a poll has taken as many frames as it may. `overruns`: running count of the
+    /// frames that the receiver has lost.
     pub(super) fn can(&mut self, overruns: u32) {
         let lost = overruns.wrapping_sub(core::mem::replace(&mut self.can_overruns, overruns));
         self.exceeded(FloodSource::Can, lost);
     }
 
-    /// The poll has taken as many datagrams as it may and used one of them.
+    /// Called when a poll has taken as many datagrams as it may; it used one of them.
     pub(super) fn link(&mut self) {
         self.exceeded(FloodSource::Link, LINK_DATAGRAMS - 1);
     }
@@ -146,7 +146,7 @@ mod tests {
         }
     }
 
-    /// One edge a millisecond is no flood, also not if they are counted after a stall.
+    /// One edge a millisecond is not a flood, even if the edges are counted after a stall.
     #[test]
     fn only_a_rate_that_lasts_is_a_flood() {
         for (edges_per_ms, reported) in [(1, 0), (100, 9)] {

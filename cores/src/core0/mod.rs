@@ -1,13 +1,12 @@
-//! Core 0: control every 10 ms, and all that its system says to the other one. T-CHIP-3, T-CHIP-7
+//! Core 0: control every 10 ms, and all messages of its system to the other one. T-CHIP-3, T-CHIP-7
 //!
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
 //! Its work is six tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
-//! [`TaskBody`] that does what is due and returns when it is due next. It reaches the state that
+//! [`TaskBody`] that does all due work and returns when it is due next. It reaches the state that
 //! all tasks share through an [`Executor`]. [`Core0`] runs the tasks one after the other, each to
 //! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
-//! with execution times.
-//! `docs/rtos-tasks.md` has the priorities and why they are so.
+//! with execution times. `docs/rtos-tasks.md` has the priorities and the reasons for them.
 
 mod agreement;
 mod alive;
@@ -123,7 +122,7 @@ impl BitOrAssign for TaskSet {
     }
 }
 
-/// The interface of the executor to a task.
+/// The interface that an executor offers to a task.
 pub trait Executor<'b, B: Board> {
     /// Runs `body` with what all tasks share; the other tasks wait for it. Neither nested nor
     /// within [`Executor::drive`].
@@ -154,7 +153,7 @@ pub trait TaskBody<'b, B: Board> {
     /// A periodic task's releases begin at `at`.
     fn start(&mut self, _at: Instant) {}
 
-    /// Does what is due, and returns when it is due again at the latest; it may be called earlier.
+    /// Does all due work and returns the latest time of the next call; it may be called earlier.
     /// Blocks only in the executor's locks, never allocates.
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant;
 }

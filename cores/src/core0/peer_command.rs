@@ -1,4 +1,4 @@
-//! The command that the other system would give, as it crosses the link. T-CHIP-5
+//! The command that the other system would give, in the form that crosses the link. T-CHIP-5
 
 use super::agreement::Stage;
 use super::datagram::{PEER_COMMAND, is_sealed, seal};
@@ -6,10 +6,10 @@ use crate::driving::types::Command;
 use tandem_bus::ModeCode;
 use tandem_bus::e2e::Checker;
 
-/// What a system would command, and whether it agrees with the other one.
+/// The command that a system would give, and whether it agrees with the other system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerCommand {
-    /// The function that computed it; none while the command does not count yet.
+    /// The function that computed it; none while the command is not to be compared yet.
     pub(super) mode: ModeCode,
     pub(super) stage: Stage,
     pub(super) command: Command,

@@ -1,4 +1,4 @@
-//! Reads back what the vehicle obeys: it must be what this system has sent. T-RED-9
+//! Reads back the command that the vehicle obeys: it must be one that this system has sent. T-RED-9
 //!
 //! The vehicle's echo names the control frame that it obeys, by the frame's counter, and the
 //! command. A fault between the computation and the bus (a stuck signal with a valid protection,
@@ -12,21 +12,21 @@ use tandem_bus::{Control, GateEcho};
 
 /// Commands that are remembered, by the counter of their frames.
 const REMEMBERED: usize = 32;
-/// Successive echoes that are wrong, until the command is.
+/// The command counts as wrong after this many successive wrong echoes.
 const WRONG_ECHOES: u8 = 2;
-/// Half a step of the signals, and what rounding adds, rad and m/s².
+/// Half a step of the signals plus the rounding error, rad and m/s².
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
-/// In a stop with a wrong command, beside what two systems may differ by for ever: how far aside
-/// the wheel may be, rad, and the least share of the braking that was sent.
+/// Limits for a stop with a wrong command, beside the permanent tolerance of two systems: error of
+/// the wheel angle, rad, and the least share of the braking that was sent.
 const ASIDE: f32 = 5e-3;
 const LEAST_BRAKING: f32 = 0.5;
 
-/// The commands that were sent, and what the vehicle said of them.
+/// The commands that were sent, and the vehicle's echoes of them.
 #[derive(Clone, Debug)]
 pub(super) struct ReadBack {
     term: u32,
-    /// By the counter of the frame.
+    /// Indexed by the counter of the frame.
     sent: [Command; REMEMBERED],
     /// How many of these are of this term, and the counter of the newest.
     count: u8,
@@ -53,7 +53,7 @@ impl ReadBack {
         }
     }
 
-    /// This frame is about to be sent, with this counter.
+    /// Called before this frame is sent with this counter.
     pub(super) fn on_sent(&mut self, counter: u8, control: &Control) {
         if control.term != self.term {
             (self.term, self.count) = (control.term, 0);
@@ -65,8 +65,8 @@ impl ReadBack {
     }
 
     /// Takes the vehicle's echo; returns whether this system's command is wrong. `term`: the term
-    /// in which this system drives. `stops_at`: this system stops the vehicle though its command is
-    /// wrong; the vehicle's speed, m/s. Then a difference does not count if the vehicle still stops
+    /// in which this system drives. `stops_at`: the vehicle's speed, m/s, if this system stops it
+    /// although its command is wrong. Then a difference does not count if the vehicle still stops
     /// in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // If the echo has a lower term, the vehicle has not yet accepted a frame of this term: it
@@ -89,7 +89,7 @@ impl ReadBack {
         if !obeyed || refuses {
             self.wrong += 1;
         } else if before != echo.obeyed_counter {
-            // Echoes between two frames say nothing new.
+            // Further echoes of the same frame give no new information.
             self.wrong = 0;
         }
         if self.wrong < WRONG_ECHOES {
@@ -100,8 +100,8 @@ impl ReadBack {
     }
 }
 
-/// Whether the vehicle still stops in its lane although it obeys another command than was sent, at
-/// this speed, m/s.
+/// Whether the vehicle, at this speed in m/s, still stops in its lane although it obeys a command
+/// other than the one sent.
 fn stops_with(sent: &Command, obeyed: &Command, speed: f32) -> bool {
     let deviation = Deviation::of(sent, obeyed, speed);
     let in_lane = (sent.steering_angle - obeyed.steering_angle).abs() <= ASIDE
@@ -136,14 +136,14 @@ mod tests {
             term_age: 1.0,
             obeyed_counter: cycle as u8,
             sent_at: 0,
-            // As the bus rounds it.
+            // Rounded like the signal on the bus.
             steering_angle: libm::roundf(control.steering_angle / 2e-5) * 2e-5,
             acceleration: control.acceleration,
         }
     }
 
-    /// Sends 400 frames; the echo of each is what `obeyed` makes of it. Returns the first cycle
-    /// that is found wrong.
+    /// Sends 400 frames; `obeyed` makes the echo of each. Returns the first cycle that is found
+    /// wrong.
     fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
         found_at(None, obeyed)
     }
@@ -156,9 +156,9 @@ mod tests {
         })
     }
 
-    /// T-RED-9: a command that the vehicle obeys as it was sent is right, also if the echo is late.
-    /// A command that it obeys differently, or keeps refusing, is wrong. Commands of the other
-    /// system are not judged.
+    /// T-RED-9: a command that the vehicle obeys unchanged is right, even if the echo is late. A
+    /// command that it obeys differently, or keeps refusing, is wrong. Commands of the other system
+    /// are not judged.
     #[test]
     fn a_command_that_is_obeyed_otherwise_is_wrong() {
         assert_eq!(found(|_, echo| echo), None);
@@ -184,7 +184,7 @@ mod tests {
             ..it
         };
         assert_eq!(found(refused), Some(12));
-        // A system that stops the vehicle because no reset has cured its command, with -1 m/s².
+        // A system stops the vehicle with -1 m/s² because no reset has repaired its command.
         let differs = |aside: f32, more: f32| {
             move |_, it: GateEcho| GateEcho {
                 steering_angle: it.steering_angle + aside,

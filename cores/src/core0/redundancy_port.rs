@@ -11,13 +11,13 @@ use tandem_redundancy::{
     Action, Actions, FailureMode, Input, LineSnapshot, Loaded, Mode, Phase, Redundancy, StateStore,
 };
 
-/// A state that is not in flash after this time will not get there: erasing a sector and
-/// programming a record take less.
+/// A flash that takes longer than this to store the state hangs: erasing a sector and programming a
+/// record take less.
 const FLASH_HANGS: Duration = Duration::from_ms(100);
 /// Period of polls while the start protocol waits for cores 1 and 2.
 const BOOT_POLL: Duration = Duration::from_ms(1);
 
-/// What automated driving needs. The start protocol waits for all of it, up to a limit.
+/// Conditions of automated driving. The start protocol waits for all of them, up to a limit.
 #[derive(Default)]
 pub(super) struct StartConditions {
     /// Cores 1 and 2 have both completed a cycle.
@@ -28,17 +28,17 @@ pub(super) struct StartConditions {
     pub(super) lanes_seen: bool,
 }
 
-/// What follows from an input to the redundancy.
+/// The effect of an input to the redundancy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub(super) enum Outcome {
     /// The input changes nothing outside this port.
     Done,
-    /// The control cycle begins anew, at once.
+    /// The control cycle restarts at once.
     RestartControl,
 }
 
-/// The redundancy with its ends on the board.
+/// The redundancy with its connections to the board.
 pub(super) struct RedundancyPort<'b, B: Board> {
     board: &'b B,
     config: Config,
@@ -130,7 +130,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         self.on(Input::OwnFault(fault))
     }
 
-    /// Starts the redundancy when it is time; then lets it judge the lines.
+    /// Starts the redundancy when its conditions hold; then lets it judge the lines.
     pub(super) fn poll(&mut self, lines: LineSnapshot) -> Outcome {
         if self.running.is_none() {
             self.start();
@@ -144,7 +144,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         outcome
     }
 
-    /// Begins the start protocol when the chain of cores 1, 2 and 0 runs, or the limit is over.
+    /// Begins the start protocol when the chain of cores 1, 2 and 0 runs, or after the time limit.
     fn start(&mut self) {
         let now = self.board.now();
         let StartConditions {

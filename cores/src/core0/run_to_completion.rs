@@ -1,4 +1,4 @@
-//! The executor without a kernel: one pass runs what is due, each task to its end.
+//! The executor without a kernel: one pass runs all due tasks, each to its end.
 
 use super::{Core0Task, Driving, Executor, Parts, SharedState, TaskSet, Tasks};
 use crate::doorbell::{DoorbellThrottle, RingOutcome};
@@ -8,7 +8,7 @@ use core::cell::{Cell, RefCell};
 use tandem_board::{Board, Instant};
 use tandem_redundancy::Phase;
 
-/// What the tasks share where they run one after the other: no lock is needed.
+/// The shared state of tasks that run one after the other: no lock is needed.
 struct OneFlow<'b, B: Board> {
     board: &'b B,
     shared: RefCell<SharedState<'b, B>>,
@@ -51,7 +51,7 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
 pub struct Core0<'b, B: Board> {
     executor: OneFlow<'b, B>,
     tasks: Tasks<'b, B>,
-    /// When each is due, as in [`Core0Task::ALL`].
+    /// When each task is due, in the order of [`Core0Task::ALL`].
     due: [Instant; Core0Task::ALL.len()],
 }
 
@@ -96,8 +96,8 @@ impl<B: Board> Core for Core0<'_, B> {
         } else {
             doorbell.ring(now) == RingOutcome::Passes
         };
-        // One pass is enough: tasks release only less urgent ones. A call does not say whether an
-        // interrupt has caused it, so the tasks of interrupts run at each call that the throttle
+        // One pass is enough: tasks release only less urgent ones. A call cannot tell whether an
+        // interrupt caused it, so the tasks of interrupts run at each call that the throttle
         // permits.
         for (index, task) in Core0Task::ALL.into_iter().enumerate() {
             let released = self.executor.released.get().contains(task)

@@ -1,7 +1,8 @@
 //! The state that the tasks of core 0 share, one part for each subject.
 //!
-//! A task holds it for microseconds; no command is computed here. This file has what concerns more
-//! than one part: an input from the bus reaches the redundancy, the checks and the drive.
+//! A task holds it for microseconds; no command is computed here. This file handles all that
+//! concerns more than one part: an input from the bus goes to the redundancy, the checks and the
+//! drive.
 
 use super::agreement::{Change, Stage};
 use super::can_port::CanPort;
@@ -32,7 +33,7 @@ pub(super) struct Counters {
     pub(super) tracks: u8,
 }
 
-/// What the tasks of core 0 share.
+/// The state that the tasks of core 0 share.
 pub struct SharedState<'b, B: Board> {
     pub(super) board: &'b B,
     pub(super) system: SystemId,
@@ -176,7 +177,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         TaskSet::NONE
     }
 
-    /// A frame with a right CRC and a wrong counter: of a control frame the term counts.
+    /// A frame with a right CRC and a wrong counter. Only the term of a control frame is used.
     fn on_stale_message(&mut self, message: Message) -> TaskSet {
         match message {
             Message::Control { system, control } if usize::from(system) != self.system.index() => {
@@ -188,8 +189,8 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     /// A host asks for the bootloader of a system. A system leaves only if the vehicle does not
-    /// need it: beside a master that drives without a fault, or at standstill. A master first hands
-    /// over; the host asks again. T-BOOT-1
+    /// need it: next to a master without a fault, or at standstill. A master first hands over; the
+    /// host asks again. T-BOOT-1
     fn on_download_request(&mut self, of: SystemId) -> TaskSet {
         let redundancy = self.redundancy.running();
         let Some(redundancy) = redundancy.filter(|_| of == self.system) else {
@@ -265,8 +266,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::WrongCommand))
     }
 
-    /// The control task does not end its cycles. Before the start protocol only the watchdog acts
-    /// on this: it resets the system.
+    /// The control task no longer completes its cycles. Before the start protocol only the watchdog
+    /// acts on this: it resets the system.
     pub(super) fn on_hung_control(&mut self) -> TaskSet {
         self.notify(Input::OwnFault(FailureMode::Deadline))
     }
@@ -281,8 +282,7 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     /// The CAN controller was bus-off, and has not been error-active since. `again`: it is bus-off
-    /// once more. The vehicle receives nothing from this system, so the other one is notified at
-    /// once.
+    /// again. The vehicle receives nothing from this system, so the other one is notified at once.
     pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
         let released = self.notify(Input::OwnFault(FailureMode::CanBusOff));
         if again {

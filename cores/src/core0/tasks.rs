@@ -1,4 +1,4 @@
-//! The bodies of core 0's tasks: each does what is due and returns when it is due next.
+//! The bodies of core 0's tasks: each does all due work and returns when it is due next.
 
 use super::alive::Alive;
 use super::{Core0Task, Executor, SharedState, TaskBody, frames};
@@ -20,7 +20,7 @@ use tandem_redundancy::FailureMode;
 use tandem_shm::mailbox;
 use tandem_shm::newest::Reader;
 
-/// The begin of a periodic task's job. Traces the releases before it that were missed.
+/// Begins a job of a periodic task. Traces the earlier releases that were missed.
 pub(super) fn released(board: &impl Board, task: Core0Task, release: Release) -> Begin {
     if release.missed > 0 {
         let (task, missed) = (task.info().code, release.missed);
@@ -76,15 +76,15 @@ pub struct MonitoringTask<'b, B> {
     alive: Alive,
     /// How many polls in a row found a fault of the outputs.
     output_faults: u8,
-    /// Of the CAN controller, at the last poll.
+    /// State of the CAN controller at the last poll.
     can_errors: CanErrors,
     overruns: u32,
-    /// It was bus-off, and has not been error-active since.
+    /// The CAN controller was bus-off, and has not been error-active since.
     was_bus_off: bool,
-    /// The core that is silent: a system that drives on traces it once.
+    /// The core that is silent: a system that continues to drive traces it once.
     silent: Option<CoreId>,
     control: Progress,
-    /// The watchdog is not serviced, and resets this system.
+    /// Set when this system stops servicing the watchdog, which then resets it.
     withholds: bool,
     last_service: Option<Instant>,
 }
@@ -167,8 +167,9 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         self.last_service = Some(self.board.now());
     }
 
-    /// Ends a system whose control task hangs: such a standby cannot take over. Ends one with a
-    /// wrong command too: the watchdog resets a system that has no other to leave the vehicle to.
+    /// Reports a control task that hangs: such a standby cannot take over. While it hangs or the
+    /// command is wrong, the watchdog is not serviced, and resets the system if it has not left
+    /// before.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
             self.control.poll(shared.counters.control_cycles);
@@ -287,7 +288,7 @@ impl<'b, B: Board> TaskBody<'b, B> for MonitoringTask<'b, B> {
     }
 }
 
-/// What core 0 has of the LMU for driving.
+/// The parts of the LMU that core 0 uses for driving.
 struct Lmu<'b> {
     from_planning: mailbox::Receiver<'b>,
     scenes: Reader<'b, Scene>,

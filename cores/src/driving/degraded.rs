@@ -1,4 +1,4 @@
-//! Degraded mode (core 0): L2 lane keeping and distance keeping straight from the scene, and safe
+//! Degraded mode (core 0): L2 lane keeping and distance keeping directly from the scene, and safe
 //! stop.
 //!
 //! Needs no trajectory, so it still works without core 2 or the other system. It never changes
@@ -27,7 +27,7 @@ const END_MARGIN_M: f32 = 8.0;
 const CURVE_ACCELERATION: f32 = 2.5;
 /// Deceleration of a safe stop, m/s².
 const SAFE_STOP_BRAKING: f32 = 2.5;
-/// Braking for what is not in the lane yet, m/s².
+/// Braking for an object that is not in the lane yet, m/s².
 const SOON_BRAKING: f32 = 3.0;
 /// Deceleration without lanes, m/s².
 const BLIND_BRAKING: f32 = 1.5;
@@ -91,14 +91,14 @@ impl DegradedControl {
         self.drive(now, ego, scene, DRIVER.max_acceleration)
     }
 
-    /// The same, braking to standstill in the lane: a minimal-risk stop that sees.
+    /// The same, but brakes to standstill in the lane: a minimal-risk stop that uses the scene.
     pub fn stop(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
         self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
     }
 
-    /// The same between what this system and the other one would do: two systems disagree, and none
-    /// knows which is wrong. Steers halfway, so a lane that one of them sees wrongly costs half of
-    /// its error; brakes as hard as either asks.
+    /// The same for two systems that disagree when neither knows which is wrong. Steers halfway
+    /// between both commands, so an error of one system's lane has half its effect. Brakes as hard
+    /// as the harder of both.
     pub(crate) fn stop_between(
         &mut self,
         now: Instant,
@@ -114,7 +114,7 @@ impl DegradedControl {
             steering_angle: 0.5 * (own.steering_angle + other.steering_angle),
             acceleration: min(own.acceleration, other.acceleration),
         };
-        // The own wish stays: it is what this system would command.
+        // The wish stays this system's own command.
         self.shaper.shape(&wish(command), ego)
     }
 
@@ -167,11 +167,10 @@ impl DegradedControl {
         )
     }
 
-    /// Stops with the chassis' own sensors alone: brakes moderately, lets the wheels go straight
-    /// slowly.
+    /// Stops with the chassis sensors alone: brakes moderately and slowly straightens the wheels.
     pub fn safe_stop(&mut self, ego: &Ego) -> Command {
-        // The last curve is held for a while and left within some seconds: better than either going
-        // straight at once or circling for ever.
+        // The steering angle decays within some seconds: better than driving straight at once or
+        // circling for ever.
         let steering_angle = 0.995 * self.shaper.last().steering_angle;
         self.shape(
             ego,
@@ -182,7 +181,7 @@ impl DegradedControl {
         )
     }
 
-    /// No lane is seen: stays in the driven curve, keeps the distance, and slows down to a stop.
+    /// No lane is seen: continues the present curve, keeps the distance, and slows down to a stop.
     fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &EgoPose) -> Command {
         let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
         let distance = keep_distance(&DRIVER, ego, scene, &line, WIDTH_M + 1.0, (age_s, pose));

@@ -1,9 +1,10 @@
-//! The state of the driving function: who drives, by what, and how automated driving ends. U-1
+//! The state of the driving function: who drives, in which mode, and how automated driving ends.
+//! U-1
 //!
-//! One machine for all that ends automated driving: the driver, the loss of the other system, the
-//! end of the operational design domain, a fault. [`NEXT`] is the whole of it. The redundancy says
-//! what is permitted ([`Mode`]), the scene what is known, the driver what is wanted; the answer is
-//! the state, and with it the mode that core 0 drives by.
+//! One state machine for all causes that end automated driving: the driver, the loss of the other
+//! system, the end of the operational design domain, a fault. [`NEXT`] is its whole table. Its
+//! inputs are the permission of the redundancy ([`Mode`]), the scene and the driver's request. Its
+//! output is the state, and with it the mode in which core 0 drives.
 //!
 //! Automated driving that lost something ends within [`END_LIMIT`]: with the driver, or at
 //! standstill.
@@ -32,18 +33,18 @@ pub const END_LIMIT: Duration =
 /// The driver is asked early enough to have [`TAKEOVER_LIMIT`] before a stop with this deceleration
 /// leads to the end of the domain, m/s², …
 const STOP_BRAKING: f32 = 2.5;
-/// … and is still asked when the vehicle stands before it at this distance, m.
+/// … and early enough for the vehicle to stop at this distance before the end, m.
 const STANDS_BEFORE_M: f32 = 30.0;
-/// The same time while a lane beside continues: it is changed to first, s.
+/// The same time while an adjacent lane continues, s: the vehicle first changes to that lane.
 const CHANGE_S: f32 = 4.0;
-/// A lane continues if it ends so much later than the own one, m.
+/// A lane continues if it ends at least this much later than the own lane, m.
 const CONTINUES_M: f32 = 50.0;
-/// The request is taken back when the end of the domain is this many times as far as for asking:
-/// its distance is measured with noise.
+/// The request ends when the end of the domain is this many times as far as the limit for asking:
+/// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 
 /// Whether a vehicle with this `speed`, m/s, stays within the operational design domain for as long
-/// as it takes to ask the driver and to stop. `stayed`: the answer of the cycle before.
+/// as it takes to ask the driver and to stop. `stayed`: the result of the previous cycle.
 #[must_use]
 pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
     if !lanes.ends_domain {
@@ -65,14 +66,14 @@ pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, VariantArray)]
 #[repr(u8)]
 pub enum FunctionState {
-    /// What it needs is not known: no lanes, no motion of the chassis.
+    /// Inputs are missing: no lanes, or no motion of the chassis.
     #[default]
     Off = 0,
     /// Could drive; the driver does.
     Ready = 1,
     /// Drives with both systems.
     Active = 2,
-    /// Drives by what one system can do.
+    /// Drives with the functions of one system.
     Degraded = 3,
     /// Drives on, and asks the driver to take over.
     TakeoverRequest = 4,
@@ -81,13 +82,13 @@ pub enum FunctionState {
 }
 
 impl FunctionState {
-    /// Whether the function drives, and not the driver.
+    /// Whether the function drives instead of the driver.
     #[must_use]
     pub const fn is_driving(self) -> bool {
         !matches!(self, Self::Off | Self::Ready)
     }
 
-    /// The longest time that it may last; `None` if unlimited.
+    /// The longest time for which the state may last; `None` if unlimited.
     #[must_use]
     pub const fn limit(self) -> Option<Duration> {
         match self {
@@ -97,7 +98,7 @@ impl FunctionState {
         }
     }
 
-    /// The mode that core 0 drives by, of what the redundancy permits.
+    /// The mode in which core 0 drives, within what the redundancy permits.
     #[must_use]
     pub const fn mode(self, permitted: Mode) -> Mode {
         match (self, permitted) {
@@ -173,8 +174,7 @@ pub struct Inputs {
     pub driver: Driver,
     /// Lanes and the motion of the chassis are known, and fresh.
     pub sees: bool,
-    /// The vehicle is within the operational design domain, and stays there for as long as is
-    /// known.
+    /// The vehicle is within the operational design domain, and is not about to leave it.
     pub in_domain: bool,
 }
 
@@ -193,8 +193,8 @@ impl Function {
         self.state
     }
 
-    /// One control cycle. The driver's signal is processed first and the clock's last. Each signal
-    /// acts on the state that the previous one produced.
+    /// One control cycle. The driver's signal is processed first and the time limit's last. Each
+    /// signal acts on the state that the previous one produced.
     pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> FunctionState {
         if inputs.sees {
             self.seen = now;
@@ -299,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Properties that hold in each cell, whatever the table says.
+    /// Properties that each cell of the table must have.
     #[test]
     fn the_driver_always_gets_the_vehicle_and_a_stop_is_completed() {
         for &state in FunctionState::VARIANTS {
@@ -397,8 +397,8 @@ mod tests {
         assert_eq!(function.cycle(MS(40), &DRIVES), FunctionState::Active);
     }
 
-    /// The request leaves time for an answer and a stop. It is made later while a lane beside
-    /// continues, and does not flicker with the noise of the distance.
+    /// The request leaves time for an answer and a stop. It is made later while an adjacent lane
+    /// continues, and noise of the distance does not toggle it.
     #[test]
     fn the_domain_is_left_when_its_end_is_nearer_than_request_and_stop() {
         let lanes = |own_end: f32, left: Option<f32>| Lanes {

@@ -2,10 +2,10 @@
 //!
 //! M. Treiber, A. Hennecke, D. Helbing, "Congested traffic states in empirical observations and
 //! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A.
-//! Kesting, "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): no shrinking of the steady gap
-//! near the desired speed, bounded reaction above the desired speed. [`adaptive`] is its extension
-//! to a cruise control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber,
-//! D. Helbing, "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on
+//! Kesting, "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): the steady gap does not shrink
+//! near the desired speed, and the reaction above it is bounded. [`adaptive`] is its extension to a
+//! cruise control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber, D.
+//! Helbing, "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on
 //! Traffic Capacity", Phil. Trans. R. Soc. A 368 (2010).
 
 use super::math::{clamp, exp, max, min, sqrt};
@@ -25,7 +25,7 @@ pub(crate) struct Driver {
     pub(crate) comfortable_braking: f32,
 }
 
-/// The vehicle, or the end of the lane, that one keeps a distance to.
+/// The vehicle, or the end of the lane, to which a distance is kept.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leader {
     /// Bumper to bumper, m.
@@ -34,7 +34,7 @@ pub(crate) struct Leader {
     pub(crate) speed: f32,
 }
 
-/// The strongest braking that the model asks for, m/s².
+/// The strongest braking that the model returns, m/s².
 pub(crate) const MAX_BRAKING: f32 = 9.0;
 
 /// The coolness factor of the cruise control: 0 is the plain model, 1 trusts the leader not to
@@ -62,7 +62,7 @@ pub(crate) fn adaptive(
     )
 }
 
-/// The acceleration that avoids a collision if both keep theirs from now on.
+/// The acceleration that avoids a collision if both vehicles then keep their accelerations.
 fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerates: f32) -> f32 {
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);

@@ -1,6 +1,6 @@
-//! The knowledge of a driving system that one that has just joined lacks. T-CHIP-5
+//! The knowledge that a driving system sends to a system that has just joined. T-CHIP-5
 //!
-//! Another system sends it. So it may only make more precise what the own sensors see (see
+//! It comes from another system, so it may only refine the data of the own sensors (see
 //! `docs/decisions/0021-state-for-a-system-that-joins.md`): it creates no object and no lane, and
 //! it is used only in the first [`STARTING_CYCLES`] cycles.
 
@@ -16,13 +16,13 @@ use tandem_board::{Duration, Instant};
 pub const STARTING_CYCLES: u32 = 8;
 /// Older knowledge is not used: the traffic has changed.
 pub const KNOWLEDGE_MAX_AGE: Duration = Duration::from_ms(200);
-/// Samples of a plan that its continuation needs: 0.3 s, and one more.
+/// Samples of a plan that its continuation needs: 0.3 s and one more sample.
 pub const PLAN_POINTS: usize = 5;
 
-/// The first part of a plan, and the memory of decision.
+/// The first part of a plan, and the memory of the behaviour decision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownPlan {
-    /// The memory of decision.
+    /// The memory of the behaviour decision.
     pub memory: Memory,
     /// Samples every [`super::types::TRAJECTORY_STEP_S`].
     pub points: [TrajectoryPoint; PLAN_POINTS],
@@ -33,7 +33,7 @@ pub struct KnownPlan {
 pub struct KnownLine {
     /// Its polynomial.
     pub c: [f32; 4],
-    /// How far it holds, m.
+    /// The distance to which the polynomial holds, m.
     pub view_range: f32,
 }
 
@@ -140,7 +140,7 @@ impl KnownObject {
         ])
     }
 
-    /// The track; `None` if no road user can be like that.
+    /// The track; `None` if no road user can have these values.
     pub(crate) fn unpack(self) -> Option<Known> {
         let m = |word: u32, shift: u32| f32::from((word >> shift) as u16 as i16) / 100.0;
         let [place, velocity, acceleration, rest] = self.0;

@@ -1,6 +1,6 @@
 //! Float functions that give the same bits on every target: libm and plain comparisons, never std.
 
-/// Square root; zero for what is negative or not a number.
+/// Square root; zero if `x` is negative or not a number.
 pub(crate) fn sqrt(x: f32) -> f32 {
     if x > 0.0 { libm::sqrtf(x) } else { 0.0 }
 }

@@ -17,7 +17,7 @@ pub struct EgoPose {
 }
 
 impl EgoPose {
-    /// The pose that one reaches by `step`, given in the frame of `self`.
+    /// The pose after `step`, which is given in the frame of `self`.
     #[must_use]
     pub fn then(self, step: Self) -> Self {
         let (x, y) = self.to_parent(step.x, step.y);
@@ -45,7 +45,7 @@ impl EgoPose {
         self.axes().to_local(x, y)
     }
 
-    /// This pose for many points.
+    /// This pose prepared for the transformation of many points.
     pub(crate) fn axes(self) -> Axes {
         Axes {
             origin: (self.x, self.y),
@@ -86,8 +86,8 @@ impl Axes {
     }
 }
 
-/// The pose after `dt` seconds of motion that goes evenly from `from` to `to`, as seen from the
-/// start.
+/// The pose after `dt` seconds in which the motion changes linearly from `from` to `to`, in the
+/// frame of the start.
 #[must_use]
 pub fn motion(from: &Ego, to: &Ego, dt: f32) -> EgoPose {
     let turn = 0.5 * (from.yaw_rate + to.yaw_rate) * dt;
@@ -104,7 +104,7 @@ pub fn motion(from: &Ego, to: &Ego, dt: f32) -> EgoPose {
 const MEMORY: usize = 64;
 /// Motion is extrapolated no longer than this beyond the newest pose, s.
 const MAX_EXTRAPOLATION_S: f32 = 0.5;
-/// The frame is moved to the vehicle before it is so far away that f32 gets coarse, m.
+/// The frame is moved to the vehicle at this distance, m, before f32 becomes too coarse.
 const REBASE_M: f32 = 500.0;
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -129,7 +129,7 @@ impl Default for Odometry {
 }
 
 impl Odometry {
-    /// Without any motion yet.
+    /// Odometry before the first motion.
     #[must_use]
     pub fn new() -> Self {
         Self {

@@ -5,10 +5,10 @@ use super::knowledge::KnownLine;
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
 
-/// No road of the operational design domain is bent more than this, 1/m; what a noisy polynomial
-/// says beyond is cut off.
+/// No road of the operational design domain is bent more than this, 1/m; larger values of a noisy
+/// polynomial are cut off.
 const MAX_BEND: f32 = 0.05;
-/// Width of a lane where nothing is known of it, m.
+/// Width of a lane if it is not known, m.
 pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;
 
 /// A centre line `y(x)` that continues with constant second derivative on both sides of the view.
@@ -36,7 +36,7 @@ impl CentreLine {
         }
     }
 
-    /// The line that a vehicle follows when it keeps turning as it does; for when no lane is seen.
+    /// The line of a vehicle that keeps its present curvature: used when no lane is seen.
     #[must_use]
     pub fn of_curvature(curvature: f32) -> Self {
         Self {
@@ -269,7 +269,7 @@ mod tests {
             c: [0.0, 0.0, 0.005, 0.0],
             end: 100.0,
         });
-        // A parabola of curvature 0.01 at its vertex is near to the circle for short ways.
+        // A parabola of curvature 0.01 at its vertex is near to the circle for short distances.
         let (s, d) = frame.project(20.0, 0.005 * 400.0);
         assert!(d.abs() < 1e-3);
         assert!((s - 20.13).abs() < 0.02, "{s}");

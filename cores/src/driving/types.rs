@@ -46,7 +46,7 @@ pub struct Lanes {
     pub right: Option<f32>,
     /// Distance to the end of the own lane, m; `f32::INFINITY` if no end is in sight.
     pub own_end: f32,
-    /// The own lane continues behind its end, but outside of the operational design domain.
+    /// The own lane continues beyond that end, but outside the operational design domain.
     pub ends_domain: bool,
     /// The same distance for the lane to the left.
     pub left_end: f32,
@@ -101,19 +101,19 @@ pub struct Object {
     pub width: f32,
     /// Lane relative to the own one by scene analysis: 0 own, 1 left, -1 right, further ones ±2.
     pub lane: i8,
-    /// It is moving towards the own lane and will be in it soon.
+    /// It moves towards the own lane and will be in it soon.
     pub cuts_in: bool,
-    /// For how many cycles it has been moving in, about: for a system that joins.
+    /// Approximate number of cycles for which it has been moving in: for a system that joins.
     pub approaching: u8,
 }
 
 /// The state of the world that core 1 perceives at one time: the object list of T-CHIP-3.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// The time that it is predicted to, on this system's clock.
+    /// The time to which the scene is predicted, on this system's clock.
     pub at: Instant,
-    /// When the oldest measurement that came in with this cycle was on the bus; of the last cycle
-    /// with one if none arrived.
+    /// When the oldest measurement that arrived for this cycle was on the bus. If none arrived, the
+    /// value of the previous cycle.
     pub measured: Instant,
     /// Counts the cycles of core 1, wraps around.
     pub cycle: u32,
@@ -130,7 +130,7 @@ pub struct Scene {
     pub route: RouteCode,
     /// The driver asks for the shorter of the two distances to the vehicle ahead.
     pub near_gap: bool,
-    /// Where in the lane the driver wants to be, m from its centre, left positive.
+    /// The place in the lane that the driver requests, m from its centre, left positive.
     pub lane_offset: f32,
     /// Confirmed tracks, nearest first.
     pub objects: Vec<Object, MAX_OBJECTS>,
@@ -149,7 +149,7 @@ pub enum Maneuver {
     Brake,
 }
 
-/// The memory of decision from cycle to cycle, in 30 bits: for a system that joins.
+/// The memory of the behaviour decision between cycles, in 30 bits: for a system that joins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Memory(pub(super) u32);
 
@@ -191,8 +191,7 @@ pub struct TrajectoryPoint {
 /// The motion that core 2 plans for the vehicle: samples every [`TRAJECTORY_STEP_S`] from `at` on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
-    /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's
-    /// `at`.
+    /// Time of the first sample, and of the vehicle frame of all samples: the scene's `at`.
     pub at: Instant,
     /// The scene's `measured`.
     pub measured: Instant,
@@ -227,7 +226,7 @@ pub struct ControlStep {
     pub pose: [f32; 3],
     /// Motion of the own vehicle, its slip angle without noise.
     pub ego: Ego,
-    /// The command before.
+    /// The previous command.
     pub last: Command,
     /// The command that was computed.
     pub command: Command,

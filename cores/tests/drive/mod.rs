@@ -1,4 +1,4 @@
-//! The driving functions around the world, in virtual time: what the wiring of the cores does,
+//! The driving functions in a loop with the world, in virtual time: wired as in the cores, but
 //! without cores.
 #![allow(clippy::unwrap_used)]
 
@@ -12,9 +12,9 @@ use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
 use tandem_vehicle::{LocalBus, Scenario, World, WorldConfig, WorldMetrics, WorldSnapshot};
 
-/// Perception begins its cycle this late in each 50 ms, when all sensors have reported.
+/// Perception begins its cycle at this time in each 50 ms, when all sensors have reported.
 const PERCEPTION_PHASE_MS: u64 = 25;
-/// Time from the begin of perception until the trajectory is with core 0.
+/// Time from the start of perception until core 0 has the trajectory.
 const CHAIN_MS: u64 = 15;
 
 /// Which function produces the command.
@@ -103,7 +103,7 @@ impl System {
         self.degraded.resume(last);
     }
 
-    /// The command of the wished function; a function that cannot continue gives way to the next.
+    /// The command of the requested function; one that cannot continue is replaced by the next.
     pub(crate) fn command(
         &mut self,
         now: Instant,
@@ -169,7 +169,7 @@ impl Drive {
         Instant::ORIGIN + Duration::from_ms(self.now_ms + 1_000)
     }
 
-    /// Runs the scenario for `seconds` more.
+    /// Runs the scenario for `seconds`.
     pub(crate) fn run(
         &mut self,
         seconds: f64,
@@ -205,7 +205,7 @@ impl Drive {
         self.now_ms += 1;
     }
 
-    /// The master's command goes to the vehicle; the others compute silently and hear it.
+    /// The master's command goes to the vehicle; the others compute silently and receive it.
     fn control(&mut self, now: Instant, watch: &mut dyn FnMut(&WorldSnapshot, &System, &Command)) {
         let function = self.function;
         let mut sent = None;

@@ -1,6 +1,6 @@
 //! Steering by path errors: linear-quadratic feedback with feed-forward of the curvature.
 //!
-//! Kinematics by way instead of time, e″ = κ - κ_ref for the offset e, as in J. M. Snider,
+//! Kinematics by distance instead of time, e″ = κ - κ_ref for the offset e, as in J. M. Snider,
 //! "Automatic Steering Methods for Autonomous Automobile Path Tracking", CMU-RI-TR-09-08, 2009. For
 //! this double integrator the quadratic cost ∫ e²/ℓ⁴ + 2 e′²/ℓ² + κ² ds is minimal with κ = -e/ℓ² -
 //! 2 e′/ℓ (the Riccati equation solved by hand): both poles at -1/ℓ, no overshoot. ℓ grows with the
@@ -13,14 +13,14 @@ use crate::driving::vehicle::steering_for;
 const TIME_CONSTANT_S: f32 = 0.75;
 /// ℓ at low speed, m: three wheelbases, so that the camera's noise does not shake the wheels.
 const MIN_LENGTH_M: f32 = 8.0;
-/// Larger offsets are met as if they were this, m: no wild return to a path far away.
+/// Larger offsets are limited to this, m, so that the return to a distant path is not abrupt.
 const MAX_OFFSET_M: f32 = 1.5;
 /// Lateral acceleration that feedback may ask for on top of the path's, m/s².
 const MAX_FEEDBACK: f32 = 2.5;
-/// Total lateral acceleration that is ever asked for, m/s².
+/// Limit of the total lateral acceleration, m/s².
 const MAX_LATERAL: f32 = 5.5;
 
-/// How the vehicle lies to its path.
+/// The position and course of the vehicle relative to its path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PathError {
     /// Offset of the centre of gravity from the path, m, left positive.
@@ -42,7 +42,7 @@ pub(crate) struct SlipFilter {
 const SLIP_SHARE: f32 = 0.1;
 
 impl SlipFilter {
-    /// Takes a measurement, rad; the filtered angle.
+    /// Takes a measurement, rad. Returns the filtered angle.
     pub(crate) fn filter(&mut self, measured: f32) -> f32 {
         let last = self.angle.unwrap_or(measured);
         let angle = last + SLIP_SHARE * (measured - last);

@@ -24,9 +24,10 @@ const STEERING_PREVIEW_S: f32 = 0.07;
 const POWERTRAIN_PREVIEW_S: f32 = 0.14;
 /// Feedback of the speed, 1/s.
 const SPEED_GAIN: f32 = 0.8;
-/// Feedback of the way, 1/s².
+/// Feedback of the distance driven, 1/s².
 const WAY_GAIN: f32 = 0.16;
-/// The way's error counts up to this, m: after a long gap it must not brake or push hard.
+/// Limit of the distance's error, m: after a long gap the feedback must not brake or accelerate
+/// hard.
 const MAX_WAY_ERROR_M: f32 = 3.0;
 
 /// Why there is no command.
@@ -138,16 +139,16 @@ impl MotionControl {
     }
 }
 
-/// Differences that rounding explains: rad and m/s².
+/// Largest differences that rounding causes: rad and m/s².
 const STEERING_ROUNDING: f32 = 1e-5;
 const ACCELERATION_ROUNDING: f32 = 1e-3;
-/// How far the vehicle may be from where its motion since the scene leads, m, m, rad, and that
-/// motion from the scene's, m/s, rad/s, rad: more than sensors and 150 ms of hard driving explain.
+/// Largest deviation from the pose extrapolated from the scene's motion, m, m, rad, and from that
+/// motion, m/s, rad/s, rad: more than sensor errors and 150 ms of hard driving cause.
 const PLAUSIBLE_POSE: [f32; 3] = [2.0, 0.6, 0.1];
 const PLAUSIBLE_EGO: [f32; 3] = [3.0, 0.4, 0.06];
 
-/// Whether this step of another core follows from its inputs, and those from what this core knows:
-/// the trajectory, and the motion at its begin. T-RED-9
+/// Whether this step of another core follows from its inputs, and its inputs fit the data of this
+/// core: the trajectory, and the motion at its start. T-RED-9
 #[must_use]
 pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool {
     let expected = motion(ego, &step.ego, step.age_s);
@@ -182,7 +183,7 @@ struct FeedForward {
     acceleration: f32,
 }
 
-/// The unlimited command that holds the vehicle, now at the step's pose, on the trajectory.
+/// The command, before its limits, that keeps the vehicle at the step's pose on the trajectory.
 fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
     let (age_s, ego, [x, y, heading]) = (step.age_s, &step.ego, step.pose);
     let pose = EgoPose { x, y, heading };

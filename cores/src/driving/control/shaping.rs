@@ -1,10 +1,10 @@
-//! Limits of what is asked of the actuators: amplitude and rate, so that no command ever jumps.
+//! Limits of the commands to the actuators: amplitude and rate, so that no command ever jumps.
 
 use crate::driving::math::{bound, clamp, max, min, sqrt};
 use crate::driving::types::{Command, Ego};
 use crate::driving::vehicle::{MAX_STEERING_RAD, MAX_STEERING_RATE, WHEELBASE_M};
 
-/// Brakes hold the standing vehicle with this, m/s².
+/// Braking that holds the standing vehicle, m/s².
 pub(crate) const STANDSTILL_BRAKE: f32 = -0.5;
 
 /// Period of core 0, s: rates are limited per step.
@@ -15,16 +15,17 @@ const MAX_ACCELERATION: f32 = 3.0;
 const MAX_BRAKING: f32 = 9.5;
 /// Jerk of comfortable driving, m/s³.
 const COMFORT_JERK: f32 = 6.0;
-/// Jerk where the vehicle brakes hard, or lets go of a hard brake, but it is no emergency, m/s³.
+/// Jerk of hard braking and of its release when there is no emergency, m/s³.
 const FIRM_JERK: f32 = 9.0;
 /// Jerk of an emergency, m/s³: full braking after 0.2 s.
 const EMERGENCY_JERK: f32 = 45.0;
 /// Beyond this braking is hard, m/s²: as in planning.
 pub(crate) const HARD_BRAKING: f32 = -4.0;
-/// A brake that is not let go before standstill ends with a jolt. So it is let go with this jerk,
-/// m/s³, down to the braking that holds the vehicle. From 2.5 m/s² that costs 5 cm, from 4 m/s² 19.
+/// A brake that is not released before standstill ends the stop with a jolt. So it is released with
+/// this jerk, m/s³, to the braking that holds the vehicle. This adds 5 cm from 2.5 m/s², 19 cm from
+/// 4 m/s².
 const SOFT_STOP_JERK: f32 = 4.0;
-/// The release delay of the brake, s: its lag of 0.14 s twice, and then a twentieth is left.
+/// The release delay of the brake, s: twice its lag of 0.14 s, after which a twentieth is left.
 const BRAKE_DELAY_S: f32 = 0.3;
 /// From this speed on the wheels may be turned as fast as they can, m/s.
 const ROLLING_SPEED: f32 = 4.0;
@@ -65,7 +66,7 @@ impl Shaper {
         self.last
     }
 
-    /// The command nearest to the wish that limits allow one period after the last command.
+    /// The command nearest to the wish within the limits, one period after the last command.
     pub(crate) fn shape(&mut self, wish: &Wish, ego: &Ego) -> Command {
         let Wish {
             command: wish,
@@ -162,7 +163,7 @@ mod tests {
     }
 
     /// Braking to standstill from this deceleration with a brake that answers after 20 ms and then
-    /// with a time constant of 0.12 s: the largest jerk over 100 ms, m/s³, and the way, m.
+    /// with a time constant of 0.12 s: the largest jerk over 100 ms, m/s³, and the distance, m.
     fn stop(braking: f32, urgent: bool) -> (f32, f32) {
         let (mut shaper, mut speed, mut way) = (Shaper::new(), 6.0_f32, 0.0_f32);
         shaper.resume(&wish(0.0, -braking).command);
@@ -209,7 +210,7 @@ mod tests {
         }
     }
 
-    /// Hard braking that is no emergency does not jerk, neither on nor off.
+    /// Hard braking without an emergency does not jerk when it begins or ends.
     #[test]
     fn only_an_emergency_jerks() {
         let steepest = |urgent: bool| {

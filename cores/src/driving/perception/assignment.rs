@@ -32,7 +32,7 @@ pub(crate) fn assign(costs: &Costs, detections: usize) -> [Option<usize>; MAX_TR
             IMPOSSIBLE
         }
     };
-    // Row 0 and column 0 are the algorithm's virtual ones.
+    // Row 0 and column 0 are virtual: the algorithm needs them.
     let mut row_potential = [0.0_f32; MAX_TRACKS + 1];
     let mut column_potential = [0.0_f32; COLUMNS + 1];
     let mut row_of = [0_usize; COLUMNS + 1];
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(assign(&costs(&[&[] as &[f32]; 5]), 0), [None; MAX_TRACKS]);
     }
 
-    /// Against all permutations of small problems with seeded costs.
+    /// Compares with all permutations of small problems with seeded costs.
     #[test]
     fn as_good_as_trying_all() {
         let mut seed = 1_u32;

@@ -45,7 +45,7 @@ impl Motion {
 }
 
 impl Span {
-    /// Position, velocity and acceleration at its end.
+    /// Position, velocity and acceleration at the end of the span.
     fn end(&self, begin: Vector3<f32>) -> Vector3<f32> {
         let Self { dt, fade, .. } = *self;
         let [position, velocity, acceleration] = begin.into();
@@ -84,7 +84,7 @@ pub(crate) struct Measured {
     pub(crate) velocity_variance: f32,
 }
 
-/// How far a measurement lies from what was expected.
+/// The difference of a measurement from its prediction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Innovation {
     residual: Vector2<f32>,
@@ -104,7 +104,7 @@ pub(crate) struct Axis {
 
 /// Variance of the acceleration of an object that was never seen before, (m/s²)².
 const FIRST_ACCELERATION_VARIANCE: f32 = 2.0;
-/// A covariance that gets no measurements stops growing here.
+/// Without measurements a covariance grows only to this limit.
 const MAX_VARIANCE: f32 = 400.0;
 
 impl Axis {
@@ -139,7 +139,7 @@ impl Axis {
         }
     }
 
-    /// This axis as a measurement, for a filter that knows nothing of it.
+    /// This axis as a measurement, for an independent filter.
     pub(crate) fn measured(&self) -> Measured {
         Measured {
             position: self.state.x,
@@ -166,7 +166,7 @@ impl Axis {
         if self.covariance.m11 > MAX_VARIANCE {
             return;
         }
-        // Of the rows, then of the columns.
+        // First the rows, then the columns.
         let half = span.end_of_each(&self.covariance).transpose();
         self.covariance = span.end_of_each(&half).transpose() + span.noise;
     }
@@ -197,11 +197,11 @@ impl Axis {
         let gain = cross * innovation.inverse;
         self.state += gain * innovation.residual;
         let covariance = self.covariance - gain * cross.transpose();
-        // Rounding must not make it lopsided.
+        // Rounding must not make the covariance asymmetric.
         self.covariance = (covariance + covariance.transpose()) * 0.5;
     }
 
-    /// Covariance-free change of the state, for the turn and move of the frame.
+    /// Changes the state but not the covariance: for the turn and move of the frame.
     pub(crate) fn set(&mut self, position: f32, velocity: f32, acceleration: f32) {
         self.state = Vector3::new(position, velocity, acceleration);
     }

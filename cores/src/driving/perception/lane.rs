@@ -1,8 +1,8 @@
 //! The lanes as the camera sees them, filtered over time and carried along with the own motion.
 //!
 //! The coefficients of the centre line are the state of a Kalman filter whose transition is the
-//! Taylor shift of the polynomial by the way driven: E. D. Dickmanns, B. D. Mysliwetz, "Recursive
-//! 3-D Road and Relative Ego-State Recognition", IEEE PAMI 14 (1992).
+//! Taylor shift of the polynomial by the distance driven: E. D. Dickmanns, B. D. Mysliwetz,
+//! "Recursive 3-D Road and Relative Ego-State Recognition", IEEE PAMI 14 (1992).
 
 use nalgebra::{Matrix4, Vector4};
 use tandem_board::{Duration, Instant};
@@ -16,8 +16,8 @@ use crate::driving::types::Lanes;
 /// Lanes are carried along without the camera for this long.
 const COAST: Duration = Duration::from_ms(300);
 
-/// The camera's longest range, m. A shorter one has coefficients that are as uncertain at the same
-/// share of it.
+/// The camera's longest range, m. At a shorter range, the coefficients are equally uncertain at the
+/// same share of the range.
 const LONGEST_RANGE_M: f32 = 80.0;
 /// Standard deviations of the camera's coefficients at that range: m, 1, 1/m, 1/m².
 const MEASUREMENT: [f32; 4] = [0.025, 0.001_5, 3e-5, 4e-7];
@@ -82,7 +82,7 @@ impl LaneFilter {
         }
     }
 
-    /// Takes in what the camera saw at `at`, the time up to which the filter was predicted.
+    /// Takes the camera's lanes at `at`, the time up to which the filter was predicted.
     pub(crate) fn update(&mut self, at: Instant, camera: &CameraLanes) {
         if !camera.valid {
             return;
@@ -93,7 +93,7 @@ impl LaneFilter {
             let deviations = scaled(&MEASUREMENT, f32::from(camera.view_range));
             self.covariance = Matrix4::from_diagonal(&Vector4::from(deviations.map(|s| s * s)));
         } else {
-            // When the vehicle crosses a line, its own lane is another one: the same shape aside.
+            // When the vehicle crosses a line, its own lane becomes another one of the same shape.
             let aside = measured.x - self.state.x;
             if abs(aside) > 0.4 * self.lanes.width {
                 self.state.x = measured.x;
@@ -134,9 +134,9 @@ impl LaneFilter {
         };
     }
 
-    /// What another system knew `dt` seconds ago, since when the vehicle has moved by `step`, is
-    /// the expectation that the camera's lines correct. Once; and not without such lines or if
-    /// these contradict it.
+    /// Uses another system's line, `dt` seconds old, as the prediction that the camera's lines
+    /// correct; the vehicle has moved by `step` since. Works once, and only if the camera has lines
+    /// that fit.
     pub(crate) fn recall(&mut self, now: Instant, c: &[f32; 4], dt: f32, step: &EgoPose) {
         let Some(seen) = self.seen.filter(|_| !self.received) else {
             return;
@@ -148,7 +148,7 @@ impl LaneFilter {
         let residual = self.state - known.state;
         let fits = residual.iter().zip(GATE).all(|(r, gate)| abs(*r) < gate);
         if fits {
-            // The other system knew older lines: they do not count twice.
+            // Older camera lines are part of the other system's line: they do not count twice.
             if now.since(seen).as_secs_f32() < dt {
                 known.correct(&self.state, self.lanes.view_range);
             }
@@ -187,7 +187,7 @@ impl LaneFilter {
         })
     }
 
-    /// Forgets lanes that are too old, so that the next ones are taken as they are.
+    /// Forgets lanes that are too old, so that the next ones are used unfiltered.
     pub(crate) fn expire(&mut self, now: Instant) {
         if self.seen.is_some_and(|seen| now.since(seen) > COAST) {
             self.seen = None;

@@ -6,27 +6,27 @@ use tandem_bus::{SensorHeader, SensorId, SensorObject};
 
 use super::MAX_DETECTIONS;
 
-/// A list that is still not complete after this time has lost frames; what is there is used.
+/// A list that is still not complete after this time has lost frames; its objects are used.
 const COMPLETION_TIME: Duration = Duration::from_ms(20);
 
-/// A list that was longer under way than the fastest one by more than this was stamped by a clock
-/// that has been set, µs: the clocks' difference is learnt anew.
+/// If a list took longer than the fastest one by more than this, µs, the sensors' clock was set:
+/// the clocks' difference is measured anew.
 const CLOCK_WAS_SET_US: i32 = 500_000;
-/// The clocks may drift apart by 0.1 %: the difference that is taken for the smallest grows by 1 µs
-/// in this time.
+/// The clocks may drift apart by 0.1 %: the smallest known difference grows by 1 µs in this time.
 const DRIFT: Duration = Duration::from_ms(1);
 
 /// The sensors' clock as this core sees it. The smallest difference between arrival and measurement
-/// is the clocks' difference and the shortest way; what a list took beyond that is its delay.
+/// is the clocks' difference plus the shortest transfer time; a list's excess over it is its delay.
 #[derive(Clone, Copy, Debug, Default)]
 struct SensorClock {
-    /// Modulo 2^32 µs; and when it was last as small as this, or was raised for the drift.
+    /// The smallest difference, modulo 2^32 µs, and when it was measured or last raised for the
+    /// drift.
     smallest: Option<(u32, Instant)>,
 }
 
 impl SensorClock {
-    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 stands for no
-    /// time.
+    /// The time of a measurement that is stamped `measured_at` and arrives `now`; a stamp of 0 is
+    /// none.
     fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
         if measured_at == 0 {
             return now;
@@ -53,7 +53,7 @@ struct List {
     at: Instant,
     /// When its header arrived.
     begun: Instant,
-    /// When the last of what is there came in.
+    /// When the last object arrived.
     done: Instant,
     expected: usize,
     objects: Vec<SensorObject, MAX_DETECTIONS>,
@@ -79,8 +79,8 @@ impl Lists {
         list.fresh = true;
     }
 
-    /// Adds an object to the list that the sensor has begun. More than the header announced are
-    /// ignored, and so are those after the list was taken.
+    /// Adds an object to the list that the sensor has begun. Ignores objects beyond the announced
+    /// number, and objects after the list was taken.
     pub(crate) fn add(&mut self, now: Instant, sensor: SensorId, object: &SensorObject) {
         let list = &mut self.lists[sensor.index()];
         if list.fresh && list.objects.len() < list.expected {
@@ -97,8 +97,8 @@ impl Lists {
         is_complete.then_some(list.done)
     }
 
-    /// The oldest list that is ready and was not taken before: its sensor, when that measured, when
-    /// its last object came in, and its objects.
+    /// The oldest list that is ready and was not taken before: its sensor, the times of the
+    /// measurement and of its last object's arrival, and its objects.
     pub(crate) fn take(
         &mut self,
         now: Instant,

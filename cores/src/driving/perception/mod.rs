@@ -1,10 +1,9 @@
 //! Perception (core 1, every 50 ms): fuses five radars and a camera into one scene. T-CHIP-3,
 //! T-CHIP-4
 //!
-//! [`Perception::on_message`] takes bus frames at any time; [`Perception::cycle`] does the
-//! work: predict the tracks to each list's time, assign, update, begin and end tracks, then analyse
-//! motion and scene. Everything stands in the frame of the vehicle and is carried along with its
-//! motion.
+//! [`Perception::on_message`] takes bus frames at any time; [`Perception::cycle`] does the work:
+//! predict the tracks to each list's time, assign, update, begin and end tracks, then analyse
+//! motion and scene. All data are in the frame of the vehicle and are moved with it.
 
 mod assignment;
 mod kalman;
@@ -29,16 +28,16 @@ use round::{LANES, Round};
 use scene::RoadView;
 use track::{Detection, Passage, Track};
 
-/// Tracks at one time, confirmed or not.
+/// Largest number of tracks, confirmed or not.
 const MAX_TRACKS: usize = 32;
-/// Detections in one list; what the header can announce.
+/// Largest number of detections in one list: the limit of the header.
 const MAX_DETECTIONS: usize = 32;
 
 /// A sensor whose newest list was measured longer ago than this is lost, or late: six of its
 /// periods. Predictions over a longer time are of no use.
 pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
 
-/// The perception function with all its memory; about 14 KiB, nothing allocated.
+/// The perception function with all its memory: about 14 KiB, without allocation.
 #[derive(Clone, Debug)]
 pub struct Perception {
     odometry: Odometry,
@@ -50,8 +49,8 @@ pub struct Perception {
     time: Option<Instant>,
     /// The inputs of the last cycle.
     round: Round,
-    /// When each sensor has measured what came in last, by [`SensorId::index`]; the first cycle
-    /// before that.
+    /// When each sensor measured its newest list, by [`SensorId::index`]; before the first list,
+    /// the time of the first cycle.
     measured: [Option<Instant>; SensorId::ALL.len()],
     next_id: u32,
     /// The request of the driver.
@@ -99,8 +98,8 @@ impl Perception {
     /// Takes in a frame that was on the bus at `now`. Ignores frames that no sensor, chassis or
     /// driver sends.
     ///
-    /// Lists count as measured when their sensor says; lanes, which say nothing, when their frame
-    /// was on the bus.
+    /// The time of a list is its sensor's time stamp. Lanes have none: theirs is the time at which
+    /// their frame was on the bus.
     pub fn on_message(&mut self, now: Instant, message: &Message) {
         match message {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
@@ -122,8 +121,8 @@ impl Perception {
         })
     }
 
-    /// When all of that is expected next, after `now`, if it arrives every `period`; `None` if
-    /// nothing arrived for the last cycle.
+    /// When all these inputs are next expected, after `now`, if they arrive every `period`; `None`
+    /// if nothing arrived for the last cycle.
     pub fn next_round(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         self.round.next_end(now, period)
     }
@@ -140,8 +139,8 @@ impl Perception {
     }
 
     /// [`Perception::cycle`] with knowledge of another system. It makes the own tracks and lanes
-    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is not used,
-    /// and none after the first [`STARTING_CYCLES`] cycles.
+    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is ignored,
+    /// and any after the first [`STARTING_CYCLES`] cycles.
     pub fn cycle_with(&mut self, now: Instant, received: Option<&Knowledge>) -> &Scene {
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;
@@ -194,7 +193,7 @@ impl Perception {
         missing
     }
 
-    /// Predicts tracks and lanes to `to`; does not go back.
+    /// Predicts tracks and lanes to `to`, if that is later.
     fn advance(&mut self, to: Instant) {
         let from = *self.time.get_or_insert(to);
         if to <= from {
@@ -210,8 +209,8 @@ impl Perception {
         self.time = Some(to);
     }
 
-    /// Takes in the list of one sensor, measured at the time up to which the tracks are predicted,
-    /// or before: then its objects are carried along to that time.
+    /// Takes in the list of one sensor, measured at or before the time up to which the tracks are
+    /// predicted. Older objects are moved to that time.
     fn fuse(&mut self, sensor: SensorId, at: Instant, objects: &[SensorObject]) {
         let ego = *self.odometry.ego();
         let to = self.time.unwrap_or(at).max(at);
@@ -263,7 +262,7 @@ impl Perception {
             let known = Track::received(self.next_id, &known, dt, &step);
             match self.tracks.iter_mut().find(|own| own.is_same(&known)) {
                 Some(own) => own.recall(&known, dt),
-                // Not confirmed: it stays out of the scene until an own sensor sees it.
+                // Not confirmed: it is not in the scene until an own sensor sees it.
                 None => {
                     self.next_id = self.next_id.wrapping_add(1);
                     let _full = self.tracks.push(known);
@@ -272,7 +271,7 @@ impl Perception {
         }
     }
 
-    /// Begins a track; when there is no place, the farthest unconfirmed one gives way.
+    /// Begins a track. If there is no place, it replaces the farthest unconfirmed one.
     fn begin_track(&mut self, detection: &Detection) {
         let track = Track::new(self.next_id, detection);
         self.next_id = self.next_id.wrapping_add(1);

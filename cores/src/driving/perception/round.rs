@@ -1,7 +1,7 @@
 //! The sensors' round: what arrives in each period, and when it is complete.
 //!
-//! The sensors are not synchronised with this core, and do not report their phase. The end of a
-//! round is where the longest pause begins: a cycle there has the freshest lists.
+//! The sensors are not synchronised with this core, and do not report their phase. A round ends
+//! where the longest pause begins: a cycle at that time has the freshest lists.
 
 use tandem_board::{Duration, Instant};
 use tandem_bus::SensorId;
@@ -11,11 +11,11 @@ const MEMBERS: usize = SensorId::ALL.len() + 1;
 /// The camera's lanes as a member.
 pub(super) const LANES: usize = SensorId::ALL.len();
 
-/// When the members of one round were there as a whole.
+/// When each member of one round was complete.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Round {
     members: [Option<Instant>; MEMBERS],
-    /// What was there before is no part of the next round.
+    /// Members that were complete before this time are not part of the next round.
     next_since: Instant,
 }
 
@@ -24,7 +24,8 @@ impl Round {
         self.members[member] = Some(at);
     }
 
-    /// Whether this round has members, and each is there again. `arrived`: since when it is.
+    /// Whether this round has members and all are complete again. `arrived`: when each was
+    /// complete.
     pub(super) fn is_next_complete(
         &self,
         mut arrived: impl FnMut(usize) -> Option<Instant>,
@@ -34,11 +35,11 @@ impl Round {
             && members.all(|member| arrived(member).is_some_and(|at| at > self.next_since))
     }
 
-    /// When the next round ends, the first time after `now`; `None` if this one has no members.
+    /// The first end of a round after `now`; `None` if this round has no members.
     ///
-    /// The next round begins in the middle of the pause: what arrives before was late, and a member
-    /// that was missed once would otherwise be taken for punctual, a period old each time. If one
-    /// is early by more than half of the pause, the cycle waits for it until its time-out, once.
+    /// The next round begins in the middle of the pause. A member that arrives before that is late
+    /// and belongs to the old round; else it would count as punctual and be a period old each time.
+    /// If one is early by more than half of the pause, one cycle waits for it until its time-out.
     pub(super) fn next_end(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         let period = period.as_ns();
         let phase = |at: Instant| at.as_ns() % period;
@@ -108,7 +109,7 @@ mod tests {
         assert!(!last.is_next_complete(|member| there(member).filter(|_| member != LANES)));
     }
 
-    /// The lanes of phase 16 ms came just after the cycle at 15 ms had begun.
+    /// The lanes of phase 16 ms arrive just after the cycle at 15 ms has begun.
     #[test]
     fn what_came_after_the_last_cycle_had_begun_is_waited_for_again() {
         let mut last = round(&[100, 103, 106, 109, 112, 115]);

@@ -10,7 +10,7 @@ use super::track::Track;
 const CUT_IN_HORIZON_S: f32 = 2.0;
 /// Slower than this across the lane is wandering, not changing lanes, m/s.
 const CUT_IN_SPEED: f32 = 0.5;
-/// An object must move in for this many cycles in a row to be believed.
+/// An object must move in for this many cycles in a row to count as a cut-in.
 const CUT_IN_CYCLES: u8 = 5;
 
 /// The place of an object on the road.
@@ -20,7 +20,7 @@ pub(crate) struct Place {
     pub(crate) cuts_in: bool,
 }
 
-/// The road around the vehicle as scene analysis sees it.
+/// The road around the vehicle, for scene analysis.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RoadView {
     line: CentreLine,

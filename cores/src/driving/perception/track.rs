@@ -1,4 +1,4 @@
-//! One tracked object: filters of both axes, what kind it is, and how sure it is that it exists.
+//! One tracked object: filters of both axes, its class, and the confidence in its existence.
 
 use tandem_bus::{ClassCode, SensorId, SensorObject};
 
@@ -18,7 +18,7 @@ const ACROSS: Motion = Motion {
     acceleration_noise: 1.0,
     fading_s: 0.5,
 };
-/// How much a track from another system counts.
+/// Variances of a track from another system.
 const ALONG_SETTLED: Settled = Settled {
     position: 0.03,
     velocity: 0.012,
@@ -33,7 +33,7 @@ const ACROSS_SETTLED: Settled = Settled {
 };
 /// 99.9 % of the chi-squared distribution with four degrees of freedom.
 const GATE: f32 = 18.5;
-/// However unsure a track is, a detection farther away is another object, m.
+/// A detection farther away than this is another object, even if the track is uncertain, m.
 const MAX_JUMP_X_M: f32 = 8.0;
 /// The same across the road: less than the distance of two lanes, m.
 const MAX_JUMP_Y_M: f32 = 2.5;
@@ -46,7 +46,7 @@ const CONFIRMING_SENSORS: u32 = 2;
 const TENTATIVE_COAST_S: f32 = 0.12;
 /// A confirmed track is kept unseen for this long, s: short occlusions, single dropouts.
 const COAST_S: f32 = 0.8;
-/// The same close beside the own vehicle, where the fields of view may leave a gap, s.
+/// The same for a track close beside the own vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;
 
 /// A detection in the vehicle frame, with velocities over ground.
@@ -61,7 +61,7 @@ pub(crate) struct Detection {
 }
 
 impl Detection {
-    /// What a sensor's object means, with the own motion at the time of the measurement.
+    /// Converts a sensor's object, with the own motion at the time of the measurement.
     pub(crate) fn new(sensor: SensorId, object: &SensorObject, ego: &Ego) -> Self {
         let (along, across) = velocity_variances(sensor, object.x, object.y);
         let deviation = |value: f32| clamp(value, 0.1, 5.0);
@@ -86,8 +86,7 @@ impl Detection {
         }
     }
 
-    /// Where the object is after `lag_s` at its speed, seen from where the own vehicle is after
-    /// `step`.
+    /// The object after `lag_s` at its speed, in the frame of the own vehicle after `step`.
     pub(crate) fn carried(mut self, lag_s: f32, step: EgoPose) -> Self {
         let along = self.x.position + self.x.velocity * lag_s;
         let across = self.y.position + self.y.velocity * lag_s;
@@ -121,7 +120,7 @@ pub(crate) struct Match {
 }
 
 impl Match {
-    /// Negative logarithm of the likelihood but for constants.
+    /// Negative logarithm of the likelihood, without constants.
     pub(crate) fn cost(&self) -> f32 {
         let volume = max(self.x.determinant * self.y.determinant, 1e-12);
         self.x.distance + self.y.distance + libm::logf(volume)
@@ -134,12 +133,12 @@ pub(crate) struct Passage {
     dt: f32,
     along: Span,
     across: Span,
-    /// The vehicle at its end, as seen from where it was at its begin.
+    /// The vehicle's pose at the end, as seen from its pose at the start.
     axes: Axes,
 }
 
 impl Passage {
-    /// Of `dt` seconds, in which the vehicle moves by `step`.
+    /// A passage of `dt` seconds in which the vehicle moves by `step`.
     pub(crate) fn new(dt: f32, step: &EgoPose) -> Self {
         Self {
             dt,
@@ -218,8 +217,8 @@ impl Track {
         track
     }
 
-    /// Another system has tracked this object for longer: what it knew `dt` seconds ago is the
-    /// expectation that newer own detections correct. Once; and not if these contradict it.
+    /// Another system has tracked this object for longer: its track, `dt` seconds old, becomes the
+    /// prediction that newer own detections correct. Works once, and only if these fit.
     pub(crate) fn recall(&mut self, known: &Self, dt: f32) {
         if self.received && self.hits > 0 {
             return;
@@ -231,7 +230,7 @@ impl Track {
             if fit.0.distance + fit.1.distance >= GATE {
                 return;
             }
-            // The other system knew older detections: they do not count twice.
+            // Older detections are part of the other system's track: they do not count twice.
             if self.unseen_s < dt {
                 x.update(&fit.0);
                 y.update(&fit.1);
@@ -254,7 +253,7 @@ impl Track {
         };
     }
 
-    /// Moves the object on by this passage, into the frame of the vehicle at its end.
+    /// Moves the object by this passage, into the frame of the vehicle at its end.
     pub(crate) fn predict(&mut self, passage: &Passage) {
         self.x.predict(&passage.along);
         self.y.predict(&passage.across);
@@ -329,7 +328,7 @@ impl Track {
         (self.confirmed, self.hits, other.id) > (other.confirmed, other.hits, self.id)
     }
 
-    /// Takes over what the double knew.
+    /// Takes over the data of the duplicate.
     pub(crate) fn absorb(&mut self, double: &Self) {
         self.sensors |= double.sensors;
         self.hits = self.hits.saturating_add(double.hits);

@@ -1,4 +1,4 @@
-//! Behaviour decision: keep the lane or change it, with the criteria of MOBIL and a way back.
+//! Behaviour decision: keep the lane or change it, by the criteria of MOBIL, with a way to abort.
 //!
 //! A. Kesting, M. Treiber, D. Helbing, "General Lane-Changing Model MOBIL for Car-Following
 //! Models", Transportation Research Record 1999 (2007): a change must be safe for the new follower
@@ -11,9 +11,9 @@ use crate::driving::math::{abs, lerp, max, min};
 use crate::driving::types::{Lanes, Memory, RouteCode};
 use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
-/// Gain in acceleration from which on a change is made, m/s².
+/// The least gain in acceleration for a change, m/s².
 const CHANGING_THRESHOLD: f32 = 0.45;
-/// The same for a vehicle that is slow behind something that stands: it will not drive on soon.
+/// The same for a vehicle that is slow behind a standing object: it will not move soon.
 const PULL_OUT_THRESHOLD: f32 = 0.1;
 /// How much the follower's loss counts (politeness).
 const POLITENESS: f32 = 0.3;
@@ -28,22 +28,22 @@ const CALM_BRAKING: f32 = 1.5;
 const WISH_CYCLES: u16 = 16;
 /// The same when the own lane ends.
 const FORCED_WISH_CYCLES: u16 = 4;
-/// A change begins this near to the own lane's centre, m, or that near if it must be made.
+/// A change begins within this distance of the own lane's centre, m; the second if it is forced.
 const CENTRED_M: f32 = 0.6;
 const CENTRED_FORCED_M: f32 = 1.3;
-/// Rest after a change or a try, in cycles.
+/// Pause after a change or an attempt, in cycles.
 const REST_CYCLES: u16 = 100;
 const REST_CYCLES_AT_END: u16 = 20;
 /// A change takes this long …
 const CHANGE_S: f32 = 5.0;
 /// … or this, when the own lane ends, …
 const FORCED_CHANGE_S: f32 = 3.5;
-/// … but no less way than this, m.
+/// … but at least this distance, m.
 const CHANGE_MIN_M: f32 = 18.0;
-/// The rest of a change is never steered in less time than this, s.
+/// The remainder of a change always takes at least this time, s.
 const REST_MIN_S: f32 = 2.0;
-/// Slower than this no lane is changed in a jam, m/s; only around what stands, which is slower than
-/// that, m/s, and at least this far ahead, m.
+/// In a jam, a vehicle slower than this does not change lanes, m/s, except around an object that
+/// stands (slower than the second, m/s) at least this far ahead, m.
 const SLOW: f32 = 3.0;
 const STANDS: f32 = 0.3;
 const PULL_OUT_M: f32 = 6.0;
@@ -83,9 +83,9 @@ impl Side {
 /// The manoeuvre: keep the lane or change it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Intent {
-    /// Stays in the lane.
+    /// Keep the lane.
     Keep,
-    /// Changes the lane; `crossed` when its own lane is the new one already.
+    /// Change the lane; `crossed` once the new lane is the own lane.
     Change {
         side: Side,
         crossed: bool,
@@ -100,7 +100,7 @@ pub(crate) struct Situation<'a> {
     pub(crate) objects: &'a [Predicted],
     /// m/s
     pub(crate) speed: f32,
-    /// Speed to be had soon, with the braking that is under way, m/s.
+    /// Speed expected soon with the present braking, m/s.
     pub(crate) next_speed: f32,
     /// m/s
     pub(crate) desired_speed: f32,
@@ -113,17 +113,17 @@ pub(crate) struct Situation<'a> {
 /// The task of planning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Goal {
-    /// Offset to go to, m.
+    /// Target offset, m.
     pub(crate) offset: f32,
-    /// Way to it, m; `None` while the lane is kept.
+    /// Distance in which to reach it, m; `None` while the lane is kept.
     pub(crate) rest_m: Option<f32>,
-    /// Distance to the end of the lane that is gone to, m.
+    /// Distance to the end of the target lane, m.
     pub(crate) end: f32,
     /// Centre of the lane in which a gap is sought, m.
     pub(crate) sought: Option<f32>,
 }
 
-/// The decision with its memory.
+/// Decides on the lane; holds the intent and counters between cycles.
 #[derive(Clone, Debug)]
 pub(crate) struct Behaviour {
     pub(crate) intent: Intent,
@@ -185,12 +185,12 @@ impl Behaviour {
         }
     }
 
-    /// Whether a change is under way whose line has not been crossed yet.
+    /// Whether a change is under way and its line not crossed yet.
     pub(crate) fn is_leaving(&self) -> bool {
         matches!(self.intent, Intent::Change { crossed: false, .. })
     }
 
-    /// Ends a change that has become dangerous, if the vehicle still is in its old lane.
+    /// Ends a dangerous change if the vehicle is still in its old lane.
     pub(crate) fn abort(&mut self) -> bool {
         if let Intent::Change { crossed: false, .. } = self.intent {
             self.intent = Intent::Keep;
@@ -201,7 +201,7 @@ impl Behaviour {
         false
     }
 
-    /// The goal for this cycle; `moved` is the way since the last one, m.
+    /// The goal for this cycle; `moved` is the distance driven since the last cycle, m.
     pub(crate) fn decide(&mut self, now: &Situation<'_>, moved: f32) -> Goal {
         self.rest = self.rest.saturating_sub(1);
         if let Intent::Change { rest_m, .. } = &mut self.intent {
@@ -267,7 +267,7 @@ impl Behaviour {
         }
     }
 
-    /// Counts for how long a change has been wished, and begins it.
+    /// Counts for how long a change has been wanted, and begins it.
     fn consider(&mut self, now: &Situation<'_>) {
         let forced = now.forced().map(|(side, _)| side);
         let needed = if forced.is_some() {
@@ -322,7 +322,7 @@ fn max_of(a: u16, b: u16) -> u16 {
 }
 
 impl Situation<'_> {
-    /// The own driving as a model, with a share of the usual time gap.
+    /// The IDM driver of the own vehicle, with a share of the usual time gap.
     fn driver(&self, share: f32) -> Driver {
         Driver {
             desired_speed: self.desired_speed,
@@ -333,8 +333,8 @@ impl Situation<'_> {
         }
     }
 
-    /// The side to go to because the own lane ends soon or the route leads there, and that lane's
-    /// centre.
+    /// The side to change to because the own lane ends soon or the route leads there, and that
+    /// lane's centre.
     fn forced(&self) -> Option<(Side, f32)> {
         let end = self.lanes.own_end;
         let soon = max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M);
@@ -405,8 +405,8 @@ impl Situation<'_> {
         idm::acceleration(&driver, follower.speed, Some(Leader { gap, speed }))
     }
 
-    /// Whether a slow vehicle has a reason and the room to steer out of its lane: what is ahead
-    /// stands, and not so near that the vehicle would have to turn on the spot.
+    /// Whether a slow vehicle has a reason and the room to steer out of its lane: the object ahead
+    /// stands, and is not so near that the vehicle would have to turn on the spot.
     fn can_pull_out(&self, leader: Option<&Predicted>) -> bool {
         leader.is_some_and(|object| {
             let gap = object.s - object.half_length - 0.5 * LENGTH_M;
@@ -437,8 +437,8 @@ impl Situation<'_> {
 
     /// Whether the lane with this centre has a gap for a vehicle that must change: the one that
     /// closes in, the own vehicle or the follower, has to brake by no more than `braking` to keep
-    /// `share` of the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the way in the
-    /// time to react, and that of the difference in speed.
+    /// `share` of the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the distance
+    /// in the reaction time plus that of braking off the speed difference.
     fn is_possible(&self, centre: f32, braking: f32, share: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
         let way = |closing: f32| closing * (REACTION_S + 0.5 * closing / braking);
@@ -450,7 +450,7 @@ impl Situation<'_> {
         leaves_room
             && follower.is_none_or(|follower| {
                 let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
-                // The gap grows on the way to the line.
+                // The gap grows until the vehicle reaches the line.
                 let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
                 let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
                 gap >= 2.0 + share * (1.0 + 0.6 * behind) + way(max(behind - own, 0.0))

@@ -1,4 +1,4 @@
-//! Candidates for the path across the road: quintics over the way, towards a lane's centre.
+//! Candidates for the path across the road: quintics over the arc length, towards a lane's centre.
 
 use super::polynomial::{Jet, Quintic};
 use crate::driving::math::{abs, atan, cos, max, min, tan};
@@ -8,7 +8,7 @@ use crate::driving::types::TrajectoryPoint;
 /// Greatest curvature of a path, 1/m: the turning circle with a margin.
 const MAX_CURVATURE: f32 = 0.17;
 
-/// A path relative to the reference: offset over arc length from the start on.
+/// A path relative to the reference: offset over arc length, from the start.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Path {
     shape: Quintic,
@@ -86,7 +86,7 @@ pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> Traj
     }
 }
 
-/// What a path costs when it is driven with this speed: comfort against the time off the centre.
+/// The cost of a path at this speed: comfort against the time off the centre.
 pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
     let mut cost = 0.0;
     for step in 0..16 {

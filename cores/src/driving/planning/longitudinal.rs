@@ -1,10 +1,10 @@
-//! Candidates for the motion along the road, and what they cost.
+//! Candidates for the motion along the road, and their costs.
 //!
 //! Velocity-keeping quartics of Werling et al. (see `polynomial`) plus braking ramps. The target
 //! speed is that of a distance keeper whose deceleration towards the leader stays bounded; gaps
 //! below the safe distance of S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a Formal Model of Safe
-//! and Scalable Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort does
-//! not count.
+//! and Scalable Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort has no
+//! effect.
 
 use super::polynomial::{Jet, Quartic};
 use crate::driving::math::{abs, clamp, max, min, sqrt};
@@ -13,15 +13,15 @@ use crate::driving::math::{abs, clamp, max, min, sqrt};
 pub(crate) const STEPS: usize = 32;
 /// Seconds between two of them: the evaluation looks 8 s ahead.
 pub(crate) const STEP_S: f32 = 0.25;
-/// The first steps of eight passes through the evaluation: each eighth step, the last one among
-/// them, then those in between.
+/// The first steps of eight passes through the evaluation: each pass takes every eighth step, the
+/// first pass ends with the last step.
 const COARSE_TO_FINE: [usize; 8] = [7, 3, 5, 1, 6, 4, 2, 0];
 
 /// Time gap to the leader at low speed and at 60 km/h and above, s, and its change by speed, s²/m:
 /// the distances of UN Regulation 157, 5.2.3.3.
 const TIME_GAP_S: (f32, f32) = (1.0, 1.6);
 const TIME_GAP_RISE: f32 = 0.036;
-/// Slower is standing, m/s.
+/// A slower vehicle counts as standing, m/s.
 const STANDING: f32 = 0.1;
 /// Distance to the leader at standstill, m.
 const STANDSTILL_GAP_M: f32 = 3.5;
@@ -29,8 +29,8 @@ const STANDSTILL_GAP_M: f32 = 3.5;
 /// that ISO 15622 permits is 0.8 s.
 const NEAR_STANDSTILL_GAP_M: f32 = 2.0;
 const NEAR_TIME_GAP_S: f32 = 0.9;
-/// Share of it that is kept while a gap in the next lane is sought: the vehicle draws level with
-/// it.
+/// Share of the shorter distance that is kept while a gap in the next lane is sought, so that the
+/// vehicle draws level with the gap.
 const SEEKING_SHARE: f32 = 0.7;
 /// Share of the usual distance that is kept to a vehicle behind which a gap is sought.
 const SOUGHT_SHARE: f32 = 0.35;
@@ -38,28 +38,28 @@ const SOUGHT_SHARE: f32 = 0.35;
 const APPROACH_BRAKING: f32 = 1.2;
 /// Time constant of keeping the distance, s …
 const DISTANCE_S: f32 = 3.0;
-/// … of the shorter one …
+/// … of keeping the shorter distance …
 const NEAR_DISTANCE_S: f32 = 1.5;
-/// … of regaining one that is too short but no danger, s, …
+/// … of regaining a distance that is too short but not dangerous, s, …
 const REGAIN_S: f32 = 6.0;
-/// which needs no braking while the gap grows by this, m/s, …
+/// … without braking while the gap grows at least this fast, m/s, …
 const OPENING: f32 = 1.5;
 /// … and of falling back to a gap that is sought, s.
 const SEEK_S: f32 = 2.0;
 /// Deceleration towards the end of the lane, m/s².
 const END_BRAKING: f32 = 1.6;
-/// Time constant of the last metres before it, s.
+/// Time constant of the last metres before the end, s.
 const END_S: f32 = 1.0;
 /// Greatest acceleration, m/s².
 const MAX_ACCELERATION: f32 = 2.0;
-/// Strongest braking of candidates that are no emergency, m/s².
+/// Strongest braking of candidates without an emergency, m/s².
 const MAX_BRAKING: f32 = 8.0;
-/// Beyond this braking, m/s², a motion is not comfortable: it is only chosen if each comfortable
-/// one is more dangerous than this.
+/// Beyond this braking, m/s², a motion is not comfortable: it is chosen only if the danger of each
+/// comfortable one exceeds the second value.
 pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
-/// Beyond this jerk, m/s³, a motion is an emergency: it is only chosen if each other one is more
-/// dangerous than this. To touch another costs ten times as much.
+/// Beyond this jerk, m/s³, a motion is an emergency: it is chosen only if the danger of each other
+/// one exceeds the second value. A contact costs ten times as much.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
 /// Full braking, m/s².
@@ -71,15 +71,15 @@ const EMERGENCY_JERK: f32 = 40.0;
 const WEIGHT_JERK: f32 = 0.15;
 const WEIGHT_ACCELERATION: f32 = 0.8;
 const WEIGHT_SPEED: f32 = 0.4;
-/// Speed errors beyond this weigh linearly: they are no reason to hurry, m/s.
+/// Speed errors beyond this weigh linearly: a large error must not cause hard acceleration, m/s.
 const SPEED_ERROR_KNEE: f32 = 4.0;
 const WEIGHT_UNSAFE: f32 = 400.0;
 const WEIGHT_CONTACT: f32 = 5_000.0;
-/// What a metre of the margin before the end of a lane costs, and up to how many.
+/// Cost per metre of the margin before the end of a lane that is used, and its largest use, m.
 const WEIGHT_MARGIN: f32 = 10.0;
 const MARGIN_MAX_M: f32 = 15.0;
 
-/// What limits the motion along the road, over the evaluation's steps.
+/// Limits of the motion along the road, for each step of the evaluation.
 #[derive(Clone, Debug)]
 pub(crate) struct Corridor {
     /// Speed to drive when nothing is ahead, m/s.
@@ -88,12 +88,11 @@ pub(crate) struct Corridor {
     pub(crate) bound: [f32; STEPS],
     /// Speed of what is ahead, m/s.
     pub(crate) bound_speed: [f32; STEPS],
-    /// The same for a vehicle of the next lane behind which a gap is sought: no danger, only a
-    /// wish.
+    /// The same for a vehicle of the next lane behind which a gap is sought: it adds no danger.
     sought: [(f32, f32); STEPS],
-    /// Where the own centre is to stand at the latest, m: with a margin before the lane's end, …
+    /// The last place for the own centre to stop, m: with a margin before the lane's end, …
     pub(crate) stop: [f32; STEPS],
-    /// … and without one.
+    /// … and with the least margin.
     pub(crate) end: [f32; STEPS],
     /// Deceleration towards that place, m/s².
     pub(crate) end_braking: f32,
@@ -119,7 +118,7 @@ impl Corridor {
         }
     }
 
-    /// What is ahead at a step may not be touched.
+    /// Adds an object ahead at this step that must not be touched.
     pub(crate) fn limit(&mut self, step: usize, bound: f32, speed: f32) {
         if bound < self.bound[step] {
             self.bound[step] = bound;
@@ -127,7 +126,7 @@ impl Corridor {
         }
     }
 
-    /// A gap behind this is sought.
+    /// Adds an object at this step behind which a gap is sought.
     pub(crate) fn seek(&mut self, step: usize, bound: f32, speed: f32) {
         if bound < self.sought[step].0 {
             self.sought[step] = (bound, speed);
@@ -174,11 +173,11 @@ impl Corridor {
         max(target, 0.0)
     }
 
-    /// What the gap at this step costs for its danger, per second.
+    /// The cost of danger at this step, per second.
     fn danger(&self, step: usize, motion: &Jet) -> f32 {
         let speed = max(motion.first, 0.0);
         let mut cost = 0.0;
-        // A vehicle that stands cannot do more about one that drives towards it.
+        // A standing vehicle cannot avoid one that drives towards it.
         let waits = speed < STANDING && self.bound_speed[step] < 0.0;
         if self.bound[step] < f32::INFINITY && !waits {
             let gap = self.bound[step] - motion.value;
@@ -200,7 +199,7 @@ impl Corridor {
         cost
     }
 
-    /// What the use of the margin before the end of the lane costs at this step, per second.
+    /// The cost per second of using the margin before the end of the lane at this step.
     fn margin(&self, step: usize, motion: &Jet) -> f32 {
         WEIGHT_MARGIN * clamp(motion.value - self.stop[step], 0.0, MARGIN_MAX_M)
     }
@@ -213,13 +212,13 @@ fn wanted_gap(speed: f32) -> f32 {
     STANDSTILL_GAP_M + min(low + TIME_GAP_RISE * speed, high) * speed
 }
 
-/// The shorter one, m.
+/// The shorter distance at this speed, m.
 fn near_gap(speed: f32) -> f32 {
     NEAR_STANDSTILL_GAP_M + NEAR_TIME_GAP_S * max(speed, 0.0)
 }
 
-/// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and
-/// far from it such that a constant deceleration closes it.
+/// Speed relative to the leader for this spare distance, m/s: linear near the wanted gap; farther
+/// away, a constant deceleration closes the distance.
 fn closing(spare: f32, braking: f32, time_constant: f32, regain_s: f32) -> f32 {
     if spare <= 0.0 {
         return spare / regain_s;
@@ -231,7 +230,7 @@ fn closing(spare: f32, braking: f32, time_constant: f32, regain_s: f32) -> f32 {
 /// A motion along the road.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Profile {
-    /// To a speed.
+    /// Change to a speed, then keep it.
     Keep(Quartic),
     /// Braking with a ramp of constant jerk and then constantly, to standstill.
     Brake(Ramp),
@@ -266,7 +265,7 @@ impl Ramp {
         if after > 0.0 {
             ramp.stop_s = ramp_s + after / braking;
         } else {
-            // Stands before the ramp ends: halve the interval, it is monotone enough at the end.
+            // The vehicle stands before the ramp ends: find the time by bisection.
             let (mut low, mut high) = (0.0, ramp_s);
             for _ in 0..16 {
                 let middle = 0.5 * (low + high);
@@ -335,7 +334,7 @@ impl Profile {
         ))
     }
 
-    /// How rough this motion is, which begins with `acceleration` (m/s²).
+    /// How rough this motion is if it begins with `acceleration` (m/s²).
     fn manner(&self, acceleration: f32) -> Manner {
         // The jerk of a quartic is linear in time.
         let (hardest, jerk) = match self {
@@ -356,12 +355,12 @@ impl Profile {
         }
     }
 
-    /// Cost of driving this in the corridor, and the part of it that is for danger; `None` if the
+    /// Cost of this motion in the corridor, and the part of it that is for danger; `None` if the
     /// vehicle cannot or must not, or if it costs more than `best`.
     fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
         let mut steps = [(0.0, 0.0); STEPS];
-        // No step costs less than nothing: a few of them, far apart, show that most candidates cost
-        // too much. The margin is for this sum's rounding, which is another than that below.
+        // No cost is negative, so a few steps, far apart, show that most candidates cost too much.
+        // The factor allows for rounding, which differs from that of the sum below.
         let mut so_far = 0.0;
         for first in COARSE_TO_FINE {
             for step in (first..STEPS).step_by(COARSE_TO_FINE.len()).rev() {
@@ -377,7 +376,7 @@ impl Profile {
         (cost <= best).then_some((cost, danger))
     }
 
-    /// What one step of [`Profile::cost`] costs.
+    /// The cost of one step of [`Profile::cost`].
     #[inline]
     fn cost_at(&self, corridor: &Corridor, step: usize) -> Option<(f32, f32)> {
         let motion = self.at((step + 1) as f32 * STEP_S);
@@ -436,7 +435,7 @@ const CANDIDATES: usize = DURATIONS_S.len() * (SPEED_CHANGES.len() + 2)
 fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> {
     let keep = move |duration: f32| {
         let changed = SPEED_CHANGES.iter().map(|change| start.first + change);
-        // All others would be to standstill, which is tried anyway.
+        // Speeds at or below 0 are replaced by the standstill candidate below.
         let speeds = changed
             .filter(|speed| *speed > 0.0)
             .map(|speed| min(speed, 60.0));
@@ -451,8 +450,8 @@ fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> 
     keep.chain(brake.map(Profile::Brake))
 }
 
-/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if that is
-/// no danger, else one without a jerk if that keeps a distance, else the cheapest of all.
+/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if it is not
+/// dangerous, else one without a jerk if it keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
     let candidates = || candidates(start, corridor.desired_speed);
@@ -467,7 +466,7 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
         }
         best.2
     };
-    // The others need no cost if a comfortable one is no danger.
+    // Other manners are not evaluated if a comfortable one is not dangerous.
     let mut manners = [Manner::Comfortable; CANDIDATES];
     let mut danger = f32::INFINITY;
     for (profile, manner) in candidates().zip(&mut manners) {
@@ -546,7 +545,7 @@ mod tests {
         assert!(end.value < 60.0, "{end:?}");
     }
 
-    /// What stands ahead may need hard braking, but no jerk while there is still room to build it
+    /// A standing object ahead may need hard braking, but no jerk while there is room to build it
     /// up. It is an emergency only when it is too near for that.
     #[test]
     fn braking_jerks_only_where_a_ramp_comes_too_late() {
@@ -566,8 +565,8 @@ mod tests {
         assert_eq!(manner(30.0), Manner::Emergency);
     }
 
-    /// One that turns across the lane ahead is waited for. The prediction that it then hits the
-    /// standing vehicle is no reason to brake harder.
+    /// The vehicle waits for one that turns across the lane ahead. The prediction that it then hits
+    /// the standing vehicle does not cause harder braking.
     #[test]
     fn who_drives_towards_a_standing_vehicle_is_no_emergency() {
         let start = Jet {
@@ -585,8 +584,8 @@ mod tests {
         assert!(profile.at(1.8).first < 0.3, "{profile:?}");
     }
 
-    /// The vehicle falls back in comfort from a leader that is near but no danger. It brakes as
-    /// hard as needed for one that stands near, but not to keep the margin before a lane's end.
+    /// The vehicle falls back comfortably from a leader that is near but not dangerous. It brakes
+    /// as hard as needed for a standing one, but not to keep the margin before a lane's end.
     #[test]
     fn comfort_ends_where_danger_begins() {
         let hardest = |profile: Profile| {

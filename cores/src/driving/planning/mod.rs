@@ -3,8 +3,8 @@
 //! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
 //! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one
 //! after the other: a path towards the goal of the behaviour decision, then the cheapest motion
-//! along it. Every plan begins where the last one is at that time, not at what was measured, so
-//! that consecutive plans join smoothly; it is only drawn towards the measured state slowly.
+//! along it. Every plan begins at the last plan's present state, not at the measured one, so that
+//! consecutive plans join smoothly; it moves towards the measured state slowly.
 
 mod behaviour;
 mod lateral;
@@ -30,34 +30,33 @@ use longitudinal::{COMFORTABLE_BRAKING, Corridor, Manner, Profile, STEP_S, STEPS
 use polynomial::Jet;
 use prediction::Predicted;
 
-/// A plan that is older than this is not continued, s.
+/// An older plan is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
-/// When the vehicle is this far from its plan, planning starts anew from what was measured, m, m,
+/// When the vehicle is this far from its plan, planning restarts from the measured state, m, m,
 /// m/s.
 const MAX_ASIDE_M: f32 = 0.8;
 const MAX_BEHIND_M: f32 = 4.0;
 const MAX_SPEED_ERROR: f32 = 2.5;
-/// Share by which the plan is drawn to the measured state in each cycle.
+/// Share of the difference by which the plan moves to the measured state in each cycle.
 const DRAW: f32 = 0.04;
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.2;
-/// The camera's view counts as full from here on, m: the road is as even as it looks.
+/// A view of at least this range counts as full, m: it needs no limit of speed.
 const FULL_VIEW_M: f32 = 78.0;
-/// Where the view ends, the vehicle must be able to be as slow as this, m/s, with this braking,
-/// m/s², this far before, m.
+/// The vehicle must be able to slow down to this speed, m/s, with this braking, m/s², at this
+/// distance before the end of the view, m.
 const UNSEEN_BEND_SPEED: f32 = 7.0;
 const UNSEEN_BRAKING: f32 = 1.5;
 const UNSEEN_MARGIN_M: f32 = 4.0;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
 const END_MARGIN_M: f32 = 15.0;
-/// The same where more could only be had by hard braking, m.
+/// The least such distance, where a larger one would need hard braking, m.
 const END_LEAST_M: f32 = 1.0;
-/// While a gap is sought, the end of the lane is met by braking as late and as hard as this, s,
-/// m/s².
+/// While a gap is sought, braking for the end of the lane looks only this far ahead, s, and is this
+/// hard, m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
-/// Within its lane the body stays this far from the border where the driver asks for a place
-/// aside, m.
+/// The body stays this far from the lane's border if the driver asks for a place aside, m.
 const BORDER_M: f32 = 0.2;
 /// Room aside that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
@@ -70,9 +69,9 @@ const PASSED_M: f32 = 1.0;
 /// Objects farther away along the road are ignored, m.
 const FARTHEST_M: f32 = 220.0;
 const FARTHEST_BEHIND_M: f32 = 90.0;
-/// Times in which the lane is regained, s.
+/// Durations of the return to the lane's centre, s.
 const KEEP_S: [f32; 3] = [2.0, 3.0, 4.5];
-/// The shortest way for it, m.
+/// The shortest distance for that return, m.
 const KEEP_MIN_M: f32 = 10.0;
 
 /// Decides and plans, with the memory of the last plan.
@@ -105,7 +104,7 @@ struct View {
 }
 
 impl Planner {
-    /// Without a plan to continue.
+    /// A planner without a plan to continue.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -122,7 +121,7 @@ impl Planner {
     }
 
     /// Continues the plan of another system, if this one is newly started: the next plan joins it.
-    /// Each plan is made for the own scene and does only what that scene permits.
+    /// Each plan is made for the own scene and obeys its limits.
     pub fn recall(&mut self, received: &Knowledge) {
         let Some(plan) = received.plan.as_ref().filter(|_| self.is_starting()) else {
             return;
@@ -134,7 +133,7 @@ impl Planner {
             trajectory: Trajectory {
                 at: received.at,
                 measured: received.at,
-                // No step of core 0 follows it.
+                // Core 0 never follows this plan.
                 cycle: 0,
                 maneuver: Maneuver::Follow,
                 memory: plan.memory,
@@ -152,8 +151,8 @@ impl Planner {
         Some((&last.trajectory, &last.ego))
     }
 
-    /// The trajectory for this scene. Always gives one: if nothing else is left, full braking along
-    /// the lane. Without lanes it stays in the driven curve and slows down.
+    /// The trajectory for this scene. Always returns one: in the worst case, full braking along the
+    /// lane. Without lanes it continues the present curve and slows down.
     pub fn plan(&mut self, scene: &Scene) -> Trajectory {
         let line = match &scene.lanes {
             Some(lanes) => CentreLine::new(lanes),
@@ -235,7 +234,7 @@ impl Planner {
         };
         let (mut path, mut profile, mut manner) = drive(&goal);
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
-            // A vehicle that brakes comes aside later than at the present speed.
+            // A vehicle that brakes moves aside later than at the present speed.
             (profile, manner) = along(&goal, &path, Some(&profile));
         }
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
@@ -274,8 +273,8 @@ impl Planner {
         trajectory
     }
 
-    /// The state that the new plan begins with, in the scene's frame, and the way driven since the
-    /// last plan, m.
+    /// The state that the new plan begins with, in the scene's frame, and the distance driven since
+    /// the last plan, m.
     fn start(&self, scene: &Scene) -> (TrajectoryPoint, f32) {
         let measured = TrajectoryPoint {
             x: 0.0,
@@ -328,7 +327,7 @@ impl Planner {
         let step = motion(&last.ego, &scene.ego, age);
         let jump = line.project(0.0, 0.0).1 - before.project(step.x, step.y).1;
         if abs(jump) > 0.5 * lanes.width {
-            // Left of the new centre where it was right of the old one: it went right, and so on.
+            // If the vehicle is now right of the centre, its own lane is the former left one.
             self.behaviour
                 .crossed_line(if jump < 0.0 { 1.0 } else { -1.0 });
         }
@@ -350,8 +349,8 @@ impl Planner {
     }
 }
 
-/// What driver, signs and curves allow, m/s. Without lanes or a request of the driver: to a stop,
-/// and as it is.
+/// The speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a request of
+/// the driver, the present speed is the driver's.
 fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     let Some(lanes) = &scene.lanes else {
         return 0.0;
@@ -363,8 +362,8 @@ fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     max(min(known, unseen_speed(lanes.view_range)), 0.0)
 }
 
-/// The speed that leaves room for what is not seen, m/s: where the camera can follow the lane over
-/// a part of its range only, the lane bends, and beyond it may bend as much as the domain has.
+/// The speed that is safe for the unseen road, m/s: where the camera sees only part of its range,
+/// the lane bends, and beyond the view it may bend as sharply as the domain permits.
 fn unseen_speed(view_range_m: f32) -> f32 {
     if view_range_m >= FULL_VIEW_M {
         return f32::INFINITY;
@@ -373,8 +372,8 @@ fn unseen_speed(view_range_m: f32) -> f32 {
     sqrt(UNSEEN_BEND_SPEED * UNSEEN_BEND_SPEED + 2.0 * UNSEEN_BRAKING * room)
 }
 
-/// Where to stand at the latest for a lane that ends in `end` m, as a way from here: with room to
-/// steer into the next lane, but not at the price of hard braking.
+/// The distance within which to stop for a lane that ends in `end` m: with room to steer into the
+/// next lane if that needs no hard braking.
 fn stop_before(end: f32, speed: f32) -> f32 {
     let nearest = end - END_LEAST_M - 0.5 * LENGTH_M;
     let comfortable = speed * speed / (2.0 * SEEKING_BRAKING) + 0.5 * speed;
@@ -402,8 +401,8 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
     best
 }
 
-/// The cheapest motion along the path among all that is on the road, from this place and motion.
-/// `before`: the motion by which the vehicle comes aside; `None` for that of the present speed.
+/// The cheapest motion along the path among all road users, from this place and motion. `before`:
+/// the motion that determines when the vehicle is aside; `None` for the present speed.
 fn choose_profile(
     view: &View,
     (station, start): (&Station, &Jet),
@@ -440,8 +439,8 @@ fn choose_profile(
         };
         view.objects.iter().filter(in_lane).min_by(nearer)
     });
-    // The vehicle stops before the end of its lane, and so before all that stands beyond it.
-    // A road user that comes towards the vehicle leaves its lane only if that is seen for sure.
+    // The vehicle stops before the end of its lane, and so before everything that stands beyond it.
+    // An oncoming road user counts only if it is within the view and near.
     let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
     let is_early = |object: &Predicted| {
         let closing = start.first - object.speed;
@@ -452,8 +451,7 @@ fn choose_profile(
     };
     for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
-        // The vehicle makes room for one beside it gently: braking cannot keep that from swerving
-        // in.
+        // For a vehicle beside, make room gently: braking cannot prevent it from swerving in.
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;

@@ -26,7 +26,8 @@ impl Jet {
     }
 }
 
-/// The quintic `c[0] + c[1] t + … + c[5] t⁵` up to `end`, and on with the first derivative there.
+/// The quintic `c[0] + c[1] t + … + c[5] t⁵` up to `end`, then linear with the first derivative
+/// there.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Quintic {
     c: [f32; 6],
@@ -71,8 +72,8 @@ impl Quintic {
     }
 }
 
-/// A quartic up to `end`, and on with the first derivative of `last`, which is there. It is asked
-/// for at many times.
+/// A quartic up to `end`, then linear with the first derivative of `last`, its state there. Its
+/// coefficients are stored because it is evaluated at many times.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Quartic {
     /// Coefficients of value and derivatives, the lowest first.
@@ -105,7 +106,7 @@ impl Quartic {
         quartic
     }
 
-    /// Up to where it is no straight line.
+    /// The end of the quartic; then the line is straight.
     pub(crate) const fn end(&self) -> f32 {
         self.end
     }

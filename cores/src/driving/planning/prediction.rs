@@ -8,12 +8,11 @@ use crate::driving::types::Object;
 const WANDERING: f32 = 0.3;
 /// A road user that comes towards the vehicle faster than this, m/s, keeps to its lane …
 const ONCOMING: f32 = 1.0;
-/// … unless it moves across faster than this, m/s. So does one that crosses the road, at an angle
-/// whose tangent is larger than this.
+/// … unless it moves across faster than this, m/s. The same holds for one that crosses the road at
+/// an angle with a larger tangent than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
-/// Slower than this against the own direction is noise of a road user that has just come to a stop,
-/// m/s: it stands.
+/// A road user slower than this against the own direction has just stopped, m/s: the rest is noise.
 const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
 const SWERVE_S: f32 = 1.2;
@@ -84,8 +83,8 @@ impl Predicted {
         }
     }
 
-    /// Place along the road and speed in `t` seconds: braking lasts the longer the harder it is,
-    /// acceleration is not extrapolated.
+    /// Place along the road and speed in `t` seconds: harder braking lasts longer, acceleration is
+    /// not extrapolated.
     pub(crate) fn along(&self, t: f32) -> (f32, f32) {
         if self.speed <= 0.0 {
             return (self.s + self.speed * t, self.speed);
@@ -154,8 +153,8 @@ mod tests {
         assert!((speed - 18.2).abs() < 0.01, "{speed}");
     }
 
-    /// The tracks of vehicles that brake to a stop swing to small speeds backwards. They are not
-    /// continued for seconds into the own bumper.
+    /// The track of a vehicle that brakes to a stop may overshoot to a small backward speed. The
+    /// prediction does not extrapolate that speed.
     #[test]
     fn a_leader_that_has_just_stopped_does_not_roll_back() {
         let line = crate::driving::road::CentreLine::of_curvature(0.0);
