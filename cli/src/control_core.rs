@@ -23,7 +23,7 @@ static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 /// reprogram at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
-/// From now on, postpones the end of that sleep at each tick. Only the first call has an effect.
+/// Postpones the end of that sleep at each tick from now on. Only the first call has an effect.
 pub(crate) fn postpone_at_ticks(alarm: Alarm) {
     static ALARM: OnceLock<Alarm> = OnceLock::new();
     if ALARM.set(alarm).is_ok() {

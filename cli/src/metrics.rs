@@ -77,7 +77,7 @@ pub struct Metrics {
     /// Maximum of the same, ms.
     #[serde(default)]
     pub(crate) reaction_max_ms: Option<f64>,
-    /// Median of the age of the oldest measurement behind a control frame that acts, ms.
+    /// Median of the age of the oldest measurement behind an accepted control frame, ms.
     #[serde(default)]
     pub(crate) sensor_age_p50_ms: Option<f64>,
     /// 99th percentile of the same, ms.

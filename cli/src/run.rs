@@ -125,8 +125,8 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// Runs [`run`] with a controller on another board. `drive` drives it, and returns a line on its
-/// time. That time is virtual, so timers are never late.
+/// Runs [`run`] with a controller on another board. `drive` drives it, and returns a line about
+/// its time. That time is virtual, so timers are never late.
 ///
 /// # Errors
 /// Returns the [`Failure`] whose exit status the command documents.
@@ -193,7 +193,7 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
 pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let product = core_process::config(config).redundancy;
     // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
-    // one after it may each be late by another half a millisecond, which is not yet a stall.
+    // one after it may each be late by another half millisecond, which is not yet a stall.
     let on_bus = Duration::from_ms(1) + stall_watch::LATE.times(2);
     Surroundings {
         granted,
@@ -225,7 +225,7 @@ impl Surroundings {
 }
 
 /// Writes the report, prints its summary, and judges the run. If the user ended the run, the
-/// report shows the part that was driven, if any.
+/// report covers the drive up to that time, if any.
 fn conclude(
     args: &RunArgs,
     checked: &Checked,

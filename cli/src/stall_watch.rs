@@ -36,7 +36,7 @@ pub const LATE: Duration = Duration::from_us(500);
 const PRIORITIES: [u8; 2] = [90, 80];
 /// Upper bound of the delay of the SIGCONT handler after a continued thread runs.
 const CONTINUED_WITHIN: Duration = Duration::from_ms(50);
-/// Largest number of stored stalls. A machine with more of them explains no run.
+/// Largest number of stored stalls for each CPU. It limits the memory; later stalls are ignored.
 const MOST: usize = 100_000;
 
 /// The result of the watch.
@@ -208,7 +208,7 @@ fn look(
         if over.load(Ordering::Relaxed) {
             return stalls;
         }
-        // A stop of this process is no stall. Remove one recorded just before the signal arrived.
+        // A stop of this process is not a stall: remove one recorded just before the signal.
         if continued.read(&mut [0; 16]).is_ok() {
             let since_ns = clock::now()
                 .as_ns()

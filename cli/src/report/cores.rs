@@ -129,7 +129,7 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
         .filter(first)
         .map(|flow| flow.from.1)
         .collect();
-    // The first system's signals come first. Two fifths of all are well within its run.
+    // The first system's signals are about the first half, so two fifths is well within its run.
     let moment = chain.get(2 * chain.len() / 5)?;
     Some(moment + 10_000_000)
 }

@@ -165,8 +165,8 @@ fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
     assert!(page.contains("not judged: no real time"));
 }
 
-/// A stall longer than the tolerated one causes an unnecessary takeover. The run does not fail by
-/// it, but it is reported. The stall must have been on the bus or in the old master.
+/// A stall above the limit, on the bus or in the old master, explains an unnecessary takeover. The
+/// takeover is reported, and the run does not fail. Other stalls explain none.
 #[test]
 fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
     let mut log = synthetic::with_takeover(8.0);
@@ -297,7 +297,7 @@ fn each_figure_beyond_its_bound_is_a_finding() {
     );
 }
 
-/// The run fails if the product's own limits permit more than the requirement, whatever the drive.
+/// A run without a fault still fails if the product's own limits permit more than the requirement.
 #[test]
 fn a_product_with_a_longer_control_margin_fails() {
     let log = synthetic::with_takeover(4.0);

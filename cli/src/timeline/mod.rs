@@ -336,7 +336,7 @@ impl LineBuilder {
             }
             Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
             Event::Held { task, longest_ns } => self.jobs.held(task, longest_ns),
-            // Shown as a counter or a moment.
+            // Shown as a counter or as an instant.
             _ => self.mark(at_ns, event, 0),
         }
         self.last_ns = at_ns;

@@ -1,7 +1,7 @@
 //! The part of Perfetto's trace format that this program writes.
 //!
 //! Numbers and types of the fields are those of `protos/perfetto/trace/perfetto_trace.proto` of
-//! the Perfetto project. The test `perfetto_oracle` decodes a trace by Perfetto's description.
+//! the Perfetto project. The test `perfetto_oracle` decodes a trace with Perfetto's description.
 
 use prost::Message;
 
@@ -23,7 +23,7 @@ pub(super) struct TracePacket {
     pub(super) track_descriptor: Option<TrackDescriptor>,
 }
 
-/// Flag of a sequence: from this packet on, names are defined anew.
+/// Flag of a sequence: this packet clears all earlier names.
 pub(super) const STATE_CLEARED: u32 = 1;
 /// Flag of a packet: it uses names that its sequence defined.
 pub(super) const NEEDS_STATE: u32 = 2;
