@@ -97,7 +97,7 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     is_replaced(&mut run, &master, &[SILENT, UNHEARD]);
 }
 
-/// After Ctrl-C only the report of the driven part remains.
+/// After Ctrl-C only the report remains. It covers the drive up to that time.
 #[test]
 fn ctrl_c_stops_everything_and_leaves_the_report() {
     let fixture = Fixture::new();

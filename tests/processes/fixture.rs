@@ -241,7 +241,7 @@ impl Run {
         }
     }
 
-    /// Waits until a run has driven to its end. Returns its figures, after checking them with
+    /// Waits until a run has ended by itself. Returns its figures, after checking them with
     /// [`sound`]. The exit status may be 1, because the machine may break time bounds.
     pub(crate) fn metrics(&mut self) -> Value {
         let status = self.end();
@@ -253,8 +253,8 @@ impl Run {
         self.figures()
     }
 
-    /// Sends Ctrl-C to the run, and waits for its end. Returns the figures of the driven part,
-    /// after checking them with [`sound`].
+    /// Sends Ctrl-C to the run, and waits for its end. Returns the figures of the drive up to that
+    /// time, after checking them with [`sound`].
     pub(crate) fn interrupt(&mut self) -> Value {
         send(self.launcher_pid(), Signal::INT);
         let status = self.end();

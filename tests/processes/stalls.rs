@@ -1,4 +1,4 @@
-//! Tests that a stall of a CPU is recorded during a run, in whatever state its core 0 is.
+//! Tests that a stall of a CPU is recorded during a run, whether its core 0 is alive or dead.
 
 use std::time::{Duration, Instant};
 
@@ -30,8 +30,8 @@ fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
     std::thread::scope(|scope| scope.spawn(spin).join().unwrap())
 }
 
-/// T-RED-8: a stall of a CPU is recorded except for its first 2 ms. This holds while the core 0 on
-/// it runs and postpones the watching thread's timer, and just after that core 0 was killed.
+/// T-RED-8: a stall of a CPU is recorded except for its first 2 ms. This holds while a core 0 runs
+/// on that CPU and postpones the watching thread's timer, and just after that core 0 was killed.
 #[test]
 fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
     for (ms, dies) in [(40, false), (60, true)] {

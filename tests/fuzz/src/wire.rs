@@ -9,7 +9,7 @@ use tandem_vehicle::world_loop::LoggedFrame;
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Takes flags, id, time and data of a frame. Its line in candump's format must contain all.
+/// Takes flags, id, time and data of a frame. Its line in candump's format must contain them all.
 ///
 /// # Panics
 /// If the line contains other values.
@@ -100,7 +100,7 @@ pub(crate) fn message(bytes: &[u8]) -> bool {
 /// Takes the words of a datagram. With an odd number of bytes, the last word becomes the checksum.
 ///
 /// # Panics
-/// If a report is accepted that would be sent as other words.
+/// If the words of an accepted report differ from those that its sender would send.
 pub(crate) fn link(bytes: &[u8]) -> bool {
     let (words, rest) = bytes.as_chunks::<4>();
     let mut words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
@@ -121,7 +121,7 @@ pub(crate) fn link(bytes: &[u8]) -> bool {
 const SECTOR: usize = 128;
 
 /// Takes two sectors of the data flash, as a power loss or wear left them. A state may be found or
-/// not. Afterwards states must be written, and the last one found. If the number of bytes is odd,
+/// not. Then the check writes states, and must find the last one. If the number of bytes is odd,
 /// all records have valid checksums.
 ///
 /// # Panics

@@ -153,7 +153,7 @@ impl Functions {
     }
 }
 
-/// Returns the instant of a millisecond. It is not at the origin, as on a board.
+/// Returns the instant `ms` + 1 s after the origin, because a board's clock does not start at 0.
 #[must_use]
 pub fn instant(ms: u64) -> Instant {
     Instant::ORIGIN + Duration::from_ms(ms + 1_000)

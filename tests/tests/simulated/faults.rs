@@ -93,8 +93,8 @@ fn the_bounds_hold_where_things_take_time() {
         try_in(at(time), Group::Single, (0..count).step_by(171));
         try_in(at(time), Group::Swarm, 0..12);
     }
-    // A loses power while its status frame is on the bus. When the simulated bus still finished
-    // such a frame, the part that arrived made B distrust the level line.
+    // A loses power while its status frame is on the bus. This sequence failed while the simulated
+    // bus still completed such a frame: B received it and then distrusted the level line.
     try_in(at(Time::Typical), Group::Single, 1420..1421);
 }
 
@@ -223,7 +223,7 @@ fn the_roles_pre_empt_what_is_less_urgent() {
         .filter(of_a)
         .filter_map(|traced| Some((traced.at, Event::decode(traced.record)?)))
         .collect();
-    // By the trace, one task runs at a time, and none of a lower priority than an unfinished job.
+    // The trace shows one running task at a time, never one less urgent than an unfinished job.
     let mut jobs: Vec<TaskCode> = vec![];
     let (mut runs, mut preempted) = (None, 0);
     let mut begun = None;
@@ -360,8 +360,8 @@ fn dual_in_phase(limits: Config, phase_us: u64) -> Bench {
     bench
 }
 
-/// T-RED-8: without stalls the times of the thesis hold, and without the level line nearly. The
-/// polls of the two systems may have any phase, because their clocks drift apart.
+/// T-RED-8: without stalls the times of the thesis hold; without the level line they nearly hold.
+/// The polls of the two systems may have any phase, because their clocks drift apart.
 #[test]
 fn a_chip_keeps_the_times_of_the_thesis() {
     const CUT: (Kind, Way) = (Kind::Cut { wire: Wire::Level }, Way::Both);

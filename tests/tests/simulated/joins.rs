@@ -57,8 +57,8 @@ fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
 }
 
 /// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one after 5
-/// s: its commands are those that the failed system would have sent. In all these situations its
-/// own sensors tell it less: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and
+/// s: its commands are those that the failed system would have sent. In 100 ms its own sensors
+/// measure too little for that: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and
 /// without the other's data its commands would differ by 1.04 m/s².
 #[test]
 fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {

@@ -82,7 +82,7 @@ impl Ends {
     }
 }
 
-/// After attaching, the core only polls when it is interrupted: its deadline is never.
+/// After attaching, the core polls only when it is interrupted: it has no deadline.
 fn core(board: &SimBoard, heard: &Heard) -> Poller {
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     let heard = Rc::clone(heard);

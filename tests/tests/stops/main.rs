@@ -1,7 +1,7 @@
 //! A core of A stops between any two of its accesses to shared memory. T-RED-9
 //!
 //! Compiled only with `--cfg stepped`, which `cargo xtask campaign stops` sets: that build counts
-//! accesses. All that the core has written so far stays, even half of a value.
+//! accesses. Everything that the core has written so far stays, even half of a value.
 #![cfg(stepped)]
 
 use std::cell::Cell;
