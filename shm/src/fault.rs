@@ -131,39 +131,39 @@ impl AtomicU32 {
         step().then_some(&self.0)
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn load(&self, order: Ordering) -> u32 {
         self.access().map_or(0, |word| word.load(order))
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn store(&self, value: u32, order: Ordering) {
         if let Some(word) = self.access() {
             word.store(value, order);
         }
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn swap(&self, value: u32, order: Ordering) -> u32 {
         self.access().map_or(0, |word| word.swap(value, order))
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn fetch_add(&self, value: u32, order: Ordering) -> u32 {
         self.access().map_or(0, |word| word.fetch_add(value, order))
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn fetch_or(&self, value: u32, order: Ordering) -> u32 {
         self.access().map_or(0, |word| word.fetch_or(value, order))
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     pub fn fetch_and(&self, value: u32, order: Ordering) -> u32 {
         self.access().map_or(0, |word| word.fetch_and(value, order))
     }
 
-    /// As the machine's atomic.
+    /// Like the machine's operation of the same name.
     #[allow(clippy::missing_errors_doc, reason = "as the machine's")]
     pub fn compare_exchange(
         &self,

@@ -40,7 +40,7 @@ const SLOTS_AT: usize = LINE_WORDS;
 /// Number of empty polls after which the consumer checks another slot.
 #[cfg(not(loom))]
 pub const LOOKS_PER_DOUBT: u32 = 32;
-/// In loom models every poll checks one, so that the repair is modelled too.
+/// In loom models every empty poll checks another slot, so that the repair is modelled too.
 #[cfg(loom)]
 pub const LOOKS_PER_DOUBT: u32 = 1;
 
@@ -137,7 +137,7 @@ impl<'a> Queue<'a> {
     }
 
     /// Returns how far the complete value in this slot is ahead of `head`; `None` if its value is
-    /// not complete or was received: an empty queue's slots hold the values of the turn before.
+    /// not complete or was received: the slots of an empty queue still hold received values.
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
         // Acquire pairs with the Release in `complete`: a core that sees a value sees all earlier
         // values.

@@ -624,8 +624,8 @@ mod tests {
         assert!((1..=POLLS_UNTIL_SURE).contains(&polls));
     }
 
-    /// T-SYNC-3: the same if exactly one signal follows between any two polls. The receiver handles
-    /// each of these by its post alone, until it compares all counts.
+    /// T-SYNC-3: as above, with exactly one further signal before each poll. The receiver handles
+    /// the further signals without reading a count; the full comparison finds the missed one.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_among_others() {

@@ -15,7 +15,7 @@ pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape, whole_lines};
 use crate::sync::AtomicU32;
 
-/// How often [`Reader::read`] tries, if the writer overtakes it each time.
+/// Number of attempts of [`Reader::read`] if the writer overtakes it each time.
 const ATTEMPTS: u32 = 4;
 
 /// Words of a channel of this shape. A small channel, for example 4 slots of 2 words, is one cache
@@ -92,7 +92,7 @@ impl<'a, T> Reader<'a, T> {
         self.ring.prefetch();
     }
 
-    /// Returns the newest value, to be read in place. [`View::finish`] says if the read was valid.
+    /// Returns the newest value, to be read in place. [`View::finish`] checks the read.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -287,7 +287,7 @@ mod tests {
         }
     }
 
-    /// The value that overwrites a viewed slot has another stamp, also in the smallest channel.
+    /// The value that overwrites a viewed slot has another stamp, even in the smallest channel.
     #[test]
     fn the_next_value_in_its_slot_makes_a_view_void() {
         let shape = Shape::new(2, 1);

@@ -128,7 +128,7 @@ impl<T: Payload, const SLOTS: usize> RegionKind for Broadcast<T, SLOTS> {
     const WORDS: usize = broadcast::words(Self::SHAPE);
 }
 
-/// One region of a map: a place in the LMU, and its kind by its type.
+/// One region of a map: its place in the LMU. The type parameter gives its kind.
 #[derive(Debug)]
 pub struct Region<K> {
     /// First word in the LMU.

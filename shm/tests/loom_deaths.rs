@@ -45,8 +45,8 @@ fn pool(words: &[AtomicU32], incarnation: Incarnation) -> Pool<'_> {
 }
 
 /// T-LOCK-3: the owner dies at any access while it takes and releases the lock, and another core
-/// polls the lock. At most one core is inside; the waiter is told of the death if and only if the
-/// owner died inside.
+/// polls the lock. At most one core is inside; the waiter gets `Recovered` if and only if the owner
+/// died inside.
 #[test]
 fn a_lock_survives_its_owner_at_every_access() {
     for at in 0..7 {

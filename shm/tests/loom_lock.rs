@@ -105,7 +105,7 @@ fn three_cores_exclude_each_other() {
 }
 
 /// T-LOCK-3: others take the lock at most twice while a core waits, even if one of them takes it
-/// again. They take it four times in all: at most once before the wait, so three would be too many.
+/// again. The others take it four times in all, so the model could exceed this bound.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
     contend([1, 1, 3], 2);
@@ -118,7 +118,7 @@ fn three_cores_that_come_back_wait_two_turns_at_most() {
     contend([1, 2, 2], 2);
 }
 
-/// T-LOCK-3: the owner dies. Of the two cores that take the lock next, only the first is told.
+/// T-LOCK-3: the owner dies. Of the next two cores that take the lock, the first gets `Recovered`.
 #[test]
 fn one_waiter_learns_of_the_death() {
     model(3, || {

@@ -101,8 +101,8 @@ fn two_ends_of_one_incarnation_exclude_each_other() {
     assert!(one.try_lock().is_some());
 }
 
-/// T-LOCK-3: if the owner dies, the next owner recovers the lock and is told of the death. If it
-/// dies too while it repairs the data, the next owner is told again.
+/// T-LOCK-3: if the owner dies, the next owner gets `Recovered`. If that owner also dies before it
+/// has repaired the data, its successor gets `Recovered` too.
 #[test]
 fn a_dead_owner_is_replaced_and_the_next_owner_learns_of_it() {
     let bench = Bench::new();
@@ -626,7 +626,7 @@ prop_state_machine! {
     })]
 
     /// T-LOCK-1, T-LOCK-3: in any order of acquisitions, releases, deaths and late releases, at
-    /// most one core is inside, and exactly the next owner is told of a death.
+    /// most one core is inside, and exactly the next owner after a death gets `Recovered`.
     #[test]
     fn the_lock_does_what_its_model_does(sequential 1..60 => Cores);
 }

@@ -209,7 +209,7 @@ fn a_straggler_takes_nothing_from_the_living() {
     }
 }
 
-/// The same with runs of several blocks, between blocks that living cores borrow.
+/// As above, with runs of several blocks, between blocks that living cores borrow.
 #[test]
 fn a_straggler_gets_no_run_in_the_middle_of_another() {
     for (kept, living) in [(1, 4), (1, 7), (2, 3), (2, 6), (0, 8), (4, 1), (1, 1)] {
@@ -474,8 +474,8 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     assert!(living.open(next).is_ok());
 }
 
-/// The same if the late incarnation is frozen at any step of its attachment, or another core at any
-/// step of handing words over to it.
+/// As above, if the late incarnation is frozen at any step of its attachment, or another core at
+/// any step of handing words over to it.
 #[test]
 fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     for by_hand_over in [false, true] {

@@ -53,7 +53,7 @@ fn announce(
 const OBJECT_AT: usize = Incarnations::WORDS;
 
 /// T-LOCK-1, T-LOCK-3: cores die at any access and restart while others use the lock. At most one
-/// core is inside, and the next owner is told of the death if a core died inside.
+/// core is inside, and if a core died inside, the next owner gets `Recovered`.
 #[test]
 fn the_lock_in_random_schedules_with_deaths() {
     const INSIDE_AT: usize = OBJECT_AT + lock::WORDS;

@@ -44,7 +44,7 @@ const INSIDE: usize = GUARDED_AT;
 const PAIR: [usize; 2] = [GUARDED_AT + 1, GUARDED_AT + 2];
 const RECOVERIES: usize = GUARDED_AT + 3;
 const STOP: usize = GUARDED_AT + LINE_WORDS;
-/// Counts for each core how often it was inside.
+/// For each core, the number of times it was inside.
 const PROGRESS: usize = STOP + 1;
 const WORDS: usize = STOP + LINE_WORDS;
 
@@ -104,8 +104,8 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
         if let Some(child) = children[core].take() {
             child.kill();
         }
-        // Every second time the supervisor marks the death; otherwise only the successor's
-        // announcement shows it.
+        // The supervisor marks every second death; only the successor's announcement shows the
+        // others.
         if i.is_multiple_of(2) {
             incarnations.mark_dead(Incarnation::new(core, generations[core]).unwrap());
         }
