@@ -10,8 +10,8 @@
 //! calls need a [`TaskContext`], so a handler cannot make them.
 //!
 //! On the host this interface is sound under one rule that the compiler does not check. All tasks
-//! are one thread, so they share every thread-local (`thread_local!`, also in a library). Two tasks
-//! that access it must do so within `host::deferred`, or there is a data race. See the README.
+//! are one thread, so they share every thread-local (`thread_local!`), even one in a library. Two
+//! tasks that access it must do so within `host::deferred`, or there is a data race (see README).
 #![no_std]
 #![deny(unsafe_code)]
 

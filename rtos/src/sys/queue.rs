@@ -196,8 +196,8 @@ unsafe impl<T: Send> Sync for Values<T> {}
 
 /// A queue: values of one type, first in, first out. Tasks and handlers send and receive.
 ///
-/// Cloned handles are the same queue. If the last handle is dropped in a task, the values left in
-/// the queue are dropped; elsewhere they are leaked. A handle that outlives its scheduler panics
+/// Cloned handles refer to the same queue. If the last handle is dropped in a task, the values left
+/// in the queue are dropped; elsewhere they are leaked. A handle that outlives its scheduler panics
 /// when it is used in the next one.
 pub struct Queue<T: 'static> {
     values: Arc<Values<T>>,

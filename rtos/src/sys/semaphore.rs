@@ -12,7 +12,7 @@ use core::fmt;
 #[error("the semaphore is at its highest count")]
 pub struct SemaphoreFull;
 
-/// A semaphore. Cloned handles are the same one.
+/// A semaphore. Cloned handles refer to the same semaphore.
 ///
 /// A handle that outlives its scheduler panics when it is used in the next one.
 #[derive(Clone)]

@@ -34,8 +34,8 @@ pub(crate) struct Record {
 // SAFETY: the core's one thread writes the cells before the task starts and after it has ended; the
 // closure is `Send`, and the task itself takes it.
 unsafe impl Send for Record {}
-// SAFETY: as above. Other code reaches through a handle only `alive`, which is atomic, and the
-// control block, which only the kernel accesses, on the core's thread.
+// SAFETY: as above. Through a handle, other code reads `alive`, which is atomic, and passes the
+// control block to the kernel, which accesses it only on the core's thread.
 unsafe impl Sync for Record {}
 
 /// All tasks that the kernel knows. Changed only with interrupts masked, because the handler of

@@ -35,7 +35,7 @@ const STOP: ffi::Base = 3;
 /// The difference between the commands of interrupts and those of tasks.
 const FROM_INTERRUPT: ffi::Base = 5;
 
-/// A timer. Copied handles are the same timer. It exists until the program ends.
+/// A timer. Copied handles refer to the same timer. It exists until the program ends.
 ///
 /// Its callback runs in the service task, which is more urgent than all others, and must be short.
 #[derive(Clone, Copy)]

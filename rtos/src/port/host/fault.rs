@@ -94,7 +94,7 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     // This is not a task's fault: restore the previous handler. The instruction then faults again;
     // a signal that another process sent is lost.
     let place = usize::from(signal == libc::SIGBUS);
-    // SAFETY: `begin` wrote it before this handler was there.
+    // SAFETY: `begin` wrote it when it installed this handler.
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
 }
 
@@ -110,7 +110,7 @@ fn current_stack() -> Option<usize> {
     known.then_some(low as usize)
 }
 
-/// Whether a fault's address is in the stack itself, where no access faults.
+/// Whether a fault's address is in the accessible part of the stack: it is then not an overflow.
 fn on_stack(address: usize, low: usize) -> bool {
     (low..low + FRAME_BYTES).contains(&address)
 }

@@ -357,7 +357,7 @@ mod tests {
 
     /// Sends a doorbell and ticks to this thread at the same time, with nothing to serve. As in a
     /// run, at most one doorbell signal is under way. A timer sends no second signal before its
-    /// last one was handled, so none arrives at a handler that has blocked them.
+    /// first one is handled, so none arrives at a handler that has blocked them.
     fn signals_arrive() {
         let mut before = MaybeUninit::<libc::sigset_t>::uninit();
         // SAFETY: the set is a valid place, which the first call fills; the signals are handled

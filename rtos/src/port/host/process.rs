@@ -49,7 +49,7 @@ fn print_raw(message: fmt::Arguments<'_>) {
     unsafe { libc::write(2, words.text.as_ptr().cast(), words.length + 1) };
 }
 
-/// Ends the process with a message. Callable from everywhere, also from handlers of signals.
+/// Ends the process with a message. Callable from anywhere, including signal handlers.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
     state::mask_for_good();
     print_raw(format_args!("tandem-rtos: {message}"));

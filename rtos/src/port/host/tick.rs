@@ -204,8 +204,8 @@ pub(crate) fn timestamp_ns() -> u64 {
     }
 }
 
-/// Converts a span of [`run_time`], from the advance of that counter and of the clock since the
-/// process first used them.
+/// Converts a span of [`run_time`] to time, with the average rate of that counter since the process
+/// first used it.
 pub(crate) fn run_time_span(counts: u64) -> Duration {
     let (origin_count, origin_ns) = origin();
     let counted = u128::from((run_time() - origin_count).max(1));
