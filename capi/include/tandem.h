@@ -174,7 +174,7 @@ extern void tandem_on_panic(void);
 // No mastership term is left.
 #define TANDEM_FAILURE_TERMS_EXHAUSTED 7
 
-// The system's command differs from the one that its inputs require, or that reaches the vehicle.
+// The system's command does not follow from its inputs, or does not reach the vehicle unchanged.
 #define TANDEM_FAILURE_WRONG_COMMAND 8
 
 // The system's clock differs too much from the vehicle's and the other system's.
@@ -368,7 +368,7 @@ typedef struct tandem_config_t {
   uint32_t reintegrate;
   // Number of consecutive abnormal resets that are tolerated, 1 ..= 255.
   uint32_t abnormal_limit;
-  // Each such time without a reset subtracts one from the count of consecutive abnormal resets.
+  // Interval without a reset after which the count of consecutive abnormal resets falls by one.
   uint32_t healthy_after_us;
   // Time without a frame on CAN, while the other system reports a live bus, after which the
   // circuit counts as open.
@@ -994,7 +994,7 @@ tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machin
                                               const struct tandem_control_frame_t *frame,
                                               struct tandem_actions_t *actions);
 
-// Passes a report of the vehicle about the term that it obeys: that of the control frame that it
+// Passes the vehicle's report about the term that it obeys: the term of the control frame that it
 // accepted last, `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago,
 // at `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no
 // time). Any context; does not block.
@@ -1006,8 +1006,8 @@ tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machi
                                                uint64_t on_the_way_ns,
                                                struct tandem_actions_t *actions);
 
-// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it again and again
-// while the fault lasts. Any context; does not block.
+// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it repeatedly while
+// the fault lasts. Any context; does not block.
 tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,
                                             uint64_t now_ns,
                                             uint32_t failure,

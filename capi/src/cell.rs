@@ -92,7 +92,7 @@ fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
 /// 1 and 3 of the caller's contract.
 pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(), TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
-    // SAFETY: not null and aligned, memory of the type by 1; any bits are a mark.
+    // SAFETY: not null and aligned; memory of the type by 1; every bit pattern is a valid mark.
     if unsafe { (&raw const (*cell).mark).read() } == IN_USE {
         return Err(TandemStatus::Busy);
     }
@@ -111,7 +111,7 @@ pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(
 /// 1 of the caller's contract.
 unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
-    // SAFETY: not null and aligned, memory of the type by 1; any bits are a mark.
+    // SAFETY: not null and aligned; memory of the type by 1; every bit pattern is a valid mark.
     match unsafe { (&raw const (*cell).mark).read() } {
         mark if mark == O::MARK => Ok(cell),
         IN_USE => Err(TandemStatus::Busy),
@@ -133,7 +133,7 @@ pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inn
 /// Returns the value in an attached object, for reading only.
 ///
 /// # Safety
-/// 1 of the caller's contract; the object is not attached anew during the call.
+/// 1 of the caller's contract; the object is not attached again during the call.
 pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on; nothing is written through the pointer.
     let cell = unsafe { attached(object.cast_mut()) }?;

@@ -44,7 +44,7 @@ pub struct TandemConfig {
     pub reintegrate: u32,
     /// Number of consecutive abnormal resets that are tolerated, 1 ..= 255.
     pub abnormal_limit: u32,
-    /// Each such time without a reset subtracts one from the count of consecutive abnormal resets.
+    /// Interval without a reset after which the count of consecutive abnormal resets falls by one.
     pub healthy_after_us: u32,
     /// Time without a frame on CAN, while the other system reports a live bus, after which the
     /// circuit counts as open.

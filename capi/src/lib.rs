@@ -16,8 +16,8 @@
 //!
 //! # The caller's contract
 //!
-//! It is the safety section of every function, and also holds for the functions that it calls;
-//! `SAFETY` comments refer to these numbers.
+//! These rules are the safety section of every function, and of the functions that it calls inside
+//! this crate. `SAFETY` comments refer to their numbers.
 //!
 //! 1. A pointer is null or points to memory of its type that does not move.
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is

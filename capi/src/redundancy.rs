@@ -418,7 +418,7 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     pass_read(machine, now_ns, actions, frame, input)
 }
 
-/// Passes a report of the vehicle about the term that it obeys: that of the control frame that it
+/// Passes the vehicle's report about the term that it obeys: the term of the control frame that it
 /// accepted last, `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago,
 /// at `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no
 /// time). Any context; does not block.
@@ -441,8 +441,8 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     pass(machine, now_ns, actions, || Ok(input))
 }
 
-/// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it again and again
-/// while the fault lasts. Any context; does not block.
+/// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it repeatedly while
+/// the fault lasts. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_own_fault(
     machine: *mut TandemRedundancy,

@@ -57,7 +57,7 @@ pub const TANDEM_FAILURE_PLANNING_CORE: u32 = 5;
 pub const TANDEM_FAILURE_DEADLINE: u32 = 6;
 /// No mastership term is left.
 pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
-/// The system's command differs from the one that its inputs require, or that reaches the vehicle.
+/// The system's command does not follow from its inputs, or does not reach the vehicle unchanged.
 pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
 /// The system's clock differs too much from the vehicle's and the other system's.
 pub const TANDEM_FAILURE_CLOCK: u32 = 9;
