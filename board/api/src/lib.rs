@@ -97,8 +97,8 @@ pub trait Board {
     /// Releases another core of this system from reset. One at a time; only core 0 may call it.
     ///
     /// At each start of the system only core 0 runs; the others start when core 0 releases them.
-    /// The core begins the incarnation of its system and sees everything that core 0 wrote to the
-    /// LMU before the release. No effect on a core that was already released in this incarnation.
+    /// The core starts in the system's current incarnation and sees everything that core 0 wrote to
+    /// the LMU before the release. No effect on a core already released in this incarnation.
     fn release_core(&self, core: CoreId);
 
     /// Sleeps until an interrupt is pending or `deadline` has passed, and clears the pending

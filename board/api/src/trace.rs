@@ -1,8 +1,8 @@
 //! Trace records for people, kept by the board: those of its cores, and those of the supplies,
 //! which start and stop the cores.
 //!
-//! Driving never reads a trace. The portable code that writes a core's records defines what they
-//! mean.
+//! The driving functions never read a trace. The portable code that writes a core's records
+//! defines their meaning.
 
 use crate::{CoreId, Generation, Instant, ResetCause, SystemId};
 

@@ -97,8 +97,8 @@ impl Alarm {
     }
 }
 
-/// Returns when a timer was due whose next expiry is in `left`; `None` if that is the first expiry
-/// of a new setting.
+/// Returns when a timer was last due, given that its next expiry is in `left`; `None` if it was
+/// set again and has not expired since.
 fn last_due(now: Instant, left: Duration) -> Option<Instant> {
     let since = Duration::from_ns(AGAIN.as_ns().saturating_sub(left.as_ns()));
     (left.as_ns() > AGAIN.as_ns() / 2)
@@ -153,7 +153,7 @@ mod tests {
         assert!(expired.due >= begin + SPAN.times(6));
     }
 
-    /// Otherwise a timer set again while its expiry is read would report a stall since time 0.
+    /// A timer that is set again while its expiry is read must not report a stall since time 0.
     #[test]
     fn a_timer_that_was_set_again_was_due_at_no_known_time() {
         let now = Instant::from_ns(50_000_000_000);

@@ -40,8 +40,8 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// Returns what the kernel would grant to a core of a run with this schedule, as tried on a
-    /// separate thread. A run prints it at its start.
+    /// Returns what the kernel grants to a separate thread that claims the same as a core of a run
+    /// with this schedule. A run prints it at its start.
     ///
     /// It starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
     #[must_use]

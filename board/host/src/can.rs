@@ -11,8 +11,8 @@ use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
 use crate::clock;
 use crate::doorbell::Ringers;
 
-/// The CAN controller of one core. The bus itself is part of the vehicle's process, which each
-/// frame wakes; without that process the core receives nothing and its transmit buffer fills up.
+/// The CAN controller of one core. The bus itself is part of the vehicle's process, and each frame
+/// wakes that process. Without it the core receives nothing and its transmit buffer fills up.
 #[derive(Debug)]
 pub struct HostCan {
     backplane: Backplane,

@@ -125,7 +125,7 @@ impl Injection {
         Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
     }
 
-    /// Requests the launcher to switch a system on, and does not wait. No effect if it is on.
+    /// Asks the launcher to switch a system on, and does not wait. No effect if it is on.
     pub fn request_power(&self, system: SystemId) {
         self.backplane.request_power(system);
         poke_launcher(self.backplane);

@@ -157,7 +157,7 @@ impl Launcher {
         })
     }
 
-    /// Returns the place of the run's files; displayed, it is the line that says what was granted.
+    /// Returns the place of the run's files. Its `Display` says whether `/dev/shm` is private.
     #[must_use]
     pub const fn isolation(&self) -> &Isolation {
         &self.isolation
@@ -228,7 +228,7 @@ impl Launcher {
         Ok(())
     }
 
-    /// Waits until the vehicle has ended. The first Ctrl-C requests it to end, the second kills it.
+    /// Waits until the vehicle has ended. The first Ctrl-C asks it to end, the second kills it.
     pub fn wait(&mut self) -> Ended {
         self.wait_with(&mut |_| {})
     }

@@ -9,7 +9,6 @@ const RUN_PREFIX: &str = "tandem-";
 /// The name of one run on this machine: `tandem-` and up to 40 letters, digits and dashes.
 /// All shared memory of a run has names that begin with it, so that two runs never share memory and
 /// leftovers can be attributed to their run.
-/// be assigned to their run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RunName(String);
 

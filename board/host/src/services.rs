@@ -54,7 +54,7 @@ pub struct Roles {
     pub reserved: [u8; 5],
 }
 
-/// The own vehicle; service `tandem/RUN/vehicle`, every 20 ms of scenario time.
+/// The controlled vehicle; service `tandem/RUN/vehicle`, every 20 ms of scenario time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
 #[type_name("TandemVehicle")]
 #[repr(C)]
@@ -275,7 +275,7 @@ impl Publisher {
         let _ = self.roles.send_copy(roles);
     }
 
-    /// Like [`Publisher::roles`], for the own vehicle.
+    /// Like [`Publisher::roles`], for the controlled vehicle.
     pub fn vehicle(&self, vehicle: Vehicle) {
         let _ = self.vehicle.send_copy(vehicle);
     }
@@ -296,7 +296,7 @@ impl Publisher {
 pub enum News {
     /// The state of the run.
     Roles(Roles),
-    /// The own vehicle.
+    /// The controlled vehicle.
     Vehicle(Vehicle),
     /// A frame on the bus.
     Frame(Frame),

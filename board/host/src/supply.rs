@@ -41,7 +41,7 @@ use crate::spawn::{self, Watched};
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
 /// The period after all cores have started. A process's death, the end of the watchdog's window and
-/// [`POKE`] wake the supply at once. Not longer: only a late supply detects [`HELD_UP`].
+/// [`POKE`] wake the supply at once. Keep it short: only a late tick reveals a stall ([`HELD_UP`]).
 const CALM_PERIOD: Duration = Duration::from_ms(20);
 /// Makes a supply or the launcher read its registers. Before its handler is installed, the signal
 /// has no effect.

@@ -47,7 +47,7 @@ impl From<FitError> for VehiclePortError {
     }
 }
 
-/// The vehicle's connection to the controller. A run has one: it is the bus, which orders the
+/// The vehicle's connection to the controller. A run has one. It acts as the bus and orders the
 /// frames of all nodes.
 ///
 /// When a core has sent a frame, and when the vehicle itself sends one, the vehicle calls
@@ -67,7 +67,7 @@ pub struct HostVehiclePort {
     carried: Vec<network::Delivery>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
-    /// Whether frames were put on the bus of which some cores have not been notified.
+    /// Whether some cores have not been notified of frames on the bus.
     news: bool,
     /// `None` before the first period.
     ticker: Option<Ticker>,

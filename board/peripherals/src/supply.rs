@@ -1,11 +1,11 @@
 //! The supply of a system: power, reset generator and reset cause. T-CHIP-6
 //!
-//! | state | level line | leaves it when |
-//! |---|---|---|
 //! | state | level line | it ends when |
-//! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
+//! |---|---|---|
+//! | off | low | power on → on |
 //! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
 //! | reset | low | the hold is over, all cores have stopped, rails and error pin are good → on |
+//! | suspended | low | only power off ends it |
 //!
 //! Power can be switched off in every state. A rail with too much voltage suspends the system from
 //! every state with power, so that the chip is not damaged.

@@ -20,7 +20,7 @@ const STRAPS_AT: u32 = 0x8090_0000;
 const KEY_AT: u32 = STRAPS_AT + 64;
 /// Start of the system's program flash.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
-/// A machine that sends no report for this long hangs. One step takes far less than a second.
+/// A machine that sends no report for this long has hung. One step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a silent machine is checked.
 const LOOK_MS: i64 = 50;
@@ -48,7 +48,7 @@ pub enum MachineError {
         /// The firmware's log.
         log: String,
     },
-    /// The report cannot be decoded: the image is another version.
+    /// The report cannot be decoded: the image has another version.
     #[error("the firmware is not of this version")]
     Malformed,
 }
@@ -67,7 +67,7 @@ pub struct BootFrom {
 pub struct MachineOptions {
     /// A system that restarts becomes the standby of the running one.
     pub reintegrate: bool,
-    /// The timing profile is `chip`, otherwise `rt`. For [`WorldLayout::One`](crate::Layout::One):
+    /// Timing profile `chip`, not `rt`. Only for [`WorldLayout::One`](crate::WorldLayout::One):
     /// between two machines, edges and datagrams take up to 2 ms.
     pub chip: bool,
     /// An overload of core 0's tasks: strap `Third`, explained in the image's `main`. 0: none.
@@ -150,7 +150,7 @@ impl Machine {
         let logs = [log("errors")?, log("log")?];
         let errors = logs[0].try_clone().map_err(MachineError::Pipes)?;
         let child = command
-            // Ctrl-C at a terminal must reach the run only, which handles it.
+            // Ctrl-C at a terminal must reach only the run, which handles it.
             .process_group(0)
             .stdin(from_world)
             .stdout(to_world)

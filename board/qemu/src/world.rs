@@ -25,7 +25,7 @@ pub enum WorldLayout {
     Two,
 }
 
-/// The machines of a run. A run has one vehicle; it is the bus between the machines, and calls
+/// The machines of a run. The run's one vehicle acts as the bus between the machines, and calls
 /// [`EmulatedWorld::step`] for each millisecond of virtual time.
 #[derive(Debug)]
 pub struct EmulatedWorld {

@@ -16,7 +16,7 @@ use tandem_vehicle::{Scenario, World, WorldConfig};
 
 /// Maximum time until the systems have roles, ms of virtual time.
 const PATIENCE_MS: u32 = 10_000;
-/// Dual operation before a fault, and the time measured after it, ms.
+/// Duration of dual operation before a fault, and of the measurement after it, ms.
 const BEFORE_MS: u32 = 400;
 const AFTER_MS: u32 = 40;
 
@@ -133,7 +133,7 @@ fn takeover(fails: Fails, level_cut: bool, at_us: u32) -> [Duration; 3] {
     ]
 }
 
-/// Returns at how many moments of a control period A fails; `TANDEM_MOMENTS` sets another number.
+/// Returns the number of moments within a control period to test; `TANDEM_MOMENTS` overrides it.
 fn moments() -> u32 {
     let wanted = std::env::var("TANDEM_MOMENTS").ok();
     wanted.map_or(5, |count| count.parse().expect("a number"))

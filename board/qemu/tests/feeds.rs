@@ -1,5 +1,5 @@
-//! The controller as firmware loses and regains its battery, in one machine and in two. Needs QEMU
-//! and the images, so only `cargo xtask firmware test` runs it.
+//! The firmware of the controller loses its battery or its hardware fails, in one machine and in
+//! two. Needs QEMU and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

@@ -1,5 +1,5 @@
-//! The driving functions as firmware and on this machine: bit-identical outputs, same frames. Needs
-//! QEMU and the images, so only `cargo xtask firmware test` runs it.
+//! From the same frames, the driving functions compute bit-identical outputs as firmware and on
+//! this machine. Needs QEMU and the images, so only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

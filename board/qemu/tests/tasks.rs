@@ -108,8 +108,8 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
     done
 }
 
-/// T-RTOS-4: a task that works for 20 ms delays all less urgent tasks and no more urgent task. Here
-/// it is the control task of the controller: every 20th job takes 20 ms longer.
+/// T-RTOS-4: a task that works for 20 ms delays all less urgent tasks, but none that is more
+/// urgent. Here it is the controller's control task: every 20th job takes 20 ms longer.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_burning_control_task_holds_up_only_what_is_less_urgent() {

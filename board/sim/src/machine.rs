@@ -188,7 +188,7 @@ pub(crate) struct Machine {
     pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
     pub(crate) events: Vec<SystemEvent>,
-    /// Counts every begin and end of an incarnation.
+    /// Counts every start and end of an incarnation.
     pub(crate) incarnations: u64,
     pub(crate) noise: ChaCha8Rng,
     pub(crate) network: Network,

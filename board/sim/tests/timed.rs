@@ -29,7 +29,7 @@ fn send(pair: &SimPair, from: SystemId, core: CoreId, frame: &CanFrame) {
     pair.board(from, core).can().try_send(frame).unwrap();
 }
 
-/// Of the waiting frames the one with the lowest identifier is next; a frame on the bus is not
+/// The waiting frame with the lowest identifier is sent next. A frame on the bus is not
 /// interrupted, and the frames of one sender keep their order.
 #[test]
 fn frames_take_the_time_of_their_bits_and_the_lowest_identifier_wins() {

@@ -67,12 +67,12 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
     )
 }
 
-/// The last frame of a controller whose second frame was destroyed until the repair: 128 frames
-/// that are sent take any error-passive controller back to error-active.
+/// Number of the last frame. The bus carries frames 1 to `LAST` after the repair: 128 sent frames
+/// return any error-passive controller to error-active.
 const LAST: u8 = 129;
 
-/// Its second frame is destroyed on the bus, until the controller was bus-off, has recovered, and
-/// is error-passive again when the fault is repaired.
+/// The bus destroys its second frame: the controller becomes bus-off, recovers and becomes
+/// error-passive again. Then the fault is repaired.
 pub(super) fn cannot_send<B: FaultSource>(
     board: &B,
     place: CoreAddress,
@@ -107,7 +107,7 @@ pub(super) fn cannot_send<B: FaultSource>(
     })
 }
 
-/// Receives what the other core sends, and nothing while that is destroyed.
+/// Receives the frames of the other core, and none while the bus destroys them.
 pub(super) fn hears_after_repair<B: FaultSource>(
     board: &B,
     _: CoreAddress,
@@ -127,7 +127,7 @@ pub(super) fn hears_after_repair<B: FaultSource>(
     wait_for_cores(board, HERE, 5)
 }
 
-/// More than make a receiver error-passive.
+/// More frames than a receiver needs to become error-passive.
 const UNHEARD: u8 = 200;
 
 pub(super) fn sends_on<B: FaultSource>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
@@ -176,7 +176,7 @@ fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), CaseFail
     fail("the supply resets the system")
 }
 
-/// Makes the fault in system A, and repairs it while A is in reset.
+/// Injects the fault into system A, and repairs it while A is in reset.
 fn makes<B: FaultSource>(board: &B, fault: HardwareFault) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         // After this role has ended, no role services this system's watchdog.
@@ -222,7 +222,7 @@ pub(super) fn undervoltage<B: FaultSource>(
     }
 }
 
-/// T-CHIP-6: too much voltage switches a system off until the next power-on.
+/// T-CHIP-6: overvoltage suspends a system until the next power-on.
 pub(super) fn overvoltage<B: FaultSource>(
     board: &B,
     place: CoreAddress,

@@ -9,7 +9,8 @@ fn rising(system: SystemId, line: Line) -> u32 {
     3 + 2 * line.index() as u32 + 7 * system.index() as u32
 }
 
-/// Returns how many falling edges: as many, or one fewer. So the line ends low or high.
+/// Returns how many falling edges a system sends on a line. With one fewer than rising, it ends
+/// high, otherwise low.
 fn falling(system: SystemId, line: Line) -> u32 {
     rising(system, line) - u32::from(line != Line::Heartbeat1)
 }

@@ -135,7 +135,7 @@ pub(crate) struct Rings {
 
 /// Frames that wait for the bus. Each frame wakes the bus; a disturbed bus fetches frames every ms.
 const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
-/// Frames by which a core may lag: some hundred milliseconds at the load of the vehicle bus.
+/// Frames by which a core may lag: a few hundred milliseconds at the load of the vehicle bus.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams in transit.
 const LINK: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);

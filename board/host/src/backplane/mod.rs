@@ -27,7 +27,7 @@ pub(crate) use layout::{
 /// "TDM" and the version of the layout, so that processes of different builds reject each other.
 const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
-/// The longest delay of a disturbed connection, as `Kind::Late` in a file of faults has it. A
+/// The longest delay of a disturbed connection, equal to the limit of `Kind::Late`. A
 /// corrupt word in the shared memory must not delay frames for longer: they would accumulate in the
 /// vehicle's process.
 const LATE_MOST: Duration = Duration::from_ms(1_000);
@@ -193,7 +193,7 @@ impl Backplane {
         self.run(Run::Ignition).get() != 0
     }
 
-    /// Requests the vehicle to end the run.
+    /// Asks the vehicle to end the run.
     pub fn request_stop(self) {
         self.run(Run::Stop).set(1);
     }
@@ -274,7 +274,7 @@ impl Backplane {
         Duration::from_us(u64::from(self.system(system, System::StaggerUs).get()))
     }
 
-    /// Requests the launcher to start a new supply for a system whose supply has died.
+    /// Asks the launcher to start a new supply for a system whose supply has died.
     pub(crate) fn request_power(self, system: SystemId) {
         self.system(system, System::PowerRequest).set(1);
     }
@@ -345,7 +345,7 @@ impl Backplane {
         self.system(system, System::Booted).get()
     }
 
-    /// Requests the supply to start a core. Core 0 only.
+    /// Asks the supply to start a core. Core 0 only.
     pub(crate) fn release_core(self, system: SystemId, core: CoreId) {
         self.system(system, System::Released)
             .change_bits(1 << core.index(), true);

@@ -257,8 +257,8 @@ fn small() -> Outcome {
     Ok(())
 }
 
-/// T-RED-8: if other files fill the place, the death of core 0 resets its system and has no other
-/// effect.
+/// T-RED-8: if other files fill `/dev/shm`, the death of core 0 resets its system and has no
+/// other effect.
 fn full() -> Outcome {
     in_own_shm("size=24m", || {
         let ground = Ground::new()?;
@@ -270,7 +270,7 @@ fn full() -> Outcome {
                 .map(|process| process.pid)
                 .collect()
         };
-        // A core that is about to be executed still has the name of its supply.
+        // A core process has the name of its supply until it calls exec, so wait for exactly two.
         let before = until("two supplies", || {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;

@@ -42,7 +42,7 @@ const fn ms(now: Instant) -> u64 {
 /// A frame that the bus destroyed is repeated after this time, about that of a short frame with its
 /// error frame.
 pub const REPEATED_AFTER: Duration = Duration::from_us(125);
-/// A bus that is called later than this was held up, and has repeated nothing in that time.
+/// If the bus is called later than this, it was stalled and repeated no frame in that time.
 const HELD_UP: Duration = Duration::from_ms(2);
 /// 128 times 11 recessive bits on an idle bus of 1 Mbit/s: how long a controller stays bus-off.
 pub const RECOVERY: Duration = Duration::from_us(128 * 11);

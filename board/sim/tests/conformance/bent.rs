@@ -184,7 +184,7 @@ impl Common {
 /// The panic payload that ends a role when its core starts again.
 struct StartsAgain;
 
-/// What a bent flash returns instead of the bytes of the simulated one.
+/// The bytes that a bent flash returns instead of those of the simulated flash.
 struct Medium {
     shown: Vec<Option<u8>>,
     /// The operation in progress, as far as core 0 knows.
