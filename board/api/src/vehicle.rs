@@ -38,7 +38,7 @@ pub trait VehicleBus {
 pub enum Pass {
     /// A period of 1 ms began at this time.
     Period(Instant),
-    /// A period began at this time, before the next frame of the vehicle: fetch no frames.
+    /// A period began at this time. The vehicle sends no frame in it: do not fetch frames.
     Quiet(Instant),
     /// A core sent a frame between two periods.
     Frames,

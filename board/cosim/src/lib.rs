@@ -116,7 +116,7 @@ pub enum Item {
     },
 }
 
-/// The message cannot be decoded: the other side is another version.
+/// The message cannot be decoded: the other side has another version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Malformed;
 

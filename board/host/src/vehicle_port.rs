@@ -583,7 +583,7 @@ mod tests {
         }
         drop(ask);
         sender.join().unwrap();
-        // After a delay to the next period, the frame is reported first: its wait is recorded.
+        // Even if the next period is due, the frame is reported first, so its wait is recorded.
         clock::sleep_until(clock::now() + PERIOD);
         (port.rung, port.quiet_until) = (true, Instant::ORIGIN);
         assert_eq!(port.wait_for(never), Ok(Pass::Frames));

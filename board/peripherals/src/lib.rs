@@ -1,8 +1,8 @@
 //! One model of the hardware around the cores, for every board that has to simulate it.
 //!
-//! A board with real hardware needs no part of it. The host, the simulator and the emulated board
-//! are shells around these models: they move bytes and time; the models decide. A model reads no
-//! clock and does no input or output; it returns its decisions.
+//! A board with real hardware does not use it. The host, the simulator and the emulated board pass
+//! bytes and the time to these models and carry out their decisions. A model reads no clock and
+//! does no input or output; it returns its decisions.
 #![no_std]
 #![forbid(unsafe_code)]
 

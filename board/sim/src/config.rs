@@ -51,7 +51,7 @@ impl Clock {
 /// Changes a frame that a system sends.
 pub type Tamper = fn(&CanFrame) -> CanFrame;
 
-/// The order in which cores run that are due at the same instant.
+/// The order in which cores run if they are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// A0, A1, A2, B0, B1, B2.
@@ -68,7 +68,7 @@ pub struct Config {
     pub seed: u64,
     /// The clocks of systems A and B. By default their origins differ, as those of two chips do.
     pub clocks: [Clock; 2],
-    /// The order in which cores run that are due at the same instant.
+    /// The order in which cores run if they are due at the same instant.
     pub order: Order,
     /// Whether the supplies reset a system whose watchdog is not serviced.
     pub watchdog: bool,
