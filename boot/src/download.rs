@@ -190,7 +190,7 @@ impl Download {
         Ok(())
     }
 
-    /// Erases the first sector of an image's place. The download has not changed the flash before.
+    /// Erases the first sector of an image's place, which the download has not changed before.
     fn prepare(
         &mut self,
         target: ImageTarget,

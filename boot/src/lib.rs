@@ -1,7 +1,7 @@
 //! Bootloader: S-records over CAN, slots, trust: sans-IO (no_std).
 //!
 //! [`start`] runs it on a board. [`Loader`] does the work: it receives the time and the frames of
-//! the bus, and returns [`Next`]. Of the machine it uses only the flash, through
+//! the bus, and returns [`Next`]. It uses no part of the machine except the flash, through
 //! `embedded_storage::nor_flash::NorFlash`. The application calls [`approve`] once it works.
 //! `docs/boot.md` describes the protocol, the storage map, the states, and the effect of each loss
 //! of power.
