@@ -115,7 +115,7 @@ fn generated(text: &str) -> Result<String> {
     Ok(out)
 }
 
-/// Who sends the frames of a layout.
+/// The senders of the frames of a layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Senders {
     /// One node sends one frame.

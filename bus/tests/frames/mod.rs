@@ -36,7 +36,7 @@ fn raw(frame: &FrameInfo, signal: &Signal, seed: u64) -> i64 {
     }
     let limit = |value| (number(value) / signal.factor).round() as i64;
     let (min, max) = (limit(signal.min), limit(signal.max));
-    // Mistakes show at the limits.
+    // Test the limits more often than other values: errors are most likely there.
     match seed % 8 {
         0 => min,
         1 => max,
