@@ -15,7 +15,7 @@ use super::sections::system_color;
 use crate::metrics::Metrics;
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
-/// The span of the timeline before and after its moment, ms: more than one perception period.
+/// Time shown before and after the chosen moment, ms: more than one perception period.
 const WIDE_MS: (f64, f64) = (-40.0, 20.0);
 /// The span before and after a takeover, ms.
 const CLOSE_MS: (f64, f64) = (-2.5, 0.5);
