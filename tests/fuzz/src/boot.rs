@@ -68,8 +68,8 @@ pub(crate) fn frames(mut bytes: &[u8]) -> bool {
     accepted
 }
 
-/// Checks that bytes are accepted as a manifest only if encoding it returns the same bytes, and
-/// its parts are in its body.
+/// Checks that bytes are accepted as a manifest only if encoding it returns the same bytes, and all
+/// its parts lie within its body.
 ///
 /// # Panics
 /// If other bytes are accepted.

@@ -173,7 +173,7 @@ pub(crate) fn flash(bytes: &[u8]) -> bool {
 /// Checks that a recording is rejected, or can be analysed.
 ///
 /// # Panics
-/// If a frame is not written as the bytes that it was read from, or the analysis panics.
+/// If a written frame differs from the bytes that were read, or the analysis panics.
 pub(crate) fn recording(bytes: &[u8]) -> bool {
     let mut log = RunLog::default();
     let mut rest = bytes;

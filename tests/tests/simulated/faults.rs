@@ -486,7 +486,7 @@ fn a_flash_that_hangs_does_not_prevent_a_reset() {
 /// T-RED-2: stray edges at any time of the start do not prevent dual operation.
 #[test]
 fn stray_edges_at_the_start_do_not_cost_dual_operation() {
-    // The delay after which the other system is switched on.
+    // Each kind of edge with the delay, ms, after which the other system is switched on.
     let sync = Kind::StraySync;
     for (kind, later_ms) in [(Kind::StrayBeats(just(3)), 40), (sync, 0), (sync, 40)] {
         for to in SystemId::ALL {
