@@ -46,7 +46,7 @@ fn set_mode(mode: Mode) -> Mode {
 /// Counts one access and runs the armed action. Returns whether the access reaches the memory.
 fn step() -> bool {
     let mode = set_mode(Mode::Free);
-    // Only here can another core of a random schedule run. This core keeps its mode on its stack.
+    // Another core of a random schedule can run only here. This core keeps its mode on its stack.
     #[cfg(all(test, not(any(loom, miri))))]
     if SWITCHING.get() && !matches!(mode, Mode::Dead) {
         shuttle::thread::yield_now();

@@ -75,7 +75,7 @@ fn two_cores_exclude_each_other() {
     contend([2, 2], 5);
 }
 
-/// T-LOCK-1: as above, by guards that were detached.
+/// T-LOCK-1: as above, with detached guards.
 #[test]
 fn detached_guards_exclude_each_other() {
     model(3, || {
