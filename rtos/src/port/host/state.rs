@@ -4,8 +4,8 @@
 //! them on the same thread. Between these, program order is enough: loads and stores are relaxed,
 //! and a compiler fence keeps them in order. Other threads access only [`PENDING`].
 //!
-//! The one rule: code that finds `masked` at zero may run interrupts, and raises it first. A signal
-//! that arrives while it is above zero records its interrupt in [`PENDING`] and sets `attention`.
+//! The one rule: code that finds `masked` at zero increments it, and then may run interrupts. A
+//! signal that arrives while it is above zero leaves its bit in [`PENDING`] and sets `attention`.
 //! When `masked` returns to zero, `attention` is read *after* that. This read sees any earlier
 //! signal; a later signal finds `masked` at zero and is served at once. So no signal is lost, and
 //! no system call is needed.
