@@ -1052,7 +1052,7 @@ tandem_status_t tandem_store_load(struct tandem_store_t *store,
                                   void *context,
                                   struct tandem_loaded_t *loaded);
 
-// Requests to write a state, the one in the actions of the redundancy. Does not block.
+// Requests a write of the state that the actions of the redundancy contain. Does not block.
 tandem_status_t tandem_store_request(struct tandem_store_t *store,
                                      const struct tandem_state_t *state);
 

@@ -263,7 +263,7 @@ pub unsafe extern "C" fn tandem_store_load(
     })
 }
 
-/// Requests to write a state, the one in the actions of the redundancy. Does not block.
+/// Requests a write of the state that the actions of the redundancy contain. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_request(
     store: *mut TandemStore,
