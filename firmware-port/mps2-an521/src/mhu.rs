@@ -26,7 +26,7 @@ const CLEAR: usize = 0x8;
 /// Number of the interrupt of unit 0 on each processor; that of unit 1 is the next.
 const FIRST_INTERRUPT: u32 = 6;
 
-/// For each processor, whether an interrupt has arrived that was not taken yet.
+/// For each processor, whether an interrupt has arrived since the last `take_pending`.
 static PENDING: [AtomicBool; CPUS] = [const { AtomicBool::new(false) }; CPUS];
 
 fn register(unit: Unit, cpu: usize, offset: usize) -> *mut u32 {

@@ -58,7 +58,7 @@ pub fn time() -> u64 {
 #[inline]
 pub fn interrupts_on() {
     // SAFETY: the handlers of this crate access only atomics, so they may run anywhere.
-    // Without `nomem`, so that all writes for a handler happen before.
+    // Without `nomem`, so that the compiler moves no write for a handler behind this.
     unsafe { asm!("csrsi mstatus, {}", const MSTATUS_MIE, options(nostack)) };
 }
 
@@ -141,7 +141,7 @@ pub fn park() -> ! {
     }
 }
 
-/// Yields the emulator's turn to the next hart, and continues when all other harts had theirs.
+/// Yields the emulator's turn to the next hart, and continues when all others have had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
 /// when it interrupts another, or when a timer expires. So a hart that spins must yield, or the

@@ -192,7 +192,7 @@ extern "C" fn tandem_on_timer() {
             call(&STATES[number].on_turn);
             // The timer of another hart may end this turn, and this hart's timer then expires while
             // the others run: short turns in step with each other make no progress. So if the turns
-            // of a hart end at one address again and again, they become longer.
+            // of a hart repeatedly end at one address, they become longer.
             let stays = ended_at.load(Ordering::Relaxed) == place;
             let times = match stays {
                 true => (repeats.load(Ordering::Relaxed) + 1).min(6),

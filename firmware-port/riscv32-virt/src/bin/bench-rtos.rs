@@ -28,7 +28,7 @@ static BEGAN_AT: AtomicU32 = AtomicU32::new(0);
 /// Whether the next doorbell comes without a signal.
 static BARE: AtomicBool = AtomicBool::new(false);
 
-/// Requests to hart 1: a signal at once; a signal, or only an interrupt, when hart 0 is idle.
+/// Tasks of hart 1: signal at once; wait until hart 0 is idle, then signal, or only interrupt it.
 const ANSWER: TaskId = task(1);
 const SIGNAL: TaskId = task(2);
 const INTERRUPT: TaskId = task(3);

@@ -292,7 +292,7 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first only wakes, in three ways, then receives by three peers and by the mailbox, and
+/// Hart 1: first only wakes, in three ways, then receives through three peers and the mailbox, and
 /// then contends for the lock.
 fn answer() -> ! {
     let (map, own) = memory::attach(1, LAYOUT);
@@ -322,7 +322,7 @@ fn wake_by_wfi() {
     hart::interrupts_on();
 }
 
-/// The same by the board's wait, which also checks the interrupt, a reset, and the deadline.
+/// Like `wake_by_wfi`, but the board's wait also checks the interrupt, a reset, and the deadline.
 #[inline(never)]
 fn wake_by_doorbell() {
     while PART.load(Ordering::Acquire) == DOORBELL {

@@ -1,4 +1,4 @@
-//! Runs the conformance suite on this board. For each case, both systems are switched on anew.
+//! Runs the conformance suite on this board. For each case, both systems are switched on again.
 //!
 //! The carrier's hart is the rig. It prints one line for each case, and one at the end; the status
 //! is the number of cases that failed.

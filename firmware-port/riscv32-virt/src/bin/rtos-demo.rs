@@ -68,7 +68,7 @@ fn control() -> ! {
 /// The task that starts both tests, and sleeps while they run.
 fn run(ctx: &TaskContext) {
     let mut wake = ctx.now();
-    // After this, the work between two sleeps starts at a tick.
+    // Sleep until a tick, so that the work between two sleeps starts at a tick.
     ctx.delay_until(&mut wake, Ticks(1));
     for test in 0..TESTS.len() {
         // The tasks are created before the tick at which they all start.

@@ -34,7 +34,7 @@ const SHOWN: usize = 10;
 /// do not run in step.
 const TURN_TICKS: u32 = 8;
 
-/// The value that core 1's task received last, the cycle of that, and the number of values.
+/// The value that core 1's task received last, the cycle at that time, and the number of values.
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
 static AT: AtomicU32 = AtomicU32::new(0);
 static TASKS: AtomicU32 = AtomicU32::new(0);
