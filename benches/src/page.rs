@@ -114,7 +114,7 @@ fn about(group: &str) -> About {
             "Both ends share one CPU, so each message is a change of process. Spinning only keeps the \
              other from running."),
         "size" => ("Payload size", "one way, by bytes of payload",
-            "Each word is written and read where it lies, and only its place is told."),
+            "Each word is written and read where it lies, and only its place is sent."),
         "throughput" => ("Throughput", "time per message, messages in a row",
             "As many messages as go, one after the other. Less time is more messages."),
         "lock" => ("Lock", "time to take and give back",

@@ -167,16 +167,16 @@ fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
         }
         Knowledge::of(&scene, None)
     };
-    let told = [
+    let reported = [
         None,
         Some(drive.systems[0].knowledge()),
         Some(lie(|object| object.ax = -9.0)),
         Some(lie(|object| (object.vx, object.y) = (0.0, 0.5))),
         Some(lie(|object| (object.ax, object.approaching) = (4.0, 255))),
     ];
-    for told in told {
+    for reported in reported {
         let mut system = System::new();
-        system.told = told;
+        system.reported = reported;
         drive.systems.push(system);
     }
     let mut worst = vec![[0.0_f32; 2]; drive.systems.len()];
@@ -217,9 +217,9 @@ fn a_plan_is_continued_by_a_system_that_joins() {
     drive.run(1.0, &mut |_, _, _| {});
     let knowledge = drive.systems[0].knowledge();
     assert!(knowledge.plan.is_some());
-    for told in [None, Some(knowledge)] {
+    for reported in [None, Some(knowledge)] {
         let mut system = System::new();
-        system.told = told;
+        system.reported = reported;
         drive.systems.push(system);
         drive.run(0.2, &mut |_, _, _| {});
         let aside = |system: &System| system.trajectory.as_ref().unwrap().points[20].y;

@@ -215,11 +215,11 @@ fn the_experiments_of_the_thesis_hold_on_firmware() {
     let shown = String::from_utf8(output.stdout).unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{shown}{said}");
-    let told: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
+    let reported: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
     let here = |name: &str| {
-        let rows = told["results"].as_array().unwrap();
+        let rows = reported["results"].as_array().unwrap();
         let row = rows.iter().find(|row| row["name"] == name);
-        row.unwrap_or_else(|| panic!("{name}: {told:#}"))["here"].as_f64()
+        row.unwrap_or_else(|| panic!("{name}: {reported:#}"))["here"].as_f64()
     };
     let ns = here("sync/4-bytes").unwrap();
     let each = format!("250 messages, 0 wrong; median {ns:.0} ns, worst {ns:.0} ns");
@@ -257,8 +257,8 @@ fn chaos(arguments: &[&str]) -> (Option<i32>, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command.args(["chaos", "--board", "qemu"]).args(arguments);
     let output = command.output().unwrap();
-    let told = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    (output.status.code(), told.concat())
+    let reported = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.code(), reported.concat())
 }
 
 /// Writes a file with one fault at time 0, and returns its path.
@@ -278,8 +278,8 @@ fn faults_of_emulated_machines_are_judged() {
     let folder = tempfile::tempdir().unwrap();
     let json = folder.path().join("chaos.json");
     let arguments = ["--matrix", "--every", "167", "--json"];
-    let (status, told) = chaos(&[&arguments[..], &[json.to_str().unwrap()]].concat());
-    assert_eq!(status, Some(0), "{told}");
+    let (status, reported) = chaos(&[&arguments[..], &[json.to_str().unwrap()]].concat());
+    assert_eq!(status, Some(0), "{reported}");
     let figures: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
     assert_eq!(
         (&figures["faults"], &figures["violations"]),
@@ -287,23 +287,23 @@ fn faults_of_emulated_machines_are_judged() {
     );
     let of_master = |class: &&Value| class["name"] == "power-loss of the master";
     let classes = figures["classes"].as_array().unwrap();
-    let gap = classes.iter().find(of_master).expect(&told)["gap_max_ms"].as_f64();
-    assert!(gap.is_some_and(|ms| ms > 9.0), "{told}");
+    let gap = classes.iter().find(of_master).expect(&reported)["gap_max_ms"].as_f64();
+    assert!(gap.is_some_and(|ms| ms > 9.0), "{reported}");
     let both = fault(folder.path(), "power-loss", "both");
-    let (status, told) = chaos(&["--faults", &both, "--count", "1"]);
-    assert_eq!(status, Some(1), "{told}");
-    assert!(told.contains("no system drove for"), "{told}");
-    assert!(told.contains("--board qemu --only 0"), "{told}");
+    let (status, reported) = chaos(&["--faults", &both, "--count", "1"]);
+    assert_eq!(status, Some(1), "{reported}");
+    assert!(reported.contains("no system drove for"), "{reported}");
+    assert!(reported.contains("--board qemu --only 0"), "{reported}");
 }
 
 #[test]
 fn what_emulated_machines_cannot_suffer_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let file = fault(folder.path(), "flash-lost", "a");
-    let (status, told) = chaos(&["--faults", &file]);
-    assert_eq!(status, Some(2), "{told}");
+    let (status, reported) = chaos(&["--faults", &file]);
+    assert_eq!(status, Some(2), "{reported}");
     assert!(
-        told.contains("flash-lost: emulated machines cannot suffer it"),
-        "{told}"
+        reported.contains("flash-lost: emulated machines cannot suffer it"),
+        "{reported}"
     );
 }

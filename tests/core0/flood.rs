@@ -96,9 +96,9 @@ fn drive_on(script: &mut Script) {
         FloodSource::HeartbeatLines,
         FloodSource::Doorbell,
     ] {
-        let told = events
+        let reported = events
             .iter()
             .any(|&&event| matches!(event, Event::Flood { source, .. } if source == wanted));
-        assert!(told, "no word of {wanted:?}");
+        assert!(reported, "no word of {wanted:?}");
     }
 }

@@ -116,13 +116,13 @@ impl Script {
         let deadline = Clock::now() + PATIENCE / 2;
         while !is_true(self) {
             if Clock::now() > deadline {
-                let told = self.traced.iter().filter(|(_, event)| {
+                let reported = self.traced.iter().filter(|(_, event)| {
                     !matches!(
                         event,
                         Event::TaskIn { .. } | Event::TaskOut { .. } | Event::Ready { .. }
                     )
                 });
-                panic!("never: {what}; {:?}", told.take(40).collect::<Vec<_>>());
+                panic!("never: {what}; {:?}", reported.take(40).collect::<Vec<_>>());
             }
             self.tick();
         }

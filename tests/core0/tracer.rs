@@ -124,7 +124,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     }
     let mut counts: BTreeMap<i64, u32> = BTreeMap::new();
     let mut counting = None;
-    let mut told = false;
+    let mut reported = false;
     loop {
         let mut status = 0;
         // SAFETY: `status` is valid for writing.
@@ -164,8 +164,8 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
         let deliver = if is_call || event != 0 { 0 } else { signal };
         // SAFETY: resumes a stopped thread; if the thread has ended, the call fails.
         unsafe { ptrace(libc::PTRACE_SYSCALL, thread, 0, deliver as usize) };
-        if !told {
-            told = true;
+        if !reported {
+            reported = true;
             // SAFETY: the buffer has one valid byte; this process owns the descriptor.
             unsafe { libc::write(ready, [1_u8].as_ptr().cast(), 1) };
         }

@@ -37,11 +37,14 @@ fn a_campaign_ends_with_what_each_class_of_faults_cost() {
         "c.json",
     ];
     let output = fixture.output(&arguments);
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let reported = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr);
     // Whether each bound was kept depends on the machine, so both exit statuses are accepted.
-    assert!(matches!(output.status.code(), Some(0 | 1)), "{told}{said}");
-    assert!(told.contains("2 faults, "), "{told}");
+    assert!(
+        matches!(output.status.code(), Some(0 | 1)),
+        "{reported}{said}"
+    );
+    assert!(reported.contains("2 faults, "), "{reported}");
     let figures: Value =
         serde_json::from_str(&fs::read_to_string(fixture.folder().join("c.json")).unwrap())
             .unwrap();
@@ -66,12 +69,12 @@ fn a_violation_fails_the_campaign_and_can_be_repeated() {
     )
     .unwrap();
     let output = fixture.output(&["chaos", "--faults", "both.toml", "--count", "1"]);
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let reported = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{told}{said}");
-    assert!(told.contains("no system drove for"), "{told}");
+    assert_eq!(output.status.code(), Some(1), "{reported}{said}");
+    assert!(reported.contains("no system drove for"), "{reported}");
     let repeats = "tandem chaos --faults both.toml --only 0";
-    assert!(told.contains(repeats), "{told}");
+    assert!(reported.contains(repeats), "{reported}");
 }
 
 /// Waits for the process that runs a drive of the campaign, and returns its id.
@@ -135,15 +138,15 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     )
     .unwrap();
     let output = campaign.wait_with_output().unwrap();
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let reported = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     // A violation by a stall of the machine during a fault is still reported.
-    let violated = told.contains(" violated;") && !told.contains(" faults, 0 violated;");
+    let violated = reported.contains(" violated;") && !reported.contains(" faults, 0 violated;");
     let expected = if violated { 1 } else { 130 };
-    assert_eq!(output.status.code(), Some(expected), "{told}{said}");
+    assert_eq!(output.status.code(), Some(expected), "{reported}{said}");
     assert!(
-        told.contains(" faults, ") || said.contains("everything is stopped"),
-        "{told}{said}"
+        reported.contains(" faults, ") || said.contains("everything is stopped"),
+        "{reported}{said}"
     );
     nothing_is_left(run);
 }

@@ -188,9 +188,9 @@ fn row_holds(fixture: &Fixture, row: &Row, off: Option<usize>) {
         let shown = shown_roles(fixture, &run);
         // A system without CAN that does not drive resets itself repeatedly, and then suspends.
         let is_as_told = |system: usize| {
-            let (shown, told) = (&shown[system], &row.roles[system]);
-            let resets = row.cut[3 + system] && told == "standby" && !shown.contains("master");
-            shown == told || resets
+            let (shown, reported) = (&shown[system], &row.roles[system]);
+            let resets = row.cut[3 + system] && reported == "standby" && !shown.contains("master");
+            shown == reported || resets
         };
         (is_as_told(0) && is_as_told(1)).then_some(())
     });

@@ -175,19 +175,20 @@ fn the_example_in_python_sees_a_takeover() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(python.stdout.take().unwrap()).lines();
-    let mut told = String::new();
+    let mut reported = String::new();
     // The interpreter may need longer to subscribe than the systems need to start.
     let both_drive = |line: &String| line.contains("A master, B standby, term");
     let seen = lines.by_ref().map(Result::unwrap).find(both_drive);
     assert!(seen.is_some(), "the example ended before both drove");
     kill(run.master_supply().pid);
-    let sees_takeover =
-        |told: &str| told.contains("B core 0: takes over: ") && told.contains("B degraded master");
-    while !sees_takeover(&told) {
+    let sees_takeover = |reported: &str| {
+        reported.contains("B core 0: takes over: ") && reported.contains("B degraded master")
+    };
+    while !sees_takeover(&reported) {
         let line = lines
             .next()
-            .unwrap_or_else(|| panic!("no takeover: {told}"));
-        told += &(line.unwrap() + "\n");
+            .unwrap_or_else(|| panic!("no takeover: {reported}"));
+        reported += &(line.unwrap() + "\n");
     }
     python.kill().unwrap();
     python.wait().unwrap();

@@ -281,7 +281,10 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
 
     let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
     let ages_ms = sensor_ages_ms(&events, &candump);
-    let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
-    let differs_ms = (ours - told.as_f64().unwrap()).abs();
-    assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
+    let (ours, reported) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
+    let differs_ms = (ours - reported.as_f64().unwrap()).abs();
+    assert!(
+        differs_ms < 0.5,
+        "{ours} ms by trace and bus, {reported} reported"
+    );
 }

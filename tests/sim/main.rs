@@ -38,18 +38,18 @@ fn a_campaign_ends_with_figures_and_repeats_to_the_nanosecond() {
 #[test]
 fn a_saved_sequence_is_tried_from_its_file() {
     let folder = tempfile::tempdir().unwrap();
-    let told = sim(
+    let reported = sim(
         &["--only", "single:260", "--save", "one.toml"],
         folder.path(),
     );
-    assert!(told.status.success(), "{}", said(&told.stderr));
+    assert!(reported.status.success(), "{}", said(&reported.stderr));
     let again = sim(&["--faults", "one.toml", "--only", "260"], folder.path());
     let story = |output: &Output| {
         let text = said(&output.stdout);
         text.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
     };
-    assert!(story(&told).len() > 3);
-    assert_eq!(story(&told), story(&again));
+    assert!(story(&reported).len() > 3);
+    assert_eq!(story(&reported), story(&again));
 }
 
 /// The command printed for a violation has all options that are needed to repeat the violation.
@@ -62,8 +62,8 @@ fn the_printed_line_repeats_a_violation() {
     fs::write(folder.path().join("off.toml"), faults).unwrap();
     let profile = ["--closed-loop", "--timing", "chip", "--time", "worst"];
     let campaign = ["--faults", "off.toml", "--seeds", "1"];
-    let told = sim(&[&campaign[..], &profile].concat(), folder.path());
-    let text = said(&told.stdout);
+    let reported = sim(&[&campaign[..], &profile].concat(), folder.path());
+    let text = said(&reported.stdout);
     let line = text
         .lines()
         .find_map(|line| line.split_once(": tandem sim "));

@@ -175,17 +175,17 @@ fn a_poller_runs_at_its_deadlines_on_its_own_clock() {
         drift_ppb: 50_000,
     };
     let seen = Arc::new(Mutex::new(Vec::new()));
-    let told = Arc::clone(&seen);
+    let reported = Arc::clone(&seen);
     let config = Config {
         clocks: [clock, Clock::default()],
         ..relaxed()
     };
     let mut pair = pair_with(config, CONTROL, move |board| {
         let mut next = board.now();
-        let told = Arc::clone(&told);
+        let reported = Arc::clone(&reported);
         Box::new(move |board| {
             assert!(board.now() >= next, "not early");
-            told.lock().unwrap().push(board.now());
+            reported.lock().unwrap().push(board.now());
             next += ms(10);
             next
         })
@@ -413,12 +413,13 @@ fn the_world_hears_sees_and_sends_every_millisecond() {
     });
     pair.power_off(B);
     let ticks = Arc::new(Mutex::new(Vec::new()));
-    let told = Arc::clone(&ticks);
+    let reported = Arc::clone(&ticks);
     let mut count = 0;
     pair.set_world(move |tick| {
         count += 1;
         tick.broadcast(&frame(count));
-        told.lock()
+        reported
+            .lock()
             .unwrap()
             .push((tick.at, tick.heard.clone(), tick.lamps));
     });
@@ -448,11 +449,11 @@ fn a_killed_blocking_core_unwinds_out_of_its_wait() {
         }
     }
     let unwound = Arc::new(AtomicU32::new(0));
-    let told = Arc::clone(&unwound);
+    let reported = Arc::clone(&unwound);
     let mut pair = pair_with(relaxed(), CoreId::PLANNING, move |board| {
-        let told = Told(Arc::clone(&told));
+        let reported = Told(Arc::clone(&reported));
         blocking(board, move |board| {
-            let _told = told;
+            let _told = reported;
             loop {
                 board.wait(board.now() + ms(1));
             }

@@ -42,7 +42,7 @@ pub(crate) struct System {
     /// Trajectories no longer arrive, as if core 2 had died.
     pub(crate) planning_is_dead: bool,
     /// Knowledge of another system, delivered before the next cycle.
-    pub(crate) told: Option<Knowledge>,
+    pub(crate) reported: Option<Knowledge>,
 }
 
 impl System {
@@ -58,7 +58,7 @@ impl System {
             pending: None,
             trajectory: None,
             planning_is_dead: false,
-            told: None,
+            reported: None,
         }
     }
 
@@ -80,11 +80,11 @@ impl System {
     /// One millisecond: perception and planning when they are due.
     pub(crate) fn tick(&mut self, now_ms: u64, now: Instant) {
         if now_ms % 50 == PERCEPTION_PHASE_MS {
-            let told = self.told.take();
-            if let Some(told) = &told {
-                self.planner.recall(told);
+            let reported = self.reported.take();
+            if let Some(reported) = &reported {
+                self.planner.recall(reported);
             }
-            let scene = self.perception.cycle_with(now, told.as_ref()).clone();
+            let scene = self.perception.cycle_with(now, reported.as_ref()).clone();
             if !self.planning_is_dead {
                 self.pending = Some((now_ms + CHAIN_MS, self.planner.plan(&scene)));
             }

@@ -435,19 +435,22 @@ fn a_system_whose_clock_is_wrong_leaves() {
             let begin = bench.pair.now();
             let span = Duration::from_ms(found_ms.min(20_000) + 100);
             bench.suffer(&[fault], span);
-            let told: Vec<_> = bench.pair.take_trace().0.into_iter().collect();
-            let told = told
-                .iter()
-                .filter_map(|traced| match Event::decode(traced.record)? {
-                    Event::ClockWrong { of } => Some((traced.at.since(begin), traced.system, of)),
-                    _ => None,
-                });
-            let told: Vec<(Duration, SystemId, u8)> = told.collect();
-            println!("{of} {permille} permille: {told:?}");
+            let reported: Vec<_> = bench.pair.take_trace().0.into_iter().collect();
+            let reported =
+                reported
+                    .iter()
+                    .filter_map(|traced| match Event::decode(traced.record)? {
+                        Event::ClockWrong { of } => {
+                            Some((traced.at.since(begin), traced.system, of))
+                        }
+                        _ => None,
+                    });
+            let reported: Vec<(Duration, SystemId, u8)> = reported.collect();
+            println!("{of} {permille} permille: {reported:?}");
             // Its own system reports "mine", and the other system "the other's".
             let right = |(_, by, clock): &(_, _, u8)| *clock == u8::from(*by != of);
-            assert!(told.iter().all(right), "{of} {permille}: {told:?}");
-            let Some((after, ..)) = told.iter().find(|(_, by, _)| *by == of) else {
+            assert!(reported.iter().all(right), "{of} {permille}: {reported:?}");
+            let Some((after, ..)) = reported.iter().find(|(_, by, _)| *by == of) else {
                 assert_eq!(found_ms, u64::MAX, "{of} {permille}: not found");
                 continue;
             };

@@ -65,17 +65,17 @@ fn drive(of: (SystemId, CoreId), burst: fn(&SimBoard)) -> Drive {
 }
 
 /// Returns the sources that this system's core 0 reported, with the time of the first report, ms.
-fn told(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
-    let mut told: Vec<(u64, FloodSource)> = vec![];
+fn reported(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
+    let mut reported: Vec<(u64, FloodSource)> = vec![];
     for (at, system, _, event) in &drive.events {
         if let Event::Flood { source, .. } = event
             && *system == by
-            && told.iter().all(|(_, known)| known != source)
+            && reported.iter().all(|(_, known)| known != source)
         {
-            told.push((at.as_ns() / 1_000_000, *source));
+            reported.push((at.as_ns() / 1_000_000, *source));
         }
     }
-    told
+    reported
 }
 
 /// Returns how often the roles task of a system ran during the flood.
@@ -93,9 +93,9 @@ fn assert_unimpressed(drive: &Drive, by: SystemId, source: FloodSource) {
     assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
     assert_eq!(drive.collisions(), 0);
     assert!(drive.takeovers().is_empty());
-    let told = told(drive, by);
-    let [(at, first)] = told[..] else {
-        panic!("{told:?} instead of {source:?}");
+    let reported = reported(drive, by);
+    let [(at, first)] = reported[..] else {
+        panic!("{reported:?} instead of {source:?}");
     };
     assert_eq!(first, source);
     assert!((FLOOD.start..FLOOD.start + 300).contains(&at), "{at} ms");
@@ -125,12 +125,18 @@ fn a_flooded_start_line_is_told_and_changes_nothing() {
             board.lines().send(Line::Start, Edge::Falling);
         }
     });
-    let told_of: Vec<_> = told(&drive, SystemId::A)
+    let reported_of: Vec<_> = reported(&drive, SystemId::A)
         .iter()
         .map(|(_, it)| *it)
         .collect();
-    assert!(told_of.contains(&FloodSource::StartLine), "{told_of:?}");
-    assert!(told_of.contains(&FloodSource::Doorbell), "{told_of:?}");
+    assert!(
+        reported_of.contains(&FloodSource::StartLine),
+        "{reported_of:?}"
+    );
+    assert!(
+        reported_of.contains(&FloodSource::Doorbell),
+        "{reported_of:?}"
+    );
     let mut line = drive;
     line.events.retain(|(.., event)| {
         !matches!(
@@ -201,7 +207,7 @@ fn a_busy_bus_changes_nothing() {
     let drive = forge_frames(CAN_FRAMES / 2);
     assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
     assert_eq!(drive.masters(), [SystemId::A]);
-    assert_eq!(told(&drive, SystemId::A), []);
+    assert_eq!(reported(&drive, SystemId::A), []);
 }
 
 /// T-CHIP-5: more frames than a bus can carry are reported. They hide the master's frames from the
@@ -210,9 +216,9 @@ fn a_busy_bus_changes_nothing() {
 fn more_frames_than_a_bus_carries_are_told() {
     let drive = forge_frames(2 * CAN_FRAMES);
     for system in SystemId::ALL {
-        let told = told(&drive, system);
-        assert_eq!(told.len(), 1, "{system}: {told:?}");
-        assert_eq!(told[0].1, FloodSource::Can);
+        let reported = reported(&drive, system);
+        assert_eq!(reported.len(), 1, "{system}: {reported:?}");
+        assert_eq!(reported[0].1, FloodSource::Can);
     }
     assert!(drive.gap_max() < MS(30), "{:?}", drive.gap_max());
     assert!(drive.masters().len() <= 2, "{:?}", drive.masters());
@@ -246,7 +252,7 @@ fn the_standby_takes_over_from_a_master_that_floods_it() {
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
     assert!(drive.gap_max() < MS(20), "{:?}", drive.gap_max());
     assert_eq!(drive.collisions(), 0);
-    assert!(told(&drive, SystemId::B).len() >= 3);
+    assert!(reported(&drive, SystemId::B).len() >= 3);
 }
 
 /// Number of frames or datagrams taken since the poll began. None follow after [`ALL_OF_THEM`], so

@@ -198,17 +198,17 @@ fn a_sensor_that_is_lost_or_late_is_a_takeover_request() {
             drive.run_for(TAKEOVER_LIMIT);
             assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
             assert_eq!(drive.masters(), [SystemId::A]);
-            let told = drive.events.iter().filter_map(|(.., event)| match event {
+            let reported = drive.events.iter().filter_map(|(.., event)| match event {
                 Event::Sensors { missing } => Some(*missing),
                 _ => None,
             });
-            let told: Vec<_> = told.collect();
+            let reported: Vec<_> = reported.collect();
             let bit = 1 << SensorId::RadarFrontLeft.index();
             let both = match expected.len() {
                 1 => vec![bit, bit, 0, 0],
                 _ => vec![bit; 2],
             };
-            assert_eq!(told, both);
+            assert_eq!(reported, both);
         }
     }
 }

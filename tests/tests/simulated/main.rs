@@ -207,7 +207,7 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
         limits.level_limit() + limits.poll_interval,
     ];
     for (takeover, bound) in takeovers.iter().zip(bounds) {
-        let detected_ms = takeover.detected_ms.expect("told");
+        let detected_ms = takeover.detected_ms.expect("reported");
         assert!(detected_ms <= bound.as_ms_f64(), "{takeover:?}");
     }
     assert_eq!(drive.gaps_beyond(), []);

@@ -47,11 +47,11 @@ fn no_term_left() -> Drive {
 
 /// Returns the events of a system's cores that the drive has recorded.
 fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> {
-    let told = drive
+    let reported = drive
         .events
         .iter()
         .filter(move |(_, system, ..)| *system == of);
-    told.map(|(_, _, core, event)| (*core, *event))
+    reported.map(|(_, _, core, event)| (*core, *event))
 }
 
 /// T-RED-5, T-RED-6: each failure mode can be caused, and the affected system writes it to its

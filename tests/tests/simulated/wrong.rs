@@ -101,11 +101,14 @@ fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
     ];
     for (name, fault) in faults {
         let (drive, aside) = drive_steering(fault);
-        let told = first(&drive, |event| *event == Event::WrongCommand { witness: 0 });
-        println!("{name}: found after {told:?}, gap {:?}", drive.gap_max());
+        let reported = first(&drive, |event| *event == Event::WrongCommand { witness: 0 });
+        println!(
+            "{name}: found after {reported:?}, gap {:?}",
+            drive.gap_max()
+        );
         assert!(
-            told.is_some_and(|(ms, of)| ms < 100 && of == SystemId::A),
-            "{told:?}"
+            reported.is_some_and(|(ms, of)| ms < 100 && of == SystemId::A),
+            "{reported:?}"
         );
         assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
         assert!(drive.gap_max() < MS(60), "{:?}", drive.gap_max());

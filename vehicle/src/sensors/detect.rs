@@ -364,7 +364,7 @@ mod tests {
         let mut random = |from: f64, to: f64| {
             from + (to - from) * (noise.0.next_u32() as f64 / f64::from(u32::MAX))
         };
-        let (mut told, mut left_out) = (0, 0);
+        let (mut reported, mut left_out) = (0, 0);
         for world in 0..60 {
             let reach = [12.0, 40.0, 120.0][world % 3];
             let standing = |id| Obstacle {
@@ -409,10 +409,10 @@ mod tests {
                     expected,
                     "{sensor:?}"
                 );
-                told += expected.len();
+                reported += expected.len();
                 left_out += all.sights.len() - one.sights.len();
             }
         }
-        assert!(told > 500 && left_out > 2_000, "{told} {left_out}");
+        assert!(reported > 500 && left_out > 2_000, "{reported} {left_out}");
     }
 }

@@ -102,7 +102,7 @@ impl Way {
 
     /// Lets a child try all steps and end; returns the step that the kernel refused.
     fn rehearse(&self) -> io::Result<Option<Refused>> {
-        let (mut told, tells) = UnixStream::pair()?;
+        let (mut reader, tells) = UnixStream::pair()?;
         // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.
         let child = match unsafe { libc::fork() } {
             -1 => return Err(io::Error::last_os_error()),
@@ -118,7 +118,7 @@ impl Way {
         };
         drop(tells);
         let mut said = vec![];
-        told.read_to_end(&mut said)?;
+        reader.read_to_end(&mut said)?;
         while matches!(
             waitpid(Pid::from_raw(child), WaitOptions::empty()),
             Err(Errno::INTR)
