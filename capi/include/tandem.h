@@ -533,7 +533,7 @@ typedef struct tandem_control_frame_t {
 
 // A system's report about itself, sent over the link every control cycle and in its status frame.
 typedef struct tandem_report_t {
-  // The sender's `TANDEM_ROLE_…`.
+  // The `TANDEM_ROLE_…` of the system.
   uint32_t role;
   // The `TANDEM_MODE_…` that it runs.
   uint32_t mode;
