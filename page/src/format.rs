@@ -43,7 +43,7 @@ impl TimeUnit {
     }
 
     /// A time in this unit, without the symbol. A time with more than five digits before the point
-    /// is shown in the unit that fits it, with its symbol.
+    /// is shown in the unit that suits it, with its symbol.
     #[must_use]
     pub fn show(self, ns: f64) -> String {
         let value = match self {
@@ -55,7 +55,7 @@ impl TimeUnit {
     }
 }
 
-/// A time as a number of the unit that fits it alone.
+/// A time as a number in the unit that suits it, and the unit.
 #[must_use]
 pub fn scaled(ns: f64) -> (f64, &'static str) {
     match ns {
@@ -66,7 +66,7 @@ pub fn scaled(ns: f64) -> (f64, &'static str) {
     }
 }
 
-/// A time with the unit that fits it alone.
+/// A time with the unit that suits it.
 #[must_use]
 pub fn time(ns: f64) -> String {
     let (value, unit) = scaled(ns);

@@ -1,8 +1,8 @@
 //! Where results go. A place is checked before anything is measured, and nothing is created before
 //! there are results to write.
 //!
-//! A run may get a `/dev/shm` of its own, in which the caller's paths lead elsewhere. Therefore a
-//! place is held open from the check to the writing.
+//! A run may get a private `/dev/shm`, where the caller's paths would name other files. So a place
+//! is held open from the check to the writing.
 
 use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
 use std::ffi::OsString;
@@ -67,7 +67,7 @@ enum Target {
     Absent(File, OsString),
 }
 
-/// Builds a message from an error.
+/// A checked target, or the reason why results cannot go there.
 type Why = Result<Target, String>;
 
 impl OutputFile {
@@ -132,7 +132,7 @@ impl OutputFolder {
         Ok(Self(Place::new(option, path, target)?))
     }
 
-    /// Writes these files, by name, and creates the folder if need be. Others in it stay.
+    /// Writes these files, by name, and creates the folder if need be. Other files stay.
     ///
     /// # Errors
     /// [`OutputError`], such as a full disk.

@@ -45,12 +45,12 @@ pub struct Stroke {
     pub color: Color,
     /// Its width.
     pub width: f64,
-    /// Lengths of dashes and gaps, as SVG writes them; empty for a whole line.
+    /// Lengths of dashes and gaps in SVG's syntax; empty for a solid line.
     pub dashes: &'static str,
 }
 
 impl Stroke {
-    /// A whole line.
+    /// A solid line.
     #[must_use]
     pub const fn new(color: Color, width: f64) -> Self {
         let dashes = "";
