@@ -1,4 +1,4 @@
-//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and records commit,
+//! Builds the only peer that is a C program, FreeRTOS with its own POSIX port. Records commit,
 //! compiler and flags, which a result must name.
 
 use std::env;

@@ -25,13 +25,13 @@ pub enum Comparison {
     Size,
     /// Messages in a row, as fast as possible.
     Throughput,
-    /// Taking and giving back the lock: free, contended, and after the death of its owner.
+    /// Locking and unlocking: a free lock, a contended lock, and one whose owner has died.
     Lock,
-    /// One way at a fixed rate, from the intended time of the sending.
+    /// One way at a fixed rate, from the intended time of sending.
     Rate,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
-    /// The machine's own pauses.
+    /// Pauses caused by the machine.
     Noise,
 }
 
@@ -56,8 +56,8 @@ pub struct Candidate {
     pub name: &'static str,
     /// Description for the table.
     pub what: &'static str,
-    /// Rounds of one batch: some 10 to 50 ms, so that cases take turns before the machine's state
-    /// changes.
+    /// Rounds of one batch: some 10 to 50 ms, so that the turn changes before the machine's state
+    /// does.
     pub rounds: usize,
     /// One batch, by a plan whose CPUs fit the group.
     run: Run,
@@ -203,7 +203,7 @@ const CASES: &[Cases] = &[
         ("pthread-robust-contended-2", "from wanting to having it, two CPUs",
             |p| mutex::under_contention(p, 2, Death::Robust)),
     ]),
-    // Deaths of an owner.
+    // Each round is one death of an owner.
     (Comparison::Lock, 20, &[
         ("recovery", "from the kill of the owner to the guard", lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",

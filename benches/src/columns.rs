@@ -24,11 +24,11 @@ pub(crate) struct Column {
 /// Rank of columns that only the page shows.
 pub(crate) const PAGE: u8 = 5;
 const TAIL_RATIO: &str = "x p99.9";
-/// A percentile with fewer samples than this beyond it rests on chance; so does a ratio of tails
-/// after fewer turns.
+/// A percentile with fewer samples than this beyond it is not reliable; nor is a ratio of tails
+/// with fewer turns.
 const FEW: f64 = 10.0;
 
-/// In the order of showing: head, meaning, rank, share beyond, figure.
+/// In display order: head, meaning, rank, share beyond, figure.
 #[rustfmt::skip]
 const COLUMNS: [Column; 12] = [
     column("p50", "median", 0, 0.5, Time(|row| Some(row.p50_ns))),
@@ -76,8 +76,8 @@ impl Column {
         }
     }
 
-    /// Whether the figure of this row rests on a handful of samples, or a ratio of tails on a few
-    /// turns, which stalls hit as a whole, or on a stalled floor.
+    /// Whether the figure of this row has too few samples. For a ratio of tails: whether it has too
+    /// few turns (a stall affects a whole turn) or a stalled floor.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
         let few_turns = (row.batch_p50_ns.len() as f64) < FEW;
         is_chance(self.beyond, row)
@@ -85,7 +85,7 @@ impl Column {
     }
 }
 
-/// Whether a percentile of this row rests on a handful of samples: this share lies beyond it.
+/// Whether too few samples, this share of all, lie beyond a percentile of this row.
 pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
     beyond * (row.samples as f64) < FEW
 }
@@ -100,7 +100,7 @@ pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
     })
 }
 
-/// A figure as text: in brackets if it rests on chance.
+/// A figure as text: in brackets if it has too few samples.
 pub(crate) fn bracketed(text: String, is_chance: bool) -> String {
     if is_chance { format!("({text})") } else { text }
 }

@@ -59,7 +59,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "NEAR,FAR", value_delimiter = ',')]
     pub cpus: Vec<usize>,
 
-    /// Let the ends have SCHED_FIFO, as the cores of a run
+    /// Give the ends SCHED_FIFO, like the cores of a run
     #[arg(long)]
     pub realtime: bool,
 
@@ -173,7 +173,7 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
         )));
     }
     let isolation = isolation::enter()?;
-    // Its processes are forked from this one, and use it to their ends.
+    // Leaked, because the forked processes of the batches use it until they exit.
     let system = Box::leak(Box::new(UnsupervisedSystem::power_on(&isolation)?));
     let begin = Instant::now();
     let all = measure(system, args, cpus);

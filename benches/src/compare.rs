@@ -1,16 +1,16 @@
 //! `tandem bench compare --against OLD`: what changed between two builds, beyond noise.
 //!
-//! Both programs measure in pairs of short runs, in changing order. Each run has processes of its
-//! own, whose memory lies elsewhere, so the random effects of a run are part of the noise that the
-//! test sees. A pair counts as one number: the logarithm of new over old, of the ratio to the floor
-//! of the same run where the case has a floor, else of the time.
+//! Both programs measure in pairs of short runs, in alternating order. Each run has new processes
+//! with memory at other addresses, so the random effects of a run are part of the noise in the
+//! test. A pair gives one number: the logarithm of new over old. It compares the ratio to the floor
+//! of the same run if the case has a floor, else the time.
 //!
-//! If nothing changed, each number is as often above 0 as below. So p is the share of all choices
-//! of their signs for which the mean lies at least as far from 0 as the measured one (R. A. Fisher,
-//! "The Design of Experiments", 1935, section 21). The test is exact and assumes no distribution. A
-//! change counts if p is at most [`ALPHA`] after Holm's correction for the number of cases ("A
-//! simple sequentially rejective multiple test procedure", 1979), and if it is larger than
-//! [`SMALLEST_CHANGE`].
+//! If nothing changed, each number is equally likely to be positive or negative. So p is the share
+//! of all combinations of signs for which the mean is at least as far from 0 as the measured one
+//! (R. A. Fisher, "The Design of Experiments", 1935, section 21). The test is exact and assumes no
+//! distribution. A change counts if p is at most [`ALPHA`] after Holm's correction for the number
+//! of cases ("A simple sequentially rejective multiple test procedure", 1979), and if it is larger
+//! than [`SMALLEST_CHANGE`].
 
 use crate::columns;
 use crate::provider::Provider;
@@ -25,7 +25,7 @@ use tandem_page::format::{TimeUnit, median};
 
 /// First field of the comparison's JSON.
 const COMPARE_SCHEMA: &str = "tandem-bench-compare/2";
-/// How often comparisons of equal builds may show a change.
+/// Permitted share of comparisons of equal builds that show a change.
 pub(crate) const ALPHA: f64 = 0.05;
 /// A smaller change is not worth acting on, even if it is significant.
 pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
@@ -64,7 +64,7 @@ pub(crate) struct Compared {
     pub(crate) is_peer: bool,
     pub(crate) p50: Change,
     pub(crate) p99: Change,
-    /// The 99th percentile of a run rests on a handful of samples.
+    /// The 99th percentile of a run has too few samples.
     #[serde(skip)]
     p99_is_chance: bool,
 }
@@ -111,7 +111,7 @@ pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Resu
 /// Compares pairs of runs, the old build's first in each.
 ///
 /// # Errors
-/// If no case is in all runs: then nothing is known to be slower.
+/// If no case is in all runs: then nothing can be compared.
 pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
     let first = pairs.first().map_or(&[][..], |pair| &pair[0].results[..]);
     let mut cases: Vec<Compared> = first.iter().filter_map(|row| case(row, pairs)).collect();
@@ -179,7 +179,7 @@ fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
     })
 }
 
-/// The share of all choices of signs whose mean lies at least as far from 0 as that of
+/// The share of all combinations of signs whose mean is at least as far from 0 as that of
 /// `differences` (16 at most).
 fn chance(differences: &[f64]) -> f64 {
     let choices = 1_u32 << differences.len();
@@ -312,10 +312,10 @@ mod tests {
         assert!(error.to_string().contains("in all runs"), "{error}");
     }
 
-    /// Worked by hand.
+    /// Compares with values computed by hand.
     #[test]
     fn chance_is_that_of_the_definition() {
-        // Of eight choices of signs only +++ and --- have a mean as far from 0.
+        // Of eight combinations of signs only +++ and --- have a mean as far from 0.
         assert_eq!(chance(&[1.0, 2.0, 4.0]), 0.25);
         // |-1 + 2 + 4| = 5 is reached by +++, -++ and their opposites.
         assert_eq!(chance(&[-1.0, 2.0, 4.0]), 0.5);

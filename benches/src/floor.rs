@@ -128,8 +128,7 @@ pub(crate) fn full_lines(plan: &BatchPlan) -> io::Result<Batch> {
 /// Operations of a sample of a lock.
 pub(crate) const CHUNK: usize = 64;
 
-/// A compare-and-swap that takes a free word and a store that gives it back: the least a lock
-/// does.
+/// A compare-and-swap that locks a free word and a store that unlocks it: the least work of a lock.
 pub(crate) fn lock(plan: &BatchPlan) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     let word = shared.line(0);
@@ -167,7 +166,8 @@ impl Exclusion for Word {
     }
 }
 
-/// One word that several processes want: no turns, so the one that leaves is often the next inside.
+/// One word that several processes contend for, without turns: the process that unlocks it often
+/// locks it again.
 pub(crate) fn contended_word(plan: &BatchPlan, processes: usize) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     contended(plan, &shared, processes, |_| Word(shared.line(0)))

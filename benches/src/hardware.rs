@@ -1,4 +1,4 @@
-//! The machine that figures were measured on, as far as it describes itself.
+//! The machine of a measurement, from its own description.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -30,13 +30,13 @@ pub(crate) struct Machine {
     /// Optimisation, target, and flags of the compiler.
     #[serde(default)]
     pub(crate) flags: String,
-    /// Where each CPU that an end is pinned to lies: package, core, and who shares its caches.
+    /// Place of each CPU that an end is pinned to: package, core, and CPUs that share its caches.
     #[serde(default)]
     pub(crate) topology: Vec<String>,
     /// Whether the system runs under a hypervisor: then other guests take time that this system
     /// cannot see.
     pub(crate) hypervisor: bool,
-    /// The governor of the first CPU's clock; `None` if this system does not know it.
+    /// The governor of the first CPU's clock; `None` if this system does not report it.
     pub(crate) governor: Option<String>,
     pub(crate) scheduling: String,
     /// Whether the ends' memory could not be swapped out.
@@ -164,7 +164,7 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     })
 }
 
-/// The word in brackets: files under `/sys` mark the present choice so.
+/// The word in brackets: files under `/sys` mark the present choice with brackets.
 fn chosen(text: &str) -> String {
     let word = text.split(['[', ']']).nth(1);
     word.unwrap_or("unknown").to_owned()

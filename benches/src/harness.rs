@@ -1,4 +1,5 @@
-//! Two ends that pass a stamp to each other, in two processes or two threads, and time every way.
+//! Two ends that pass a stamp to each other, in two processes or two threads, and time each
+//! direction.
 //!
 //! Each message carries the sender's time stamp as its 4 bytes of data; the receiver subtracts it
 //! from its own when the value has reached its code. Both directions of a ping-pong are samples of
@@ -17,9 +18,9 @@ use tandem_board_host::UnsupervisedSystem;
 /// Settings of a batch.
 #[derive(Clone, Copy, Debug)]
 pub struct BatchPlan {
-    /// Round trips, or what a case calls a round, that count.
+    /// Measured rounds: round trips, or the case's own kind of round.
     pub rounds: usize,
-    /// Rounds before them that do not.
+    /// Earlier rounds that are not measured.
     pub warm_up: usize,
     /// CPUs of the near and the far end.
     pub cpus: [usize; 2],
@@ -27,15 +28,14 @@ pub struct BatchPlan {
     pub system: Option<&'static UnsupervisedSystem>,
 }
 
-/// One batch of a case: what some 10 to 50 ms have shown.
+/// The results of one batch of a case: of some 10 to 50 ms.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
     /// One sample each: one-way time, or time per operation or per message, in picoseconds.
     pub samples_ps: Vec<u64>,
     /// Round trips in picoseconds, where the case is a ping-pong; else empty.
     pub round_trips_ps: Vec<u64>,
-    /// The same messages counted from when they left, where they were due at fixed times; else
-    /// empty.
+    /// Samples timed from when messages left, if they were due at fixed times; else empty.
     pub naive_ps: Vec<u64>,
     /// CPU time (user and system, all ends) per message in ns, where it applies.
     pub cpu_ns_per_message: Option<f64>,
@@ -131,7 +131,8 @@ pub(crate) fn alone(
 }
 
 /// Times an operation that one process does by itself on the near CPU: each round is a chunk of
-/// `chunk` operations, so that the clock's own time does not count. The sample is the mean of one.
+/// `chunk` operations, so that reading the clock does not count. A sample is the mean time of one
+/// operation.
 pub(crate) fn repeated<F: FnMut()>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -164,7 +165,7 @@ pub(crate) trait End {
     fn receive(&mut self) -> u32;
 }
 
-/// What sends, and what receives.
+/// A function that sends, and one that receives.
 impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
     #[inline(always)]
     fn send(&mut self, stamp: u32) {
@@ -219,8 +220,8 @@ fn far_end(end: &mut impl End, plan: &BatchPlan, role: &mut PartContext<'_>) {
     role.end();
 }
 
-/// Passes a stamp to and fro between two processes, whose ends are of one kind: the near one writes
-/// by way 0 and reads from way 1.
+/// Passes a stamp to and fro between two processes with ends of one type: the near one writes to
+/// way 0 and reads from way 1.
 pub(crate) fn between_processes<E: End>(
     plan: &BatchPlan,
     end: impl Fn(&SharedPage, [usize; 2]) -> E,
@@ -232,17 +233,17 @@ pub(crate) fn between_processes<E: End>(
     )
 }
 
-/// The same with ends of two kinds.
+/// The same with ends of two types.
 ///
-/// Each end is made in its own process, which lives for this batch only: it inherits nothing
-/// from earlier batches but what the caller had opened before.
+/// Each end is made in its own process, which lives for this batch only: it inherits nothing from
+/// earlier batches except what the caller had opened.
 pub(crate) fn between_unlike<N: End, F: End>(
     plan: &BatchPlan,
     near: impl FnOnce(&SharedPage) -> N,
     far: impl FnOnce(&SharedPage) -> F,
 ) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
-    // Counting takes ten rounds: not where it would take longer than the measurement.
+    // Counting takes ten rounds: skip it if it would take longer than the measurement.
     let is_counted = plan.rounds > 10;
     let near = BatchPart::on(plan.cpus[0], |role| {
         let mut end = near(role.shared);
@@ -292,8 +293,8 @@ const COUNTED: u32 = 4;
 /// A waiting far end that has run for this long does not go to sleep, ns.
 const STAYS_AWAKE_NS: u64 = 1_000_000;
 
-/// Waits until this process, which waits for a message, sleeps or has shown that it does not. Its
-/// own time counts: the machine may keep it from running.
+/// Waits until the process sleeps, or has run for [`STAYS_AWAKE_NS`] and thus polls. Counts the CPU
+/// time of the process, because the machine may keep it from running.
 fn let_wait(pid: u32) {
     let read = |name| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap_or_default();
     // proc(5): the state follows the name in brackets; the first number is the time on a CPU, ns.

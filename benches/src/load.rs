@@ -8,14 +8,14 @@ use std::str::FromStr;
 
 /// Words that a streaming process writes in a row: 64 MiB, more than most caches hold.
 const STREAMED: usize = 8 << 20;
-/// Processes at most.
+/// Largest number of processes.
 const MOST: u8 = 64;
 
 type Kind = (&'static str, fn() -> bool);
 /// The activity of a load's processes, by name.
 const KINDS: [Kind; 2] = [("spin", spin), ("memory", memory)];
 
-/// Nothing but instructions.
+/// Runs instructions without memory accesses.
 fn spin() -> bool {
     loop {
         spin_loop();

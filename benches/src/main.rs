@@ -1,5 +1,5 @@
-//! `tandem-bench`, which `tandem bench` starts: a program of its own, because no other command
-//! needs the peers that it is built with.
+//! `tandem-bench`, which `tandem bench` starts: a separate program, because no other command needs
+//! the peers that it links.
 #![forbid(unsafe_code)]
 
 use clap::Parser as _;
@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use tandem_benches::command::{BenchArgs, bench};
 use tandem_rtos::host::TaskAllocator;
 
-/// As in `tandem`: the tasks of a core share its thread, and with it the allocator.
+/// As in `tandem`: the tasks of a core share its thread, and so the allocator.
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 

@@ -17,7 +17,7 @@ pub(crate) struct Measurement {
     pub(crate) times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
     pub(crate) round_trips: Histogram<u64>,
-    /// All samples counted from when a message left; empty if it was not due at a fixed time.
+    /// All samples timed from when a message left; empty if messages were not due at fixed times.
     pub(crate) naive: Histogram<u64>,
     /// Summary of each batch, in order, without its samples.
     pub(crate) batches: Vec<Batch>,
@@ -30,7 +30,7 @@ pub(crate) struct Measurement {
 }
 
 impl Measurement {
-    /// Nothing yet.
+    /// A measurement without batches.
     pub(crate) fn new(case: Candidate) -> Self {
         let histogram = || Histogram::new(3).expect("3 digits are allowed");
         Self {
@@ -45,7 +45,7 @@ impl Measurement {
         }
     }
 
-    /// Adds a batch during which the hypervisor took so much.
+    /// Adds a batch during which the hypervisor took `steal_ms`.
     pub(crate) fn add(&mut self, mut batch: Batch, steal_ms: f64) {
         self.p50_ps.push(median(&mut batch.samples_ps));
         for (into, samples) in [
@@ -85,7 +85,7 @@ impl Span {
         }
     }
 
-    /// Whether this turn is cut short: never the first, without which cases would be missing.
+    /// Whether to cut this turn short. The first one is never cut: cases would be missing.
     fn is_over(&self, turns: usize, elapsed: Duration) -> bool {
         turns > 0 && elapsed >= self.at_most
     }
@@ -158,7 +158,7 @@ pub(crate) fn run(
     }
 }
 
-/// The numbers below `count`, shuffled: no case always follows the same other one.
+/// The numbers below `count`, shuffled: so that no case always follows the same case.
 fn order(count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for at in (1..count).rev() {

@@ -1,4 +1,4 @@
-//! Several processes that want a lock all the time: how long each waits, and how fair it is.
+//! Several processes that contend for a lock all the time: how long each waits, and how fair it is.
 
 use crate::clock::{from_ns, ticks, to_ps};
 use crate::harness::{Batch, BatchPlan, give_way};
@@ -18,7 +18,8 @@ pub trait Exclusion {
 /// one word; at the end it must have been changed once for each stay.
 ///
 /// # Errors
-/// If the processes or the shared memory cannot be had, an end failed, or two were inside.
+/// If the processes or the shared memory cannot be created, an end failed, or two were inside at
+/// once.
 pub fn contended<E: Exclusion>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -70,11 +71,10 @@ pub fn contended<E: Exclusion>(
         .with_fact("stays per second", all * 1e6 / plan.rounds as f64))
 }
 
-/// An owner takes the lock and is killed (-9) while another process on another CPU waits for it.
-/// A sample is the time from the kill to the end of that process's turn; most of it is the
-/// kernel's. `own` makes the end of the owner of this number, `bury` reports its death once it has
-/// ended. The function that `take` makes takes the lock, gives it back, and returns whether its
-/// last owner had died.
+/// An owner takes the lock and is killed (-9) while another process on another CPU waits for it. A
+/// sample is the time from the kill to the end of that process's turn; the kernel uses most of it.
+/// `own` creates the owner with this number, `bury` reports its death once it has ended. The
+/// function that `take` creates locks, unlocks, and returns whether the last owner had died.
 pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -134,7 +134,8 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
-/// The least served process's part of its fair share: 1 if all had the same, 0 if it had nothing.
+/// The least share of a process relative to the fair one: 1 if all are equal, 0 if one never
+/// enters.
 fn least_share(served: &[f64]) -> f64 {
     let all: f64 = served.iter().sum();
     let least = served.iter().copied().fold(f64::INFINITY, f64::min);

@@ -7,7 +7,7 @@ use std::io;
 
 /// Windows of the spin; each gives one sample.
 const WINDOW_NS: u64 = 100_000;
-/// A pause between two time stamps that is longer than this is not the spin's own.
+/// A pause between two time stamps that is longer than this is not caused by the loop itself.
 const GAP_NS: u64 = 1_000;
 
 /// Reads the clock again and again on this CPU. If two readings lie far apart, an interrupt,

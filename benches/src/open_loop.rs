@@ -1,7 +1,7 @@
 //! Messages at a fixed rate: an *open loop*, which no stall of the machine slows down. Message `k`
-//! is due at `begin + k * period`, and its latency counts from when it was due; the same counted
-//! from when it left is `naive`. The mistake that a ping-pong makes is G. Tene's *coordinated
-//! omission* ("How NOT to measure latency", 2013): docs/performance.md.
+//! is due at `begin + k * period`, and its latency counts from that time; the latency from when it
+//! left is `naive`. The mistake that a ping-pong makes is G. Tene's *coordinated omission* ("How
+//! NOT to measure latency", 2013): docs/performance.md.
 //!
 //! A newer message may overtake an older one (a signal, a newest value): a message counts as
 //! arrived when it or a newer one has.
@@ -13,7 +13,7 @@ use crate::worker::{BatchPart, perform};
 use std::hint::spin_loop;
 use std::io;
 
-/// Distance of the messages: 10 000 a second.
+/// Period of the messages: 10,000 a second.
 const PERIOD_NS: u64 = 100_000;
 
 /// Sends as many messages as the plan has rounds, one each [`PERIOD_NS`]. The sender spins until

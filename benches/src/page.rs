@@ -177,7 +177,7 @@ fn is_first(row: &Row, rows: &[Row]) -> bool {
 
 /// The distributions from the median on; `None` if no case has enough samples for a curve.
 fn curves(rows: &[Row]) -> Option<Chart> {
-    // What matters most is drawn last, above the others.
+    // The most important curve is drawn last, above the others.
     let order = |row: &&Row| match Provider::of(row) {
         _ if is_first(row, rows) => 3,
         Provider::Tandem => 2,

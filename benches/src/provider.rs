@@ -13,7 +13,7 @@ pub(crate) enum Provider {
     Iceoryx2,
     /// A library between the threads of one process.
     Threads,
-    /// The system's: the kernel, the C library, or a program that was installed.
+    /// Part of the system: the kernel, the C library, or an installed program.
     System,
 }
 
@@ -70,7 +70,7 @@ impl Provider {
     }
 }
 
-/// The three that a group is summed up by.
+/// The three rows that summarise a group.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Headline<'a> {
     pub(crate) floor: Option<&'a Row>,

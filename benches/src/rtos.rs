@@ -1,5 +1,5 @@
-//! FreeRTOS on the host: our port beside its own POSIX port and beside what the kernel of the
-//! operating system alone can do.
+//! FreeRTOS on the host: our port, compared with its own POSIX port and with the bare kernel of the
+//! operating system.
 //!
 //! Each batch is a separate process on the near CPU, in the same scheduling class for all:
 //! SCHED_FIFO where that is permitted. The peer is a C program of the same kernel's sources
@@ -28,7 +28,7 @@ const TICK_NS: u64 = 1_000_000;
 struct Samples(&'static [AtomicU32]);
 
 impl Samples {
-    /// Notes a sample; whether these were enough.
+    /// Records a sample. Returns whether all samples are taken.
     fn take(self, sample: u32) -> bool {
         let count = 1 + self.0[0].load(Relaxed);
         if let Some(place) = self.0.get(count as usize) {
@@ -39,7 +39,7 @@ impl Samples {
     }
 }
 
-/// Begin of the timed operation.
+/// Start of the timed operation.
 static STAMP: AtomicU32 = AtomicU32::new(0);
 
 /// Runs `body` in a separate process and returns the samples that it leaves.
@@ -70,8 +70,8 @@ fn of_ns(ns: u32) -> u64 {
 }
 
 /// Runs the peer's program, which measures
-/// - `tick`: how late a task wakes, from one period after it last did: this port counts time by
-///   sleeping, so that its ticks drift and have no absolute time;
+/// - `tick`: how late a task wakes, relative to one period after its last wake-up: this port counts
+///   time by sleeping, so its ticks drift and have no absolute time;
 /// - `switch`: from one task to another by a yield;
 /// - `interrupt`: from the interrupt of the tick to the task that it wakes.
 pub(crate) fn posix_port(plan: &BatchPlan, what: &str) -> io::Result<Batch> {
@@ -111,7 +111,7 @@ pub(crate) fn tick_floor(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// Runs a kernel with these tasks, of one priority, until one stops it.
+/// Runs a kernel with these tasks, all of the same priority, until one stops it.
 fn kernel<F: Fn(&TaskContext) + Send + 'static>(
     bodies: impl IntoIterator<Item = F>,
 ) -> io::Result<()> {
@@ -136,13 +136,13 @@ fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
     }])
 }
 
-/// How late a task of ours wakes that delays until each tick, from the tick's absolute time.
+/// How late a task of our port wakes from a delay until each tick, after the tick's absolute time.
 pub(crate) fn tick(plan: &BatchPlan) -> io::Result<Batch> {
     let late = |wake: Ticks| (host::elapsed_ns() - u64::from(wake.0) * TICK_NS) as u32;
     in_process(plan, of_ns, |samples| each_tick(samples, late))
 }
 
-/// From the interrupt of the tick to the task that it wakes; the idle task is interrupted.
+/// Time from the tick's interrupt, which interrupts the idle task, to the task that it wakes.
 pub(crate) fn switch_from_interrupt(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         host::observe_ticks(Some(|_| STAMP.store(clock::ticks(), Relaxed)));
@@ -152,7 +152,7 @@ pub(crate) fn switch_from_interrupt(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// From the call of a yield in one task to its end in the other.
+/// Time from the call of a yield in one task to its return in the other.
 pub(crate) fn switch(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         let yielder = move |ctx: &TaskContext| {

@@ -2,7 +2,7 @@
 //!
 //! The receiver takes the time at the end of each chunk of messages; a sample is the mean time per
 //! message over a chunk. Every message carries its number, and the receiver checks that none is
-//! missing or out of order, so that nothing can be fast by losing messages.
+//! missing or out of order, so that lost messages cannot improve a result.
 
 use crate::clock::ticks;
 use crate::harness::{Batch, BatchPlan, give_way, in_threads};
@@ -80,10 +80,10 @@ fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     role.end();
 }
 
-/// From `WAYS` processes to one, each by a way of its own: the senders share the near CPU, the
-/// receiver has the far one to itself and polls all ways. Each sender sends its share of the
-/// messages. `sender` makes what sends a message of this number, or returns `false` if there is no
-/// room now; `receiver` makes what returns the number of the next message, if there is one.
+/// From `WAYS` processes to one, each by a separate way. The senders share the near CPU. The
+/// receiver alone uses the far one and polls all ways. Each sender sends its share of the messages.
+/// `sender` creates a function that sends the message of a number, or returns `false` if there is
+/// no room; `receiver` creates one that returns the number of the next message, if any.
 pub(crate) fn from_processes<S, R, const WAYS: usize>(
     plan: &BatchPlan,
     shared: &SharedPage,

@@ -46,7 +46,7 @@ mod dispatch {
     unsafe extern "C" fn restore() {
         naked_asm!("mov eax, 15", "syscall", "ud2", ".balign 16");
     }
-    /// Bytes of [`restore`], up to behind its `syscall`.
+    /// Bytes of [`restore`], including its `syscall`.
     const RESTORE_BYTES: libc::c_ulong = 8;
 
     extern "C" fn on_call(
@@ -60,7 +60,7 @@ mod dispatch {
         let registers = unsafe { &mut (*context.cast::<libc::ucontext_t>()).uc_mcontext.gregs };
         let register = |name: libc::c_int| registers[name as usize];
         let result: i64;
-        // SAFETY: makes the very call that the counted code wanted to make, with its arguments.
+        // SAFETY: makes the same call as the counted code, with the same arguments.
         unsafe {
             asm!(
                 "syscall",

@@ -1,5 +1,5 @@
-//! Every case runs once with a tiny plan, so that none is dead; no figure is judged. Also tests the
-//! processes of a batch: how they end, and the counts taken in them.
+//! Every case runs once with a tiny plan, to show that it works; no figure is checked. Also tests
+//! the processes of a batch: how they end, and the counts taken in them.
 //!
 //! They are forked, which is sound only in a process with one thread: the tests run one after the
 //! other on the main thread.
@@ -21,7 +21,7 @@ use tandem_benches::worker::{BatchPart, perform, perform_within};
 use tandem_board_host::{UnsupervisedSystem, isolation};
 use tandem_rtos::host::TaskAllocator;
 
-/// Of the cases that run tasks of FreeRTOS.
+/// The allocator of the cases that run tasks of FreeRTOS.
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
@@ -34,7 +34,7 @@ const FACTS: [(&str, &str, RangeInclusive<f64>); 3] = [
 ];
 
 /// System calls of a send: to a receiver that waits as the case does, and to one that is awake.
-/// Counted by the kernel; not there if it cannot. The first rows say that the count is right.
+/// Counted by the kernel; absent if it cannot count. The first rows show that the count is right.
 const CALLS: [(&str, RangeInclusive<f64>, f64); 8] = [
     ("sleep/floor", 1.0..=1.0, 1.0),
     ("sleep/pipe", 1.0..=1.0, 1.0),
@@ -44,7 +44,7 @@ const CALLS: [(&str, RangeInclusive<f64>, f64); 8] = [
     ("spin/tandem-channel", 0.0..=0.0, 0.0),
     ("sleep/tandem", 1.0..=1.0, 0.0),
     ("sleep/tandem-adaptive", 1.0..=1.0, 0.0),
-    // The woken may run, and sleep again, before its waker has finished: then it is woken twice.
+    // The receiver may run and sleep again before the sender's call ends: then it is woken twice.
     ("one-cpu/tandem", 1.0..=2.0, 0.0),
 ];
 
@@ -171,14 +171,14 @@ fn calls_are_counted_and_made() {
     assert!(noted == [0.0, 3.0] || noted == [-1.0; 2], "{noted:?}");
 }
 
-/// Lets no process in and says that it has.
+/// Never runs the critical section, but reports that it did.
 struct Absent;
 
 impl Exclusion for Absent {
     fn inside(&mut self, _stay: impl FnOnce()) {}
 }
 
-/// The guarded word reveals a lock that does not work.
+/// The guarded word shows that a lock does not work.
 fn stays_that_get_lost_are_noticed() {
     let plan = BatchPlan {
         rounds: 100,

@@ -13,8 +13,8 @@ use tempfile::TempDir;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem-bench");
 
-/// A folder of its own, and the right to use the machine's CPUs: two measurements at a time would
-/// only measure each other.
+/// A separate folder, and exclusive use of the machine's CPUs: two measurements at a time would
+/// disturb each other.
 struct Fixture {
     folder: TempDir,
     _turn: File,
@@ -59,7 +59,7 @@ fn interrupt(child: &Child) {
     kill_process(pid, Signal::INT).unwrap();
 }
 
-/// A measurement that is cut short gives the figures so far, marks every output as cut short, and
+/// A measurement that is cut short returns the figures so far, marks every output as cut short, and
 /// can be compared.
 #[test]
 fn a_measurement_that_is_cut_short_gives_what_there_is() {

@@ -1,4 +1,4 @@
-//! The page: complete, alone, and well-formed.
+//! Tests that the page is complete, self-contained, and well-formed.
 
 use super::*;
 use crate::result::Skipped;
@@ -72,7 +72,7 @@ fn a_percentile_that_rests_on_chance_is_marked() {
     // Two samples lie beyond p99.9, and so its ratio.
     run.results[0].samples = 2_000;
     assert_eq!(page(&run).matches("num rare").count(), 2);
-    // The floor's p99.9 is that of a stall, ten times its median; so is then the ratio to it.
+    // The floor's p99.9 comes from a stall (ten times the median), so the ratio is unreliable.
     let tandem = &mut run.results[1];
     tandem.p99_9_ns = 10.1 * tandem.p50_ns;
     tandem.ratio_to_floor_p50 = Some(1.0);

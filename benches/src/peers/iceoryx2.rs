@@ -26,7 +26,7 @@ use std::sync::atomic::Ordering::{Acquire, Release};
 type Error = Box<dyn core::error::Error>;
 type Ipc = ipc::Service;
 
-/// Where its files go: the benchmark's own `/dev/shm`, so that nothing is left behind.
+/// Folder of its files: the benchmark's private `/dev/shm`, so that no files stay.
 const ROOT: &[u8] = b"/dev/shm/iceoryx2";
 
 /// Calls `open` with a node of default settings, except for the place of its files and for signals:
@@ -85,7 +85,7 @@ fn event_ends<S: Service>(
     })
 }
 
-/// An event to a sleeping listener with default settings: a Unix datagram socket wakes.
+/// An event to a sleeping listener with default settings: a Unix datagram socket wakes it.
 pub(crate) fn event(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     between_processes(plan, |shared, ways| {
@@ -114,7 +114,7 @@ pub(crate) fn event_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
 pub(crate) enum Settings {
     /// The library's default: room for 8 subscribers, a buffer of 2 that overflows safely.
     Default,
-    /// One publisher, one subscriber, one sample in the buffer and one in hand, no overflow, no
+    /// One publisher, one subscriber, one sample in the buffer and one in use, no overflow, no
     /// history.
     Lean,
     /// A long buffer that does not overflow: the publisher waits when it is full.
@@ -217,7 +217,7 @@ pub(crate) fn publish_subscribe(
 }
 
 /// Payloads of `bytes`, a multiple of 4, with the leanest settings: each word is written into the
-/// sample that was lent, and read where it lies.
+/// lent sample, and read in place.
 pub(crate) fn size(plan: &BatchPlan, bytes: usize) -> io::Result<Batch> {
     let batch = publish_subscribe(plan, Settings::Lean, bytes / 4)?;
     Ok(batch.carrying(bytes as u64).without_facts())

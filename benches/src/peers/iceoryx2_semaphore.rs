@@ -7,7 +7,7 @@ use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 use iceoryx2_cal::event::SemaphoreShmCountingBitSet;
 
-/// `ipc::Service` but for its events.
+/// Like `ipc::Service`, with other events.
 #[derive(Clone, Debug)]
 pub(super) struct BySemaphore;
 

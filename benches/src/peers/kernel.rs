@@ -12,13 +12,13 @@ use std::io::{self, Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 
-/// Pipes and packet sockets do not tear so few bytes: pipe(7).
+/// Pipes and packet sockets do not split messages this short: pipe(7).
 fn read<const N: usize>(mut from: impl Read) -> Option<[u8; N]> {
     let mut bytes = [0; N];
     (from.read(&mut bytes).ok()? == N).then_some(bytes)
 }
 
-/// 4 bytes by `write` and `read`. Each way has what to write to and what to read from.
+/// 4 bytes by `write` and `read`. Each way has a writer and a reader.
 fn by_bytes<R, W>(plan: &BatchPlan, ways: [(R, W); 2]) -> io::Result<Batch>
 where
     for<'a> &'a R: Read,
@@ -99,7 +99,7 @@ fn peers_ring(
 
 /// 4 bytes in a message from ring to ring: the kernel puts a completion into the other's queue.
 pub(crate) fn io_uring(plan: &BatchPlan) -> io::Result<Batch> {
-    // Forbidden by a sysctl or a filter: says so before any process starts.
+    // If a sysctl or a filter forbids io_uring, report it before any process starts.
     IoUring::new(8).map_err(|error| io::Error::other(format!("io_uring is forbidden: {error}")))?;
     between_processes(plan, |shared, ways| {
         let own = IoUring::new(8).expect("there was one");

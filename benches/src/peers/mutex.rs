@@ -10,7 +10,7 @@ use std::io;
 /// Whether the next owner learns that the last one died.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Death {
-    /// It is not: the mutex stays locked.
+    /// The next owner is not informed: the mutex stays locked.
     Fatal,
     /// The kernel unlocks it, and the next owner is informed (PTHREAD_MUTEX_ROBUST).
     Robust,
@@ -66,7 +66,7 @@ impl Exclusion for Mutex {
     }
 }
 
-/// Taking and giving back a mutex that no other process wants.
+/// Locks and unlocks a mutex that no other process uses.
 pub(crate) fn free(plan: &BatchPlan, death: Death) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     let mutex = Mutex::create(&shared, death);
@@ -78,7 +78,7 @@ pub(crate) fn free(plan: &BatchPlan, death: Death) -> io::Result<Batch> {
     })
 }
 
-/// `processes` want it all the time.
+/// `processes` contend for it all the time.
 pub(crate) fn under_contention(
     plan: &BatchPlan,
     processes: usize,

@@ -15,7 +15,7 @@ use tandem_page::format::median;
 pub(crate) const SCHEMA: &str = "tandem-bench/1";
 /// Points of a percentile curve, at most.
 const CURVE_POINTS: usize = 100;
-/// A curve ends where fewer samples than this lie beyond it: less would be chance.
+/// A curve ends where fewer samples than this lie beyond it: fewer are not reliable.
 const SAMPLES_BEYOND: f64 = 10.0;
 
 /// A whole run.
@@ -56,7 +56,7 @@ pub(crate) struct Row {
     pub(crate) p99_9_ns: f64,
     pub(crate) max_ns: f64,
     pub(crate) samples: u64,
-    /// Over the same percentile of the floor; `None` without a floor in this group.
+    /// Ratio to the same percentile of the floor; `None` without a floor in this group.
     pub(crate) ratio_to_floor_p50: Option<f64>,
     pub(crate) ratio_to_floor_p99_9: Option<f64>,
     pub(crate) round_trip: Option<RoundTrip>,
@@ -71,7 +71,8 @@ pub(crate) struct Row {
     /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
     #[serde(default)]
     pub(crate) batch_steal_ms: Vec<f64>,
-    /// Points (quantile, ns) of the distribution, up to the last nines that the samples carry.
+    /// Points (quantile, ns) of the distribution, up to the highest quantile that the samples
+    /// support.
     pub(crate) curve: Vec<(f64, f64)>,
     pub(crate) facts: BTreeMap<String, f64>,
 }
@@ -97,8 +98,8 @@ impl Row {
     }
 
     /// Whether the floor's 99.9th percentile is more than ten times its median. It then shows
-    /// stalls, not the bare mechanism, and the ratio at 99.9 % compares their numbers.
-    /// The curves rise by powers of ten there: a few stalls more or less make it 3 or 0.3.
+    /// stalls, not the bare mechanism, and the ratio at 99.9 % depends on their numbers. A few
+    /// stalls more or less then change the ratio from 0.3 to 3.
     pub(crate) fn has_stalled_floor(&self) -> bool {
         let ratios = self.ratio_to_floor_p50.zip(self.ratio_to_floor_p99_9);
         ratios.is_some_and(|(p50, p99_9)| self.p99_9_ns / p99_9 > 10.0 * self.p50_ns / p50)
@@ -199,7 +200,7 @@ impl RoundTrip {
     }
 }
 
-/// Each fact once: the median of the batches, or their largest if it is the longest of something.
+/// One value per fact: the median of the batches, or the maximum if it is a `longest` one.
 fn facts(of: &Measurement) -> BTreeMap<String, f64> {
     let mut all = BTreeMap::<&str, Vec<f64>>::new();
     for (name, value) in of.batches.iter().flat_map(|batch| &batch.facts) {
@@ -240,8 +241,8 @@ fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {
     points.collect()
 }
 
-/// The floor of the case of this name: `floor` of its group, or its own, as `tick-floor` is that of
-/// `tick` and its peers.
+/// The floor of the case of this name: `floor` of its group, or a floor of its own: `tick-floor`
+/// for `tick` and its peers.
 pub(crate) fn floor_of<'a, T>(
     all: &'a [T],
     name: &str,

@@ -5,7 +5,7 @@ use crate::cases;
 use crate::harness::Batch;
 use serde_json::Value;
 
-/// What was measured of this case: one batch for each list of times, in picoseconds.
+/// A measurement of this case: one batch for each list of times, in picoseconds.
 fn measured(name: &str, batches: &[Vec<u64>]) -> Measurement {
     let case = cases::all().find(|case| case.full_name() == name).unwrap();
     let mut measurement = Measurement::new(case);
@@ -137,7 +137,7 @@ fn naive_percentiles_are_those_of_all_batches() {
 fn a_curve_ends_where_ten_samples_are_left() {
     let curve = &run().results[1].curve;
     assert_eq!(curve.len(), CURVE_POINTS);
-    // 2000 samples carry 99.5 %.
+    // 2000 samples support a quantile of 99.5 %.
     assert!((curve.last().unwrap().0 - 0.995).abs() < 1e-6);
     assert!(
         curve

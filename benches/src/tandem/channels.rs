@@ -88,8 +88,8 @@ const CHUNK: usize = 256;
 const SENT: usize = 4096;
 
 /// The broadcast ring from one process to two, which share the far CPU; the writer never waits. A
-/// sample is a receiver's time per message that it received; what it had missed when it was late is
-/// a fact.
+/// sample is a receiver's time per message that it received; the messages that it missed because it
+/// was late are a fact.
 pub(crate) fn broadcast(plan: &BatchPlan) -> io::Result<Batch> {
     let (shared, map) = SharedPage::with_lmu(RING_LAYOUT)?;
     let sent = (plan.warm_up + plan.rounds) * SENT;
@@ -125,7 +125,7 @@ fn receive(map: &Map<'_>, role: &mut PartContext<'_>) -> io::Result<()> {
     let mut turn = ticks();
     let mut begin = turn;
     loop {
-        // Read before the ring: what was sent before is then seen.
+        // Read before the ring, so that all earlier messages are visible.
         let last = role.shared.flag.load(Acquire) != 0;
         match receiver.receive() {
             Ok(Some((k, value))) => {

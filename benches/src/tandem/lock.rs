@@ -20,7 +20,7 @@ fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
     LOCK.attach(map, incarnation).expect("it fits")
 }
 
-/// Taking and giving back a lock that no other core wants.
+/// Locks and unlocks a lock that no other core uses.
 pub(crate) fn free(plan: &BatchPlan) -> io::Result<Batch> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     repeated(plan, &shared, CHUNK, || {
@@ -52,7 +52,7 @@ impl Exclusion for Contender {
     }
 }
 
-/// `processes` cores want the lock all the time.
+/// `processes` cores contend for the lock all the time.
 pub(crate) fn under_contention(plan: &BatchPlan, processes: usize) -> io::Result<Batch> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     contended(plan, &shared, processes, |core| Contender {
@@ -64,7 +64,7 @@ pub(crate) fn under_contention(plan: &BatchPlan, processes: usize) -> io::Result
 const OWNER: usize = 0;
 
 /// An owner takes the lock and is killed; the supervisor, which has seen it end, marks its
-/// incarnation as dead; a core that waits on another CPU takes the lock over.
+/// incarnation as dead; a core that waits on another CPU then gets the lock.
 pub(crate) fn recovery(plan: &BatchPlan) -> io::Result<Batch> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
     let own = |generation| Contender {

@@ -101,7 +101,7 @@ struct Waiting<const WORDS: usize> {
 impl<const WORDS: usize> Awaited for Waiting<WORDS> {
     type Output = u32;
 
-    // The waiting loop is nothing but this; called through a pointer it costs a third more.
+    // The waiting loop only makes this call; through a pointer it would cost a third more.
     #[inline(always)]
     fn check(&mut self) -> Option<u32> {
         if self.way == Way::Channel {
@@ -140,7 +140,7 @@ struct How {
 }
 
 impl How {
-    /// For the next batch. Incarnations rise from batch to batch, as those of a core that is reset.
+    /// Settings of the next batch. Incarnations rise with each batch, as with each reset of a core.
     fn new<const WORDS: usize>(plan: &BatchPlan, policy: WaitPolicy, way: Way) -> Self {
         static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
         Self {
@@ -240,7 +240,7 @@ mod tests {
         for layout in [Regions::<1>::LAYOUT, Regions::<266>::LAYOUT] {
             let places = (0..30).map(|_| place(layout));
             let places: std::collections::HashSet<usize> = places.collect();
-            // One place is drawn 30 times once in 10^60 runs.
+            // All 30 draws give one place once in 10^60 runs.
             assert!(places.len() > 1, "{places:?}");
             for place in places {
                 Map::format(&words[skipped..][..LMU_WORDS][place..], layout).unwrap();

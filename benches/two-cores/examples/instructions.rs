@@ -1,4 +1,4 @@
-//! One operation of each kind, again and again, for `cargo xtask instructions` to count.
+//! Repeats one operation of each kind, for `cargo xtask instructions` to count.
 #![allow(clippy::unwrap_used, reason = "a wrong set-up ends the program")]
 
 use std::hint::black_box;

@@ -9,8 +9,8 @@ use std::sync::OnceLock;
 pub fn ticks() -> u32 {
     #[cfg(target_arch = "x86_64")]
     {
-        // SAFETY: SSE2 and the time stamp counter are part of every x86-64. The fence keeps the
-        // counter from being read before the loads that it is to time have completed.
+        // SAFETY: SSE2 and the time stamp counter are part of every x86-64. The fence prevents a
+        // read of the counter before the timed loads have completed.
         unsafe {
             core::arch::x86_64::_mm_lfence();
             core::arch::x86_64::_rdtsc() as u32
@@ -59,8 +59,8 @@ pub fn ps_per_tick() -> f64 {
     })
 }
 
-/// The step in which the clock's readings move, in ticks: on many processors the counter goes up
-/// by more than one at a time, every 10 ns or so.
+/// The step of the clock's readings, in ticks: on many processors the counter goes up by more than
+/// one at a time, every 10 ns or so.
 pub fn step_ticks() -> u32 {
     static MEASURED: OnceLock<u32> = OnceLock::new();
     *MEASURED.get_or_init(|| {
@@ -80,8 +80,8 @@ fn gcd(a: u32, b: u32) -> u32 {
 /// The `n`-th of many spans of ticks in picoseconds.
 ///
 /// A reading stands for all times within one step of the clock. So the spans are spread evenly over
-/// a step (by the golden ratio, without chance): a percentile then lies where it would with a finer
-/// clock, and does not jump by whole steps. On average nothing is added.
+/// a step (by the golden ratio, not at random): a percentile then has the value that a finer clock
+/// would give, and does not jump by whole steps. The mean does not change.
 pub fn to_ps_spread(n: usize, ticks: u32) -> u64 {
     const GOLDEN: f64 = 0.618_033_988_749_895;
     let within = (n as f64 * GOLDEN).fract() - 0.5;
@@ -94,7 +94,7 @@ pub fn to_ps(ticks: u32) -> u64 {
     (f64::from(ticks) * ps_per_tick()) as u64
 }
 
-/// This many nanoseconds as ticks; at most what 32 bits hold, about a second.
+/// This many nanoseconds as ticks; limited to 32 bits, about a second.
 pub fn from_ns(ns: u64) -> u32 {
     (ns as f64 * 1000.0 / ps_per_tick()) as u32
 }

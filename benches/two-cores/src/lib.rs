@@ -1,5 +1,5 @@
-//! Pinned processes that share memory and a clock: the benchmark and `tandem thesis` measure
-//! with. Apart from the benchmark, whose peers the experiments of the thesis do not need.
+//! Pinned processes that share memory and a clock, for the benchmark and `tandem thesis`. A
+//! separate crate, because the experiments of the thesis do not need the benchmark's peers.
 #![allow(
     clippy::expect_used,
     clippy::missing_panics_doc,

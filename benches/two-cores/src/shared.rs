@@ -1,4 +1,5 @@
-//! The memory that the processes of one batch share: words of the case, and what each writes down.
+//! The memory that the processes of one batch share: words of the case, and the records of each
+//! process.
 
 use crate::clock::monotonic_ns;
 use rustix::mm::{MapFlags, ProtFlags, mmap_anonymous, munmap};
@@ -8,13 +9,13 @@ use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::map::{Layout, Map};
 
-/// Processes of a batch at most.
+/// Largest number of processes of a batch.
 pub const PARTS: usize = 4;
 /// Samples that one track of a part keeps; further ones are dropped.
 pub const TRACK: usize = 1 << 16;
 /// Numbers that a part can record besides its samples.
 pub const NOTES: usize = 6;
-/// The one that the harness notes: CPU time of the part within its timed span, ns.
+/// The number of the harness: CPU time of the part within its timed span, ns.
 pub const CPU_NS: usize = NOTES - 1;
 
 /// Words in a cache line.
@@ -60,7 +61,7 @@ impl Deref for CacheLine {
     }
 }
 
-/// What one part writes down: the counts of its samples, its numbers, a text, and the samples.
+/// The records of one part: the counts of its samples, its numbers, a text, and the samples.
 #[repr(C, align(64))]
 struct Sheet {
     counts: [AtomicU32; 2],
@@ -112,11 +113,11 @@ impl SharedPage {
         // SAFETY: a fresh mapping, not at a fixed address, touches no other memory.
         let base = unsafe { mmap_anonymous(std::ptr::null_mut(), total * 4, access, flags) }?;
         // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped
-        // only by `drop`, after which its batch uses no word of it any more.
+        // only by `drop`, when its batch no longer uses it.
         let words = unsafe { std::slice::from_raw_parts(base.cast(), total) };
-        // SAFETY: the words before `case_at` hold a `Head`, whose atomics may be zero. Only it is
-        // used to refer to them; `touch` looks besides at the first word of each page, where the
-        // head has atomics of 32 bits.
+        // SAFETY: the words before `case_at` hold a `Head`, whose atomics may be zero. Only `head`
+        // refers to them, and `touch` to the first word of each page, where the head has atomics of
+        // 32 bits.
         let head = unsafe { &*base.cast() };
         Ok(Self {
             head,
@@ -125,8 +126,8 @@ impl SharedPage {
         })
     }
 
-    /// Maps it, with an LMU of this layout, formatted, in the words of the case. The map is of use
-    /// as long as the first value is kept.
+    /// Maps it, with an LMU of this layout, formatted, in the words of the case. The map is valid
+    /// as long as the first value exists.
     ///
     /// # Errors
     /// If there is not enough memory.
@@ -189,13 +190,13 @@ impl Deref for SharedPage {
 impl Drop for SharedPage {
     fn drop(&mut self) {
         let base = self.words.as_ptr().cast_mut().cast();
-        // SAFETY: `base` and the length are those of the mapping made at the begin; the batch is
-        // over, and its parts, which were processes, are gone. It fails for no mapping of ours.
+        // SAFETY: `base` and the length are those of the mapping from `new`; the batch is over, and
+        // the processes of its parts have ended. It cannot fail for this mapping.
         let _ = unsafe { munmap(base, size_of_val(self.words)) };
     }
 }
 
-/// What one part of a batch writes down: two tracks of samples in ticks, and some numbers.
+/// The records of one part of a batch: two tracks of samples in ticks, and some numbers.
 #[derive(Clone)]
 pub struct Log {
     sheet: &'static Sheet,
@@ -227,12 +228,12 @@ impl Log {
         samples.map(|word| word.load(Ordering::Relaxed))
     }
 
-    /// Notes the number `at`, below [`NOTES`].
+    /// Records the number `at`, below [`NOTES`].
     pub fn note(&self, at: usize, value: f64) {
         self.sheet.notes[at].store(value.to_bits(), Ordering::Relaxed);
     }
 
-    /// The number `at`, as it was noted; 0 if it was not.
+    /// The number `at` that was recorded; 0 if none was.
     #[must_use]
     pub fn noted(&self, at: usize) -> f64 {
         f64::from_bits(self.sheet.notes[at].load(Ordering::Relaxed))
@@ -298,7 +299,7 @@ mod tests {
         });
         let places: std::collections::HashSet<usize> = places.collect();
         assert!(places.iter().all(|place| place % (4 * PAIR) == 0));
-        // One place is drawn 30 times once in 10^45 runs.
+        // All 30 draws give one place once in 10^45 runs.
         assert!(places.len() > 1, "{places:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! The processes of one batch: started pinned, watched, and ended in every case.
+//! The processes of one batch: started pinned, watched, and always ended.
 //!
 //! Each part is forked for one batch only and inherits nothing from earlier batches. If one dies or
 //! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang.
@@ -32,7 +32,7 @@ static REALTIME: AtomicBool = AtomicBool::new(false);
 /// Priorities of this process, which ends a batch that hangs, and of its parts.
 const PRIORITIES: [libc::c_int; 2] = [20, 10];
 
-/// Lets this process and all parts from now on have SCHED_FIFO; `false` if it is refused.
+/// Sets SCHED_FIFO for this process and all later parts; `false` if it is refused.
 #[must_use]
 pub fn ask_for_realtime() -> bool {
     let granted = set_fifo(PRIORITIES[0]);
@@ -40,7 +40,7 @@ pub fn ask_for_realtime() -> bool {
     granted
 }
 
-/// Lets the calling process have SCHED_FIFO as a part has it; `false` if it is refused.
+/// Sets SCHED_FIFO for the calling process, with the priority of a part; `false` if it is refused.
 pub fn ask_for_fifo() -> bool {
     set_fifo(PRIORITIES[1])
 }
@@ -85,22 +85,22 @@ impl PartContext<'_> {
         }
     }
 
-    /// The span whose CPU time counts begins: after warm-up.
+    /// Begins the span whose CPU time counts. Called after warm-up.
     pub fn begin(&mut self) {
         self.cpu_at_begin = cpu_ns();
     }
 
-    /// It ends.
+    /// Ends that span.
     pub fn end(&mut self) {
         let used = cpu_ns() - self.cpu_at_begin;
         self.log.note(CPU_NS, used as f64);
     }
 }
 
-/// Runs the parts to their ends.
+/// Runs all parts until they end.
 ///
 /// # Errors
-/// If a process cannot be had, a part failed or died, or all took longer than [`LIMIT`].
+/// If a process cannot be created, a part failed or died, or all took longer than [`LIMIT`].
 pub fn perform(shared: &SharedPage, parts: Vec<BatchPart<'_>>) -> io::Result<()> {
     perform_within(LIMIT, shared, parts)
 }
@@ -117,11 +117,11 @@ pub fn perform_within(
     assert!(parts.len() <= PARTS);
     let mut children = Vec::with_capacity(parts.len());
     for (number, part) in parts.into_iter().enumerate() {
-        // On an error those that run already are killed when `children` is dropped.
+        // On an error, processes that already run are killed when `children` is dropped.
         children.push(Child::start(part.cpu, || play(shared, number, part.run))?);
     }
     let outcome = watch(&mut children, limit);
-    // All before the first is waited for: under SCHED_FIFO one that spins keeps another from dying.
+    // Kill all, then wait: under SCHED_FIFO one that spins prevents another from ending.
     children.iter().for_each(Child::kill);
     drop(children);
     outcome.map_err(|error| {
@@ -157,7 +157,7 @@ fn play(shared: &SharedPage, number: usize, run: Run<'_>) -> bool {
     false
 }
 
-/// Waits until all have ended well.
+/// Waits until all have ended without an error.
 fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
     let until = Instant::now() + limit;
     while children.iter().any(|child| child.running) {
@@ -207,7 +207,7 @@ impl Child {
             return Ok(Self { pidfd, running });
         }
         let tied = set_parent_process_death_signal(Some(Signal::KILL));
-        // SAFETY: only sets this process's own answer to Ctrl-C: the parent ends the batch.
+        // SAFETY: only makes this process ignore Ctrl-C: the parent ends the batch.
         unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
         pin(cpu);
         if REALTIME.load(Ordering::Relaxed) {
@@ -226,7 +226,7 @@ impl Child {
         let _ = pidfd_send_signal(&self.pidfd, Signal::KILL);
     }
 
-    /// Checks whether it has ended, and how.
+    /// Checks whether the child has ended, and its status.
     fn reap(&mut self, options: WaitIdOptions) -> io::Result<()> {
         let of = WaitId::PidFd(self.pidfd.as_fd());
         if self.running
