@@ -4,7 +4,7 @@ use crate::plant::{Parameters, PlantInput, PlantState};
 
 /// Time constants of an actuator.
 struct Response {
-    /// Until anything happens, in steps of 1 ms.
+    /// Dead time, in steps of 1 ms.
     delay_ms: usize,
     /// First-order lag, s.
     lag_s: f64,
@@ -20,7 +20,7 @@ const POWERTRAIN: Response = Response {
     delay_ms: 20,
     lag_s: 0.12,
 };
-/// Largest acceleration that the powertrain is allowed in automated driving, m/s².
+/// Largest acceleration of the powertrain in automated driving, m/s².
 const ACCELERATION_MAX: f64 = 4.0;
 /// Largest deceleration by the brake, m/s², on a dry road.
 const DECELERATION_MAX: f64 = 9.5;

@@ -5,9 +5,8 @@
 //! environment obstacles (they are no traffic).
 //!
 //! **Limits.** A file is an input, and no input may cost more than seconds and some 100 MB: each
-//! limit below is far above every published scenario. A part that can be left out without
-//! falsifying the rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is
-//! used.
+//! limit below is far above every published scenario. A part whose absence does not falsify the
+//! rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -37,11 +36,11 @@ const BRANCHES_MAX: usize = 50;
 const OBSTACLES_MAX: usize = 1_000;
 /// Only the first places of a goal are used if it has more.
 const PLACES_MAX: usize = 30;
-/// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
+/// Larger numbers, including coordinates (m), are refused: no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
 /// A longer lanelet is refused, m: it is a typing error, and would fill the memory.
 const LANELET_MAX: f64 = 1e5;
-/// No vehicle is faster, m/s.
+/// A higher speed of a vehicle is refused, m/s.
 const SPEED_MAX: f64 = 150.0;
 /// Limits of the time step, s.
 const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
@@ -49,7 +48,7 @@ const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
 const TIME_MAX: f64 = 86_400.0;
 /// States of an obstacle that are closer in time than this are one state, s.
 const STATE_APART: f64 = 1e-3;
-/// This many warnings are kept; one more gives their number.
+/// This many warnings are kept; a further one gives the total number.
 const WARNINGS_MAX: usize = 20;
 
 /// A piece of lane between two bounds.
@@ -86,7 +85,7 @@ pub struct TimedState {
     pub speed: Option<f64>,
 }
 
-/// Another road user, or a thing on the road.
+/// Another road user, or an object on the road.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Obstacle {
     /// Its id in the file.
@@ -110,11 +109,11 @@ pub struct RoadMap {
     pub name: String,
     /// At least one.
     pub lanelets: Vec<Lanelet>,
-    /// All but the ego.
+    /// All road users except the ego.
     pub obstacles: Vec<Obstacle>,
     /// Where the ego starts, from the first planning problem, at t = 0.
     pub ego: TimedState,
-    /// Goals of the first planning problem, of which one is to be reached. May be empty.
+    /// Goals of the first planning problem; the ego must reach one of them. May be empty.
     pub goals: Vec<Goal>,
     /// Time between two steps of the file, s.
     pub step_s: f64,
@@ -165,7 +164,7 @@ pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
     .map()
 }
 
-/// The line of the first tag with as many attributes that the XML parser would take long.
+/// The line of the first tag with so many attributes that the XML parser would take long.
 fn tag_with_many_attributes(text: &str) -> Option<u32> {
     let (mut line, mut signs, mut in_tag) = (1, 0, false);
     let bytes = text.as_bytes();
@@ -189,7 +188,7 @@ fn tag_with_many_attributes(text: &str) -> Option<u32> {
     None
 }
 
-/// A document with the name that its errors carry.
+/// A document with the name for its errors.
 struct Reader<'a, 'input> {
     document: &'a Document<'input>,
     file: &'a str,
@@ -281,7 +280,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    /// Notes that a part of the file is not used.
+    /// Records that a part of the file is not used.
     fn warn(&self, node: Element<'_, '_>, problem: &str) {
         let (kept, count) = &mut *self.warnings.borrow_mut();
         *count += 1;
@@ -309,14 +308,15 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(())
     }
 
-    /// Ids and values (m/s) of the speed limit signs: version 2020a keeps them apart from lanelets.
+    /// Ids and values (m/s) of the speed limit signs: version 2020a stores them outside the
+    /// lanelets.
     fn speed_signs(&self, root: Element<'_, '_>) -> Result<HashMap<i64, f64>> {
         let mut limits = HashMap::new();
         for sign in elements(root, "trafficSign") {
             let id = self.id(sign, "id")?;
             for element in elements(sign, "trafficSignElement") {
                 let kind = self.text(self.child(element, "trafficSignID")?);
-                // Maximum speed in Germany and the fictitious Zamunda, and in the USA.
+                // Maximum speed: in Germany and the fictitious Zamunda, then in the USA.
                 if ["274", "R2-1"].contains(&kind) {
                     let value = self.number(self.child(element, "additionalValue")?)?;
                     limits.entry(id).or_insert(value);
@@ -701,7 +701,7 @@ fn elements<'a, 'i: 'a>(
         .filter(move |child| child.has_tag_name(name))
 }
 
-/// Applies `read` to the first child of this name; `None` without one.
+/// Applies `read` to the first child of this name; `None` if there is none.
 fn optional<'a, 'i: 'a, T>(
     node: Element<'a, 'i>,
     name: &str,

@@ -9,7 +9,7 @@ use crate::route::Advice;
 use crate::traffic::{self, Leader};
 use tandem_bus::DriverRequest;
 
-/// How far ahead the driver aims, m, and s of driving.
+/// The driver aims this far ahead: m, plus s of driving.
 const AIM: (f64, f64) = (8.0, 1.0);
 
 /// The driver's actions in a run. The default engages the function and then never acts again.
@@ -38,7 +38,7 @@ impl Driver {
         }
     }
 
-    /// Whether the function asks the driver to take over, as its frame says.
+    /// Records whether the function's frame asks the driver to take over.
     pub(crate) fn on_request(&mut self, time_s: f64, asks: bool) {
         self.asked_s = asks.then(|| self.asked_s.unwrap_or(time_s));
     }
@@ -72,7 +72,7 @@ pub(crate) struct View {
     pub(crate) leader: Leader,
 }
 
-/// How the driver drives: keeps the lane, the set speed and the distance.
+/// The driver's control: keeps the lane, the set speed and the distance.
 pub(crate) fn by_hand(road: &Road, now: &View, set_speed: f64) -> Request {
     let lane = road.lane(now.lane);
     let ahead = lane.at(now.station + AIM.0 + AIM.1 * now.speed);

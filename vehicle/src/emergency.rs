@@ -7,22 +7,22 @@ use crate::traffic::Participant;
 /// A situation that needs more than this is an emergency, m/s². It is below the 3.5 m/s² that ISO
 /// 15622 permits a cruise control.
 pub(crate) const EMERGENCY_BRAKING: f64 = 3.0;
-/// The distance that is to remain, m.
+/// The distance that must remain, m.
 const ROOM_M: f64 = 1.0;
-/// The least distance that is computed with, m.
+/// Lower limit of the distance in the computation, m.
 const LEAST_M: f64 = 0.1;
 /// Another road user is in the way if it is in the ego's path within this time, s, with this room
 /// aside, m.
 const SOON_S: f64 = 2.0;
 const ASIDE_M: f64 = 0.35;
 
-/// The ego, as far as braking depends on it.
+/// The values of the ego that braking depends on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ego {
     pub(crate) pose: Pose,
     /// m/s
     pub(crate) speed: f64,
-    /// Of the path that it drives, 1/m.
+    /// Curvature of the ego's path, 1/m.
     pub(crate) curvature: f64,
     /// Distance to the end of the lane or of the domain, m; infinite without one.
     pub(crate) end: f64,

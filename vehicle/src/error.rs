@@ -36,7 +36,7 @@ pub enum ScenarioError {
         /// MiB
         most_mib: usize,
     },
-    /// The lanes together are longer than any map that is driven.
+    /// The total length of the lanes exceeds the limit.
     #[error(
         "{file}: its lanes together are {length_km:.0} km long; give a map with less than \
          {most_km} km, where every successor begins where its lanelet ends"
@@ -49,7 +49,7 @@ pub enum ScenarioError {
         /// km
         most_km: f64,
     },
-    /// The file is no well-formed XML.
+    /// The file is not well-formed XML.
     #[error("{file}:{line}: no well-formed XML: {problem}")]
     Xml {
         /// Path of the file.

@@ -1,9 +1,9 @@
 //! Decides, in the vehicle, which control frames act: those that are valid, from a master, of the
 //! highest term, fresh and plausible.
 //!
-//! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
-//! its sender believes. The caller receives a ruling on every control frame, and records
-//! it, so that "two masters" and "no master" are facts.
+//! The term is a fencing token: a frame with a lower term than one seen before never acts, even if
+//! its sender is still a master. The caller receives a ruling on every control frame, and
+//! records it, so that "two masters" and "no master" are facts.
 //!
 //! | frame | verdict | acts |
 //! |---|---|---|
@@ -14,9 +14,9 @@
 //! | asks for more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
 //!
-//! Freshness needs no common clock: each frame carries its time of making on its sender's clock.
-//! The smallest difference to the time of arrival is the clocks' offset; a frame that differs by
-//! more has waited on its way, however valid it is. A frame without a time is not checked.
+//! Freshness needs no common clock: each frame carries its creation time on its sender's clock. The
+//! smallest difference to the time of arrival is the clocks' offset; a frame that differs by more
+//! was delayed, even if it is valid otherwise. A frame without a time is not checked.
 
 use tandem_bus::e2e::{Check, Checker};
 use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
@@ -24,34 +24,34 @@ use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
 use crate::mastership::Mastership;
 
 /// After this silence a sender may start with any counter, ns: it was down, so missing frames are
-/// no fault.
+/// not a fault.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
 /// A control frame is overdue this long after the last one, ns: the shortest limit of any standby.
 const OVERDUE_NS: u64 = 11_000_000;
-/// After this silence no system waits for an early echo any more, ns.
+/// After this silence no system waits for an early echo, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
 /// A frame that took longer than the fastest one by more than this is refused, ms: four
 /// control periods.
 pub const MAX_DELAY_MS: u16 = 40;
-/// The clocks may drift apart: the offset that is taken for the smallest grows by 1 ms in this
-/// time, ns. So the clocks may differ by 0.1 %, and a queue that grows by less is not found.
+/// The clocks may drift apart: the smallest known offset grows by 1 ms in this time, ns. So the
+/// clocks may differ by 0.1 %, and a queue that grows more slowly is not detected.
 const DRIFT_NS: u64 = 1_000_000_000;
-/// A difference beyond this is no delay but a clock that was set, ms: the offset is learnt anew.
+/// A difference beyond this means that a clock was set, ms: the offset is measured anew.
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
-/// The oldest data that a command may rest on, ms. The functions stop earlier, by the age of what
-/// they have; this limit catches a function that does not. A safe stop rests on no data, nor does a
-/// frame of a function that does not drive.
+/// The greatest age of the data that a command uses, ms. The functions stop using data earlier;
+/// this limit catches a function that does not. A safe stop uses no data, and neither does a frame
+/// of a function that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
 /// The limits of the actuators: rad, m/s².
 const MAX_STEERING: f32 = 0.61;
 const MAX_BRAKING: f32 = 10.0;
 const MAX_ACCELERATION: f32 = 4.0;
-/// How fast a command may change: about twice as fast as the controllers change it, and a step
-/// besides. rad/s and rad; m/s³ and m/s² of lateral acceleration; m/s³ and m/s².
+/// How fast a command may change: about twice as fast as the controllers change it, plus a step.
+/// rad/s and rad; m/s³ and m/s² of lateral acceleration; m/s³ and m/s².
 const STEERING_RATE: (f32, f32) = (0.8, 0.002);
 const LATERAL_JERK: (f32, f32) = (30.0, 0.5);
 const LONGITUDINAL_JERK: (f32, f32) = (100.0, 0.5);
@@ -109,7 +109,7 @@ pub struct FrameCounts {
 #[derive(Clone, Copy, Debug)]
 struct Offset {
     smallest_ms: u16,
-    /// When it was last as small as this, or was raised for the drift, ns.
+    /// When it was measured or last raised for the drift, ns.
     at_ns: u64,
 }
 
@@ -136,7 +136,7 @@ pub struct Gate {
 pub struct Judged {
     /// The verdict on it.
     pub acceptance: Acceptance,
-    /// What it demands, if it acts.
+    /// Its command, if it acts.
     pub command: Option<Control>,
 }
 
@@ -211,7 +211,7 @@ impl Gate {
         if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
             check = Check::Initial;
         }
-        // A sender that starts anew may have another clock.
+        // A sender that restarts may have another clock.
         if matches!(check, Check::Initial | Check::WrongSequence) {
             self.offsets[system] = None;
         }
@@ -243,7 +243,7 @@ impl Gate {
         (Ruling::Accepted, Some(control))
     }
 
-    /// How much longer this frame was on its way than the fastest one of its system, ms.
+    /// The delay of this frame relative to the fastest one of its system, ms.
     fn delay_ms(&mut self, now_ns: u64, system: usize, sent_at: u16) -> u16 {
         if sent_at == 0 {
             return 0;
@@ -299,13 +299,13 @@ impl Gate {
         self.accepted
     }
 
-    /// Sets the vehicle's speed, m/s: the faster it drives, the less a wheel may turn. At first 0.
+    /// Sets the vehicle's speed, m/s: at a higher speed the wheels may turn less. Initially 0.
     pub fn set_speed(&mut self, speed: f64) {
         self.speed = speed as f32;
     }
 
-    /// The echo to both systems, to be sent at `now_ns`: which term the vehicle obeys, how old
-    /// its last frame is, and its demand.
+    /// The echo to both systems, to be sent at `now_ns`: the term that the vehicle obeys, the age
+    /// of its last frame, and the command.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
         let sent_at = (now_ns / 1_000_000) as u8;
         let none = GateEcho {
@@ -449,9 +449,9 @@ mod tests {
         judged.unwrap().acceptance.verdict
     }
 
-    /// T-RED-9: frames that wait in a queue that grows are refused, though each is valid and in
-    /// order, and claims that its command rests on fresh data. Clocks that drift apart by 0.05 %
-    /// and wrap around are not taken for a queue, nor is a clock that was set.
+    /// T-RED-9: frames from a growing queue are refused, although each is valid, in order, and
+    /// reports fresh data. Clocks that drift apart by 0.05 % and wrap around are not mistaken for a
+    /// queue, and neither is a clock that was set.
     #[test]
     fn frames_of_a_growing_queue_are_refused() {
         let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));
@@ -464,7 +464,7 @@ mod tests {
             };
             verdict_on(&mut gate, &mut sender, at, control)
         };
-        // Its clock is 65 s ahead, and slower.
+        // The sender's clock is 65 s ahead, and slower.
         let made = |at: u64| 65_000 + at - at / 2_000;
         for at in (0..200_000).step_by(10) {
             assert_eq!(verdict(at, made(at)), Ruling::Accepted, "{at} ms");
@@ -485,7 +485,7 @@ mod tests {
         assert_eq!(verdict(201_020, set(201_020) - 50), Ruling::Stale);
     }
 
-    /// T-RED-9: the age of the data behind a command is limited, unless the command uses none.
+    /// T-RED-9: the age of the data of a command is limited, unless the command uses none.
     #[test]
     fn commands_that_rest_on_old_data_are_refused() {
         use Ruling::{Accepted, Stale};
@@ -507,12 +507,12 @@ mod tests {
         }
     }
 
-    /// T-RED-9: a command beyond the range of the actuators, or one that jumps, does not act; one
-    /// that changes as fast as the controllers do does.
+    /// T-RED-9: a command beyond the actuators' range, or one that jumps, does not act. A command
+    /// that changes as fast as the controllers change it acts.
     #[test]
     fn commands_out_of_range_and_rate_are_refused() {
         use Ruling::{Accepted, Implausible};
-        // Speed; the command before, and 10 ms later.
+        // Speed, the previous command, and the command 10 ms later.
         let table = [
             (0.0, (0.0, 0.0), (0.004, 0.45), Accepted),
             (0.0, (0.6, -9.5), (0.596, -9.3), Accepted),

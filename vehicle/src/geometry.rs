@@ -59,7 +59,7 @@ impl Vec2 {
         }
     }
 
-    /// The point at `t` of the way to `other`.
+    /// The point at the share `t` of the line to `other`.
     #[must_use]
     pub fn lerp(self, other: Self, t: f64) -> Self {
         self + (other - self) * t
@@ -116,7 +116,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
     }
 }
 
-/// The angle at `t` of the way from `a` to `b`, the short way round.
+/// The angle at the share `t` between `a` and `b`, in the shorter direction.
 #[must_use]
 pub fn lerp_angle(a: f64, b: f64, t: f64) -> f64 {
     wrap_angle(a + wrap_angle(b - a) * t)
@@ -132,7 +132,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// This pose as a frame for many points.
+    /// This pose as a frame, prepared for many points.
     #[must_use]
     pub fn frame(self) -> LocalFrame {
         LocalFrame {
@@ -168,7 +168,7 @@ impl Pose {
     }
 }
 
-/// A pose with the sine and the cosine of its heading: for many points in one frame.
+/// A pose with the sine and the cosine of its heading, to transform many points.
 #[derive(Clone, Copy, Debug)]
 pub struct LocalFrame {
     position: Vec2,
@@ -186,7 +186,7 @@ impl LocalFrame {
         self.forward
     }
 
-    /// The world's point in this frame; equal to [`Pose::to_local`] to the bit.
+    /// The world's point in this frame; bit-identical to [`Pose::to_local`].
     #[must_use]
     pub fn to_local(&self, world: Vec2) -> Vec2 {
         let apart = world - self.position;
@@ -252,7 +252,7 @@ impl Footprint {
         })
     }
 
-    /// The same place, larger by `length` and `width` in all.
+    /// The same rectangle, larger by `length` and `width` in total.
     #[must_use]
     pub fn grown(self, length: f64, width: f64) -> Self {
         Self {

@@ -1,6 +1,6 @@
 //! Which system drives, from the control frames that were obeyed: gaps, changes, and two masters.
 //!
-//! This does not rely on the fence: it counts the frames as they were obeyed.
+//! This does not rely on the fence: it counts the frames that were obeyed.
 
 /// This many masterships are kept apart. The oldest is dropped first.
 const MASTERSHIPS: usize = 64;
@@ -30,8 +30,8 @@ pub struct Mastership {
 }
 
 impl Mastership {
-    /// Counts an obeyed frame: when, ns; from which system, 0 = A, 1 = B; with which term. Times
-    /// never decrease.
+    /// Counts an obeyed frame: its time, ns; its system, 0 = A, 1 = B; its term. Times never
+    /// decrease.
     pub fn accept(&mut self, at_ns: u64, system: u8, term: u32) {
         if let Some((last_ns, last_system)) = self.last.replace((at_ns, system)) {
             self.gap_max_ns = self.gap_max_ns.max(at_ns.saturating_sub(last_ns));
@@ -49,7 +49,7 @@ impl Mastership {
             Some(span) => {
                 if let Some(other_ns) = span.other_ns.take() {
                     let from_ns = other_ns.max(self.counted_ns);
-                    // The other system's last frame counts until the one that followed it.
+                    // The other system's last frame counts until the next frame.
                     self.two_masters_ns += self.changed_ns.saturating_sub(from_ns);
                     self.counted_ns = self.counted_ns.max(self.changed_ns);
                 }
@@ -83,9 +83,8 @@ impl Mastership {
         self.changes
     }
 
-    /// Time in which masterships of both systems overlapped, ns: from the first frame of the one
-    /// to the last frame of the other. A takeover and one back, each with a new term, do not
-    /// overlap.
+    /// Time in which masterships of both systems overlapped, ns: from the first frame of the one to
+    /// the last frame of the other. Two successive takeovers, each with a new term, do not overlap.
     #[must_use]
     pub const fn two_masters_ns(&self) -> u64 {
         self.two_masters_ns
@@ -134,7 +133,7 @@ mod tests {
             (30, B, 3),
             (40, B, 3),
         ];
-        // From B's first frame to the one that follows A's last.
+        // From B's first frame to the one after A's last.
         assert_eq!(of(&frames).two_masters_ns(), 20);
     }
 
@@ -143,7 +142,7 @@ mod tests {
     fn a_single_frame_of_another_master_counts_until_the_next_frame() {
         let frames = [(0, A, 2), (5, B, 3), (10, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 5);
-        // The time is not counted twice, whichever term lies between.
+        // The time is not counted twice if another term lies between.
         let frames = [(0, A, 2), (10, B, 3), (15, B, 5), (20, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 10);
         let frames = [(0, A, 2), (1, A, 4), (10, B, 3), (20, A, 2), (25, A, 4)];

@@ -12,29 +12,29 @@ use crate::traffic::{Participant, RoadUser};
 const COLLISION_APART_S: f64 = 1.0;
 /// Within this distance of a lane's centre the ego counts as being in place, m.
 const IN_PLACE: f64 = 0.3;
-/// An offset from the lane's centre that lasts longer than this counts as no change of lane, s.
+/// An offset from the lane's centre that lasts longer than this is not a lane change, s.
 const LANE_CHANGE_S: f64 = 10.0;
 /// A lane change never leads farther than this beyond the border of a lane, m.
 const BESIDE_ROAD: f64 = 0.5;
-/// Lanes of different widths may leave a gap between them that is no way beside the road, m.
+/// A gap of up to this width between lanes of different widths counts as road, m.
 const LANE_GAP: f64 = 0.3;
-/// Slower is standing, m/s.
+/// A slower ego counts as standing, m/s.
 const STANDING: f64 = 0.1;
 /// Lateral motion faster than this is intentional, m/s.
 const SWERVING: f64 = 0.3;
-/// Stronger braking is named with its reason, m/s².
+/// Stronger braking is reported with its reason, m/s².
 pub(crate) const HARD_BRAKING: f64 = 4.0;
 /// Braking harder than this is checked against the need of the situation, m/s².
 pub(crate) const NOTED_BRAKING: f64 = 0.5;
 /// An emergency lasts this much longer than its situation, s: until the vehicle has released its
 /// brake, or stands.
 const EMERGENCY_ENDS_S: f64 = 1.0;
-/// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
+/// A stop counts after this time, s, if nothing within this distance ahead explains it, m.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
 /// Milliseconds between two checks of the distance to a goal.
 const NEAREST_STEPS: usize = 20;
-/// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
+/// Width and number of the jerk histogram's bins, m/s³; larger values count in the last bin.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;
 /// Time over which the jerk is taken, in milliseconds.
@@ -45,39 +45,39 @@ const JERK_MAX_SPAN_MS: usize = 100;
 /// Figures of a run so far. Time counts only while the world runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorldMetrics {
-    /// Distinct collisions: the ego's rectangle overlapped another vehicle's.
+    /// Number of collisions: the ego's rectangle overlapped another vehicle's.
     pub collisions: u32,
-    /// Those of them that the ego caused: it was neither hit while it stood, nor from behind, nor
-    /// from the side while it kept its lane.
+    /// Collisions that the ego caused: not hit while it stood, not from behind, and not from the
+    /// side while it kept its lane.
     pub collisions_by_ego: u32,
-    /// Collisions in which it stood.
+    /// Collisions while the ego stood.
     pub hit_while_standing: u32,
     /// How far the ego's centre was outside of all lanes of its direction, m; 0 if never.
     pub excursion_max_m: f64,
     /// Time with the centre outside of all lanes of its direction, s.
     pub off_lane_s: f64,
-    /// The part of it on a lane of the other direction, s.
+    /// The part of that time on a lane of the other direction, s.
     pub wrong_way_s: f64,
-    /// Time for which the ego stood, after the first seconds of each stop, though nothing was
+    /// Time for which the ego stood, after the first seconds of each stop, although nothing was
     /// near ahead, s.
     pub standing_s: f64,
-    /// When one of the scenario's goals was reached first, s; `None` without one.
+    /// When the first of the scenario's goals was reached, s; `None` if none was.
     pub goal_reached_s: Option<f64>,
-    /// How near the ego came to the place of a goal within its time, and when; `None` before that
-    /// time and without a place.
+    /// The nearest approach to the place of a goal within its time; `None` before that time, or if
+    /// no goal has a place.
     pub goal_nearest: Option<Nearest>,
-    /// Time that the ego drove where the operational design domain has ended, s.
+    /// Time that the ego drove beyond the end of the operational design domain, s.
     pub outside_domain_s: f64,
     /// When the function first asked the driver to take over, s.
     pub takeover_asked_s: Option<f64>,
-    /// When it first made its minimal-risk stop, s.
+    /// When the function first began its minimal-risk stop, s.
     pub safe_stop_s: Option<f64>,
     /// Largest distance to the centre of the own lane, m, while no lane change was under way.
     ///
     /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
     /// ends in the middle of another lane. One that leads back counts in full, as does one that
     /// lasts longer than 10 s, one that has not ended yet in another lane, and one that leads
-    /// beside the road. The way from the start to the centre of the first lane does not count
+    /// beside the road. The path from the start to the centre of the first lane does not count
     /// while it is on the road.
     pub lateral_error_max_m: f64,
     /// The same within lane changes, to the nearest lane's centre, m: about half a lane's width.
@@ -101,12 +101,12 @@ pub struct WorldMetrics {
     /// Largest deceleration, m/s², positive, and largest longitudinal jerk over 100 ms, m/s³,
     /// outside emergencies.
     ///
-    /// An emergency is a situation in which the ego needs more than 3 m/s² all the way to stay 1 m
-    /// behind what is ahead in its path, or enters it within 2 s, if that continues to brake as it
-    /// does; or to stand 1 m before the end of the lane or of the domain. It counts until 1 s
-    /// after.
+    /// An emergency is a situation in which the ego needs a constant deceleration above 3 m/s².
+    /// Either to stay 1 m behind an object that is in its path, or enters it within 2 s, and keeps
+    /// braking as it does; or to stop 1 m before the end of the lane or of the domain. It lasts 1 s
+    /// longer.
     pub calm_deceleration_max: f64,
-    /// See there.
+    /// The jerk of `calm_deceleration_max`.
     pub calm_jerk_max: f64,
     /// The hardest braking above 4 m/s²: when it first exceeded that, and its reason.
     pub hard_braking: Option<HardBraking>,
@@ -203,7 +203,7 @@ pub(crate) struct Sample {
     pub(crate) pose: Pose,
     pub(crate) gap: f64,
     pub(crate) ttc: f64,
-    /// Distance to the nearest other in front, in whichever lane, m, while the ego brakes hard.
+    /// Distance to the nearest other road user in front, in any lane, m, while the ego brakes hard.
     pub(crate) beside: f64,
     /// Distance to the end of the lane, m.
     pub(crate) end: f64,
@@ -226,7 +226,7 @@ pub(crate) struct Meter {
     /// The newest deceleration that was needed, m/s², and when, s.
     needed: (f64, f64),
     accelerations: [f64; JERK_SPAN_MS],
-    /// Of the last 100 ms, for the largest jerk.
+    /// Accelerations of the last 100 ms, for the largest jerk.
     smooth: [f64; JERK_MAX_SPAN_MS],
     steps: usize,
     jerks: Vec<u32>,
@@ -237,7 +237,7 @@ pub(crate) struct Meter {
 struct Excursion {
     since: f64,
     largest: f64,
-    /// It is not an error: the ego is changing lanes, or has not yet reached its first one.
+    /// The excursion is no error: the ego changes lanes, or has not yet reached its first lane.
     excused: bool,
 }
 
@@ -306,7 +306,7 @@ impl Meter {
         m.distance_m += sample.speed * 1e-3;
     }
 
-    /// The ego brakes, and needs this deceleration, m/s².
+    /// Called when the ego brakes and needs this deceleration, m/s².
     pub(crate) fn needs(&mut self, time_s: f64, deceleration: f64) {
         let (largest, at_s) = self.needed;
         if deceleration >= largest || time_s - at_s > EMERGENCY_ENDS_S {
@@ -322,8 +322,7 @@ impl Meter {
         self.metrics.goal_reached_s
     }
 
-    /// Takes over from the control frame whether the function asks the driver, and whether it
-    /// stops.
+    /// Records from the control frame whether the function asks the driver, and whether it stops.
     pub(crate) fn function(&mut self, time_s: f64, asks: bool, stops: bool) {
         let m = &mut self.metrics;
         m.takeover_asked_s = m.takeover_asked_s.or(asks.then_some(time_s));
@@ -466,7 +465,7 @@ impl Meter {
 
 /// Whether the moving ego caused its collision with `other`.
 ///
-/// It did not if it is hit from behind, or in the side while it kept its lane.
+/// It did not if it was hit from behind, or from the side while it kept its lane.
 fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
     let apart = ego.footprint.pose.to_local(other.footprint.pose.position);
     let own_half = ego.footprint.length / 2.0;
@@ -484,8 +483,7 @@ fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
     if apart.x < 0.0 && foremost < own_half && velocity.x > ego.speed {
         return false;
     }
-    // Into the ego's side: it is beside, or its front meets the flank, and it is the one that
-    // closes in.
+    // Into the ego's side: the other is beside, or its front meets the flank, and it closes in.
     let beside = rearmost < own_half - 0.5;
     let closes_in = velocity.y * apart.y < 0.0 && velocity.y.abs() > SWERVING;
     !(beside && keeps_lane && closes_in)
@@ -629,8 +627,8 @@ mod tests {
         assert_eq!(lateral(&start).lateral_error_max_m, 0.1);
     }
 
-    /// An excursion counts though the run ends before it does, and beside the road though lanes
-    /// are passed on the way.
+    /// An excursion counts even if the run ends before it. One that leads beside the road counts
+    /// even if the ego crosses lanes during it.
     #[test]
     fn an_excursion_that_is_open_at_the_end_counts() {
         let open = [(0.1, 0), (0.9, 0), (1.4, 0)];
@@ -685,7 +683,7 @@ mod tests {
     fn the_jerk_percentile_comes_from_steps_of_twenty_milliseconds() {
         let mut meter = Meter::new(0, Arc::new([]));
         for step in 0..20_000 {
-            // 1 m/s³ for ever, in a saw tooth without edges inside a span.
+            // A constant 1 m/s³, as a saw tooth without edges inside a span.
             meter.jerk(f64::from(step) * 1e-3);
         }
         assert!((meter.metrics().jerk_p99 - 1.0).abs() < 2.0 * JERK_BIN);

@@ -4,7 +4,7 @@
 //! Models", 2020. Step responses are compared to the published Python implementation, see
 //! `fixtures/plant/`.
 
-/// Below this speed the kinematic model holds, m/s: the tyre slip of the dynamic one divides by it.
+/// Below this speed the kinematic model holds, m/s: the dynamic model divides by the speed.
 pub const KINEMATIC_BELOW: f64 = 0.1;
 
 /// m/s²
@@ -192,8 +192,9 @@ impl PlantState {
         }
     }
 
-    /// Sets yaw rate and slip angle to what rolling without slip means: below [`KINEMATIC_BELOW`]
-    /// they follow from the other states, and a rest of tyre slip would never decay.
+    /// Sets yaw rate and slip angle to the values of rolling without slip: below
+    /// [`KINEMATIC_BELOW`] they follow from the other states, and remaining tyre slip would never
+    /// decay.
     pub fn settle_slowly_rolling(&mut self, p: &Parameters) {
         let wheelbase = p.front_axle + p.rear_axle;
         let tan = self.steering_angle.tan();
@@ -241,8 +242,8 @@ mod tests {
     /// Runge-Kutta of fourth order at 1 ms has a global error below 1e-8 here; 1e-6 leaves room for
     /// the kink of the acceleration limit at the switching speed, where a fixed step is of first
     /// order. Only the slip angle of "crawl" may differ by more: the published kinematic branch
-    /// squares the tangent once more than the chain rule does, 1e-4 rad at 0.1 rad of steering, and
-    /// nothing else depends on it there.
+    /// squares the tangent once more than the chain rule does, 1e-4 rad at 0.1 rad of steering,
+    /// which affects nothing else there.
     #[test]
     fn step_responses_agree_with_commonroad_vehicle_models() {
         let text = include_str!("../fixtures/plant/step_responses.csv");

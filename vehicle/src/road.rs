@@ -1,9 +1,8 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
-//! Lanelets are chained into lanes: each continues with the successor that bends least among those
-//! that are no dead end. Centre lines are smoothed, because maps have corners where roads have
-//! curves (US-101 has points every few metres with noise, A9 one every hundred with corners of
-//! 0.02 rad).
+//! Lanelets are chained into lanes: each continues with the successor that bends least and is not a
+//! dead end. Centre lines are smoothed, because maps have corners where roads have curves (US-101
+//! has points every few metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
 //! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
 //! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a
@@ -24,12 +23,12 @@ pub(crate) use line::{Foot, Point, Rough};
 
 /// Distance between two samples of a centre line, m.
 const STEP: f64 = 2.0;
-/// Straight piece that is put before and after the mapped lane and is smoothed with it, m.
+/// Length of the straight pieces before and after the mapped lane, smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
 /// Longest sum of all lanes, m: each metre takes 90 bytes, and each search of the whole road some
 /// nanoseconds.
 pub const ROAD_MAX: f64 = 1e6;
-/// An end of the domain is behind the vehicle when it is this far behind its centre, m.
+/// An end of the domain is passed when it is this far behind the vehicle's centre, m.
 const EXIT_PASSED: f64 = 4.0;
 /// Weight of a difference of direction when the start lane is chosen, m/rad.
 const HEADING_WEIGHT: f64 = 8.0;
@@ -71,9 +70,9 @@ pub struct Section {
 pub struct RoadLane {
     /// Ids of its lanelets in the file, in driving direction.
     pub lanelets: Vec<i64>,
-    /// Where it begins, if it does so while others were there before.
+    /// Where it begins, if other lanes begin earlier.
     pub begin: Option<f64>,
-    /// Where it ends, if others continue.
+    /// Where it ends, if other lanes continue.
     pub end: Option<f64>,
     /// Every [`STEP`] metres; beyond them it continues straight.
     sections: Vec<Section>,
@@ -107,7 +106,7 @@ impl RoadLane {
         [section.left, section.right]
     }
 
-    /// The samples before and after `s`, the share of the way between them, and the way beyond all
+    /// The samples before and after `s`, the share between them, and the distance beyond all
     /// samples, m.
     fn around(&self, s: f64) -> (&Section, &Section, f64, f64) {
         let (index, t, beyond) = self.line.around(s);
@@ -143,8 +142,8 @@ impl RoadLane {
         self.begin.is_none_or(|begin| s >= begin) && self.end.is_none_or(|end| s <= end)
     }
 
-    /// The foot of the perpendicular from `point`; found by walking from `near` downhill, so `near`
-    /// should be within some ten metres on curved roads.
+    /// The foot of the perpendicular from `point`, by a descent that starts at `near`: on curved
+    /// roads `near` should be within some ten metres of it.
     #[must_use]
     pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
         let sample = self.line.sample_near(point, self.line.sample_at(near));
@@ -179,7 +178,7 @@ impl Road {
     /// them at their edges.
     ///
     /// # Errors
-    /// The lanes would be longer than [`ROAD_MAX`] together: their length until there, m.
+    /// The lanes would be longer than [`ROAD_MAX`] together: their length so far, m.
     ///
     /// # Panics
     /// If `lanelets` is empty or a bound has fewer than two points; the parser refuses both.
@@ -216,7 +215,7 @@ impl Road {
     /// The lane with this id.
     ///
     /// # Panics
-    /// If the id is another road's.
+    /// If the id belongs to another road.
     #[must_use]
     pub fn lane(&self, id: LaneId) -> &RoadLane {
         &self.lanes[id.0]
@@ -263,8 +262,8 @@ impl Road {
         })
     }
 
-    /// Metres to the end of the operational design domain on this lane from arc length `s`, and
-    /// what ends it; `None` if nothing does.
+    /// Metres to the end of the operational design domain on this lane from arc length `s`, and its
+    /// cause; `None` if there is no end.
     #[must_use]
     pub fn domain_end(&self, lane: LaneId, s: f64) -> Option<(f64, Exit)> {
         let exits = &self.lane(lane).exits;
@@ -283,8 +282,8 @@ impl Road {
             .map_or(end, |(exit, _)| end.min(exit))
     }
 
-    /// The lane in which a drive starts: as [`Road::locate`], but where lanes lie on each other,
-    /// as behind a fork, the one along `yaw`.
+    /// The lane in which a drive starts: as [`Road::locate`], but where lanes overlap, as after a
+    /// fork, the one along `yaw`.
     #[must_use]
     pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let (nearest, place) = self.locate(point, yaw);
@@ -401,7 +400,7 @@ fn nearest_station(centres: &[Vec2], point: Vec2) -> f64 {
     nearest.map_or(0.0, |(index, _)| index as f64 * STEP)
 }
 
-/// Finds neighbours beyond the map by distance: files often name none at the map's edge.
+/// Finds neighbours beyond the map by distance: files often have none at the map's edge.
 fn join_beyond_the_map(lanes: &mut [RoadLane]) {
     let last: Vec<(Section, bool)> = lanes
         .iter()
@@ -535,8 +534,8 @@ mod tests {
         assert_eq!(lane, LaneId(0));
     }
 
-    /// At a fork a lane does not continue with what ends soon: the straighter branch is a dead end,
-    /// unless both are, or it is long.
+    /// At a fork a lane does not continue into a branch that ends soon, even if it is the
+    /// straighter one, unless both end or the branch is long.
     #[test]
     fn a_dead_end_is_not_chosen_at_a_fork() {
         let fork = |straight: f64, further: &[i64]| {
@@ -555,8 +554,8 @@ mod tests {
         assert_eq!(fork(300.0, &[4])[0], [1, 2]);
     }
 
-    /// Where two lanes lie on each other the drive starts in the one that runs as the vehicle
-    /// stands, though the other one's centre is a little nearer.
+    /// Where two lanes overlap, the drive starts in the one along the vehicle's heading, even if
+    /// the other one's centre is a little nearer.
     #[test]
     fn heading_decides_the_lane_at_the_start() {
         let road = Road::new(&[

@@ -14,19 +14,19 @@ const IN_LANE: f64 = 0.55;
 /// Number of lanes searched on each side, here and this far ahead, m: lanes open on the way.
 const LANES_ASIDE: usize = 6;
 const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
-/// The speed for the goal differs from the driver's by no more than these factors.
+/// The speed for the goal exceeds the driver's by no more than this factor.
 const HURRY: f64 = 1.3;
-/// A spot is to be reached after this share of its time.
+/// The ego should reach a spot after this share of its time.
 const EARLY: f64 = 0.2;
-/// A spot at which the ego may stand is driven to at once, and waited for: it is approached with
-/// this time constant, s.
+/// If the ego may stand at a spot, it drives there at once and waits: it approaches with this time
+/// constant, s.
 const STOPS_S: f64 = 2.0;
 /// The speed is no longer corrected when less than this time is left, s.
 const NEAR_S: f64 = 0.5;
-/// Speeds inside of the goal's range are kept away from its limits by this much, m/s.
+/// Margin to the limits of the goal's range of speeds, m/s.
 const SPEED_MARGIN: f64 = 0.7;
-/// Time before the goal in which its range of speeds is driven from below, and from above, s: to
-/// slow down takes less.
+/// Time before the goal at which the ego enters its range of speeds from below, and from above, s:
+/// slowing down takes less time.
 const SPEED_BEFORE_S: (f64, f64) = (4.0, 1.5);
 /// A goal that is farther behind is passed, m.
 const PASSED: f64 = 2.0;
@@ -39,7 +39,7 @@ pub(crate) struct Advice {
     pub(crate) set_speed: f64,
     /// Whether the shorter distance to the vehicle ahead is chosen, to reach the goal in time.
     pub(crate) near_gap: bool,
-    /// Where in the lane, m from its centre, left positive.
+    /// The requested place in the lane, m from its centre, left positive.
     pub(crate) lane_offset: f64,
 }
 
@@ -105,18 +105,17 @@ impl Navigation {
         })
     }
 
-    /// The speed with which the ego is between `from` and `to` metres ahead in time. `in_lane`: the
-    /// goal is ahead in the own lane.
+    /// The speed at which the ego drives between `from` and `to` metres within the goal's time.
+    /// `in_lane`: the goal is ahead in the own lane.
     fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
         let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));
         let (opens, ends) = ((opens - time_s).max(0.0), (ends - time_s).max(NEAR_S));
-        // The ego must arrive by the end of the time, and must not have passed the goal at its
-        // begin.
+        // The ego must arrive by the end of the time, and must not pass the goal before it begins.
         let slowest = from.max(0.0) / ends;
         let fastest = to.max(0.0) / opens.max(1e-3);
         let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {
-            // A spot: early in its time, because traffic may delay; but no slower than needed while
-            // the others in the next lane pass.
+            // A spot: arrive early in its time, because traffic may delay the ego. For a goal in
+            // another lane, arrive when the time begins.
             let aim = if goal.speed.is_some_and(|(low, _)| low <= 0.0) {
                 STOPS_S
             } else if in_lane {
@@ -144,8 +143,8 @@ impl Navigation {
     }
 }
 
-/// The own lane and those beside it so far `ahead`, m, with the way to them and the ego's arc
-/// length in them.
+/// The own lane and those beside it at `ahead`, m, each with the route to it and the ego's arc
+/// length in it.
 fn lanes_beside<'a>(
     road: &'a Road,
     here: &Here,
@@ -248,7 +247,7 @@ mod tests {
         ] {
             assert_eq!(given, free, "{what}");
         }
-        // In time without a hurry: the driver's own speed.
+        // In time at the driver's own speed.
         let early = advice(goal(200.0, 0.0, Some((0.0, 12.0))), 0.0, false);
         assert_eq!((early.route, early.set_speed), (RouteCode::Keep, 30.0));
     }

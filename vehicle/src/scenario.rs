@@ -14,12 +14,12 @@ use crate::traffic::recording::Track;
 /// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
 
-/// What is ahead in the lane at the start must be so far away that this deceleration, m/s², after
-/// this time, s, avoids it; it is in the way when it leaves less room aside than this, m.
+/// An object ahead in the lane at the start must be avoidable by this deceleration, m/s², after
+/// this time, s. It is in the way if it leaves less room aside than this, m.
 const START_BRAKING: f64 = 8.0;
 const START_DELAY_S: f64 = 0.3;
 const START_ASIDE: f64 = 0.35;
-/// A vehicle that moves faster than this across the lane, or against it, m/s, is not followed.
+/// A vehicle that moves faster than this across or against the lane, m/s, is not a leader.
 const ALONG_LANE: f64 = 1.0;
 
 /// The embedded scenarios: name, one-line description, CommonRoad XML.
@@ -191,13 +191,13 @@ impl Scenario {
         })
     }
 
-    /// Goals of the drive, of which one is to be reached. Empty if the file names none.
+    /// Goals of the drive; the ego must reach one of them. Empty if the file names none.
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
         &self.goals
     }
 
-    /// Why this is no scenario for the driving functions: it starts outside of their operational
+    /// Why the driving functions cannot drive this scenario: it starts outside of their operational
     /// design domain. `None` if it starts inside.
     #[must_use]
     pub fn outside_domain(&self) -> Option<&str> {
@@ -230,7 +230,7 @@ impl Scenario {
     }
 }
 
-/// The text of a regular file, of which no more is read than the parser takes.
+/// The text of a regular file. Reads no more than the parser accepts.
 fn read_limited(path: &Path) -> std::io::Result<String> {
     // Opening a pipe would block until its writer opens it.
     if !path.metadata()?.is_file() {
@@ -243,7 +243,7 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
     Ok(text)
 }
 
-/// Why no braking keeps the ego, at this place of its lane with this speed, from the obstacle.
+/// Why no braking prevents a collision of the ego, at this place and speed, with the obstacle.
 fn too_near(lane: &RoadLane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Option<String> {
     let footprint = footprint_at_start(obstacle);
     if footprint.length <= 0.0 {
@@ -300,7 +300,7 @@ fn fastest(obstacles: &[Obstacle]) -> f64 {
     states.filter_map(|state| state.speed).fold(0.0, f64::max)
 }
 
-/// The embedded name that shares the most pairs of letters, if that is at least half of them.
+/// The embedded name that shares the most pairs of letters, if it shares at least half.
 fn nearest_name(wanted: &str) -> Option<&'static str> {
     let pairs = |name: &str| -> Vec<[u8; 2]> {
         let name = name.to_lowercase();
@@ -327,8 +327,8 @@ mod tests {
     use super::*;
     use crate::commonroad::{Class, TimedState};
 
-    /// A collision that no braking avoids is refused before the start: with a vehicle that stands
-    /// near, or drives slower close ahead, in the lane or a few centimetres beside the own path.
+    /// A scenario with an unavoidable collision is refused before the start: a vehicle stands or
+    /// drives slowly close ahead, in the lane or a few centimetres beside the own path.
     #[test]
     fn who_is_too_near_to_brake_for_is_named() {
         let scenario = Scenario::load("free-lane").unwrap();

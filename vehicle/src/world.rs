@@ -35,8 +35,8 @@ const MOTION_TICKS: u64 = 10;
 const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
 const DRIVER_PHASE: u64 = 3;
-/// If the caller is later than this, ns, the world stands still for the time between: otherwise a
-/// frozen world process would look like a vehicle without control.
+/// If the caller is later than this, ns, the world pauses for that time: otherwise a frozen world
+/// process would look like a vehicle without control.
 const STALL_NS: u64 = 200_000_000;
 /// The ego counts as being in the other lane when it is this far over the line, m.
 const LANE_HYSTERESIS: f64 = 0.1;
@@ -47,7 +47,7 @@ const ALONG: f64 = 1.0;
 /// How a world runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WorldConfig {
-    /// All noise follows from it.
+    /// Seed of all noise.
     pub seed: u64,
 }
 
@@ -93,7 +93,7 @@ pub struct WorldSnapshot {
     pub time_s: f64,
     /// A control frame has been accepted.
     pub running: bool,
-    /// The ego's centre of gravity, which is taken for its centre, and its heading.
+    /// The ego's centre of gravity, used as its centre, and its heading.
     pub pose: Pose,
     /// m/s
     pub speed: f64,
@@ -130,7 +130,7 @@ pub struct WorldSnapshot {
 }
 
 /// The world outside of the controller. Deterministic: the same scenario, seed, frames and times
-/// give the same run to the bit.
+/// give a bit-identical run.
 pub struct World {
     road: Arc<Road>,
     set_speed: f64,
@@ -155,7 +155,7 @@ pub struct World {
     snapshot: WorldSnapshot,
     /// Time of the next tick; `None` before the first call.
     next_ns: Option<u64>,
-    /// Ticks since the first call, and of the running world.
+    /// Ticks since the first call, and ticks of the running world.
     ticks: u64,
     /// The tick of the last echo, and the arrival of the frame that it reported, ns.
     echoed: Option<(u64, Option<u64>)>,
@@ -217,12 +217,12 @@ impl World {
         world
     }
 
-    /// What the driver does in this run.
+    /// Sets the driver's actions in this run.
     pub fn set_driver(&mut self, habit: Habit) {
         self.driver = Driver::new(habit);
     }
 
-    /// Sensors that fail in this run.
+    /// Sets the sensors that fail in this run.
     pub fn set_sensor_faults(&mut self, faults: Vec<SensorFault>) {
         self.sensor_faults = Faults::new(faults);
     }
@@ -344,7 +344,7 @@ impl World {
         let before = self.state;
         self.state = before.stepped(input, TICK_S, &BMW_320I);
         if self.state.speed < 0.0 {
-            // The brake has stopped it, and nothing moves it backwards.
+            // The brake has stopped the vehicle, and nothing moves it backwards.
             self.state.speed = 0.0;
         }
         if self.state.speed < plant::KINEMATIC_BELOW {
@@ -418,7 +418,7 @@ impl World {
         in_front.fold(f64::INFINITY, f64::min)
     }
 
-    /// Takes over the plant's state and finds the lane.
+    /// Copies the plant's state and finds the lane.
     fn follow_plant(&mut self) {
         let state = &self.state;
         let pose = Pose {
@@ -584,14 +584,14 @@ impl World {
         self.set_speed
     }
 
-    /// How long the world stood still because [`World::step`] was not called, ns.
+    /// How long the world paused because [`World::step`] was not called, ns.
     #[must_use]
     pub fn stalled_ns(&self) -> u64 {
         self.stalled_ns
     }
 }
 
-/// The ego as others see it.
+/// The ego as a participant of the traffic.
 fn participant(ego: &EgoTruth) -> Participant {
     let footprint = Footprint {
         pose: ego.pose,
@@ -605,8 +605,8 @@ fn participant(ego: &EgoTruth) -> Participant {
     }
 }
 
-/// Bumper distance and speed of the nearest vehicle that is ahead in the ego's lane: with its
-/// centre in the lane, or in the way of the ego's body.
+/// Bumper distance and speed of the nearest vehicle ahead in the ego's lane: its centre is in the
+/// lane, or it is in the way of the ego's body.
 fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
     let lane = road.lane(ego.lane);
     let frame = ego.pose.frame();

@@ -16,7 +16,7 @@ pub struct LoggedFrame {
     pub sent: Instant,
     /// The frame.
     pub frame: CanFrame,
-    /// What the vehicle did with it, if it is a control frame.
+    /// The vehicle's ruling, if it is a control frame.
     pub verdict: Option<Ruling>,
 }
 
@@ -67,7 +67,7 @@ impl World {
     }
 
     /// Between two periods: the frames of the controllers, and at once the echo of one that acts.
-    /// Call it when the periods that are due have run.
+    /// Call it after all due periods have run.
     pub fn run_between(&mut self, bus: &mut impl VehicleBus, seen: &mut dyn FnMut(LoggedFrame)) {
         let now = bus.now();
         bus.transmitted(&mut |_, _, carried| seen(self.hear(now, carried)));

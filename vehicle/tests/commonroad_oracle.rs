@@ -1,5 +1,5 @@
-//! The reader, the goals and the overlaps of this crate beside those of commonroad-io and its
-//! drivability checker, independent implementations.
+//! Compares the reader, the goals and the overlaps of this crate with independent implementations:
+//! commonroad-io and its drivability checker.
 #![allow(clippy::unwrap_used)]
 
 use std::fmt::Write as _;

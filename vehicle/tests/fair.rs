@@ -1,6 +1,6 @@
 //! Every scenario can be driven: a reference driver with perfect knowledge drives 60 s through
-//! each. For any behaviour of the ego, the others do not collide with each other, and none hits the
-//! ego from behind.
+//! each. With any behaviour of the ego, the others do not collide with each other or hit the ego
+//! from behind.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -31,7 +31,7 @@ fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&WorldSnapsho
     world
 }
 
-/// The first two of the others that overlap.
+/// The first two other vehicles that overlap.
 fn overlapping(now: &WorldSnapshot) -> Option<(i64, i64)> {
     let footprint = |v: &tandem_vehicle::VehicleSnapshot| Footprint {
         pose: v.pose,

@@ -75,8 +75,8 @@ fn version_2020a_with_sign_and_obstacles() {
     assert_eq!(map.obstacles[1].class, Class::Motorcycle);
 }
 
-/// The driver's speed is that of the sign; without one the highest in the file, the ego's own or
-/// another's, and not below that of a town.
+/// The driver's speed is that of the sign. Without a sign it is the highest speed in the file, of
+/// any vehicle, but at least the speed limit of a town.
 #[test]
 fn the_set_speed_is_that_of_the_sign_or_else_of_the_traffic() {
     let unsigned = SIGN.replace("<trafficSignRef ref=\"70\"/>", "");
@@ -226,7 +226,7 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
     assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
 }
 
-/// Small files that demand much work are refused with the reason, or cost little: no case takes
+/// Small files that would need much work are refused with the reason, or need little: no case takes
 /// seconds.
 #[test]
 fn files_that_ask_for_much_are_refused() {

@@ -1,4 +1,4 @@
-//! What the sensors see, judged by their frames.
+//! Tests the sensors by their frames.
 
 #![allow(clippy::unwrap_used)]
 
@@ -12,7 +12,7 @@ use tandem_vehicle::{Scenario, World, WorldConfig};
 const SPEED: f64 = 20.0;
 
 /// Three straight lanes along x, 3.5 m wide, the ego in the middle one at the origin; the leftmost
-/// lane ends at 150 m. `things` are (x, y, length, width) of standing things.
+/// lane ends at 150 m. `things` are (x, y, length, width) of standing objects.
 fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
     let mut xml = String::from(
         "<commonRoad commonRoadVersion=\"2018b\" timeStepSize=\"0.1\" benchmarkID=\"straight\">",
@@ -89,7 +89,7 @@ fn seen(lists: &[Vec<SensorObject>], x: f64, y: f64) -> f64 {
     lists.iter().filter(|list| list.iter().any(near)).count() as f64 / lists.len() as f64
 }
 
-/// T-CHIP-4: each sensor sees what is in its field of view, and nothing else.
+/// T-CHIP-4: each sensor sees exactly the objects in its field of view.
 #[test]
 fn every_sensor_looks_in_its_own_direction() {
     use SensorId::*;

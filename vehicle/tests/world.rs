@@ -1,4 +1,4 @@
-//! The world as the controller meets it: through frames and time only.
+//! Tests the world through the controller's interface: frames and time only.
 
 #![allow(clippy::unwrap_used)]
 

@@ -72,7 +72,7 @@ impl Area {
     }
 }
 
-/// How near the ego came to a goal's place.
+/// The nearest approach of the ego to a goal's place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
     /// m
@@ -83,7 +83,7 @@ pub struct Nearest {
     pub speed: f64,
 }
 
-/// The conditions of one `<goalState>`. Anything it does not name is free.
+/// The conditions of one `<goalState>`. Quantities that it does not name are not limited.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
     /// The ego's centre must be in one of these; if empty, it may be anywhere.
@@ -114,7 +114,8 @@ impl Goal {
             && (self.areas.is_empty() || self.areas.iter().any(|area| area.contains(position)))
     }
 
-    /// `before`, or the place of this goal if the ego is nearer to it now, in its time.
+    /// The nearest approach so far: `before`, or the present one if it is nearer and within the
+    /// goal's time.
     #[must_use]
     pub fn nearer(
         &self,

@@ -10,17 +10,17 @@ use super::{ROAD_MAX, RUN_OUT};
 /// A successor that begins farther than this from the end of its lanelet is ignored, m.
 const JOINT_MAX: f64 = 10.0;
 /// A lanelet without a successor that is shorter than this is a dead end, m: it is chosen at a fork
-/// only if there is nothing else. A longer one may be cut by the edge of the map.
+/// only if there is no other. A longer one may be cut by the edge of the map.
 const DEAD_END: f64 = 50.0;
-/// No road has more lanes side by side.
+/// Largest number of lanes side by side.
 const BESIDE_MAX: usize = 64;
-/// Over this length the direction of an end of a lane is taken, m: single pieces are noisy.
+/// Length over which the direction of a lane's end is measured, m: single pieces are noisy.
 const END_PIECE: f64 = 40.0;
 
 /// A lane as indices into the lanelets of a file.
 pub(super) struct Chain {
     pub(super) pieces: Vec<usize>,
-    /// It begins where another lane was already: a fork, or a lane that opens.
+    /// It begins beside or from an existing lane: at a fork, or as an added lane.
     pub(super) opens: bool,
     /// It ends while a neighbour continues.
     pub(super) drops: bool,
@@ -210,7 +210,7 @@ pub(super) fn run_out_headings(lines: &[CentreLine]) -> Vec<f64> {
         .collect()
 }
 
-/// The lanes whose ends can be reached from this one's in steps of one lane.
+/// The lanes whose ends are side by side with this one's, directly or through other lanes.
 fn side_by_side(ends: &[(Vec2, f64)], start: usize) -> Vec<usize> {
     let mut group = vec![start];
     let mut next = 0;
@@ -285,7 +285,7 @@ impl CentreLine {
     }
 }
 
-/// Points halfway between the bounds, with the distance of the bounds.
+/// Points halfway between the bounds, with the distance between the bounds.
 fn centre_points(lanelet: &Lanelet) -> Vec<(Vec2, f64)> {
     let middle = |(a, b): (Vec2, Vec2)| (a.lerp(b, 0.5), (a - b).norm());
     if lanelet.left.len() == lanelet.right.len() {

@@ -2,8 +2,8 @@
 //! statement is `docs/domain.md`.
 //!
 //! It is checked twice. Before the start, [`crate::Scenario::outside_domain`] says why a scenario
-//! cannot be begun. While driving, the camera reports where the domain ends on a lane like the end
-//! of that lane, so that the functions change lanes or stop before it.
+//! cannot start. While driving, the camera reports where the domain ends on a lane like the end of
+//! that lane, so that the functions change lanes or stop before it.
 
 use std::collections::HashMap;
 use std::f64::consts::PI;
@@ -19,15 +19,15 @@ const RADIUS_MIN: f64 = 20.0;
 /// Where the ego starts: the largest angle to its lane, rad, and the highest speed, m/s.
 const START_ANGLE: f64 = 0.7;
 const START_SPEED_MAX: f64 = 60.0;
-/// Deceleration, m/s², and time to react, s, with which a stop before the end of the domain must
-/// be possible from the start on, and the distance that is left then, m.
+/// From the start, the ego must be able to stop before the end of the domain with this
+/// deceleration, m/s², after this reaction time, s, and with this distance left, m.
 const STOP_BRAKING: f64 = 3.0;
 const STOP_DELAY_S: f64 = 0.7;
 const STOP_MARGIN: f64 = 8.0;
-/// Lanes whose centre lines are this near, m, under an angle between these, rad, cross.
+/// Lanes cross if their centre lines are this near, m, at an angle between these, rad.
 const CROSSING_NEAR: f64 = 2.0;
 const CROSSING_ANGLE: std::ops::Range<f64> = 0.35..PI - 0.35;
-/// Those that are this near and run against each other are one lane for both directions, m.
+/// Opposite lanes that are this near are one lane for both directions, m.
 const SHARED_NEAR: f64 = 1.0;
 
 /// The causes that end the domain on a lane.
@@ -37,9 +37,9 @@ pub enum Exit {
     Crossing,
     /// The lane is used in both directions.
     Shared,
-    /// The lane is this wide, m.
+    /// The lane has this width, outside the limits, m.
     Width(f64),
-    /// The bend has this radius, m.
+    /// The bend has this radius, below the limit, m.
     Radius(f64),
 }
 
@@ -70,7 +70,7 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         let (x, y) = (square(section.centre.x), square(section.centre.y));
         let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (x + dx, y + dy)));
         let near = around.filter_map(|key| squares.get(&key)).flatten();
-        // Many lanes at one place are not a road; the first ones are enough.
+        // More lanes at one place are not a real road: the first ones are enough.
         near.take(256)
             .filter(|(lane, _)| *lane != own)
             .find_map(|(lane, other)| {
@@ -170,7 +170,7 @@ mod tests {
         [Vec2::new(from.0, from.1), Vec2::new(to.0, to.1)]
     }
 
-    /// The end of the domain on the first lane, from 10 m behind its begin.
+    /// The end of the domain on the first lane, from 10 m after its start.
     fn end(lanelets: &[Lanelet]) -> Option<(f64, Exit)> {
         let road = Road::new(lanelets).unwrap();
         let start = road.lane(LaneId(0)).project(Vec2::new(10.0, 0.0)).s;

@@ -1,18 +1,18 @@
-//! A lane's centre line: its points by arc length, and the point of it that is nearest to a place.
+//! A lane's centre line: its points by arc length, and its nearest point to a place.
 //!
-//! Values that every query needs are computed once: the way and the turn to the next sample, and
-//! boxes around pieces of the line, so that a search leaves out what is too far away.
+//! Values that every query needs are computed once: the vector and the turn to the next sample, and
+//! boxes around pieces of the line, so that a search skips distant pieces.
 
 use super::{Frenet, STEP};
 use crate::geometry::{Vec2, wrap_angle};
 
 /// Samples in a piece with its own box.
 const PIECE: usize = 32;
-/// A search over the whole line tests every sample of this number, and then those between.
+/// A search over the whole line tests every `COARSE`-th sample, then those between.
 const COARSE: usize = 4;
 /// Newton steps from the nearest sample.
 const NEWTON_STEPS: usize = 3;
-/// Samples on each side for which [`Bend`] holds, and the largest way from the sample for which
+/// Samples on each side for which [`Bend`] holds, and the largest distance from the sample at which
 /// it is used, m.
 const AROUND: usize = 8;
 const AROUND_M: f64 = 14.0;
@@ -26,7 +26,7 @@ struct Sample {
     heading: f64,
     /// Unit vector with this heading.
     along: Vec2,
-    /// To the next sample; zero at the last.
+    /// Vector to the next sample; zero at the last.
     way: Vec2,
     turn: f64,
     bend: Bend,
@@ -39,7 +39,8 @@ struct Bend {
     angle: f64,
     /// Largest curvature, 1/m.
     curvature: f64,
-    /// Largest difference of 1 and the way in the line's own direction for a metre of arc length.
+    /// Largest difference between 1 and the progress along the line's direction per metre of arc
+    /// length.
     stretch: f64,
 }
 
@@ -68,10 +69,10 @@ pub(crate) struct Foot {
 /// Bounds of the foot of a perpendicular, from the sample at which its search begins.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rough {
-    /// The foot's `d` is no farther from this one than `by`, m.
+    /// The foot's `d` differs from this one by at most `by`, m.
     pub(crate) d: f64,
     pub(crate) by: f64,
-    /// Direction of the line at the sample, and how much it differs at the foot, rad.
+    /// Direction of the line at the sample, and the limit of its difference at the foot, rad.
     pub(crate) along: Vec2,
     pub(crate) turn: f64,
 }
@@ -87,7 +88,7 @@ struct Bounds {
 #[derive(Clone, Debug)]
 pub(crate) struct Line {
     samples: Vec<Sample>,
-    /// Around all samples, and around each piece with the first sample of the next.
+    /// Box around all samples, and around each piece with the first sample of the next.
     whole: Bounds,
     pieces: Vec<Bounds>,
     /// The first and the last point, and the directions in which it continues there.
@@ -149,7 +150,7 @@ fn bend(samples: &[Sample], index: usize) -> Bend {
             return Bend { angle, ..it };
         }
         let angle = angle(sample.along, 1.0).max(angle(sample.way, length));
-        // The direction of the line and that of the way differ by at most twice the angle.
+        // The directions of the line and of the vector differ by at most twice the angle.
         let share = length / STEP;
         Bend {
             angle: it.angle.max(angle),
@@ -203,12 +204,12 @@ impl Line {
         self.samples.len() - 1
     }
 
-    /// The index of the sample before `s`, the share of the way from there to the next one, and
-    /// the way beyond all samples, m.
+    /// The index of the sample before `s`, the share of the step from there to the next one, and
+    /// the distance beyond all samples, m.
     pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
         let last = self.last();
         let place = (s / STEP).clamp(0.0, f64::from(last as u32));
-        // There are fewer samples than metres of road: conversions of 32 bits, which are fast.
+        // Samples are fewer than metres of road, so 32 bits suffice: such conversions are fast.
         let index = (place as i32).min(last as i32 - 1).max(0);
         (index as usize, place - f64::from(index), s - place * STEP)
     }
@@ -234,12 +235,12 @@ impl Line {
     pub(crate) fn sample_at(&self, s: f64) -> usize {
         let place = (s / STEP).clamp(0.0, f64::from(self.last() as u32));
         let before = place as i32;
-        // As `round` does, which is a call on many machines.
+        // Like `round`, which is a function call on many machines.
         before as usize + usize::from(place - f64::from(before) >= 0.5)
     }
 
-    /// The sample from which a walk from sample `start` gets no nearer to `point`. All samples on
-    /// the way lead to the same.
+    /// The sample at which a walk from sample `start` to nearer samples ends. All samples passed
+    /// lead to the same one.
     pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
         let distance = |index: usize| distance_squared(point, self.samples[index].centre);
         let (mut index, mut least) = (start, distance(start));
@@ -271,12 +272,12 @@ impl Line {
                 }
             }
         };
-        // The piece with the nearest box first: most others are farther than what is in it.
+        // The piece with the nearest box first: most other boxes are farther than its samples.
         let by_box = |piece: &usize| self.pieces[*piece].distance_squared(point);
         let first = (0..self.pieces.len()).min_by(|a, b| by_box(a).total_cmp(&by_box(b)));
         search(first.unwrap_or(0), &mut nearest);
         let bound = nearest.0;
-        // Of equal ones the first counts.
+        // Of equally near samples the first counts.
         nearest = (f64::INFINITY, 0);
         for piece in 0..self.pieces.len() {
             let box_distance = by_box(&piece);
@@ -305,7 +306,7 @@ impl Line {
         };
         for _ in 0..NEWTON_STEPS {
             let next = s + along.dot(point - at.centre);
-            // All further steps would stay here.
+            // Further steps would give the same point.
             if next == s {
                 break;
             }
@@ -320,7 +321,7 @@ impl Line {
         }
     }
 
-    /// Bounds of what [`Line::foot`] finds from this sample; `None` if the line bends too much.
+    /// Bounds of the result of [`Line::foot`] from this sample; `None` if the line bends too much.
     ///
     /// A Newton step maps `s` to g(s) = s + along(s) · (point - at(s)). If the slope of g is below
     /// a half within twice the first step, then no step leaves that range (Banach).
@@ -343,8 +344,8 @@ impl Line {
         })
     }
 
-    /// Whether each point of the line is farther from `point` than `distance`, m. If some box is
-    /// nearer, it may return false although true is right.
+    /// Whether each point of the line is farther from `point` than `distance`, m. May return false
+    /// for a farther line if one of its boxes is nearer.
     pub(super) fn is_farther(&self, point: Vec2, distance: f64) -> bool {
         let limit = distance + ROUNDING;
         let limit_squared = limit * limit;
@@ -362,7 +363,7 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// A line that winds, with a bend that comes back to where it was.
+    /// A winding line with a bend that returns to its start.
     fn winding() -> Line {
         bending(2.4)
     }
@@ -412,7 +413,7 @@ mod tests {
         assert!(farther[1] > farther[0], "the boxes are of use: {farther:?}");
     }
 
-    /// The bounds hold wherever the search begins, also where Newton's steps do not reach the foot.
+    /// The bounds hold from each starting sample, even if Newton's steps do not reach the foot.
     #[test]
     fn the_foot_is_within_its_bounds() {
         let line = bending(1.0);

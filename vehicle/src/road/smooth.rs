@@ -33,7 +33,7 @@ pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
 }
 
 /// Smooths twice and adds back what the second pass removed ("twicing", Tukey 1977): a kernel of
-/// fourth order, which leaves parabolas where they are.
+/// fourth order, which does not change parabolas.
 pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let once = gaussian(points, step);
     let twice = gaussian(&once, step);

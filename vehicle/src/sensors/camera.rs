@@ -1,7 +1,7 @@
 //! The camera's lanes: a cubic polynomial through the own lane's centre line, neighbours, ends.
 //!
-//! The cubic holds as far as it follows the lane, and no farther: [`RANGES`] are tried from the
-//! longest. An end of a lane, or of the operational design domain on it, is known from the map.
+//! The cubic is valid only as far as it follows the lane: [`RANGES`] are tried from the longest. An
+//! end of a lane, or of the operational design domain on it, is known from the map.
 
 use tandem_bus::CameraLanes;
 
@@ -16,19 +16,20 @@ const VIEW_RANGE: f64 = 80.0;
 const RANGES: [f64; 10] = [
     VIEW_RANGE, 64.0, 50.0, 40.0, 32.0, 25.0, 20.0, 16.0, 12.0, 8.0,
 ];
-/// The cubic follows the lane if it is nowhere farther away, m.
+/// The cubic follows the lane if it is nowhere farther from it than this, m.
 const RESIDUAL: f64 = 0.15;
 /// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
 /// How many points are fitted.
 const POINTS: usize = 20;
-/// Standard deviations of the coefficients' errors; at 60 m they make 8 cm each, and at the same
-/// share of a shorter range as much.
+/// Standard deviations of the coefficients' errors; at 60 m each causes 8 cm, and the same at the
+/// same share of a shorter range.
 const NOISE: [f64; 4] = [0.02, 0.001_2, 2e-5, 3e-7];
 /// Standard deviations of width (m) and of the distance to an end (share of it).
 const WIDTH_NOISE: f64 = 0.05;
 const END_NOISE: f64 = 0.01;
-/// Farther from its lane's centre the ego is off the road, and the camera sees no own lane, m.
+/// If the ego is farther from its lane's centre, m, it is off the road, and the camera sees no own
+/// lane.
 const OFF_ROAD: f64 = 4.0;
 
 pub(super) struct LaneCamera {
@@ -133,7 +134,7 @@ fn fit(ego: &EgoTruth, road: &Road, range: f64) -> ([f64; 4], f64) {
         let point = frame.to_local(section.centre);
         *kept = point;
         let x = point.x / range;
-        // What is near matters more to the control, and a camera sees it better.
+        // Near points matter more to the control, and a camera sees them better.
         let weight = 1.0 / (1.0 + 2.0 * x.max(0.0));
         let powers = [1.0, x, x * x, x * x * x];
         for (row, left) in matrix.iter_mut().zip(powers) {

@@ -33,7 +33,7 @@ impl Chassis {
     }
 
     pub(super) fn measure(&mut self, ego: &EgoTruth) -> EgoMotion {
-        // Wheel sensors of a standing vehicle give no pulses, and no noise.
+        // Wheel sensors of a standing vehicle give no pulses, so there is no noise.
         let moves = ego.speed > 0.05;
         let mut noisy = |value: f64, deviation: f64| value + self.noise.normal(deviation);
         let speed = noisy(ego.speed * ego.slip_angle.cos(), SPEED);

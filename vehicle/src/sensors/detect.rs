@@ -6,7 +6,7 @@ use super::{EgoTruth, Noise};
 use crate::geometry::{Pose, Vec2, wrap_angle};
 use crate::traffic::RoadUser;
 
-/// A list holds no more objects; the nearest ones stay.
+/// Largest number of objects in a list; the nearest ones stay.
 const LIST_LEN: usize = 20;
 /// An object counts as hidden if nearer ones cover more than this share of its angular extent.
 const HIDDEN_SHARE: f64 = 0.75;
@@ -72,7 +72,7 @@ const CORNER_RADAR_ACCURACY: Accuracy = Accuracy {
     tangential_speed: 0.7,
     size: 0.35,
 };
-/// A camera sees directions well and distances badly.
+/// A camera measures directions well and distances badly.
 const CAMERA_ACCURACY: Accuracy = Accuracy {
     range: 0.2,
     range_growth: 0.02,
@@ -145,11 +145,11 @@ struct Sight {
 /// One sensor that makes object lists.
 pub(super) struct Detector {
     model: Model,
-    /// Range and slope of its sides for each lobe, a little larger than it is.
+    /// Range and slope of the sides of each lobe, slightly enlarged.
     in_view: [(f64, f64); 2],
     noise: Noise,
     sights: Vec<Sight>,
-    /// Directions that nearer objects cover, apart from each other.
+    /// Directions that nearer objects cover: disjoint intervals.
     covered: Vec<(f64, f64)>,
     list: Vec<SensorObject>,
 }
@@ -183,7 +183,7 @@ impl Detector {
         self.tell(origin, ego, vehicles)
     }
 
-    /// The list of what is not hidden.
+    /// The list of the objects that are not hidden.
     fn tell(&mut self, origin: Pose, ego: &EgoTruth, vehicles: &[RoadUser]) -> &[SensorObject] {
         self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
         self.covered.clear();
@@ -202,7 +202,7 @@ impl Detector {
         &self.list
     }
 
-    /// Collects the objects around. One outside of the field of view has no edges yet.
+    /// Collects the surrounding objects. Those outside the field of view have no edges yet.
     fn look(&mut self, origin: Pose, vehicles: &[RoadUser]) {
         let reach = self
             .model
@@ -241,8 +241,8 @@ impl Detector {
         }
     }
 
-    /// Leaves out objects that cannot hide anything in the field of view: it is to the right or to
-    /// the left of all of that. The others get their edges.
+    /// Removes objects that cannot hide anything: those to the right or to the left of all objects
+    /// in the field of view. The others get their edges.
     fn leave_out_aside(&mut self) {
         let (right, left) = { self.sights.iter() }.fold(NOWHERE, |(right, left), sight| {
             (right.min(sight.edges.0), left.max(sight.edges.1))
@@ -267,7 +267,7 @@ impl Detector {
         });
     }
 
-    /// Which share of the directions is covered.
+    /// The share of the directions that is covered.
     fn covered_share(&self, (low, high): (f64, f64)) -> f64 {
         let covered: f64 = self
             .covered
@@ -356,7 +356,7 @@ mod tests {
     use crate::commonroad::{Class, Obstacle, TimedState};
     use crate::traffic::{Participant, Traffic};
 
-    /// The objects left out change no list: with the edges of all objects, the lists are the same.
+    /// The removed objects change no list: with the edges of all objects, the lists are the same.
     #[test]
     fn what_is_aside_hides_nothing() {
         let road = Scenario::load("free-lane").unwrap().road;

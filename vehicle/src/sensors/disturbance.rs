@@ -69,7 +69,7 @@ fn parsed(text: &str) -> Option<SensorFault> {
     })
 }
 
-/// The stage between the sensors and the bus: holds the faults, and the messages that are delayed.
+/// The stage between the sensors and the bus: holds the faults and the delayed messages.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Faults {
     faults: Vec<SensorFault>,
@@ -106,12 +106,12 @@ impl Faults {
         }
     }
 
-    /// Whether something is held back that is due by this tick.
+    /// Whether a delayed message is due by this tick.
     pub(crate) fn is_due(&self, tick: u64) -> bool {
         self.held.front().is_some_and(|(due, _)| *due <= tick)
     }
 
-    /// Sends what is due by this tick.
+    /// Sends the delayed messages that are due by this tick.
     pub(crate) fn release(&mut self, tick: u64, send: &mut dyn FnMut(&Message)) {
         let due = self.held.iter().take_while(|(due, _)| *due <= tick).count();
         for (_, message) in self.held.drain(..due) {

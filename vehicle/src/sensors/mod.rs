@@ -1,4 +1,4 @@
-//! What the vehicle measures and puts on the bus: five radars, a camera, chassis sensors.
+//! The measurements that the vehicle sends on the bus: five radars, a camera, chassis sensors.
 //!
 //! Every sensor draws its noise from its own generator, so that one sensor's detections do not
 //! change another one's noise; all come from the run's seed.
@@ -63,7 +63,7 @@ impl EgoTruth {
 struct Noise(ChaCha8Rng);
 
 impl Noise {
-    /// The generator of one sensor: `stream` keeps them apart.
+    /// The generator of one sensor: `stream` selects independent random numbers.
     fn new(seed: u64, stream: u64) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(stream);

@@ -1,4 +1,4 @@
-//! Car-following: the Intelligent Driver Model in the variant that real traffic needs.
+//! Car-following: the Intelligent Driver Model in a variant for real traffic.
 //!
 //! Base: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and
 //! microscopic simulations", Phys. Rev. E 62 (2000). With the improved free term and the "constant
@@ -86,7 +86,7 @@ impl IdmParameters {
         chosen.max(-DECELERATION_MAX)
     }
 
-    /// The model with a free term that leaves the desired gap as it is at the desired speed.
+    /// The model with a free term that does not change the desired gap at the desired speed.
     fn improved(&self, speed: f64, leader: &Leader) -> f64 {
         let (a, b) = (self.acceleration, self.deceleration);
         let ratio = speed / self.desired_speed.max(0.1);

@@ -1,7 +1,7 @@
 //! The other road users: they replay their recording, then drive autonomously.
 //!
 //! A recording does not react: it was made around another ego, and it is short. So each vehicle
-//! changes from replay to driving by itself, for good, when
+//! changes permanently from replay to driving by itself when
 //!
 //! - its recording ends;
 //! - it would have to brake with more than 1.5 m/s² for the ego, or for a vehicle that drives
@@ -10,7 +10,7 @@
 //!   its lane, like a driver who checks before changing.
 //!
 //! Then it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
-//! heading and time gap of that moment. It knows the ego and all others, slows down for curves,
+//! heading and time gap of that moment. It reacts to the ego and all others, slows down for curves,
 //! stops at the end of a lane, and lets in vehicles that must leave a lane that ends.
 
 mod idm;
@@ -27,9 +27,9 @@ use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 use recording::Track;
 use sight::{Viewer, Views};
 
-/// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
+/// A replayed vehicle that would have to brake harder than this leaves its recording, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
-/// A replayed lane change is checked this long in advance, and on the way there, s.
+/// A replayed lane change is checked this long in advance, and while it lasts, s.
 const LOOK_AHEAD_S: f64 = 1.0;
 const LOOK_AHEADS_S: [f64; 4] = [0.25, 0.5, 0.75, LOOK_AHEAD_S];
 /// Room around a replayed vehicle in that check, along and across it, m.
@@ -38,14 +38,14 @@ const ROOM: (f64, f64) = (1.0, 0.2);
 const CURVE_ACCELERATION: f64 = 2.5;
 /// Natural frequency of the return to the lane's centre, rad/s; critically damped.
 const LATERAL_RATE: f64 = 0.8;
-/// Largest jerk of a vehicle that drives by itself: pressing the pedal, and braking, m/s³.
+/// Largest jerk of a vehicle that drives by itself: for acceleration, and for braking, m/s³.
 const JERK: (f64, f64) = (4.0, 40.0);
 /// Largest curvature (1/m) and yaw rate (rad/s) of a vehicle that drives by itself.
 const TURN: (f64, f64) = (0.2, 0.5);
-/// Time in which a driver returns to the own habitual time gap, s.
+/// Time in which a driver returns to the usual time gap, s.
 const GAP_RELAXATION_S: f64 = 10.0;
-/// Cars and trucks want to go this fast if the speed limit allows, m/s: a recording may show them
-/// in a jam only.
+/// Least desired speed of cars and trucks within the speed limit, m/s: a recording may show them
+/// only in a jam.
 const DESIRED_SPEED_MIN: f64 = 13.9;
 /// Hardest braking of a driver to let another vehicle in, m/s².
 const COURTESY: f64 = 1.5;
@@ -93,10 +93,10 @@ pub struct RoadUser {
     pub(crate) frame: LocalFrame,
     /// Change of `place.d`, m/s.
     lateral_speed: f64,
-    /// The offset from the lane's centre that the driver goes to, m.
+    /// The offset from the lane's centre that the driver aims at, m.
     aim: f64,
     driver: IdmParameters,
-    /// Time gap that it began with when it left its recording, s, and when that was.
+    /// The time gap when it left its recording, s, and that time.
     begun: (f64, f64),
 }
 
@@ -126,12 +126,12 @@ impl RoadUser {
 /// A vehicle that the recording does not contain: the ego, or one that has left its recording.
 #[derive(Debug)]
 struct Deviating {
-    /// Its place among all, see [`Traffic::participant`].
+    /// Its index among all vehicles, see [`Traffic::participant`].
     index: usize,
     participant: Participant,
     forward: Vec2,
     velocity: Vec2,
-    /// How far it gets within the look-ahead time, including its body, m.
+    /// The distance that it can reach within the look-ahead time, including its body, m.
     farthest: f64,
 }
 
@@ -146,7 +146,7 @@ impl Deviating {
         }
     }
 
-    /// Its place later, straight on.
+    /// Its predicted place after `dt`, at constant velocity.
     fn predicted(&self, dt: f64) -> Footprint {
         let Footprint { pose, .. } = self.participant.footprint;
         let position = pose.position + self.velocity * dt;
@@ -162,10 +162,10 @@ struct Ahead {
     /// This far in the future, at scenario time `t`, s.
     dt: f64,
     t: f64,
-    /// It is no farther from there than by this, m.
+    /// The vehicle is at most `by` from this point, m.
     near: Vec2,
     by: f64,
-    /// The pose and the unit vector of its heading, once they were asked for.
+    /// The pose and the unit vector of its heading, once computed.
     pose: Option<(Pose, Vec2)>,
 }
 
@@ -199,7 +199,7 @@ pub struct Traffic {
     vehicles: Vec<RoadUser>,
     /// In the order of the vehicles, the ego last. Renewed in each step.
     deviating: Vec<Deviating>,
-    /// Views of each vehicle, and of the ego at the end. Forgotten when it moves.
+    /// Views of each vehicle, and of the ego at the end. Discarded when it moves.
     views: Vec<Views>,
 }
 
@@ -248,8 +248,7 @@ impl Traffic {
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
         }
-        // All decide on the present state, then all move: the order of the vehicles does not
-        // matter.
+        // All decide on the present state, then all move: the order of the vehicles has no effect.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Movement::Driving {
                 let (wanted, may_return) = self.decision(index, t, ego);
@@ -350,7 +349,7 @@ impl Traffic {
         let track = &self.tracks[index];
         let own = vehicle.participant.footprint.grown(ROOM.0, ROOM.1);
         let own_farthest = farthest(track.speed_max(), &own);
-        // Whether the two can touch within the time that is looked ahead; true if in doubt.
+        // Whether the two can touch within the look-ahead time; true if that is uncertain.
         let may_meet = |other: &&Deviating| {
             let apart = other.participant.footprint.pose.position - own.pose.position;
             let farthest = own_farthest + other.farthest;
@@ -395,7 +394,7 @@ impl Traffic {
         }
     }
 
-    /// From now on the vehicle drives by itself.
+    /// Changes the vehicle from replay to driving by itself.
     fn drive_on(&mut self, index: usize, t: f64, ego: &Participant) {
         let leader = self.leader(index, ego);
         let vehicle = &mut self.vehicles[index];
@@ -417,7 +416,7 @@ impl Traffic {
         self.deviating.insert(place, own);
     }
 
-    /// The acceleration that the driver wants, and whether the lane's middle is free to go to.
+    /// The acceleration that the driver wants, and whether the way to the lane's middle is free.
     fn decision(&mut self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
@@ -480,8 +479,8 @@ impl Traffic {
     }
 }
 
-/// How far a part of the vehicle can be from its place within the time that is looked ahead, and a
-/// step more, m.
+/// The largest distance of a part of the vehicle from its present place within the look-ahead time
+/// plus 10 %, m.
 fn farthest(speed_max: f64, footprint: &Footprint) -> f64 {
     speed_max * (LOOK_AHEAD_S * 1.1) + (footprint.length + footprint.width) / 2.0
 }

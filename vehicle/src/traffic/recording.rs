@@ -19,7 +19,8 @@ struct Knot {
     t: f64,
     position: Vec2,
     yaw: f64,
-    /// The file's speed; where there is none, the distance to the neighbouring states by time.
+    /// The file's speed; without one, the distance between the neighbouring states divided by the
+    /// time.
     speed: f64,
     /// Velocity from the states before and after.
     tangent: Vec2,
@@ -82,12 +83,12 @@ impl Track {
         (self.knots[0].t, self.knots[self.knots.len() - 1].t)
     }
 
-    /// The vehicle is recorded to move no faster than this, m/s.
+    /// The largest speed of the recorded vehicle, m/s.
     pub(crate) const fn speed_max(&self) -> f64 {
         self.speed_max
     }
 
-    /// A point from which the vehicle is not far at time `t`, and how far at most, m.
+    /// A point near the vehicle at time `t`, and the largest distance from it, m.
     pub(crate) fn around(&self, t: f64) -> (Vec2, f64) {
         let knot = &self.knots[self.count_until(t).saturating_sub(1)];
         (knot.position, knot.speed_max * (t - knot.t).max(0.0))

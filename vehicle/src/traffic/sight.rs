@@ -1,4 +1,4 @@
-//! A driver's view of the others: which one is ahead, beside, or wants to merge.
+//! A driver's view of the others: which one is ahead, beside, or has to merge.
 
 use super::{Leader, Participant, RoadUser};
 use crate::geometry::{Vec2, wrap_angle};
@@ -8,7 +8,7 @@ use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 const SIGHT: f64 = 200.0;
 /// Smallest side distance that a driver keeps, m.
 const SIDE: f64 = 0.2;
-/// Distance to the end of a lane from which on vehicles beside it make room, m.
+/// Within this distance of the end of a lane, vehicles beside it make room, m.
 const COURTESY_FROM: f64 = 250.0;
 /// A vehicle slower than this does not merge, m/s.
 const MERGING_SPEED: f64 = 3.0;
@@ -18,7 +18,7 @@ pub(super) struct Seen {
     place: Frenet,
     /// Speed across the lane, m/s, left positive.
     drift: f64,
-    /// As a leader; `gap` is negative beside each other.
+    /// The vehicle as a leader; `gap` is negative if both are beside each other.
     leader: Leader,
 }
 
@@ -26,12 +26,12 @@ pub(super) struct Seen {
 #[derive(Clone, Copy, Debug)]
 struct View {
     lane: LaneId,
-    /// The sample of the lane from which the place was found: all that it depends on besides. And
-    /// the samples that are known to lead to that one.
+    /// The sample of the lane from which the place is computed, and the samples known to lead to
+    /// it. The place depends on no other value of the query.
     sample: usize,
     from: (usize, usize),
     rough: Option<Rough>,
-    /// If it was asked for, and so the speeds across the lane, left positive, and along it, m/s.
+    /// The place, once computed, and the speeds across the lane, left positive, and along it, m/s.
     foot: Option<Foot>,
     speeds: Option<(f64, f64)>,
 }
@@ -43,8 +43,8 @@ impl View {
     }
 }
 
-/// How one vehicle is seen from the lanes around it, until it moves: its observers are in few
-/// lanes.
+/// The coordinates of one vehicle in the lanes around it, kept until it moves: its observers are in
+/// few lanes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Views {
     /// Unit vector of the vehicle's heading.
@@ -54,10 +54,10 @@ pub(super) struct Views {
 }
 
 impl Views {
-    /// Views that are kept; more replace the oldest ones.
+    /// Number of views kept; new ones replace the oldest.
     const LANES: usize = 8;
 
-    /// The vehicle has moved, and heads there now.
+    /// Discards the views after the vehicle has moved; `forward` is its new heading.
     pub(super) fn renew(&mut self, forward: Vec2) {
         self.forward = forward;
         self.known.clear();
@@ -151,8 +151,8 @@ impl<'a> Viewer<'a> {
         Self { road, vehicle }
     }
 
-    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`. With `passes`
-    /// also for one that neither [`ahead`] nor [`blocks_return`] is about.
+    /// `None` for a vehicle behind, far ahead, or far aside; with `passes`, also for one that
+    /// neither [`ahead`] nor [`blocks_return`] would report. `views`: those of `other`.
     #[inline]
     pub(super) fn see(&self, other: &Participant, views: &mut Views, passes: bool) -> Option<Seen> {
         let vehicle = self.vehicle;
@@ -167,8 +167,8 @@ impl<'a> Viewer<'a> {
         Some(self.look(other, views, apart.x, reach))
     }
 
-    /// Whether the two pass each other for sure, now and within a second, and `other` leaves the
-    /// middle of the lane free.
+    /// Whether both certainly pass each other, now and within a second, and `other` does not block
+    /// the middle of the lane.
     #[inline]
     fn passes(&self, other: &Participant, views: &mut Views, ahead: f64) -> bool {
         let Frenet { s, d } = self.vehicle.place;
@@ -183,7 +183,7 @@ impl<'a> Viewer<'a> {
         })
     }
 
-    /// At a vehicle that is `ahead` m ahead and not aside.
+    /// The view of a vehicle that is `ahead` m ahead and not far aside.
     #[inline(never)]
     fn look(&self, other: &Participant, views: &mut Views, ahead: f64, reach: f64) -> Seen {
         let own = self.vehicle.place.s;
@@ -235,7 +235,7 @@ pub(super) fn ahead(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> Opt
     (in_the_way && seen.place.s > vehicle.place.s).then_some(seen.leader)
 }
 
-/// Whether `other` stands in the way back to the middle of the lane: a driver waits beside it.
+/// Whether `other` blocks the return to the middle of the lane: a driver then waits beside it.
 pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> bool {
     let clearance = clearance(vehicle, other);
     let between = seen.place.d > vehicle.place.d.min(0.0) - clearance
@@ -245,8 +245,8 @@ pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen
     between && near && on_that_side
 }
 
-/// `other` as a leader, if it is ahead in this lane beside, which ends, and soon: it has to merge,
-/// and German law requires drivers to let it in (StVO § 7 (4)).
+/// `other` as a leader, if it is ahead in this adjacent lane, which ends soon: it has to merge, and
+/// German law requires drivers to let it in (StVO § 7 (4)).
 pub(super) fn merging(
     road: &Road,
     vehicle: &RoadUser,

@@ -134,7 +134,7 @@ fn a_recording_is_replayed_and_goes_on_smoothly_when_it_ends() {
 
 #[test]
 fn who_would_run_into_the_ego_stops_replaying() {
-    // The ego stands where the recording drives through with 25 m/s.
+    // The ego stands where the recorded vehicle drives through at 25 m/s.
     let recording = car(1, 10.0, |t| (-150.0 + 25.0 * t, 0.0));
     let mut slowest = f64::INFINITY;
     run(
@@ -208,7 +208,7 @@ fn who_has_to_leave_a_lane_that_ends_is_let_in() {
 
 #[test]
 fn who_is_off_the_middle_waits_beside_a_vehicle_that_is_in_the_way() {
-    // Beside each other, both half in lane 0: neither may go to its middle before they are apart.
+    // Beside each other, both half in lane 0: neither may move to its middle before they are apart.
     let gain = |speed: f64| {
         let right = car(1, 0.5, |t| (20.0 * t, -1.0));
         let left = car(2, 0.5, |t| (1.0 + speed * t, 1.4));
@@ -255,7 +255,7 @@ fn a_vehicle_stops_at_the_end_of_its_lane() {
     );
 }
 
-/// A vehicle that passes for sure is neither ahead nor in the way back to the middle.
+/// A vehicle that certainly passes is not a leader and does not block the return to the middle.
 #[test]
 fn one_that_passes_is_no_leader_and_blocks_nothing() {
     let (mut passed, mut meets) = (0, 0);

@@ -19,7 +19,7 @@ pub(crate) fn scenarios() -> Vec<Scenario> {
 /// The recorded scenarios: the CommonRoad files of the folder, in the order of their names.
 ///
 /// # Panics
-/// If the folder is named and has none, or one cannot be read.
+/// If the named folder has no scenario, or one cannot be read.
 fn recorded() -> Vec<Scenario> {
     let Some(folder) = std::env::var_os("TANDEM_SCENARIOS") else {
         let test = std::thread::current();

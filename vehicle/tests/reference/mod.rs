@@ -15,7 +15,7 @@ pub(crate) enum Manner {
     Normal,
     /// Brakes to a standstill after 5 s and stays there.
     StopsInLane,
-    /// At 60 percent of the speed that the others expect.
+    /// Drives at 60 percent of the speed that the others expect.
     Dawdles,
     /// Changes lanes into every gap.
     ChangesLanes,
