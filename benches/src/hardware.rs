@@ -13,7 +13,7 @@ const PEERS: [&str; 4] = ["iceoryx2", "io-uring", "rtrb", "triple_buffer"];
 /// The machine of a measurement.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Machine {
-    /// Processor, as it names itself.
+    /// The processor's own name.
     pub(crate) cpu: String,
     /// CPUs that this process may use.
     pub(crate) cpus: usize,

@@ -41,8 +41,8 @@ pub struct Batch {
     pub cpu_ns_per_message: Option<f64>,
     /// Bytes of payload per message.
     pub payload_bytes: u64,
-    /// Further facts by name. Of those whose name begins with `longest` the largest of all batches
-    /// counts, of the others the median.
+    /// Further facts by name. If a name begins with `longest`, the maximum of all batches counts,
+    /// else the median.
     pub facts: Vec<(&'static str, f64)>,
 }
 

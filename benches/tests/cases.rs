@@ -150,7 +150,7 @@ fn a_dead_end_ends() {
     assert_eq!(error.kind(), io::ErrorKind::TimedOut);
 }
 
-/// In a separate process: the counter is the process's.
+/// Runs in a separate process, because each process has one counter.
 fn calls_are_counted_and_made() {
     let shared = SharedPage::new().unwrap();
     let part = BatchPart::on(0, |role| {

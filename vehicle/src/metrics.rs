@@ -101,10 +101,10 @@ pub struct WorldMetrics {
     /// Largest deceleration, m/s², positive, and largest longitudinal jerk over 100 ms, m/s³,
     /// outside emergencies.
     ///
-    /// An emergency is a situation in which the ego needs a constant deceleration above 3 m/s².
-    /// Either to stay 1 m behind an object that is in its path, or enters it within 2 s, and keeps
-    /// braking as it does; or to stop 1 m before the end of the lane or of the domain. It lasts 1 s
-    /// longer.
+    /// An emergency is a situation in which the ego needs a constant deceleration above 3 m/s²: to
+    /// stay 1 m behind an object that is in its path or enters it within 2 s and keeps its
+    /// deceleration, or to stop 1 m before the end of the lane or of the domain. It counts until 1
+    /// s after the situation.
     pub calm_deceleration_max: f64,
     /// The jerk of `calm_deceleration_max`.
     pub calm_jerk_max: f64,

@@ -182,7 +182,7 @@ impl Out {
     }
 }
 
-/// The stamp of the next sample, all of whose words were read.
+/// Reads all words of the next sample and returns its stamp.
 #[inline]
 fn try_receive(subscriber: &Subscriber<Ipc, [u32], ()>) -> Option<u32> {
     let sample = subscriber.receive().ok().flatten()?;

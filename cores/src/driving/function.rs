@@ -274,7 +274,7 @@ mod tests {
         }
     }
 
-    /// The table of the documentation is the table of the code, cell by cell.
+    /// The tables in the documentation and in the code are equal, cell by cell.
     #[test]
     fn the_table_in_the_docs_is_the_one_that_runs() {
         let docs = include_str!("../../../docs/driving-function.md");

@@ -188,8 +188,8 @@ mod tests {
         assert!((Track::new(&unknown).motion(1.0).speed - 12.0).abs() < 1e-9);
     }
 
-    /// States at uneven times: the one before each time is found, and the vehicle stays within the
-    /// stated distance of the stated point.
+    /// With states at uneven times, the last state before a time is found, and the vehicle stays
+    /// within the distance of the point that `around` returns.
     #[test]
     fn a_time_is_found_and_the_vehicle_is_near_there() {
         let times = [0.0, 0.1, 0.15, 0.9, 1.0, 1.1, 3.0];

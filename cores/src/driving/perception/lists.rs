@@ -130,8 +130,8 @@ mod tests {
         Instant::ORIGIN + Duration::from_ms(ms)
     }
 
-    /// The time of a measurement is the sensor's, not that of its arrival: a list that the bus held
-    /// back is as old as it is. The sensors' clock has its own origin, and wraps around.
+    /// The time of a measurement is the sensor's, not that of its arrival: a list that the bus
+    /// delayed counts as older. The sensors' clock has its own origin, and wraps around.
     #[test]
     fn a_list_is_as_old_as_its_measurement() {
         let mut clock = SensorClock::default();

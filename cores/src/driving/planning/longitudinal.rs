@@ -75,7 +75,8 @@ const WEIGHT_SPEED: f32 = 0.4;
 const SPEED_ERROR_KNEE: f32 = 4.0;
 const WEIGHT_UNSAFE: f32 = 400.0;
 const WEIGHT_CONTACT: f32 = 5_000.0;
-/// Cost per metre of the margin before the end of a lane that is used, and its largest use, m.
+/// Cost per metre driven into the margin before the end of a lane, and the limit of that distance,
+/// m.
 const WEIGHT_MARGIN: f32 = 10.0;
 const MARGIN_MAX_M: f32 = 15.0;
 
