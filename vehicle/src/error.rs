@@ -50,7 +50,7 @@ pub enum ScenarioError {
         most_km: f64,
     },
     /// The file is not well-formed XML.
-    #[error("{file}:{line}: no well-formed XML: {problem}")]
+    #[error("{file}:{line}: not well-formed XML: {problem}")]
     Xml {
         /// Path of the file.
         file: String,

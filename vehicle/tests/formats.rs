@@ -181,7 +181,7 @@ fn errors_name_file_line_element_and_a_way_out() {
             "planningIssue",
             "<commonRoad> lacks <planningProblem>",
         ),
-        ("</obstacle>", "", "no well-formed XML"),
+        ("</obstacle>", "", "not well-formed XML"),
     ];
     for (good, bad, expected) in cases {
         assert!(AREAS.contains(good), "{good}");
