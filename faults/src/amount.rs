@@ -10,7 +10,7 @@ pub struct Amount<const LEAST: i32, const MOST: i32> {
     amount: i32,
 }
 
-/// The number as it stands in a file.
+/// The number as written in a file.
 #[derive(Deserialize)]
 struct Unchecked {
     amount: i64,

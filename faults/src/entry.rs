@@ -8,7 +8,7 @@ use std::fmt;
 use tandem_board::{Duration, Edge, Line, SystemId};
 use tandem_peripherals::network::{BusFault, Wire};
 
-/// The direction in which a wire fails. A fault of a system has the direction of that system.
+/// The direction in which a wire fails. For a fault of a system it names that system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Way {
@@ -16,7 +16,7 @@ pub enum Way {
     A,
     /// The direction from B, or B itself.
     B,
-    /// Both directions.
+    /// Both directions, or both systems.
     Both,
 }
 
@@ -104,20 +104,20 @@ pub trait Suffer {
     /// Makes this change now.
     ///
     /// # Errors
-    /// [`CannotSuffer`] if [`Kind::is_for`] denies the kind for this board; or the board's error.
+    /// [`CannotSuffer`] if [`Kind::is_for`] is false for this board; or the board's error.
     fn apply(&mut self, change: Effect) -> Result<(), Self::Error>;
 
     /// Ends every fault, and switches on each system that has no power.
     fn restore(&mut self);
 }
 
-/// The present faults of the CAN connections of A and B.
+/// The current faults of the CAN connections of A and B.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BusFaults([BusFault; 2]);
 
 impl BusFaults {
-    /// Applies a change: returns the faults of this connection from now on, or `None` if the kind
-    /// is not a fault of it.
+    /// Applies a change. Returns the new faults of this system's connection; `None` if the kind
+    /// is not a fault of a CAN connection.
     pub fn follow(&mut self, kind: Kind, of: SystemId, on: bool) -> Option<BusFault> {
         let fault = &mut self.0[of.index()];
         let permille = |percent: i32| if on { percent as u16 * 10 } else { 0 };
@@ -135,13 +135,13 @@ impl BusFaults {
     }
 }
 
-/// Returns the changes of these faults in the order of time, each with its time after the faults
-/// begin, up to `end`, when everything is restored. `driver`: the system that the faults call A.
+/// Returns the changes that these faults cause, in order, each with its time since the faults
+/// began. At `end` everything is restored. `driver`: the system that the faults call A.
 #[must_use]
 pub fn effects(faults: &[Fault], end: Duration, driver: SystemId) -> Vec<(Duration, Effect)> {
     let mut changes = Vec::new();
     for fault in faults {
-        // A fault of what both systems share occurs only once.
+        // A fault of a shared part is applied only once.
         let times = if fault.kind.facts().scope == Scope::Shared {
             1
         } else {

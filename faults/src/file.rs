@@ -135,7 +135,7 @@ mod tests {
         }
     }
 
-    /// A file has a bound if the groups with the same faults have one.
+    /// A file has a bound if the numbered sequences with the same faults have one.
     #[test]
     fn a_file_has_a_bound_if_a_table_has_it() {
         let of = |of: &str, what: &str| format!("[[fault]]\nof = \"{of}\"\nat-ms = 1.0\n{what}\n");

@@ -6,7 +6,7 @@ use tandem_record::verdict::{Finding, Rule};
 use tandem_vehicle::gate::Acceptance;
 use tandem_vehicle::mastership::Mastership;
 
-/// Changes of the driver that one fault explains: away, and back when its consequence shows.
+/// Changes of the driver that one fault explains: to the other system, and later back.
 const CHANGES_OF_A_FAULT: usize = 2;
 
 /// What a campaign observed during a sequence of faults.
@@ -92,7 +92,7 @@ mod tests {
         }
     }
 
-    /// Each rule by the least that breaks it, beside what does not.
+    /// Tests each rule with the smallest violation, and with a case that only just complies.
     #[test]
     fn each_rule_finds_what_breaks_it() {
         // B takes over from A.
@@ -112,7 +112,7 @@ mod tests {
         assert_eq!(rules(sound), []);
         let back_to = |system, term| [one[0], one[1], one[2], frame(34, system, term)];
         for (acted, broken) in [
-            // A frame of the term that B ended.
+            // A frame of A's term, which ended when B took over.
             (back_to(0, 2), vec![Rule::OldTerm, Rule::TwoMasters]),
             // One term belongs to both.
             (back_to(0, 3), vec![Rule::OldTerm]),

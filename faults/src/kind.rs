@@ -22,7 +22,7 @@ pub enum Kind {
         #[serde(with = "wire")]
         wire: Wire,
     },
-    /// A wire makes contact and loses it.
+    /// A wire repeatedly loses contact and makes it again.
     Flap {
         /// The wire.
         #[serde(with = "wire")]
@@ -53,11 +53,11 @@ pub enum Kind {
     PowerLoss,
     /// The supply loses power for a time.
     BrownOut(Amount<1, 60_000>),
-    /// The watchdog resets the system. `chaos` stops core 0 for that.
+    /// The watchdog resets the system. `chaos` stops core 0 to cause this.
     ResetByWatchdog,
     /// Core 0 requests a reset.
     ResetBySoftware,
-    /// A trap resets the system. `chaos` kills core 0 for that.
+    /// A trap resets the system. `chaos` kills core 0 to imitate this.
     ResetByTrap,
     /// All cores of the system freeze. `chaos` sends SIGSTOP and SIGCONT.
     Hang(Amount<1, 60_000>),
@@ -74,17 +74,17 @@ pub enum Kind {
     LauncherHangs(Amount<1, 60_000>),
     /// A core out of control overwrites the whole LMU.
     Scribble,
-    /// Core 0 is not called for a time after each call.
+    /// After each step, core 0 does not run for this time.
     Slow(Amount<1, 255>),
     /// The clock has a wrong rate.
     Clock(Amount<-900, 5_000>),
-    /// The clock jumps, and the timers with it.
+    /// The clock and the timers jump.
     ClockJumps(Amount<-10_000, 10_000>),
-    /// Control frames carry another command than was computed, with correct protection.
+    /// Control frames contain a command that was not computed, with correct protection.
     WrongResults,
-    /// Operations of the data flash do not end.
+    /// Operations of the data flash never end.
     FlashHangs,
-    /// Power is lost for 20 ms, and the content of the data flash with it.
+    /// Power is lost for 20 ms, and the content of the data flash is lost.
     FlashLost,
     /// A frame that crashes core 1 of each receiving system is sent every 100 ms.
     Poison,

@@ -17,7 +17,7 @@ pub enum Loss {
     Silence,
     /// The master runs, but its frames do not arrive.
     Mute,
-    /// Its clock is wrong: the longest control period of a system by its own clock.
+    /// Its clock is wrong: its control period is really this long, at least 10 ms.
     Clock(Duration),
     /// Its clock is wrong, and without the link it cannot detect this. The gate refuses its frames
     /// as late; after two of them it falls silent, and then it counts as mute.
@@ -41,20 +41,20 @@ impl Loss {
         }
     }
 
-    /// Returns the loss by a clock that is wrong by this many parts in a thousand: until the system
-    /// detects that, its control period is wrong too.
+    /// Returns the loss caused by a clock error of `permille` (below 0: slow): until the system
+    /// detects it, the control period is wrong too.
     #[must_use]
     pub const fn of_clock(permille: i32) -> Self {
         Self::Clock(period_of(permille))
     }
 
-    /// Returns the loss by the same clock, if the system cannot detect the error itself.
+    /// Returns the loss caused by such a clock error if the system cannot detect it itself.
     pub(crate) const fn of_refused_clock(permille: i32) -> Self {
         Self::Refused(period_of(permille))
     }
 }
 
-/// Returns the control period of a clock that is slow by this many parts in a thousand.
+/// Returns the real length of the control period under this clock error; 10 ms if it is not slow.
 const fn period_of(permille: i32) -> Duration {
     let slow = if permille < 0 {
         permille.unsigned_abs()

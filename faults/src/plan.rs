@@ -10,12 +10,12 @@ use tandem_board::{Duration, SystemId};
 
 /// Moments of the control cycle at which a single fault begins.
 pub const PHASES: u64 = 20;
-/// Time between two of these moments, µs: they divide a cycle of 10 ms.
+/// Time between two of these moments, µs: they divide a 10 ms cycle.
 const PHASE_US: u64 = 10_000 / PHASES;
 /// Time between two faults, µs.
 pub const DISTANCES: [u64; 6] = [0, 1_700, 7_300, 13_100, 41_900, 260_300];
-/// On processes: the time after the last fault until everything is restored, without the duration
-/// of the fault, ms.
+/// For processes and emulated machines: how long a sequence continues after its longest possible
+/// fault has ended, ms.
 const AFTERWARDS_MS: u64 = 300;
 
 /// Returns all faults of systems and wires, each with its direction: first those from which random
@@ -74,7 +74,7 @@ impl Group {
         Self::ALL.into_iter().find(|group| group.name() == name)
     }
 
-    /// Returns how many sequences there are; `None` if every number is one.
+    /// Returns how many sequences there are; `None` if every number gives one, or for a file.
     #[must_use]
     pub fn count(self) -> Option<u64> {
         match self {
@@ -169,8 +169,8 @@ fn random(number: u64) -> Sequence {
     several(Group::Random, number, Draw(number), &single_faults())
 }
 
-/// Swarm testing (Groce, Zhang, Eide, Chen, Regehr: Swarm Testing, 2012): a fault that others mask
-/// shows in sequences without them.
+/// Swarm testing (Groce, Zhang, Eide, Chen, Regehr: Swarm Testing, 2012): sequences without some
+/// kinds show the faults that those kinds would mask.
 fn swarm(number: u64) -> Sequence {
     let mut draw = Draw(!number);
     // On average one of 2, 4, 8 or 16 kinds is used.
@@ -182,7 +182,7 @@ fn swarm(number: u64) -> Sequence {
 }
 
 fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> Sequence {
-    // Dense: many at a time. Sparse: every limit ends between two faults.
+    // Dense: many faults at a time. Sparse: every limit elapses between two faults.
     let distance_us = [15_000, 60_000, 400_000][draw.below(3) as usize];
     let (mut at_us, count) = (0, 1 + draw.below(8));
     let mut faults = Vec::new();
@@ -217,15 +217,15 @@ impl Site {
         kinds
     }
 
-    /// Returns the number of sequences in the matrix: each fault, of the master and of the standby,
-    /// at each phase.
+    /// Returns the number of sequences in the matrix: each fault, in the master and in the
+    /// standby, at each phase.
     #[must_use]
     pub fn cells(self) -> u64 {
         self.kinds().len() as u64 * 2 * PHASES
     }
 
-    /// Returns the `number`-th sequence of this seed: one fault at the beginning, of the master,
-    /// which is A here, or of the standby.
+    /// Returns the `number`-th sequence of this seed: one fault at time 0, in the master, which is
+    /// A here, or in the standby.
     #[must_use]
     pub fn drawn(self, seed: u64, number: u64) -> Sequence {
         let mut draw = Draw(seed ^ number.wrapping_mul(0xD1B5_4A32_D192_ED03));
@@ -236,8 +236,8 @@ impl Site {
         at_the_beginning(number, kind, way, &mut draw)
     }
 
-    /// Returns a cell of the matrix, and when in the control cycle its fault begins; `None` from
-    /// [`Site::cells`] on.
+    /// Returns a cell of the matrix, and the time in the control cycle at which its fault begins;
+    /// `None` if `number` is not below [`Site::cells`].
     #[must_use]
     pub fn cell(self, number: u64) -> Option<(Sequence, Duration)> {
         let (fault, phase) = (number / PHASES, number % PHASES);
@@ -253,7 +253,7 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
     let short_ms = 5 + draw.below(195);
     let short = Duration::from_ms(short_ms);
     let lasts = match kind {
-        // Stopped until the watchdog resets it; or else continued, before or after that reset.
+        // The core stays stopped until the watchdog resets it, or continues after `short`.
         Kind::CoreHangs(_) if draw.below(2) == 0 => None,
         Kind::CoreHangs(_) => Some(short),
         _ => Some(Duration::from_ms(20 + draw.below(600))),
@@ -275,8 +275,8 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
 mod tests {
     use super::*;
 
-    /// The generator draws every fault of the matrix for both systems, the same in each run, and
-    /// only faults that processes can suffer and a file can contain.
+    /// The generator draws every fault of the matrix for both systems, the same faults in each
+    /// run, and only faults that the site can suffer and a file can contain.
     #[test]
     fn drawn_sequences_repeat_and_cover_the_matrix() {
         for site in [Site::Processes, Site::Machines] {

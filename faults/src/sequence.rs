@@ -13,7 +13,7 @@ use tandem_record::verdict::Limits;
 pub enum Group {
     /// One fault at one of [`PHASES`](crate::PHASES) moments of the control cycle.
     Single,
-    /// Two faults within one system, at one of [`DISTANCES`](crate::DISTANCES).
+    /// Two faults within one system, one of [`DISTANCES`](crate::DISTANCES) apart.
     Pair,
     /// Several faults in both systems, drawn from the number.
     Random,
@@ -40,7 +40,7 @@ pub struct Sequence {
 }
 
 impl Fault {
-    /// Returns how the vehicle loses its master by this fault while A drives and B is standby.
+    /// Returns how this fault makes the vehicle lose its master while A drives and B is standby.
     #[must_use]
     pub fn loss(&self) -> Loss {
         let facts = self.kind.facts();
@@ -51,9 +51,9 @@ impl Fault {
         }
     }
 
-    /// Returns whether it does not affect the frames of the system that drives, so that this system
-    /// must keep its role. A stalled bus delivers them too late: the vehicle refuses them, and
-    /// their sender may lose its role.
+    /// Returns whether the frames of the driving system are unaffected, which means that it must
+    /// keep its role. A stalled bus delivers frames too late: the vehicle refuses them, and their
+    /// sender may lose its role.
     #[must_use]
     pub fn spares_the_master(&self) -> bool {
         let is_bus = matches!(self.kind, Kind::VehicleHangs(_));
@@ -136,7 +136,7 @@ impl Sequence {
 
 impl Fault {
     /// Returns whether its kind alone determines the loss. A fault of both systems has a bound only
-    /// if it is of a part that they share, or if both are stopped.
+    /// if it affects a wire or a shared part, or if it stops both.
     fn has_loss(&self) -> bool {
         let stands_still = matches!(self.kind, Kind::Hang(_));
         self.way != Way::Both || self.kind.facts().scope != Scope::System || stands_still

@@ -7,7 +7,7 @@ use std::fmt;
 pub enum Site {
     /// The simulator: both systems in virtual time.
     Simulator,
-    /// Processes of this machine.
+    /// Processes on this machine.
     Processes,
     /// Emulated machines with firmware.
     Machines,

@@ -1,4 +1,4 @@
-//! The words by which a fault file names the types of the board.
+//! The words with which a fault file names the types of the board.
 
 /// A wire, by its name.
 pub(crate) mod wire {

@@ -13,7 +13,7 @@ fn variants() -> Vec<(String, String)> {
     let (body, _) = body.split_once("\n}\n").unwrap();
     let mut variants = Vec::new();
     let mut comment = Vec::new();
-    // Lines that are indented further are fields.
+    // Lines with a deeper indentation are fields.
     let lines = body.lines().filter_map(|line| line.strip_prefix("    "));
     for line in lines.filter(|line| !line.starts_with(' ')) {
         if let Some(words) = line.strip_prefix("/// ") {
