@@ -19,7 +19,7 @@ use tandem_boot::{
 };
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 
-/// The DER header of a private Ed25519 key (RFC 8410); its 32 bytes follow.
+/// The DER header of a private Ed25519 key (RFC 8410); the 32 bytes of the key follow.
 pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// Name of the controller in the slots of a run.

@@ -37,7 +37,7 @@ pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
 /// Injects or ends a hardware fault.
 ///
 /// # Errors
-/// If the run cannot be reached, or the fault is momentary, so that it cannot be ended.
+/// If the run cannot be reached, or the fault is momentary and cannot be ended.
 pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
     let injection = Injection::on(args.run.name.as_deref())?;
     let hardware = match args.fault {

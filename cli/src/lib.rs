@@ -48,8 +48,8 @@ use tandem_rtos::host::TaskAllocator;
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
 /// Runs a process of a run if the arguments request one, otherwise `command`. Every program that
-/// starts runs must call this, because it starts itself with hidden arguments for each process of
-/// a run.
+/// starts a run must call this, because the program starts itself again, with hidden arguments, for
+/// each process of the run.
 pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
     if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
         return match process(args) {

@@ -24,7 +24,7 @@ pub struct Surroundings {
     pub granted: String,
     /// The timing profile that was chosen: `rt` or `desktop`.
     pub timing: String,
-    /// Upper bound of the time until a silent master is detected, by the configured periods, ms.
+    /// Upper bound of the time until a silent master is detected, from the configured periods, ms.
     pub detection_bound_ms: Option<f64>,
     /// Inputs of the rules of the verdict.
     pub beside: Beside,
@@ -61,7 +61,7 @@ pub struct Metrics {
     pub(crate) first_control_ms: Option<f64>,
     /// Longest time without an accepted control frame, including takeovers and the run's end, ms.
     pub(crate) control_gap_max_ms: Option<f64>,
-    /// Time between two control frames of one mastership, by the sender's clock: 99th percentile,
+    /// Time between two control frames of one mastership, on the sender's clock: 99th percentile,
     /// ms.
     pub(crate) control_period_p99_ms: Option<f64>,
     /// 99.9th percentile of the same, ms.
@@ -96,7 +96,7 @@ pub struct Metrics {
     pub(crate) chain_max_ms: Option<f64>,
     /// Number and longest duration of the machine's stalls.
     pub(crate) stalls: StallMetrics,
-    /// Upper bound of the time until a silent master is detected, by the configured periods, ms.
+    /// Upper bound of the time until a silent master is detected, from the configured periods, ms.
     pub(crate) detection_bound_ms: Option<f64>,
     /// Upper bound of the time without control after a master falls silent, ms.
     pub(crate) gap_bound_ms: Option<f64>,
@@ -133,7 +133,7 @@ pub(crate) struct StallMetrics {
     pub(crate) bus_count: usize,
 }
 
-/// Returns the times between two consecutive control frames of one mastership, by the sender's
+/// Returns the times between two consecutive control frames of one mastership, on the sender's
 /// clock, ms.
 pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
     let accepted: Vec<_> = log.accepted().collect();

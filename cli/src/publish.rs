@@ -104,7 +104,7 @@ impl Publishing {
         self.thread = named.spawn(move || hand_over(&recording, &to, &over)).ok();
     }
 
-    /// Ends the thread and the process. Kills a process that does not end.
+    /// Ends the thread and the process. Kills the process if it does not end.
     pub(crate) fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {

@@ -26,7 +26,7 @@ fn trace_limit_bytes(free_bytes: u64) -> u64 {
     TRACE_LIMIT_BYTES.min(free_bytes / 2)
 }
 
-/// The entries and the live state that are sent to the writer at once.
+/// The entries and the live state that are sent to the writer in one message.
 #[derive(Debug, Default)]
 struct Batch {
     entries: Vec<Entry>,

@@ -34,7 +34,7 @@ use crate::{core_process, summary, vehicle};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
-/// Largest delay of the timers of processes.
+/// Upper bound of the delay of the processes' timers.
 const TIMERS_LATE: Duration = Duration::from_ms(2);
 
 /// Drives the scenario and writes the report.
@@ -125,7 +125,7 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// Runs [`run`] with a controller on another board. `drive` drives it, and returns a line about
+/// Like [`run`], with a controller on another board. `drive` drives it, and returns a line about
 /// its time. That time is virtual, so timers are never late.
 ///
 /// # Errors

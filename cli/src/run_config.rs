@@ -61,7 +61,7 @@ pub struct RunConfig {
     pub sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board with its own flashes.
     pub program_flash: Option<ProgramFlashes>,
-    /// The update that each system receives while the other drives.
+    /// The update that each system receives while the other system drives.
     pub update: Option<UpdateFiles>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,

@@ -34,7 +34,7 @@ const FINE_PERIOD: Duration = Duration::from_ms(1);
 pub const LATE: Duration = Duration::from_us(500);
 /// Priorities to claim, in this order: above the supplies, which have 80, or equal to them.
 const PRIORITIES: [u8; 2] = [90, 80];
-/// Upper bound of the delay of the SIGCONT handler after a continued thread runs.
+/// Longest time from when a stopped thread continues until the SIGCONT handler runs.
 const CONTINUED_WITHIN: Duration = Duration::from_ms(50);
 /// Largest number of stored stalls for each CPU. It limits the memory; later stalls are ignored.
 const MOST: usize = 100_000;
@@ -139,7 +139,7 @@ impl StallWatch {
     }
 }
 
-/// Measures the longest stall of these CPUs within `span`, at least [`LATE`]. Blocks for `span`.
+/// Blocks for `span`; returns the longest stall of these CPUs, or [`LATE`] if there was none.
 pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
     let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
@@ -204,7 +204,7 @@ fn look(
     loop {
         alarm.postpone(period);
         let expired = alarm.wait(continued);
-        // `end` also lets the timer expire.
+        // `end` also makes the timer expire.
         if over.load(Ordering::Relaxed) {
             return stalls;
         }

@@ -1,5 +1,5 @@
 //! The programming host of a vehicle. It updates both systems one after the other, each while the
-//! other drives. U-3, U-5
+//! other system drives. U-3, U-5
 
 use std::fs::{self, File};
 use std::io::Write as _;

@@ -196,7 +196,7 @@ where
     fn note_lateness(&mut self, due_ns: u64) {
         let to_ns = self.port.now().as_ns();
         let from_ns = due_ns.max(self.held_up_ns);
-        // Periods that follow at once, to catch up, belong to the same delay.
+        // Periods without a pause between them, which catch up, belong to the same delay.
         if to_ns.saturating_sub(from_ns) > HELD_UP_NS {
             self.held_up_ns = to_ns;
             self.recorder
@@ -204,7 +204,7 @@ where
         }
     }
 
-    /// Lets the programming host send its frames.
+    /// Sends the frames of the programming host.
     fn update(&mut self) {
         let Some(update) = self.update.as_mut().filter(|_| self.running) else {
             return;

@@ -83,7 +83,7 @@ fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
     Some((slot, environment.versions[0], environment.trial.is_some()))
 }
 
-/// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its
+/// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other system drives, and approves its
 /// new image: first the standby, then the master, which hands over.
 #[test]
 fn both_systems_are_updated_while_they_drive() {

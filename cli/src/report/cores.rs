@@ -43,8 +43,8 @@ const LEGEND: [(TaskCode, Color); 8] = [
     (TaskCode::PLANNING, Color::B),
 ];
 
-/// Draws the timeline around the first takeover from a failed master, or around some moment of a
-/// run without a takeover. Draws nothing if no core has left a trace.
+/// Draws the timeline around the first takeover from a failed master, or else around the first
+/// takeover, or a quiet moment of the run. Draws nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
     // Prefer a failed master: if it was only held up, the takeover shows a stall of the machine.
     let failed = takeovers.iter().find(|takeover| !takeover.held_up);
@@ -93,8 +93,8 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
     }
 }
 
-/// Returns the pass through the chain whose signals took the median time: its system, and the
-/// times of the begin of perception and of the arrival on core 0, ns.
+/// Returns the pass through the chain whose signals took the median time: its system, the start
+/// time of perception and the arrival time on core 0, ns.
 fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
     let mut passes: Vec<(SystemId, u64, u64)> = Vec::new();
     for second in &timeline.flows {
@@ -129,7 +129,7 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
         .filter(first)
         .map(|flow| flow.from.1)
         .collect();
-    // The first system's signals are about the first half, so two fifths is well within its run.
+    // The first system sent about the first half of the signals, so 2/5 is well within its run.
     let moment = chain.get(2 * chain.len() / 5)?;
     Some(moment + 10_000_000)
 }
@@ -185,7 +185,7 @@ impl Drawing {
         TOP + above * (3.0 * ROW + GAP) + core.index() as f64 * ROW
     }
 
-    /// Returns the top of the vehicle's row, below those of the cores.
+    /// Returns the top of the vehicle's row, below the rows of the cores.
     fn vehicle_row(&self) -> f64 {
         let systems = if self.only.is_some() { 1.0 } else { 2.0 };
         TOP + systems * (3.0 * ROW + GAP)

@@ -166,7 +166,7 @@ fn a_gap_that_a_stall_explains_is_reported_with_its_evidence() {
 }
 
 /// A stall above the limit, on the bus or in the old master, explains an unnecessary takeover. The
-/// takeover is reported, and the run does not fail. Other stalls explain none.
+/// takeover is reported, and the run does not fail. Other stalls do not explain it.
 #[test]
 fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
     let mut log = synthetic::with_takeover(8.0);

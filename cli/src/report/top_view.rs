@@ -13,10 +13,10 @@ const HEIGHT: f64 = 230.0;
 const AHEAD_M: f64 = 85.0;
 /// Half the height of the view, m.
 const ASIDE_M: f64 = 13.0;
-/// Length and width of the own vehicle in the drawing, m.
+/// Length and width of the ego vehicle in the drawing, m.
 const OWN: (f64, f64) = (4.6, 1.9);
 
-/// A view with the own vehicle at the origin, heading along x.
+/// A view with the ego vehicle at the origin, heading along x.
 struct View {
     x: f64,
     y: f64,

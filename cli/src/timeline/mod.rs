@@ -231,7 +231,7 @@ fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId
 /// Identifies a signal: system, sending core, receiving core, and number of the signal.
 type SignalKey = (SystemId, CoreId, CoreId, u32);
 
-/// All sent signals, each with its time of sending and the number of its arrow (0: not received).
+/// All sent signals, each with its sending time and the number of its arrow (0: not received).
 struct Wakes {
     sent: HashMap<SignalKey, Vec<(u64, u64)>>,
 }

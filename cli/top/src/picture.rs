@@ -76,7 +76,7 @@ impl Picture {
         match news {
             News::Roles(roles) => {
                 let before_ns = self.roles.replace(*roles).map_or(0, |before| before.at_ns);
-                // If several of these arrive at once, only the first has counted frames.
+                // If several of these messages arrive together, only the first has counted frames.
                 if self.counted == 0 {
                     return;
                 }
