@@ -39,7 +39,7 @@ pub(crate) const CASES: [Case; 3] = [
 /// A permitted system call of core 0: number, name, largest count in the window, and purpose.
 struct Stated(i64, &'static str, u32, &'static str);
 
-/// No limit: the number of ticks determines the calls of the tick and of the idle time.
+/// No limit: the number of ticks determines how often a tick and the idle time make this call.
 const EACH_TICK: u32 = u32::MAX;
 /// Limit for interrupts after which core 0 did not sleep: two calls for each, and ten more.
 const EACH_PILED: u32 = u32::MAX - 1;

@@ -58,8 +58,8 @@ fn drive_on(script: &mut Script) {
         let backplane = script.port().backplane();
         backplane.generation(SystemId::A, CoreId::CONTROL)
     };
-    // Repeat after a reset: if the machine takes the CPU from core 0 for long, its watchdog resets
-    // it. simulated::floods checks in virtual time that the flood itself causes no reset.
+    // Repeat after a reset: if the machine takes the CPU from core 0 for too long, its watchdog
+    // resets it. simulated::floods checks in virtual time that the flood itself causes no reset.
     let (begin, frames) = loop {
         let frames = script.accepted.len();
         script.until("A drives", |script| {

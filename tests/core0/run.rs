@@ -111,7 +111,7 @@ fn compute(board: &HostBoard, mut core: impl Core) {
 }
 
 impl Script {
-    /// Lets the vehicle drive until `is_true` returns true.
+    /// Drives the vehicle until `is_true` returns true.
     pub(crate) fn until(&mut self, what: &str, mut is_true: impl FnMut(&Self) -> bool) {
         let deadline = Clock::now() + PATIENCE / 2;
         while !is_true(self) {
@@ -128,7 +128,7 @@ impl Script {
         }
     }
 
-    /// Lets the vehicle drive for `span`.
+    /// Drives the vehicle for `span`.
     pub(crate) fn drive_for(&mut self, span: Duration) {
         let end = self.port.now() + span;
         self.until("time passes", |script| script.port.now() >= end);

@@ -104,7 +104,7 @@ unsafe fn ptrace(request: libc::c_uint, thread: libc::pid_t, at: usize, data: us
     unsafe { libc::ptrace(request, thread, at, data) }
 }
 
-/// Higher than core 0's: while core 0 waits for its tracer, signals pile up on its stack.
+/// Higher than core 0's priority: while core 0 waits for its tracer, signals pile up on its stack.
 const PRIORITY: i32 = 80;
 
 /// Runs the tracer until its parent has ended.
@@ -145,7 +145,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
                         .iter()
                         .map(|(number, count)| format!("{number} {count}\n"))
                         .collect();
-                    // Write another file and rename it, so that a reader never sees a part.
+                    // Rename a complete file, so that a reader never sees a partly written one.
                     let draft = into.with_extension("draft");
                     fs::write(&draft, lines.concat()).expect("the file of the counts");
                     fs::rename(draft, into).expect("the file of the counts");

@@ -8,9 +8,9 @@ use crate::deaths::{POWER, RESIGNS, SILENT, UNHEARD, dual_master};
 use crate::fixture::{Fixture, Run, kill, send, sound, takeovers};
 use crate::observers::disturb;
 
-/// A longer stall of the machine silences a healthy master: docs/redundancy.md, profile rt.
+/// A machine's stall above this limit silences a healthy master: docs/redundancy.md, profile rt.
 const TOLERATED_STALL_MS: f64 = 5.0;
-/// Number of attempts for a drive whose runs have longer stalls.
+/// Largest number of runs of one drive: a failed run with a longer stall is repeated.
 const TRIES: u32 = 5;
 
 /// A drive of 5 s with one fault of the master, and the signs that may trigger the takeover.

@@ -82,7 +82,7 @@ fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
     }
 }
 
-/// T-RED-3, T-RED-9: a master whose core 0 is stopped has power. The other takes over because
+/// T-RED-3, T-RED-9: a master whose core 0 is stopped has power. The standby takes over because
 /// heartbeats and frames ended. When the old master thaws, it does not drive for a single frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {

@@ -130,7 +130,7 @@ fn data_flash_is_kept_from_run_to_run_if_it_has_a_folder() {
         .metrics();
 }
 
-/// T-CHIP-4, U-1: a lost sensor causes a takeover request. Its delay is checked in virtual time.
+/// T-CHIP-4, U-1: a lost sensor causes a takeover request, whose delay is checked in virtual time.
 #[test]
 fn a_lost_sensor_is_a_takeover_request() {
     let fixture = Fixture::new();

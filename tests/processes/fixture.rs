@@ -193,7 +193,7 @@ impl Run {
         }
     }
 
-    /// Waits until one system drives and the other one stands by.
+    /// Waits until one system drives and the other system stands by.
     pub(crate) fn until_dual(&self) {
         self.until("dual operation", |processes| {
             let roles = |role: &str| {

@@ -50,7 +50,7 @@ fn drivers_of(metrics: &Value) -> Vec<&str> {
 }
 
 /// T-RED-4, T-RED-5, T-RED-7: a system that has lost its power is switched on again in the same
-/// run, and joins as standby. Then the other loses its power, and the joined system takes over.
+/// run, and joins as standby. Then the other system loses its power, and the joined one takes over.
 #[test]
 fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     let fixture = Fixture::new();
@@ -74,7 +74,7 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
 }
 
 /// T-CHIP-6, T-RED-6: a supply rail of the master is low; later the bus destroys the next master's
-/// frames. Each time the other takes over, a repaired system joins, and the report names the
+/// frames. Each time the standby takes over, a repaired system joins, and the report names the
 /// cause.
 #[test]
 fn faults_of_the_hardware_are_injected_and_repaired() {

@@ -6,7 +6,7 @@ use crate::fixture::{Fixture, kill};
 
 /// Number of starts with a kill, unless `TANDEM_STARTUP_KILLS` gives another number.
 const KILLS: u64 = 6;
-/// The kill happens within this time after the start, ms. A start is shorter.
+/// The kill happens within this time after the start, ms. A start takes less time.
 const WITHIN_MS: u64 = 300;
 
 /// Returns numbers that look random but are the same in every test (splitmix64).
@@ -17,7 +17,7 @@ fn scattered(n: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A start ends after any of its processes is killed at any moment. The next start works, and at
+/// If any process is killed at any moment of a start, the run ends. The next start works, and at
 /// the end nothing of the runs remains.
 #[test]
 fn any_start_may_be_killed() {

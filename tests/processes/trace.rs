@@ -118,8 +118,8 @@ fn events(trace: &[u8]) -> Vec<Moment> {
     events
 }
 
-/// Returns the time from the measurement in a list's header to the frame on the bus, ms: after a
-/// stall the vehicle sends overdue lists. The sensors use the machine's clock, in µs.
+/// Returns the time from the time stamp in an object list's header to the frame on the bus, ms.
+/// After a stall the vehicle sends overdue lists. The sensors use the machine's clock, in µs.
 fn waited_ms(at_ms: f64, header: &str) -> f64 {
     let measured_us = u32::from_str_radix(&header[8..16], 16)
         .unwrap()

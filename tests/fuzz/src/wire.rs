@@ -72,7 +72,7 @@ pub(crate) fn candump(bytes: &[u8]) -> bool {
 }
 
 /// Takes a frame's number in the DBC, a counter, and its data. With valid end-to-end protection it
-/// is decoded or rejected. A decoded message that is sent must be decoded to the same message.
+/// is decoded or rejected. A decoded message that is encoded again must decode to the same message.
 ///
 /// # Panics
 /// If the second message differs.

@@ -52,8 +52,8 @@ fn ask(drive: &mut Drive, system: SystemId) {
     }
 }
 
-/// T-BOOT-1, U-3: each system enters its bootloader while the other drives: the standby at once,
-/// the master after it has handed over. No control frame is lost in either case.
+/// T-BOOT-1, U-3: each system enters its bootloader while the other system drives: the standby at
+/// once, the master after it has handed over. No control frame is lost in either case.
 #[test]
 fn both_systems_go_for_a_download_while_the_vehicle_drives() {
     let mut drive = drive();
@@ -81,7 +81,7 @@ fn both_systems_go_for_a_download_while_the_vehicle_drives() {
     assert_eq!(drive.two_masters_ns(), 0);
 }
 
-/// T-BOOT-1: one request makes the master hand over. It stays the other's standby, and enters the
+/// T-BOOT-1: one request makes the master hand over. It then remains the standby, and enters the
 /// bootloader only after another request.
 #[test]
 fn a_system_that_drives_does_not_go() {

@@ -186,7 +186,7 @@ fn a_core_that_floods_the_bus_leaves_it_to_the_others() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// A node outside the systems puts this many frames on the bus in each of 1000 ms.
+/// Drives while a node outside the systems sends `a_ms` frames in each of 1000 ms.
 fn forge_frames(a_ms: u32) -> Drive {
     let mut drive = Drive::new("cut-in", 3);
     drive.run_for(MS(10_000));
@@ -201,7 +201,7 @@ fn forge_frames(a_ms: u32) -> Drive {
     drive
 }
 
-/// T-CHIP-5: a busy bus is received completely, and no frame of the master is lost.
+/// T-CHIP-5: a busy bus delays no control frame, causes no takeover and no report of a flood.
 #[test]
 fn a_busy_bus_changes_nothing() {
     let drive = forge_frames(CAN_FRAMES / 2);

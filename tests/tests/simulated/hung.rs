@@ -34,7 +34,7 @@ pub(crate) fn drive(of: SystemId) -> Drive {
 }
 
 /// T-CHIP-6, T-RED-3: a hanging control task is detected in the standby and in the master. Its
-/// system stops its heartbeats, resets itself and returns, and the other drives.
+/// system stops its heartbeats, resets itself and returns, and the other system drives.
 #[test]
 fn a_control_task_that_hangs_is_noticed_in_the_standby_too() {
     for of in SystemId::ALL {

@@ -5,7 +5,7 @@ use tandem_bus::{Control, Message};
 use tandem_sim::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
-/// A system is standby again within 60 ms after a reset. The other fails 100 ms later.
+/// A system is standby again within 60 ms after a reset. The other system fails 100 ms later.
 const NEWLY_STARTED: Duration = Duration::from_ms(160);
 /// Long enough that the standby knows everything that the other system knows.
 const OLD: Duration = Duration::from_ms(5_000);

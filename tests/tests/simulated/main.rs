@@ -259,7 +259,7 @@ fn a_frozen_master_is_no_second_master_when_it_thaws() {
     assert!(drive.gap_max() < Duration::from_ms(25));
 }
 
-/// T-CHIP-3: a dead compute core is detected, its system resets, and the other drives on.
+/// T-CHIP-3: a dead compute core is detected, its system resets, and the other system drives on.
 #[test]
 fn a_dead_compute_core_costs_the_mastership_and_not_the_drive() {
     for core in [CoreId::PERCEPTION, CoreId::PLANNING] {

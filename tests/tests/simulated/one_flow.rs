@@ -9,7 +9,7 @@ use tandem_cores::core0::{
 };
 use tandem_cores::trace::{Begin, Event, Leaves};
 
-/// For this long before a job that they preempt, the urgent tasks do not run.
+/// During this time before a job that they preempt, the urgent tasks do not run.
 const PAUSE: Duration = Duration::from_ms(3);
 
 /// The tasks with a higher priority than control.
@@ -35,7 +35,7 @@ pub(crate) struct OneFlow {
     pub(crate) sections: Cell<u32>,
     /// Whether a job has begun since this was cleared.
     pub(crate) has_begun: Cell<bool>,
-    /// The urgent tasks, if they must run before this section of the running task.
+    /// The section of the running task before which the urgent tasks must run, and these tasks.
     preempts: RefCell<Option<(u32, Urgent)>>,
 }
 

@@ -17,7 +17,7 @@ const MS: fn(u64) -> Duration = Duration::from_ms;
 const START: Duration = Duration::from_ms(6_000);
 
 /// T-CHIP-6: a control cycle locks three times: to take its inputs, to compute and to send. In
-/// degraded mode the degraded task does this, and the control task locks once, to release it.
+/// degraded mode the degraded task does so; the control task locks once, to release that task.
 #[test]
 fn a_control_cycle_takes_three_locked_sections() {
     let counted = Rc::new(RefCell::new(Vec::new()));

@@ -60,7 +60,7 @@ fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> 
 fn each_failure_mode_has_a_source() {
     for &mode in FailureMode::ALL {
         let source: fn() -> Drive = match mode {
-            // These are not faults. `Unknown` stands for a mode of a later version.
+            // These are not faults. `Unknown` represents a mode of a later version.
             FailureMode::None | FailureMode::Unknown => continue,
             FailureMode::AbnormalResets => || {
                 let mut drive = started();
@@ -112,7 +112,7 @@ const fn is_bus_off(event: &Event) -> bool {
 }
 
 /// T-RED-6: if the bus destroys a master's frames, the master is bus-off within milliseconds. It
-/// resigns over the link, and the other drives. After its attempts the master is suspended.
+/// resigns over the link, and the standby drives. After its attempts the master is suspended.
 #[test]
 fn a_master_that_is_bus_off_resigns() {
     let mut drive = with_fault(HardwareFault::CanTransmit);
@@ -167,8 +167,8 @@ fn a_standby_that_is_bus_off_costs_no_frame() {
     assert_eq!(of_a, None);
 }
 
-/// T-CHIP-6: faults of the rails and of the error pin of the master's supply. The other takes over
-/// when the level line falls. The master returns as standby; an overvoltage keeps it off.
+/// T-CHIP-6: faults of the rails and of the error pin of the master's supply. The standby takes
+/// over when the level line falls. The master returns as standby; an overvoltage keeps it off.
 #[test]
 fn a_fault_of_the_supply_is_a_reset() {
     for (fault, cause) in [

@@ -76,8 +76,8 @@ fn sent_in(drive: &mut Drive, system: SystemId) -> Vec<Control> {
     sent_by(drive, system)
 }
 
-/// T-RED-1: the state is written after every change, even if changes arrive faster than they are
-/// read.
+/// T-RED-1: core 0 of B is frozen while frames with 16 rising terms arrive. After it thaws, its
+/// flash holds the last of these terms.
 #[test]
 fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
     let mut drive = Drive::new("free-lane", 7);
