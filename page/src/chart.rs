@@ -26,7 +26,7 @@ pub struct Axis {
     pub range: (f64, f64),
     /// Labelled values.
     pub ticks: Vec<f64>,
-    /// The label of a value.
+    /// Returns the label of a value.
     pub label: fn(f64) -> String,
 }
 
@@ -55,7 +55,7 @@ impl Axis {
     /// Scenario time from 0 to `end_s`.
     #[must_use]
     pub fn time(end_s: f64) -> Self {
-        // The last tick of a run is some milliseconds short of the whole second.
+        // The last tick of a run is a few milliseconds before the whole second.
         let end_s = (end_s * 10.0).round() / 10.0;
         Self::linear("", (0.0, end_s.max(0.1)), 12)
     }
@@ -114,7 +114,7 @@ fn bounds(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
         })
 }
 
-/// Values at 1, 2 or 5 times a power of ten within the range, about `count` of them.
+/// Returns values at 1, 2 or 5 times a power of ten within the range, about `count` of them.
 #[must_use]
 pub fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
     let rough = (high - low) / count.max(1) as f64;
@@ -129,7 +129,7 @@ pub fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
     (first..=last).map(|n| n as f64 * step).collect()
 }
 
-/// A number without trailing zeros.
+/// Returns a number without trailing zeros.
 #[must_use]
 pub fn plain(value: f64) -> String {
     let text = format!("{value:.3}");
@@ -141,7 +141,7 @@ pub fn plain(value: f64) -> String {
     }
 }
 
-/// The label of a power of ten as a number: 2 → "100".
+/// Returns the label of a power of ten as a number: 2 → "100".
 #[must_use]
 pub fn power(power: f64) -> String {
     plain(10.0_f64.powf(power))
@@ -168,9 +168,9 @@ pub enum Style {
 /// One series of a chart.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// For the legend, or beside the end of the curve.
+    /// Name in the legend, or beside the end of the curve.
     pub name: String,
-    /// For the tooltip.
+    /// Text of the tooltip.
     pub title: String,
     /// Its colour.
     pub color: Color,
@@ -226,7 +226,7 @@ impl Chart {
         }
     }
 
-    /// Ratio of the plotting area's width to its height.
+    /// Returns the ratio of the plotting area's width to its height.
     #[must_use]
     pub fn aspect(height: f64) -> f64 {
         (WIDTH - LEFT - RIGHT) / (height - TOP - BOTTOM)
@@ -247,7 +247,7 @@ impl Chart {
         )
     }
 
-    /// The chart as an `<svg>` element; `label` says what it shows.
+    /// Returns the chart as an `<svg>` element; `label` says what it shows.
     #[must_use]
     pub fn svg(&self, label: &str) -> Markup {
         let mut svg = Svg::new(WIDTH, self.height);
@@ -352,7 +352,7 @@ fn spread(places: &[f64], gap: f64, (top, bottom): (f64, f64)) -> Vec<f64> {
     spread
 }
 
-/// About `limit` points at most, with the extremes of every part, so that no peak is lost.
+/// Reduces points to about `limit`: the minimum and maximum of every part, so no peak is lost.
 #[must_use]
 pub fn thin(points: &[(f64, f64)], limit: usize) -> Vec<(f64, f64)> {
     if points.len() <= limit {

@@ -1,6 +1,6 @@
 //! Figures for people: a unit that fits, and only significant digits.
 
-/// The median of these values; `None` without values.
+/// Returns the median of these values; `None` without values.
 #[must_use]
 pub fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
@@ -22,7 +22,7 @@ pub enum TimeUnit {
 }
 
 impl TimeUnit {
-    /// The unit that suits these times, in ns: chosen by their median.
+    /// Returns the unit that suits the median of these times, which are in ns.
     #[must_use]
     pub fn of(times_ns: &[f64]) -> Self {
         match median(times_ns).unwrap_or(0.0) {
@@ -32,7 +32,7 @@ impl TimeUnit {
         }
     }
 
-    /// The unit's symbol.
+    /// Returns the unit's symbol.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -42,8 +42,8 @@ impl TimeUnit {
         }
     }
 
-    /// A time in this unit, without the symbol. A time with more than five digits before the point
-    /// is shown in the unit that suits it, with its symbol.
+    /// Returns a time in this unit, without the symbol. A time with more than five digits before
+    /// the point is shown in the unit that suits it, with its symbol.
     #[must_use]
     pub fn show(self, ns: f64) -> String {
         let value = match self {
@@ -55,7 +55,7 @@ impl TimeUnit {
     }
 }
 
-/// A time as a number in the unit that suits it, and the unit.
+/// Returns a time as a number in the unit that suits it, and the unit's symbol.
 #[must_use]
 pub fn scaled(ns: f64) -> (f64, &'static str) {
     match ns {
@@ -66,14 +66,14 @@ pub fn scaled(ns: f64) -> (f64, &'static str) {
     }
 }
 
-/// A time with the unit that suits it.
+/// Returns a time with the unit that suits it.
 #[must_use]
 pub fn time(ns: f64) -> String {
     let (value, unit) = scaled(ns);
     format!("{} {unit}", number(value))
 }
 
-/// A number with about three significant digits: `8.31`, `84.2`, `312`, `25013`.
+/// Returns a number with about three significant digits: `8.31`, `84.2`, `312`, `25013`.
 #[must_use]
 pub fn number(value: f64) -> String {
     let decimals = match value.abs() {
@@ -84,7 +84,7 @@ pub fn number(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-/// A ratio: `1.12`, `15.3`, `240`, `1.62 M`.
+/// Returns a ratio: `1.12`, `15.3`, `240`, `1.62 M`.
 #[must_use]
 pub fn ratio(ratio: f64) -> String {
     if ratio < 1e4 {
@@ -94,7 +94,7 @@ pub fn ratio(ratio: f64) -> String {
     }
 }
 
-/// A large count with a prefix: `12.3 M`.
+/// Returns a large count with a prefix: `12.3 M`.
 #[must_use]
 pub fn count(value: f64) -> String {
     match value {
@@ -105,7 +105,7 @@ pub fn count(value: f64) -> String {
     }
 }
 
-/// An amount of memory: `4 B`, `64 KiB`, `16 MiB`.
+/// Returns an amount of memory: `4 B`, `64 KiB`, `16 MiB`.
 #[must_use]
 pub fn bytes(bytes: u64) -> String {
     let value = bytes as f64;
@@ -123,7 +123,7 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A further figure, formatted by its name: some names mark a time in ns.
+/// Formats a further figure by its name: a name that ends in `, ns` means a time.
 #[must_use]
 pub fn fact(name: &str, value: f64) -> String {
     // Avoids "-0".

@@ -54,7 +54,7 @@ mod tests {
         histogram
     }
 
-    /// The lines as a plotter reads them: four columns of numbers, three in the last line.
+    /// Reads the lines as a plotter does: four columns of numbers, three in the last line.
     fn read(text: &str) -> Vec<Vec<f64>> {
         let mut lines = text.lines();
         let header: Vec<&str> = lines.next().unwrap().split_whitespace().collect();

@@ -15,7 +15,7 @@ use svg::Color;
 /// The style of every page. [`Color`] names its colour variables.
 pub const STYLE: &str = include_str!("style.css");
 
-/// A whole page.
+/// Returns a whole page.
 #[must_use]
 pub fn document(title: &str, content: &Markup) -> String {
     let page = html! {
@@ -33,7 +33,7 @@ pub fn document(title: &str, content: &Markup) -> String {
     page.into_string()
 }
 
-/// A section: a heading, text beside the heading, a note, and the content.
+/// Returns a section: a heading, text beside the heading, a note, and the content.
 #[must_use]
 pub fn section(title: &str, aside: &Markup, note: &str, content: &Markup) -> Markup {
     html! {
@@ -45,7 +45,7 @@ pub fn section(title: &str, aside: &Markup, note: &str, content: &Markup) -> Mar
     }
 }
 
-/// A legend: names with their colours; a name without a colour has an empty box.
+/// Returns a legend: names with their colours; a name without a colour has an empty box.
 #[must_use]
 pub fn legend<'a>(entries: impl Iterator<Item = (&'a str, Option<Color>)>) -> Markup {
     html! {
@@ -63,7 +63,7 @@ pub fn legend<'a>(entries: impl Iterator<Item = (&'a str, Option<Color>)>) -> Ma
     }
 }
 
-/// One main figure of the page: `state` is `good`, `bad` or empty.
+/// Returns one main figure of the page: `state` is `good`, `bad` or empty.
 #[must_use]
 pub fn tile(name: &str, state: &str, value: &str, unit: &str, below: &Markup) -> Markup {
     html! {

@@ -2,7 +2,7 @@
 //! there are results to write.
 //!
 //! A run may get a private `/dev/shm`, where the caller's paths would name other files. So a place
-//! is held open from the check to the writing.
+//! is opened at the check and stays open until the results are written.
 
 use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
 use std::ffi::OsString;
@@ -88,7 +88,7 @@ impl OutputFile {
         Ok(Self(Place::new(option, path, target)?))
     }
 
-    /// Checks the files that these options name, if they name one, and changes nothing.
+    /// Checks the file of each option that names one, and changes nothing.
     ///
     /// # Errors
     /// [`OutputError`] names the obstacle, such as two options for one file.
@@ -132,7 +132,7 @@ impl OutputFolder {
         Ok(Self(Place::new(option, path, target)?))
     }
 
-    /// Writes these files, by name, and creates the folder if need be. Other files stay.
+    /// Writes these files (name, text). Creates the folder if needed, and keeps its other files.
     ///
     /// # Errors
     /// [`OutputError`], such as a full disk.
@@ -184,7 +184,7 @@ fn parent(path: &Path) -> &Path {
     parent.unwrap_or(Path::new("."))
 }
 
-/// A free name in a folder that must exist and be writable.
+/// Returns a free name in a folder that must exist and be writable.
 fn absent(path: &Path) -> Why {
     if path.symlink_metadata().is_ok() {
         return Err("a symbolic link that leads nowhere".to_owned());

@@ -31,7 +31,7 @@ impl Color {
     pub const THREADS: Self = Self("threads");
     pub const SYSTEM: Self = Self("system");
 
-    /// As a value in CSS.
+    /// Returns the colour as a value in CSS.
     #[must_use]
     pub fn css(self) -> String {
         format!("var(--{})", self.0)
@@ -184,7 +184,7 @@ impl Svg {
         ));
     }
 
-    /// The picture as a separate file.
+    /// Returns the picture as a separate file.
     #[must_use]
     pub fn into_file(self) -> String {
         let ((width, height), body, style) = (self.size, self.body, crate::STYLE);
@@ -193,7 +193,7 @@ impl Svg {
         )
     }
 
-    /// The picture as an element; `label` says what it shows.
+    /// Returns the picture as an element; `label` says what it shows.
     #[must_use]
     pub fn finish(self, class: &str, label: &str) -> Markup {
         let ((width, height), body, label) = (self.size, self.body, escaped(label));
@@ -203,7 +203,7 @@ impl Svg {
     }
 }
 
-/// The commands of a path through these points.
+/// Returns the commands of a path through these points.
 fn path(points: impl Iterator<Item = Place>) -> String {
     let commands = std::iter::once('M').chain(std::iter::repeat('L'));
     let steps = commands.zip(points);
