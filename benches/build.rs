@@ -6,7 +6,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The first line of a command's output; `None` if it fails.
+/// Returns the first line of a command's output; `None` if it fails.
 fn said(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let ours = PathBuf::from("src/peers/freertos_posix");
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", ours.display());
-    // The kernel sources of tandem-rtos: the peer is built from the same.
+    // Build the peer from the same kernel sources as tandem-rtos.
     let kernel = PathBuf::from(env::var("DEP_TANDEM_FREERTOS_KERNEL")?);
     let port = kernel.join("portable/ThirdParty/GCC/Posix");
     let program = PathBuf::from(env::var("OUT_DIR")?).join("freertos-posix");

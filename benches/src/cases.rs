@@ -36,7 +36,7 @@ pub enum Comparison {
 }
 
 impl Comparison {
-    /// The name that case names and the command line use.
+    /// Returns the name that case names and the command line use.
     #[must_use]
     pub fn name(self) -> String {
         let value = self.to_possible_value();
@@ -56,10 +56,10 @@ pub struct Candidate {
     pub name: &'static str,
     /// Description for the table.
     pub what: &'static str,
-    /// Rounds of one batch: some 10 to 50 ms, so that the turn changes before the machine's state
-    /// does.
+    /// Rounds of one batch, which takes about 10 to 50 ms: another case runs before the machine's
+    /// state changes.
     pub rounds: usize,
-    /// One batch, by a plan whose CPUs fit the group.
+    /// Runs one batch; the CPUs of the plan must fit the group.
     run: Run,
 }
 
@@ -84,7 +84,7 @@ impl Candidate {
         }
     }
 
-    /// Whether the others of its group are compared with it.
+    /// Returns whether the others of its group are compared with it.
     #[must_use]
     pub fn is_floor(&self) -> bool {
         self.name == "floor"
@@ -237,7 +237,7 @@ const CASES: &[Cases] = &[
     (Comparison::Noise, 60, &[("timer", "how late a sleep of 500 us ends", noise::timer)]),
 ];
 
-/// All cases in the order in which they are shown.
+/// Returns all cases in the order in which they are shown.
 pub fn all() -> impl Iterator<Item = Candidate> {
     CASES.iter().flat_map(|(group, rounds, cases)| {
         cases.iter().map(|(name, what, run)| Candidate {

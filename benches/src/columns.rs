@@ -24,8 +24,8 @@ pub(crate) struct Column {
 /// Rank of columns that only the page shows.
 pub(crate) const PAGE: u8 = 5;
 const TAIL_RATIO: &str = "x p99.9";
-/// A percentile with fewer samples than this beyond it is not reliable; nor is a ratio of tails
-/// with fewer turns.
+/// A figure is unreliable if fewer samples than this lie beyond a percentile, or if a ratio of
+/// tails has fewer turns.
 const FEW: f64 = 10.0;
 
 /// In display order: head, meaning, rank, share beyond, figure.
@@ -68,7 +68,7 @@ const fn column(
 }
 
 impl Column {
-    /// The figure of this row, its time shown by `time`; `None` if the row has none.
+    /// Returns the figure of this row, a time as `time` shows it; `None` if the row has none.
     pub(crate) fn cell(&self, row: &Row, time: impl Fn(f64) -> String) -> Option<String> {
         match self.figure {
             Time(of) => of(row).map(time),
@@ -76,8 +76,8 @@ impl Column {
         }
     }
 
-    /// Whether the figure of this row has too few samples. For a ratio of tails: whether it has too
-    /// few turns (a stall affects a whole turn) or a stalled floor.
+    /// Returns whether the figure of this row has too few samples. For a ratio of tails: whether it
+    /// has too few turns (a stall affects a whole turn) or a stalled floor.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
         let few_turns = (row.batch_p50_ns.len() as f64) < FEW;
         is_chance(self.beyond, row)
@@ -85,12 +85,12 @@ impl Column {
     }
 }
 
-/// Whether too few samples, this share of all, lie beyond a percentile of this row.
+/// Returns whether too few samples of this row (the share `beyond` of all) lie beyond a percentile.
 pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
     beyond * (row.samples as f64) < FEW
 }
 
-/// The further facts of a row in words; in brackets the percentiles with few samples beyond them.
+/// Returns the further facts of a row in words, with unreliable percentiles in brackets.
 pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
     row.facts.iter().map(|(name, value)| {
         let fact = format::fact(name, *value);
@@ -100,12 +100,12 @@ pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
     })
 }
 
-/// A figure as text: in brackets if it has too few samples.
+/// Returns the text of a figure, in brackets if the figure has too few samples.
 pub(crate) fn bracketed(text: String, is_chance: bool) -> String {
     if is_chance { format!("({text})") } else { text }
 }
 
-/// The columns of at most this rank that one of these rows fills.
+/// Returns the columns up to this rank that at least one of these rows fills.
 pub(crate) fn filled(rows: &[Row], rank: u8) -> Vec<&'static Column> {
     let fills = |column: &Column, row: &Row| column.cell(row, format::time).is_some();
     let columns = COLUMNS.iter().filter(|column| column.rank <= rank);

@@ -99,7 +99,7 @@ pub struct CompareArgs {
     #[arg(long, value_name = "OLD")]
     pub against: PathBuf,
 
-    /// Pairs of runs; fewer than 6 can show no change, nor can fewer than 11 of all groups
+    /// Pairs of runs: at least 6 are needed to show a change, 11 if all groups are compared
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub pairs: u8,
 
@@ -143,10 +143,10 @@ pub type Printed = (String, Option<(String, u8)>);
 
 /// Runs the command with these arguments.
 ///
-/// To be called before the process has threads.
+/// Call it before the process has threads.
 ///
 /// # Errors
-/// [`NoFigures`]; nothing is written then, unless it says so.
+/// [`NoFigures`]. Nothing is written then, unless the error says so.
 pub fn bench(args: &BenchArgs) -> Result<Printed, NoFigures> {
     match &args.command {
         Some(BenchCommand::Compare(args)) => compare(args),
@@ -215,7 +215,7 @@ fn distribution(of: &Measurement, results: &Results) -> (String, String) {
     (name, text)
 }
 
-/// The CPUs of the near and the far end.
+/// Returns the CPUs of the near and the far end.
 fn ends(asked: &[usize]) -> anyhow::Result<[usize; 2]> {
     let usable = core_affinity::get_core_ids().unwrap_or_default();
     let usable: Vec<usize> = usable.iter().map(|cpu| cpu.id).collect();
@@ -297,7 +297,7 @@ fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
         bar.set_position((f64::from(pair) / f64::from(args.pairs) * STEPS) as u64);
         bar.set_message(format!("pair {} of {}", pair + 1, args.pairs));
         let run = |at: usize| compare::figures_of(programs[at], &options).map_err(usage);
-        // Neither build is always the first.
+        // Alternate which build measures first.
         let first = usize::from(pair % 2);
         let mut runs = [run(first)?, run(1 - first)?];
         runs.rotate_left(first);

@@ -30,7 +30,7 @@ pub(crate) const ALPHA: f64 = 0.05;
 /// A smaller change is not worth acting on, even if it is significant.
 pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
 
-/// The verdict on a figure.
+/// How a figure has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Trend {
@@ -58,9 +58,9 @@ pub(crate) struct Change {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Compared {
     pub(crate) name: String,
-    /// Shows the state of the machine, without a verdict.
+    /// Shows the state of the machine; its change is not judged.
     pub(crate) is_floor: bool,
-    /// Not Tandem's: its verdict does not count.
+    /// A peer, not Tandem: its change does not count.
     pub(crate) is_peer: bool,
     pub(crate) p50: Change,
     pub(crate) p99: Change,
@@ -138,7 +138,7 @@ pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
     })
 }
 
-/// One case, with p-values that are not yet corrected, and no trend; `None` if a run lacks it.
+/// Returns one case with uncorrected p-values and no trend; `None` if a run lacks the case.
 fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
     let is_floor = Provider::of(row) == Provider::Floor;
     let floor = floor_of(&pairs[0][0].results, &row.name, |row| row.name.clone());
@@ -179,8 +179,8 @@ fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
     })
 }
 
-/// The share of all combinations of signs whose mean is at least as far from 0 as that of
-/// `differences` (16 at most).
+/// Returns the share of all combinations of signs whose mean is at least as far from 0 as the mean
+/// of `differences` (16 at most).
 fn chance(differences: &[f64]) -> f64 {
     let choices = 1_u32 << differences.len();
     let mean_of = |signs: u32| {
@@ -194,8 +194,8 @@ fn chance(differences: &[f64]) -> f64 {
     as_far.count() as f64 / f64::from(choices)
 }
 
-/// Corrects the p-values for their number, and says what each change is. Medians and 99th
-/// percentiles are a family each, and so are Tandem's cases and the peers.
+/// Corrects the p-values for their number and sets each trend. Medians and 99th percentiles are
+/// separate families, and so are Tandem's cases and the peers.
 fn judge(cases: &mut [Compared]) {
     let percentiles: [fn(&mut Compared) -> &mut Change; 2] =
         [|case| &mut case.p50, |case| &mut case.p99];
@@ -224,7 +224,7 @@ fn judge(cases: &mut [Compared]) {
 }
 
 impl Comparison {
-    /// The table for the terminal, 100 columns wide, and its summary.
+    /// Returns the table for the terminal, 100 columns wide, and its summary.
     pub(crate) fn table(&self) -> String {
         let group = |case: &Compared| case.name.split('/').next().unwrap_or("").to_owned();
         let mut text = String::new();
@@ -284,7 +284,7 @@ impl Comparison {
     }
 }
 
-/// A relative change with its sign: `+10.2 %`.
+/// Returns a relative change with its sign: `+10.2 %`.
 fn percent(change: f64) -> String {
     let percent = change * 100.0;
     let decimals = usize::from(percent.abs() < 99.95);
@@ -351,7 +351,7 @@ mod tests {
             // Medians and 99th percentiles are the same here: one family.
             !found.slower.is_empty() || !found.faster.is_empty()
         });
-        // 20 are expected; 3.5 deviations of the binomial distribution are 15.
+        // 20 are expected; 3.5 standard deviations of the binomial distribution are 15.
         let errors = errors.count();
         assert!(errors <= 35, "{errors} of {comparisons}");
     }
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(table.matches("(185)").count(), 2, "{table}");
     }
 
-    /// The tick has its own floor: if both take twice as long, the machine is slower.
+    /// The tick has its own floor: if both take twice as long, the machine is slower, not Tandem.
     #[test]
     fn a_case_is_compared_beside_the_floor_of_its_own() {
         let run = |ns| results(vec![row("rtos/tick-floor", ns), row("rtos/tick", ns)]);

@@ -26,7 +26,7 @@ pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// The same two lines; the receiver sleeps in the kernel until the word changes.
+/// Ends on two such lines; the receiver sleeps in the kernel until the word changes.
 fn futex_ends(shared: &SharedPage, ways: [usize; 2]) -> impl End + use<> {
     let [out, inward] = ways.map(|way| shared.line(2 * way));
     let mut last = 0;
@@ -63,10 +63,9 @@ pub(crate) fn futex_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
 const PER_LINE: u32 = 8;
 const LINES: u32 = 64;
 
-/// The floor of throughput: a ring whose cache lines are handed over one by one, full. Eight
-/// messages of 8 bytes fill a line; only then the producer publishes it. This measures the cost of
-/// the cache lines alone. It delays each message until its line is full, so it is not a practical
-/// channel.
+/// The floor of throughput: a ring that passes only full cache lines. A line holds eight messages
+/// of 8 bytes, and the producer publishes it when it is full. This measures the cost of the cache
+/// lines alone. It delays each message until its line is full, so it is not a practical channel.
 pub(crate) fn full_lines(plan: &BatchPlan) -> io::Result<Batch> {
     let shared = SharedPage::with_case_words((2 + LINES as usize) * LINE)?;
     // The producer's count of lines, the consumer's, and the lines.
@@ -125,7 +124,7 @@ pub(crate) fn full_lines(plan: &BatchPlan) -> io::Result<Batch> {
     from_processes::<_, _, 1>(plan, &shared, stream, sender, receiver)
 }
 
-/// Operations of a sample of a lock.
+/// Operations of a lock per sample.
 pub(crate) const CHUNK: usize = 64;
 
 /// A compare-and-swap that locks a free word and a store that unlocks it: the least work of a lock.

@@ -1,11 +1,11 @@
-//! The machine of a measurement, from its own description.
+//! Describes the machine of a measurement, from the data that the machine reports.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
 use tandem_board_host::realtime::cpus;
 
-/// The dependencies of this build, by the lock file that it was built with.
+/// The dependencies of this build: the lock file that it was built with.
 const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.lock"));
 /// The peers that are libraries.
 const PEERS: [&str; 4] = ["iceoryx2", "io-uring", "rtrb", "triple_buffer"];
@@ -13,7 +13,7 @@ const PEERS: [&str; 4] = ["iceoryx2", "io-uring", "rtrb", "triple_buffer"];
 /// The machine of a measurement.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Machine {
-    /// The processor's own name.
+    /// The name that the processor reports.
     pub(crate) cpu: String,
     /// CPUs that this process may use.
     pub(crate) cpus: usize,
@@ -41,7 +41,7 @@ pub(crate) struct Machine {
     pub(crate) scheduling: String,
     /// Whether the ends' memory could not be swapped out.
     pub(crate) memory_locked: bool,
-    /// When shared memory gets huge pages.
+    /// The kernel's setting for huge pages in shared memory.
     pub(crate) huge_pages: String,
     pub(crate) versions: BTreeMap<String, String>,
 }
@@ -83,13 +83,13 @@ impl Machine {
         format!("{}{under}, Linux {}", self.cpu, self.kernel)
     }
 
-    /// The CPUs of the ends.
+    /// Returns the CPUs of the ends.
     pub(crate) fn pinned(&self) -> String {
         let cpus: Vec<String> = self.pinned_to.iter().map(usize::to_string).collect();
         cpus.join(" and ")
     }
 
-    /// In words: one line for each kind of fact.
+    /// Describes the machine in words: one line for each kind of fact.
     pub(crate) fn facts(&self) -> Vec<(&'static str, String)> {
         let versions = self.versions.iter();
         let versions: Vec<String> = versions.map(|(name, v)| format!("{name} {v}")).collect();
@@ -119,7 +119,7 @@ impl Machine {
     }
 }
 
-/// Place of a CPU, from the kernel.
+/// Returns the place of a CPU, from the kernel.
 fn place(cpu: usize) -> String {
     let of = |file: &str| {
         let text = read(&format!("/sys/devices/system/cpu/cpu{cpu}/{file}"));
@@ -140,8 +140,8 @@ fn place(cpu: usize) -> String {
     )
 }
 
-/// Time that the hypervisor gave to others while a CPU of this machine wanted to run, ms, since the
-/// start; in steps of 10 ms.
+/// Returns the time since the start for which the hypervisor ran others although a CPU of this
+/// machine was ready to run, ms, in steps of 10.
 pub(crate) fn stolen_ms() -> f64 {
     stolen(&read("/proc/stat"))
 }
@@ -156,7 +156,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(path).unwrap_or_default()
 }
 
-/// The value of the first `name: value`.
+/// Returns the value of the first `name: value`.
 fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once(':')?;
@@ -164,7 +164,7 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     })
 }
 
-/// The word in brackets: files under `/sys` mark the present choice with brackets.
+/// Returns the word in brackets: files under `/sys` mark the present choice with brackets.
 fn chosen(text: &str) -> String {
     let word = text.split(['[', ']']).nth(1);
     word.unwrap_or("unknown").to_owned()

@@ -1,10 +1,10 @@
 //! Two ends that pass a stamp to each other, in two processes or two threads, and time each
 //! direction.
 //!
-//! Each message carries the sender's time stamp as its 4 bytes of data; the receiver subtracts it
-//! from its own when the value has reached its code. Both directions of a ping-pong are samples of
-//! one-way latency. All cases of a run use this loop, so that floor, peers and Tandem differ in
-//! nothing else.
+//! Each message carries the sender's time stamp as its 4 bytes of data. When the value has reached
+//! the receiver's code, the receiver subtracts it from its own time stamp. Both directions of a
+//! ping-pong are samples of one-way latency. All cases of a run use this loop, so that floor, peers
+//! and Tandem differ only in the mechanism.
 
 use crate::clock::{ticks, to_ps, to_ps_spread};
 use crate::shared::{CPU_NS, Log, SharedPage};
@@ -24,18 +24,18 @@ pub struct BatchPlan {
     pub warm_up: usize,
     /// CPUs of the near and the far end.
     pub cpus: [usize; 2],
-    /// The system whose cores Tandem's ends are; it has power.
+    /// The system to whose cores Tandem's ends belong; it has power.
     pub system: Option<&'static UnsupervisedSystem>,
 }
 
-/// The results of one batch of a case: of some 10 to 50 ms.
+/// The results of one batch of a case, which takes about 10 to 50 ms.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
     /// One sample each: one-way time, or time per operation or per message, in picoseconds.
     pub samples_ps: Vec<u64>,
     /// Round trips in picoseconds, where the case is a ping-pong; else empty.
     pub round_trips_ps: Vec<u64>,
-    /// Samples timed from when messages left, if they were due at fixed times; else empty.
+    /// Latencies from when each message left, if messages are due at fixed times; else empty.
     pub naive_ps: Vec<u64>,
     /// CPU time (user and system, all ends) per message in ns, where it applies.
     pub cpu_ns_per_message: Option<f64>,
@@ -47,7 +47,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// The records of the parts of a batch of `messages` messages: samples from track 0,
+    /// Collects the records of the parts of a batch of `messages` messages: samples from track 0,
     /// round trips from track 1, and CPU time.
     pub(crate) fn collect(shared: &SharedPage, parts: usize, messages: usize) -> Self {
         let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
@@ -66,8 +66,7 @@ impl Batch {
         }
     }
 
-    /// The same with samples that are the mean of `chunk` operations each; CPU time likewise is
-    /// that of one operation.
+    /// Converts samples and CPU time of `chunk` operations to those of one operation.
     pub(crate) fn per_operation(mut self, chunk: usize) -> Self {
         for sample in &mut self.samples_ps {
             *sample /= chunk as u64;
@@ -76,26 +75,26 @@ impl Batch {
         self
     }
 
-    /// The same with this payload.
+    /// Sets the payload per message, bytes.
     pub(crate) fn carrying(mut self, payload_bytes: u64) -> Self {
         self.payload_bytes = payload_bytes;
         self
     }
 
-    /// The same without facts that another group already shows.
+    /// Removes the facts, because another group already shows them.
     pub(crate) fn without_facts(mut self) -> Self {
         self.facts.clear();
         self
     }
 
-    /// The same with another fact.
+    /// Adds a fact.
     pub(crate) fn with_fact(mut self, name: &'static str, value: f64) -> Self {
         self.facts.push((name, value));
         self
     }
 }
 
-/// The median, or the larger of the two in the middle; 0 if there is none.
+/// Returns the median, or the larger of the two middle samples; 0 if there is none.
 pub(crate) fn median<T: Copy + Default + Ord>(samples: &mut [T]) -> T {
     samples.sort_unstable();
     samples.get(samples.len() / 2).copied().unwrap_or_default()
@@ -117,7 +116,7 @@ pub(crate) fn polled<T>(mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// One process by itself on this CPU.
+/// Runs a batch of one process on this CPU.
 pub(crate) fn alone(
     cpu: usize,
     shared: &SharedPage,
@@ -157,7 +156,7 @@ pub(crate) fn repeated<F: FnMut()>(
     Ok(Batch::collect(shared, 1, plan.rounds).per_operation(chunk))
 }
 
-/// One end of a way of passing 4 bytes in both directions.
+/// One end of a mechanism that passes 4 bytes in both directions.
 pub(crate) trait End {
     /// Sends a stamp to the other end.
     fn send(&mut self, stamp: u32);
@@ -178,10 +177,10 @@ impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
     }
 }
 
-/// Where the near end records the duration of a send, in ticks, beside the numbers of
+/// The near end's note for the duration of a send, in ticks, after the two notes of
 /// [`count_calls`].
 const SEND_AT: usize = 2;
-/// The last sends, of which the median counts.
+/// The number of last sends whose median counts.
 const SENDS: usize = 255;
 
 fn near_end(end: &mut impl End, plan: &BatchPlan, role: &mut PartContext<'_>) {
@@ -233,7 +232,7 @@ pub(crate) fn between_processes<E: End>(
     )
 }
 
-/// The same with ends of two types.
+/// As [`between_processes`], with ends of two types.
 ///
 /// Each end is made in its own process, which lives for this batch only: it inherits nothing from
 /// earlier batches except what the caller had opened.
@@ -274,7 +273,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
     Ok(batch)
 }
 
-/// The records of both ends of a ping-pong, with the sender's own cost and each direction.
+/// Collects the records of both ends of a ping-pong, the sender's own cost and each direction.
 fn there_and_back(plan: &BatchPlan, shared: &SharedPage) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
@@ -331,7 +330,7 @@ fn count_calls(end: &mut impl End, role: &mut PartContext<'_>) {
                 let_wait(far);
             }
             if round == 0 {
-                // It may have to open the doorbell that it rings.
+                // The first send may have to open the doorbell, so it is not counted.
                 end.send(ticks());
             } else {
                 let made = count(|| end.send(ticks()));
@@ -401,7 +400,7 @@ pub(crate) fn in_threads(
     Ok(shared)
 }
 
-/// A number for names that no other batch of this machine uses at the same time.
+/// Returns a number for a name that no other batch on this machine uses at the same time.
 pub(crate) fn next_run() -> u32 {
     static RUNS: AtomicU32 = AtomicU32::new(0);
     (std::process::id() << 8) | (RUNS.fetch_add(1, Ordering::Relaxed) & 0xFF)

@@ -1,4 +1,4 @@
-//! A stated background load: processes that spin or stream through memory during the measurement.
+//! A background load: processes that spin or stream through memory during the measurement.
 
 use crate::worker::Child;
 use std::fmt;

@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use tandem_benches::command::{BenchArgs, bench};
 use tandem_rtos::host::TaskAllocator;
 
-/// As in `tandem`: the tasks of a core share its thread, and so the allocator.
+/// As in `tandem`: the tasks of a core share its thread, and therefore its allocator.
 #[global_allocator]
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 

@@ -17,7 +17,7 @@ pub(crate) struct Measurement {
     pub(crate) times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
     pub(crate) round_trips: Histogram<u64>,
-    /// All samples timed from when a message left; empty if messages were not due at fixed times.
+    /// All latencies from when a message left; empty if messages were not due at fixed times.
     pub(crate) naive: Histogram<u64>,
     /// Summary of each batch, in order, without its samples.
     pub(crate) batches: Vec<Batch>,
@@ -66,11 +66,11 @@ impl Measurement {
 /// How long to measure.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
-    /// Turns continue until this time has passed,
+    /// Turns continue at least for this time.
     pub(crate) at_least: Duration,
-    /// and each case has had this number of turns,
+    /// Turns continue at least until each case has had this number of turns.
     pub(crate) turns: usize,
-    /// but no longer than this once each case has had a turn.
+    /// Turns end after this time in any case, once each case has had one.
     pub(crate) at_most: Duration,
 }
 
@@ -85,7 +85,7 @@ impl Span {
         }
     }
 
-    /// Whether to cut this turn short. The first one is never cut: cases would be missing.
+    /// Returns whether to cut this turn short. The first turn is never cut: cases would be missing.
     fn is_over(&self, turns: usize, elapsed: Duration) -> bool {
         turns > 0 && elapsed >= self.at_most
     }
@@ -111,7 +111,7 @@ extern "C" fn interrupt(_signal: libc::c_int) {
     INTERRUPTED.store(true, Ordering::Relaxed);
 }
 
-/// Whether Ctrl-C was pressed since [`run`] began.
+/// Returns whether Ctrl-C was pressed since [`run`] began.
 pub(crate) fn was_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
@@ -120,7 +120,7 @@ pub(crate) fn was_interrupted() -> bool {
 /// part of the span (0 to 1) that has passed, and the case. Ctrl-C ends it early with the results
 /// so far.
 ///
-/// To be called while the process has one thread.
+/// Call it while the process has one thread.
 pub(crate) fn run(
     system: &'static UnsupervisedSystem,
     cases: impl IntoIterator<Item = Candidate>,
@@ -158,7 +158,7 @@ pub(crate) fn run(
     }
 }
 
-/// The numbers below `count`, shuffled: so that no case always follows the same case.
+/// Returns the numbers below `count` in random order, so that no case always follows the same case.
 fn order(count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for at in (1..count).rev() {
@@ -171,7 +171,7 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
     let case = measurement.case;
     let plan = BatchPlan {
         rounds: case.rounds,
-        // At least each slot of a channel of two is touched.
+        // At least 2, to use each slot of a channel of two slots.
         warm_up: (case.rounds / 10).max(2),
         cpus,
         system: Some(system),

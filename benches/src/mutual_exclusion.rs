@@ -14,8 +14,8 @@ pub trait Exclusion {
 }
 
 /// `processes` (2 or 3) contend for as many microseconds as the plan has rounds. The first and the
-/// third share the near CPU. A sample is the time from the request to the entry. Each stay changes
-/// one word; at the end it must have been changed once for each stay.
+/// third share the near CPU. A sample is the time from the request to the entry. Each stay adds 1
+/// to a shared word, which must equal the number of stays at the end.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be created, an end failed, or two were inside at
@@ -40,8 +40,8 @@ pub fn contended<E: Exclusion>(
                 let mut waited = 0;
                 exclusion.inside(|| {
                     waited = ticks().wrapping_sub(wanted);
-                    // Not one atomic addition: the lock must keep others out between the load and
-                    // the store.
+                    // Not one atomic addition: the lock must exclude the other processes between
+                    // the load and the store.
                     word.store(word.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
                 });
                 stays += 1;
@@ -73,8 +73,8 @@ pub fn contended<E: Exclusion>(
 
 /// An owner takes the lock and is killed (-9) while another process on another CPU waits for it. A
 /// sample is the time from the kill to the end of that process's turn; the kernel uses most of it.
-/// `own` creates the owner with this number, `bury` reports its death once it has ended. The
-/// function that `take` creates locks, unlocks, and returns whether the last owner had died.
+/// `own` creates the owner with this number, `bury` reports its death once it has ended. `take`
+/// creates a function that locks, unlocks, and returns whether the last owner had died.
 pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -134,8 +134,8 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
-/// The least share of a process relative to the fair one: 1 if all are equal, 0 if one never
-/// enters.
+/// Returns the least share of a process relative to the fair one: 1 if all are equal, 0 if one
+/// never enters.
 fn least_share(served: &[f64]) -> f64 {
     let all: f64 = served.iter().sum();
     let least = served.iter().copied().fold(f64::INFINITY, f64::min);

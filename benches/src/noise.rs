@@ -5,9 +5,9 @@ use crate::harness::{Batch, BatchPlan, alone};
 use crate::shared::SharedPage;
 use std::io;
 
-/// Windows of the spin; each gives one sample.
+/// Length of a window of the spin, ns; each window gives one sample.
 const WINDOW_NS: u64 = 100_000;
-/// A pause between two time stamps that is longer than this is not caused by the loop itself.
+/// A longer pause between two time stamps is not caused by the loop itself, ns.
 const GAP_NS: u64 = 1_000;
 
 /// Reads the clock again and again on this CPU. If two readings lie far apart, an interrupt,
@@ -49,7 +49,7 @@ pub(crate) fn gaps(plan: &BatchPlan, cpu: usize) -> io::Result<Batch> {
         .with_fact("step of the clock, ns", to_ps(step_ticks()) as f64 / 1e3))
 }
 
-/// Sleeps until a point in time 500 us ahead, again and again. A sample is how late the sleep ends.
+/// Sleeps until a time 500 us ahead, again and again. A sample is how late the sleep ends.
 pub(crate) fn timer(plan: &BatchPlan) -> io::Result<Batch> {
     const PERIOD_NS: u64 = 500_000;
     let shared = SharedPage::new()?;

@@ -1,7 +1,7 @@
 //! Messages at a fixed rate: an *open loop*, which no stall of the machine slows down. Message `k`
-//! is due at `begin + k * period`, and its latency counts from that time; the latency from when it
-//! left is `naive`. The mistake that a ping-pong makes is G. Tene's *coordinated omission* ("How
-//! NOT to measure latency", 2013): docs/performance.md.
+//! is due at `begin + k * period`, and its latency counts from that time; `naive` counts from when
+//! it left. A ping-pong measures only the latter: G. Tene calls this error *coordinated omission*
+//! ("How NOT to measure latency", 2013): docs/performance.md.
 //!
 //! A newer message may overtake an older one (a signal, a newest value): a message counts as
 //! arrived when it or a newer one has.
@@ -73,7 +73,7 @@ pub(crate) fn at_fixed_rate<E: End>(
     Ok(batch.with_fact("messages per second", 1e9 / PERIOD_NS as f64))
 }
 
-/// How late each message was, in ticks: from when it was due, and from when it left.
+/// Returns each message's latency in ticks: from when it was due, and from when it left.
 fn latencies([begin, period]: [u32; 2], left: &[u32], arrived: &[u32]) -> [Vec<u32>; 2] {
     let due = (0..).map(|k: u32| begin.wrapping_add(k.wrapping_mul(period)));
     let from_due = arrived.iter().zip(due);

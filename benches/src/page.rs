@@ -9,7 +9,7 @@ use tandem_page::chart::{Axis, Chart, Series, Style};
 use tandem_page::svg::{Color, Stroke, Svg};
 use tandem_page::{document, format, legend, section, tile};
 
-/// The page.
+/// Returns the page.
 pub(crate) fn page(results: &Results) -> String {
     let content = html! {
         (header(results))
@@ -91,8 +91,8 @@ fn group(name: &str, rows: &[Row]) -> Markup {
     html! { div id=(name) { (section(about.title, &aside, about.note, &content)) } }
 }
 
-/// The introduction of a group: its heading, what one sample is, and what to compare. A group
-/// without an introduction here gets none: its cases explain it.
+/// The introduction of a group: its heading, what one sample is, and what to compare. A group that
+/// is not described here has none: its cases explain it.
 struct About {
     title: &'static str,
     measures: &'static str,
@@ -153,7 +153,7 @@ fn explanations(results: &Results) -> Markup {
     section("How to read this page", &html! {}, "", &content)
 }
 
-/// Powers of ten of 1 / (1 - q) at the median.
+/// The decimal logarithm of 1 / (1 - q) at the median.
 const MEDIAN: f64 = std::f64::consts::LOG10_2;
 
 fn percentile_label(nines: f64) -> String {
@@ -163,19 +163,19 @@ fn percentile_label(nines: f64) -> String {
     tandem_page::chart::percentile(nines)
 }
 
-/// A round time: `200 ns`, `10 µs`.
+/// Returns a round time: `200 ns`, `10 µs`.
 fn time_label(power: f64) -> String {
     // A power of ten may come out a little too small.
     let (value, unit) = format::scaled(10_f64.powf(power) * (1.0 + 1e-9));
     format!("{} {unit}", tandem_page::chart::plain(value))
 }
 
-/// Whether this is Tandem's first case of its group.
+/// Returns whether this is Tandem's first case of its group.
 fn is_first(row: &Row, rows: &[Row]) -> bool {
     Headline::of(rows).is_some_and(|headline| headline.tandem.name == row.name)
 }
 
-/// The distributions from the median on; `None` if no case has enough samples for a curve.
+/// Returns the distributions from the median on; `None` if no case has enough samples for a curve.
 fn curves(rows: &[Row]) -> Option<Chart> {
     // The most important curve is drawn last, above the others.
     let order = |row: &&Row| match Provider::of(row) {
@@ -220,7 +220,7 @@ fn curves(rows: &[Row]) -> Option<Chart> {
 /// Range of ratios that the small dots resolve; others are drawn at the edge.
 const SHOWN: (f64, f64) = (0.3, 30.0);
 
-/// The table of a group, with the ratios as dots where it has a floor.
+/// Returns the table of a group, with the ratios as dots where it has a floor.
 fn table(rows: &[Row]) -> Markup {
     let columns = columns::filled(rows, PAGE);
     let has_floor = rows.iter().any(|row| row.is_floor());
@@ -253,7 +253,7 @@ fn table(rows: &[Row]) -> Markup {
     }
 }
 
-/// The ratios of a row: a line at 1, a dot for the median, a ring for the tail.
+/// Returns the ratios of a row: a line at 1, a dot for the median, a ring for the tail.
 fn dots(row: &Row) -> Markup {
     let power = |ratio: f64| ratio.clamp(SHOWN.0, SHOWN.1).log10();
     let axis = Axis::linear("", (SHOWN.0.log10(), SHOWN.1.log10()), 1);
@@ -283,7 +283,7 @@ fn noise(results: &Results) -> Markup {
     section("The machine's own noise", &html! {}, &note, &table)
 }
 
-/// A section of names with a note on each.
+/// Returns a section of names with a note on each.
 fn facts<'a>(title: &str, facts: impl Iterator<Item = (&'a str, String)>) -> Markup {
     let content = html! {
         table.facts { @for (name, value) in facts { tr { th { (name) } td { (value) } } } }

@@ -43,7 +43,7 @@ impl Provider {
     pub(crate) fn of(row: &Row) -> Self {
         let begins = |names: &[&str]| names.iter().any(|name| row.case().starts_with(name));
         match row.case() {
-            // Some cases have a floor of their own, and those of `rtos` a peer: `tick-posix-port`.
+            // Some cases have their own floor, those of `rtos` also a peer: `tick-posix-port`.
             case if case == "floor" || case.ends_with("-floor") => Self::Floor,
             case if case.ends_with("-posix-port") || begins(&SYSTEM) => Self::System,
             _ if begins(&THREADS) => Self::Threads,
@@ -52,7 +52,7 @@ impl Provider {
         }
     }
 
-    /// Its name in legends, the colour of its marks, and how its curves are drawn.
+    /// Returns the name in legends, the colour of the marks, and how the curves are drawn.
     pub(crate) const fn look(self) -> Look {
         let (name, color, style) = match self {
             Self::Floor => ("floor", Color::FLOOR, Style::Line(2.0)),
@@ -64,7 +64,7 @@ impl Provider {
         Look { name, color, style }
     }
 
-    /// Whether it is an alternative to Tandem.
+    /// Returns whether it is an alternative to Tandem.
     pub(crate) const fn is_peer(self) -> bool {
         !matches!(self, Self::Floor | Self::Tandem)
     }

@@ -39,7 +39,7 @@ impl Samples {
     }
 }
 
-/// Start of the timed operation.
+/// Time stamp of the start of the timed operation.
 static STAMP: AtomicU32 = AtomicU32::new(0);
 
 /// Runs `body` in a separate process and returns the samples that it leaves.
@@ -97,7 +97,7 @@ pub(crate) fn posix_port(plan: &BatchPlan, what: &str) -> io::Result<Batch> {
     Ok(batch(samples.iter().map(in_ticks), in_ps))
 }
 
-/// How late a bare `clock_nanosleep` to each absolute millisecond returns.
+/// Measures how late a bare `clock_nanosleep` to each absolute millisecond returns.
 pub(crate) fn tick_floor(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, of_ns, |samples| {
         let mut due = clock::monotonic_ns();
@@ -136,13 +136,13 @@ fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
     }])
 }
 
-/// How late a task of our port wakes from a delay until each tick, after the tick's absolute time.
+/// Measures how late a task of our port wakes from a delay until each tick's absolute time.
 pub(crate) fn tick(plan: &BatchPlan) -> io::Result<Batch> {
     let late = |wake: Ticks| (host::elapsed_ns() - u64::from(wake.0) * TICK_NS) as u32;
     in_process(plan, of_ns, |samples| each_tick(samples, late))
 }
 
-/// Time from the tick's interrupt, which interrupts the idle task, to the task that it wakes.
+/// Measures from the tick's interrupt, which interrupts the idle task, to the task that it wakes.
 pub(crate) fn switch_from_interrupt(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         host::observe_ticks(Some(|_| STAMP.store(clock::ticks(), Relaxed)));
@@ -152,7 +152,7 @@ pub(crate) fn switch_from_interrupt(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// Time from the call of a yield in one task to its return in the other.
+/// Measures from the call of a yield in one task to its return in the other.
 pub(crate) fn switch(plan: &BatchPlan) -> io::Result<Batch> {
     in_process(plan, clock::to_ps, |samples| {
         let yielder = move |ctx: &TaskContext| {

@@ -48,8 +48,8 @@ fn pour(
     role.end();
 }
 
-/// Receives all messages of the plan, from one source after the other when one has none. It
-/// receives in one place, which the compiler then inlines: a call took as long as a message.
+/// Receives all messages of the plan; when a source is empty, polls the next one. A single place
+/// receives, so that the compiler inlines it: a call took as long as a message.
 fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     plan: &BatchPlan,
     chunk: usize,
@@ -82,8 +82,8 @@ fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
 
 /// From `WAYS` processes to one, each by a separate way. The senders share the near CPU. The
 /// receiver alone uses the far one and polls all ways. Each sender sends its share of the messages.
-/// `sender` creates a function that sends the message of a number, or returns `false` if there is
-/// no room; `receiver` creates one that returns the number of the next message, if any.
+/// `sender` creates a function that sends message `k`, or returns `false` if there is no room;
+/// `receiver` creates one that returns the number of the next message, if any.
 pub(crate) fn from_processes<S, R, const WAYS: usize>(
     plan: &BatchPlan,
     shared: &SharedPage,

@@ -1,8 +1,8 @@
 //! Counts the system calls of a piece of code, by Linux's Syscall User Dispatch.
 //!
-//! While a selector byte in our memory demands it, the kernel hands every system call of this
-//! thread back to us as a signal (SIGSYS). Its handler counts, makes the call itself, and returns
-//! the result to the counted code. Nothing is estimated. See
+//! While a selector byte in our memory requests it, the kernel turns every system call of this
+//! thread into a signal (SIGSYS). The handler counts, makes the call itself, and returns the result
+//! to the counted code. Nothing is estimated. See
 //! Documentation/admin-guide/syscall-user-dispatch.rst in the Linux sources.
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
@@ -80,8 +80,8 @@ mod dispatch {
     }
 
     /// Runs `code` and returns how many system calls it makes; `None` if this kernel cannot count
-    /// them. For processes of one thread: there is one count. `code` must not start threads or
-    /// processes.
+    /// them. Only for processes of one thread: there is one counter. `code` must not start threads
+    /// or processes.
     pub fn count(code: impl FnOnce()) -> Option<u32> {
         let action = Action {
             handler: on_call,
@@ -91,8 +91,8 @@ mod dispatch {
         };
         let size = size_of_val(&action.mask);
         let old = ptr::null_mut::<Action>();
-        // SAFETY: `action` is laid out as the kernel wants it, and its handler and restorer stay
-        // where they are. The selector is a static.
+        // SAFETY: `action` has the layout of the kernel's structure, and its handler and restorer
+        // stay where they are. The selector is a static.
         let refused = unsafe {
             libc::syscall(libc::SYS_rt_sigaction, libc::SIGSYS, &action, old, size) != 0
                 || libc::prctl(

@@ -8,13 +8,13 @@ use tandem_page::format::{self, TimeUnit};
 
 /// The narrowest terminal that the tables are made for, in columns.
 pub(crate) const NARROWEST: usize = 80;
-/// Width for outputs without one: a file, a pipe.
+/// Width for an output that has none, such as a file or a pipe.
 pub(crate) const USUAL: usize = 120;
 
 const WIDTH: usize = 9;
 
 impl Results {
-    /// The tables for a terminal of this width in columns.
+    /// Returns the tables for a terminal of this width in columns.
     pub(crate) fn table(&self, width: usize) -> String {
         let width = width.max(NARROWEST);
         let mut text = self.heading();
@@ -61,7 +61,7 @@ impl Results {
         text
     }
 
-    /// A sentence on the effect of the machine's noise on the figures; empty if it was not
+    /// Returns a sentence on the effect of the machine's noise on the figures; empty if it was not
     /// measured.
     pub(crate) fn noise_in_words(&self) -> String {
         let noise = self.noise.iter();
@@ -124,7 +124,7 @@ fn best_peer(rows: &[Row]) -> Option<String> {
     ))
 }
 
-/// The further facts of a row, as many in a line as fit.
+/// Returns the further facts of a row, as many in a line as fit.
 fn facts(row: &Row, width: usize) -> String {
     let mut lines: Vec<String> = Vec::new();
     for fact in columns::facts(row) {
@@ -138,7 +138,7 @@ fn facts(row: &Row, width: usize) -> String {
     lines.iter().map(|line| format!("      {line}\n")).collect()
 }
 
-/// The columns that these rows fill and that fit.
+/// Returns the columns that these rows fill and that fit.
 fn fitting(rows: &[Row], width: usize) -> Vec<&'static Column> {
     let ranks = (1..columns::PAGE).rev();
     let mut choices = ranks.map(|rank| columns::filled(rows, rank));

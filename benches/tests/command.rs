@@ -53,7 +53,7 @@ impl Fixture {
     }
 }
 
-/// Presses Ctrl-C on the command, not on what it has started.
+/// Sends Ctrl-C (SIGINT) to the command only, not to the processes that it has started.
 fn interrupt(child: &Child) {
     let pid = Pid::from_raw(i32::try_from(child.id()).unwrap()).unwrap();
     kill_process(pid, Signal::INT).unwrap();
@@ -95,7 +95,7 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
     assert!(curve.contains("1/(1-Percentile)") && curve.contains("Interrupted"));
 }
 
-/// A program compared with itself: both measure in turn, and two pairs can show no change.
+/// A program compared with itself: both measure in turn. Two pairs are too few to show a change.
 #[test]
 fn a_program_compared_with_itself_has_not_changed() {
     let fixture = Fixture::new();

@@ -69,7 +69,7 @@ fn the_pictures_are_well_formed_and_hold_numbers_only() {
 fn a_percentile_that_rests_on_chance_is_marked() {
     let mut run = run();
     assert!(!page(&run).contains("num rare"));
-    // Two samples lie beyond p99.9, and so its ratio.
+    // Only two samples lie beyond p99.9, so it and its ratio are unreliable.
     run.results[0].samples = 2_000;
     assert_eq!(page(&run).matches("num rare").count(), 2);
     // The floor's p99.9 comes from a stall (ten times the median), so the ratio is unreliable.

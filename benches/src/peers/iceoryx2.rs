@@ -26,7 +26,7 @@ use std::sync::atomic::Ordering::{Acquire, Release};
 type Error = Box<dyn core::error::Error>;
 type Ipc = ipc::Service;
 
-/// Folder of its files: the benchmark's private `/dev/shm`, so that no files stay.
+/// Folder of its files: the benchmark's private `/dev/shm`, so that no files remain.
 const ROOT: &[u8] = b"/dev/shm/iceoryx2";
 
 /// Calls `open` with a node of default settings, except for the place of its files and for signals:
@@ -160,8 +160,8 @@ impl Settings {
     }
 }
 
-/// A publisher. As in iceoryx2's own benchmark it lends the next sample before it is timed: a send
-/// fills and delivers it.
+/// A publisher. As in iceoryx2's own benchmark it loans the next sample before the timed send,
+/// which fills and delivers it.
 struct Out {
     publisher: Publisher<Ipc, [u32], ()>,
     lent: Option<SampleMutUninit<Ipc, [MaybeUninit<u32>], ()>>,
@@ -173,7 +173,7 @@ impl Out {
         self.lent = self.publisher.loan_slice_uninit(self.words).ok();
     }
 
-    /// Fills and delivers the sample that was lent; whether a subscriber got it.
+    /// Fills and delivers the loaned sample. Returns whether a subscriber received it.
     #[inline]
     fn deliver(&mut self, stamp: u32) -> bool {
         let sample = self.lent.take();
@@ -204,7 +204,7 @@ pub(crate) fn publish_subscribe(
             let mut out = settings.publisher(&out, words)?;
             let send = move |stamp| {
                 out.deliver(stamp);
-                // While the message is under way.
+                // Not timed: the message is on its way.
                 out.lend();
             };
             let receive = move || {
@@ -269,7 +269,7 @@ pub(crate) fn blackboard(plan: &BatchPlan) -> io::Result<Batch> {
             let service = node.service_builder(&name(run, out)?);
             let service = service.blackboard_creator::<u64>().add::<u32>(KEY, 0);
             let writer = service.create()?.writer_builder().create()?;
-            // Both have created theirs.
+            // Both ends have created their entries.
             shared.meet(2);
             let service = node.service_builder(&name(run, inward)?);
             let reader = service
@@ -305,7 +305,7 @@ pub(crate) fn request(plan: &BatchPlan) -> io::Result<Batch> {
     let asks = |shared: &SharedPage| {
         with_node(|node| {
             let client: Asks = service(&node)?.client_builder().create()?;
-            // Both have their ports before the first request.
+            // Both ends have their ports before the first request.
             shared.meet(2);
             let pending: Rc<RefCell<Option<Pending>>> = Rc::default();
             let answer = pending.clone();

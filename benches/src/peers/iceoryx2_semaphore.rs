@@ -1,5 +1,5 @@
-//! A service of iceoryx2 like `ipc::Service`, whose events wake by a semaphore in shared memory
-//! instead of a Unix datagram socket. Both mechanisms are iceoryx2's own.
+//! A service of iceoryx2 like `ipc::Service`, except that its events use a semaphore in shared
+//! memory instead of a Unix datagram socket. Both mechanisms are iceoryx2's own.
 
 use core::fmt::Debug;
 use iceoryx2::service::{Service, internal, ipc};

@@ -50,7 +50,7 @@ pub(crate) fn unix_socket(plan: &BatchPlan) -> io::Result<Batch> {
     by_bytes(plan, [(far, near), back])
 }
 
-/// A stream of 8 bytes each through a pipe, a system call at each end of each.
+/// A stream of messages of 8 bytes through a pipe, with a system call at each end of each.
 pub(crate) fn pipe_stream(plan: &BatchPlan) -> io::Result<Batch> {
     let (inward, out) = io::pipe()?;
     let stream = Stream {
@@ -81,7 +81,7 @@ pub(crate) fn eventfd(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// The peer's ring: publishes the own ring, and receives a descriptor of the other.
+/// Publishes the ring of this end, and returns a descriptor of the peer's ring.
 fn peers_ring(
     own: &IoUring,
     shared: &SharedPage,
@@ -89,7 +89,7 @@ fn peers_ring(
 ) -> io::Result<OwnedFd> {
     shared.line(2 * out).store(own.as_raw_fd() as u32, Relaxed);
     shared.line(2 * out + 1).store(std::process::id(), Relaxed);
-    // Orders the words before and after it.
+    // Orders the stores above before the peer's loads below.
     shared.meet(2);
     let [fd, pid] = [0, 1].map(|word| shared.line(2 * inward + word).load(Relaxed) as i32);
     let peer = Pid::from_raw(pid).expect("a process");
@@ -97,7 +97,7 @@ fn peers_ring(
     Ok(pidfd_getfd(peer, fd, PidfdGetfdFlags::empty())?)
 }
 
-/// 4 bytes in a message from ring to ring: the kernel puts a completion into the other's queue.
+/// 4 bytes in a message from ring to ring: the kernel adds a completion to the receiver's queue.
 pub(crate) fn io_uring(plan: &BatchPlan) -> io::Result<Batch> {
     // If a sysctl or a filter forbids io_uring, report it before any process starts.
     IoUring::new(8).map_err(|error| io::Error::other(format!("io_uring is forbidden: {error}")))?;

@@ -21,7 +21,7 @@ pub(crate) enum Death {
 struct Mutex(*mut libc::pthread_mutex_t);
 
 impl Mutex {
-    /// Makes it; once for all processes.
+    /// Creates the mutex, once for all processes.
     fn create(shared: &SharedPage, death: Death) -> Self {
         let mutex = Self(shared.line(0).as_ptr().cast());
         let robust = match death {
@@ -41,7 +41,7 @@ impl Mutex {
         mutex
     }
 
-    /// Locks it; `true` if its last owner died with it.
+    /// Locks it. Returns whether its last owner died while it held it.
     fn lock(self) -> bool {
         // SAFETY: the mutex was made and is mapped.
         let died = unsafe { libc::pthread_mutex_lock(self.0) } == libc::EOWNERDEAD;
@@ -90,7 +90,7 @@ pub(crate) fn under_contention(
 }
 
 /// An owner takes the robust mutex and is killed while another process waits for it; the kernel
-/// sees the death.
+/// detects the death.
 pub(crate) fn recovery(plan: &BatchPlan) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     let mutex = Mutex::create(&shared, Death::Robust);

@@ -8,8 +8,8 @@ use std::io;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::fence;
 
-/// 4 bytes through a sequence lock: the minimum that passes the newest of several words whole.
-/// Count and value share a cache line.
+/// 4 bytes through a sequence lock: the least mechanism for a newest value of several words that is
+/// never torn. Count and value share a cache line.
 ///
 /// After H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (2012).
 pub(crate) fn seqlock(plan: &BatchPlan) -> io::Result<Batch> {
@@ -17,7 +17,7 @@ pub(crate) fn seqlock(plan: &BatchPlan) -> io::Result<Batch> {
         let [out, inward] = ways.map(|way| &shared.case()[2 * way * LINE..]);
         let (mut written, mut seen) = (0, 0);
         let send = move |stamp| {
-            // Odd: the value changes. Release pairs with the fence of the reader.
+            // Odd: the value is being changed. Release pairs with the fence of the reader.
             out[0].store(written + 1, Relaxed);
             fence(Release);
             out[1].store(stamp, Relaxed);
@@ -72,7 +72,7 @@ pub(crate) fn triple_buffer(plan: &BatchPlan) -> io::Result<Batch> {
     between_threads(plan, ends)
 }
 
-/// A stream of 8 bytes each through rtrb's ring, with as many slots as Tandem's FIFO in this group.
+/// Messages of 8 bytes in a row through rtrb's ring, with as many slots as Tandem's FIFO here.
 pub(crate) fn rtrb_stream(plan: &BatchPlan) -> io::Result<Batch> {
     let (mut out, mut inward) = rtrb::RingBuffer::new(512);
     let stream = Stream {

@@ -13,7 +13,7 @@ use tandem_page::format::median;
 
 /// First field of the file; its version rises with each incompatible change.
 pub(crate) const SCHEMA: &str = "tandem-bench/1";
-/// Points of a percentile curve, at most.
+/// Largest number of points of a percentile curve.
 const CURVE_POINTS: usize = 100;
 /// A curve ends where fewer samples than this lie beyond it: fewer are not reliable.
 const SAMPLES_BEYOND: f64 = 10.0;
@@ -62,9 +62,9 @@ pub(crate) struct Row {
     pub(crate) round_trip: Option<RoundTrip>,
     /// CPU time of all ends per message, where it applies.
     pub(crate) cpu_ns_per_message: Option<f64>,
-    /// At the median time per message; throughput only.
+    /// Messages per second at the median time per message; throughput only.
     pub(crate) messages_per_second: Option<f64>,
-    /// Payload at the median time per message; throughput and size only.
+    /// Payload per second at the median time per message; throughput and size only.
     pub(crate) bytes_per_second: Option<f64>,
     /// Median of each batch, in the order of measuring.
     pub(crate) batch_p50_ns: Vec<f64>,
@@ -77,7 +77,7 @@ pub(crate) struct Row {
     pub(crate) facts: BTreeMap<String, f64>,
 }
 
-/// Percentiles of the way there and back.
+/// Percentiles of the round trip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RoundTrip {
     pub(crate) p50_ns: f64,
@@ -86,20 +86,20 @@ pub(crate) struct RoundTrip {
 }
 
 impl Row {
-    /// The name within the group.
+    /// Returns the name within the group.
     pub(crate) fn case(&self) -> &str {
         let case = self.name.split_once('/').map(|(_, case)| case);
         case.unwrap_or(&self.name)
     }
 
-    /// Whether the others of the group are compared with this one.
+    /// Returns whether the others of the group are compared with this one.
     pub(crate) fn is_floor(&self) -> bool {
         self.case() == "floor"
     }
 
-    /// Whether the floor's 99.9th percentile is more than ten times its median. It then shows
-    /// stalls, not the bare mechanism, and the ratio at 99.9 % depends on their numbers. A few
-    /// stalls more or less then change the ratio from 0.3 to 3.
+    /// Returns whether the floor's 99.9th percentile is more than ten times its median. It then
+    /// shows stalls, not the bare mechanism: a few stalls more or less change the ratio at 99.9 %
+    /// from 0.3 to 3.
     pub(crate) fn has_stalled_floor(&self) -> bool {
         let ratios = self.ratio_to_floor_p50.zip(self.ratio_to_floor_p99_9);
         ratios.is_some_and(|(p50, p99_9)| self.p99_9_ns / p99_9 > 10.0 * self.p50_ns / p50)
@@ -137,7 +137,7 @@ impl Results {
         }
     }
 
-    /// The groups in the order of measuring, each with its rows, which follow each other.
+    /// Returns the groups in the order of measuring, each with its rows, which follow each other.
     pub(crate) fn groups(&self) -> impl Iterator<Item = (&str, &[Row])> {
         let groups = self.results.chunk_by(|a, b| a.group == b.group);
         groups.map(|rows| (&rows[0].group[..], rows))
@@ -189,7 +189,7 @@ impl Row {
 }
 
 impl RoundTrip {
-    /// `None` if there are no samples.
+    /// Returns the percentiles; `None` if there are no samples.
     fn new(times_ps: &Histogram<u64>) -> Option<Self> {
         let at = |quantile| ns(times_ps.value_at_quantile(quantile));
         (!times_ps.is_empty()).then(|| Self {
@@ -200,7 +200,7 @@ impl RoundTrip {
     }
 }
 
-/// One value per fact: the median of the batches, or the maximum if it is a `longest` one.
+/// Returns one value per fact: the median of the batches, or the maximum of a `longest` fact.
 fn facts(of: &Measurement) -> BTreeMap<String, f64> {
     let mut all = BTreeMap::<&str, Vec<f64>>::new();
     for (name, value) in of.batches.iter().flat_map(|batch| &batch.facts) {
@@ -241,8 +241,8 @@ fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {
     points.collect()
 }
 
-/// The floor of the case of this name: `floor` of its group, or a floor of its own: `tick-floor`
-/// for `tick` and its peers.
+/// Returns the floor of the case with this name: `floor` of its group, or its own floor, such as
+/// `tick-floor` for `tick` and its peers.
 pub(crate) fn floor_of<'a, T>(
     all: &'a [T],
     name: &str,
@@ -257,7 +257,7 @@ pub(crate) fn floor_of<'a, T>(
         let what = what.and_then(|what| what.strip_prefix('/'));
         what.is_some_and(|what| case.contains(what.trim_end_matches('-')))
     };
-    // A floor of its own has the longer name.
+    // The name of a case's own floor is longer.
     all.iter()
         .filter(is_floor)
         .max_by_key(|of| name_of(of).len())

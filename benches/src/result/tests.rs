@@ -5,7 +5,7 @@ use crate::cases;
 use crate::harness::Batch;
 use serde_json::Value;
 
-/// A measurement of this case: one batch for each list of times, in picoseconds.
+/// Returns a measurement of this case: one batch for each list of times, in picoseconds.
 fn measured(name: &str, batches: &[Vec<u64>]) -> Measurement {
     let case = cases::all().find(|case| case.full_name() == name).unwrap();
     let mut measurement = Measurement::new(case);
@@ -22,7 +22,7 @@ fn measured(name: &str, batches: &[Vec<u64>]) -> Measurement {
     measurement
 }
 
-/// 1000 to 1 times this many picoseconds.
+/// Returns 1000 down to 1 times `step` picoseconds.
 fn ramp(step: u64) -> Vec<u64> {
     (1..=1000).rev().map(|i| i * step).collect()
 }
@@ -72,7 +72,7 @@ fn percentiles_and_ratios_are_those_of_all_batches() {
     let [floor, tandem, fifo] = &run.results[..] else {
         panic!("{:?}", run.results.len());
     };
-    // Medians of 50 and 105 ns, to the histogram's three digits and the rounding.
+    // Medians of 50 and 105 ns, within the histogram's three digits and the rounding.
     for (figure, expected) in [
         (floor.p50_ns, 50.0),
         (tandem.p50_ns, 105.0),

@@ -1,5 +1,5 @@
-//! Channels in memory of the harness, so that any payload fits: an LMU has 32 KiB. The code is the
-//! same. Newest values of any size, FIFOs, and the broadcast ring.
+//! Channels in memory of the harness, so that any payload fits: an LMU has only 32 KiB. The code is
+//! the same. Tests newest values of any size, FIFOs, and the broadcast ring.
 
 use super::{Regions, sum_from, word};
 use crate::clock::ticks;
@@ -17,7 +17,7 @@ use tandem_shm::region::{Broadcast, Fifo, Region};
 const SLOTS: usize = 2;
 
 /// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
-/// is written until its last word was read: it is written and read in place.
+/// is written until its last word has been read: it is written and read in place.
 pub(crate) fn in_place<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
     let (_payloads, map) = SharedPage::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
     let batch = between_processes(plan, |_, [core, peer]| {
@@ -51,8 +51,8 @@ pub(crate) fn in_place<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch
     Ok(batch.carrying(4 * WORDS as u64).without_facts())
 }
 
-/// Messages of `WORDS` words, copied in and out, in chunks of `chunk`, from one process or two
-/// (`WAYS`) to one, by a FIFO of `SLOTS` slots each.
+/// Streams messages of `WORDS` words from one or two processes (`WAYS`) to one, each by a FIFO of
+/// `SLOTS` slots. Copies them in and out, in chunks of `chunk`.
 pub(crate) fn fifo<const WORDS: usize, const SLOTS: usize, const WAYS: usize>(
     plan: &BatchPlan,
     chunk: usize,
@@ -82,14 +82,14 @@ pub(crate) fn fifo<const WORDS: usize, const SLOTS: usize, const WAYS: usize>(
 
 const RING: Region<Broadcast<[u32; 2], 1024>> = Region::first("ring");
 const RING_LAYOUT: Layout = RING.end();
-/// Messages of a sample.
+/// Messages per sample.
 const CHUNK: usize = 256;
-/// Messages of a round.
+/// Messages per round.
 const SENT: usize = 4096;
 
 /// The broadcast ring from one process to two, which share the far CPU; the writer never waits. A
-/// sample is a receiver's time per message that it received; the messages that it missed because it
-/// was late are a fact.
+/// sample is a receiver's time per message that it received. The share that it received is a fact:
+/// a late receiver misses messages.
 pub(crate) fn broadcast(plan: &BatchPlan) -> io::Result<Batch> {
     let (shared, map) = SharedPage::with_lmu(RING_LAYOUT)?;
     let sent = (plan.warm_up + plan.rounds) * SENT;
@@ -103,7 +103,7 @@ pub(crate) fn broadcast(plan: &BatchPlan) -> io::Result<Batch> {
             k = writer.publish(&[k, !k]).0.wrapping_add(1);
         }
         role.end();
-        // Release pairs with the Acquire in `receive`: all values are there.
+        // Release pairs with the Acquire in `receive`: all values are published.
         role.shared.flag.store(1, Release);
         Ok(())
     });
@@ -141,7 +141,7 @@ fn receive(map: &Map<'_>, role: &mut PartContext<'_>) -> io::Result<()> {
             Ok(None) => give_way(),
             Err(_lost) => {}
         }
-        // The other receiver's turn, every 100 us or so.
+        // Yields to the other receiver about every 100 us.
         if ticks().wrapping_sub(turn) > 250_000 {
             give_way();
             turn = ticks();

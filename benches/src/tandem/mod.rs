@@ -18,13 +18,13 @@ use tandem_shm::newest::Reader;
 use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Awaited, WaitPolicy};
 
-/// The word at this place of a payload.
+/// Returns the word at this place of a payload.
 #[inline]
 pub(crate) const fn word(stamp: u32, at: usize) -> u32 {
     stamp.wrapping_add(at as u32)
 }
 
-/// The stamp of a payload, after all its words were read.
+/// Returns the stamp of a payload, after all its words were read.
 ///
 /// # Panics
 /// If a word is not what was written.
@@ -101,7 +101,7 @@ struct Waiting<const WORDS: usize> {
 impl<const WORDS: usize> Awaited for Waiting<WORDS> {
     type Output = u32;
 
-    // The waiting loop only makes this call; through a pointer it would cost a third more.
+    // The waiting loop calls only this function; a call through a pointer would cost a third more.
     #[inline(always)]
     fn check(&mut self) -> Option<u32> {
         if self.way == Way::Channel {
@@ -124,7 +124,7 @@ impl<const WORDS: usize> Awaited for Waiting<WORDS> {
     }
 }
 
-/// A place in the LMU for this layout, chosen at random for each batch.
+/// Returns a place in the LMU for this layout, chosen at random for each batch.
 fn place(layout: Layout) -> usize {
     draw((LMU_WORDS - layout.total_words()) / PAIR + 1) * PAIR
 }
@@ -152,7 +152,7 @@ impl How {
         }
     }
 
-    /// The end of core 1 towards core 2, or of core 2, which formats the LMU, towards core 1.
+    /// Creates core 1's end towards core 2, or core 2's (which formats the LMU) towards core 1.
     fn end<const WORDS: usize>(
         self,
         shared: &SharedPage,
@@ -240,7 +240,7 @@ mod tests {
         for layout in [Regions::<1>::LAYOUT, Regions::<266>::LAYOUT] {
             let places = (0..30).map(|_| place(layout));
             let places: std::collections::HashSet<usize> = places.collect();
-            // All 30 draws give one place once in 10^60 runs.
+            // All 30 draws are equal in one of 10^60 runs.
             assert!(places.len() > 1, "{places:?}");
             for place in places {
                 Map::format(&words[skipped..][..LMU_WORDS][place..], layout).unwrap();

@@ -23,7 +23,7 @@ fn zeroed(words: usize) -> &'static [AtomicU32] {
     &memory[skip..skip + words]
 }
 
-/// The only core, announced.
+/// Returns the only core, announced.
 fn incarnation() -> (Incarnation, Incarnations<'static>) {
     let (own, all) = (
         Incarnation::new(0, 1).unwrap(),
@@ -33,7 +33,7 @@ fn incarnation() -> (Incarnation, Incarnations<'static>) {
     (own, all)
 }
 
-/// A newest-value channel of `WORDS` words: publish, then read.
+/// Returns a newest-value channel of `WORDS` words: publish, then read.
 fn channel<const WORDS: usize>(shape: Shape) -> Box<dyn FnMut()> {
     let words = zeroed(newest::words(shape));
     let mut writer = bare::newest_writer::<[u32; WORDS]>(words, shape).unwrap();
@@ -56,7 +56,7 @@ fn queue<const WORDS: usize>(shape: Shape) -> Box<dyn FnMut()> {
     })
 }
 
-/// The operation of this name, if it exists.
+/// Returns the operation of this name, if it exists.
 fn case(name: &str) -> Option<Box<dyn FnMut()>> {
     Some(match name {
         "mailbox" => {

@@ -59,8 +59,8 @@ pub fn ps_per_tick() -> f64 {
     })
 }
 
-/// The step of the clock's readings, in ticks: on many processors the counter goes up by more than
-/// one at a time, every 10 ns or so.
+/// Returns the step of the clock's readings, in ticks: on many processors the counter goes up by
+/// more than one at a time, every 10 ns or so.
 pub fn step_ticks() -> u32 {
     static MEASURED: OnceLock<u32> = OnceLock::new();
     *MEASURED.get_or_init(|| {
@@ -77,10 +77,10 @@ fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// The `n`-th of many spans of ticks in picoseconds.
+/// Converts a span of ticks, the `n`-th of many, to picoseconds.
 ///
-/// A reading stands for all times within one step of the clock. So the spans are spread evenly over
-/// a step (by the golden ratio, not at random): a percentile then has the value that a finer clock
+/// A reading means any time within one step of the clock. So the spans are spread evenly over a
+/// step (by the golden ratio, not at random): a percentile then has the value that a finer clock
 /// would give, and does not jump by whole steps. The mean does not change.
 pub fn to_ps_spread(n: usize, ticks: u32) -> u64 {
     const GOLDEN: f64 = 0.618_033_988_749_895;
@@ -89,12 +89,12 @@ pub fn to_ps_spread(n: usize, ticks: u32) -> u64 {
     (ticks.max(0.0) * ps_per_tick()) as u64
 }
 
-/// A span of ticks in picoseconds.
+/// Converts a span of ticks to picoseconds.
 pub fn to_ps(ticks: u32) -> u64 {
     (f64::from(ticks) * ps_per_tick()) as u64
 }
 
-/// This many nanoseconds as ticks; limited to 32 bits, about a second.
+/// Converts nanoseconds to ticks; limited to 32 bits, about a second.
 pub fn from_ns(ns: u64) -> u32 {
     (ns as f64 * 1000.0 / ps_per_tick()) as u32
 }

@@ -15,7 +15,7 @@ pub const PARTS: usize = 4;
 pub const TRACK: usize = 1 << 16;
 /// Numbers that a part can record besides its samples.
 pub const NOTES: usize = 6;
-/// The number of the harness: CPU time of the part within its timed span, ns.
+/// The note that the harness records: CPU time of the part within its timed span, ns.
 pub const CPU_NS: usize = NOTES - 1;
 
 /// Words in a cache line.
@@ -26,10 +26,10 @@ pub const PAIR: usize = 2 * LINE;
 const PAGE: usize = 1024;
 /// Default number of words of a case.
 const CASE_WORDS: usize = 4 * PAGE;
-/// Pages of the case beyond this are mapped when they are first touched.
+/// The pages of a case with more words than this are mapped when they are first touched.
 const POPULATE_UP_TO: usize = 1 << 20;
 
-/// A random number below `count`.
+/// Returns a random number below `count`.
 #[must_use]
 pub fn draw(count: usize) -> usize {
     static DRAWN: AtomicU64 = AtomicU64::new(0);
@@ -137,13 +137,13 @@ impl SharedPage {
         Ok((shared, map))
     }
 
-    /// The words of the case, aligned to two cache lines.
+    /// Returns the words of the case, aligned to two cache lines.
     #[must_use]
     pub fn case(&self) -> &'static [AtomicU32] {
         &self.words[self.case_at..]
     }
 
-    /// One word of the case on its own cache line.
+    /// Returns one word of the case on its own cache line.
     #[must_use]
     pub fn line(&self, number: usize) -> &'static AtomicU32 {
         &self.case()[number * LINE]
@@ -162,14 +162,14 @@ impl SharedPage {
         }
     }
 
-    /// Maps every page that the harness itself writes, so that no fault is timed.
+    /// Maps every page that the harness itself writes, so that no page fault is timed.
     pub fn touch(&self) {
         for page in self.words[..self.case_at].chunks(PAGE) {
             std::hint::black_box(page[0].load(Ordering::Relaxed));
         }
     }
 
-    /// The records of part `number`.
+    /// Returns the records of part `number`.
     #[must_use]
     pub fn log(&self, number: usize) -> Log {
         Log {
@@ -221,7 +221,7 @@ impl Log {
         }
     }
 
-    /// The samples of a track, when the part has ended.
+    /// Returns the samples of a track. Call it after the part has ended.
     pub fn samples(&self, track: usize) -> impl Iterator<Item = u32> {
         let count = self.sheet.counts[track].load(Ordering::Relaxed) as usize;
         let samples = self.sheet.tracks[track].iter().take(count);
@@ -233,20 +233,20 @@ impl Log {
         self.sheet.notes[at].store(value.to_bits(), Ordering::Relaxed);
     }
 
-    /// The number `at` that was recorded; 0 if none was.
+    /// Returns the number recorded at `at`; 0 if none was.
     #[must_use]
     pub fn noted(&self, at: usize) -> f64 {
         f64::from_bits(self.sheet.notes[at].load(Ordering::Relaxed))
     }
 
-    /// Leaves a text, cut to some 250 bytes: why the part cannot continue.
+    /// Records why the part cannot continue: a text, cut to about 250 bytes.
     pub fn say(&self, text: &str) {
         for (place, byte) in self.sheet.text.iter().zip(text.bytes()) {
             place.store(byte, Ordering::Relaxed);
         }
     }
 
-    /// The text; empty if there is none.
+    /// Returns that text; empty if there is none.
     #[must_use]
     pub fn said(&self) -> String {
         let bytes = self.sheet.text.iter();
@@ -299,7 +299,7 @@ mod tests {
         });
         let places: std::collections::HashSet<usize> = places.collect();
         assert!(places.iter().all(|place| place % (4 * PAIR) == 0));
-        // All 30 draws give one place once in 10^45 runs.
+        // All 30 draws are equal in one of 10^45 runs.
         assert!(places.len() > 1, "{places:?}");
     }
 }

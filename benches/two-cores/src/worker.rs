@@ -2,7 +2,7 @@
 //!
 //! Each part is forked for one batch only and inherits nothing from earlier batches. If one dies or
 //! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang.
-//! Each dies with the benchmark itself.
+//! Each part is killed when the benchmark dies.
 
 use crate::clock::cpu_ns;
 use crate::shared::{CPU_NS, Log, PARTS, SharedPage};
@@ -76,7 +76,7 @@ pub struct PartContext<'a> {
 }
 
 impl PartContext<'_> {
-    /// The role of a second thread of this part, which writes as part `number`.
+    /// Returns the context for a second thread of this part, which records as part `number`.
     #[must_use]
     pub fn beside(&self, number: usize) -> Self {
         Self {
@@ -105,7 +105,7 @@ pub fn perform(shared: &SharedPage, parts: Vec<BatchPart<'_>>) -> io::Result<()>
     perform_within(LIMIT, shared, parts)
 }
 
-/// As [`perform`], with its own limit.
+/// As [`perform`], with this limit.
 ///
 /// # Errors
 /// As [`perform`].
