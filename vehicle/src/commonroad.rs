@@ -1,12 +1,12 @@
 //! Reads CommonRoad XML, versions 2018b and 2020a, into plain data.
 //!
-//! Format: <https://commonroad.in.tum.de>. In a state, an interval stands for its midpoint and an
-//! area for its centre. Not read: intersections, traffic lights, occupancy sets, phantom and
-//! environment obstacles (they are no traffic).
+//! Format: <https://commonroad.in.tum.de>. In a state, an interval is read as its midpoint and an
+//! area as its centre. Not read: intersections, traffic lights, occupancy sets, phantom and
+//! environment obstacles (they are not traffic).
 //!
-//! **Limits.** A file is an input, and no input may cost more than seconds and some 100 MB: each
-//! limit below is far above every published scenario. A part whose absence does not falsify the
-//! rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
+//! **Limits.** A file is an input, and no input may cost more than seconds and a few hundred MB:
+//! each limit below is far above every published scenario. A part whose absence does not falsify
+//! the rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ pub use tandem_bus::ClassCode as Class;
 
 /// A larger file is refused, bytes: the largest published scenarios have 10 MB.
 pub const FILE_MAX: usize = 32 << 20;
-/// A file with more XML nodes is refused: they take some 100 bytes each.
+/// A file with more XML nodes is refused: they take about 100 bytes each.
 const NODES_MAX: u32 = 2_000_000;
 /// An XML element with more attributes is refused: the parser compares all pairs.
 const ATTRIBUTES_MAX: usize = 100;
@@ -164,7 +164,7 @@ pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
     .map()
 }
 
-/// The line of the first tag with so many attributes that the XML parser would take long.
+/// Returns the line of the first tag with more than [`ATTRIBUTES_MAX`] attributes.
 fn tag_with_many_attributes(text: &str) -> Option<u32> {
     let (mut line, mut signs, mut in_tag) = (1, 0, false);
     let bytes = text.as_bytes();
@@ -326,7 +326,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(limits)
     }
 
-    /// `None`, with a warning, if a bound has no length.
+    /// Reads a lanelet. `None`, with a warning, if a bound has no length.
     fn lanelet(
         &self,
         node: Element<'_, '_>,
@@ -428,7 +428,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    /// The box around all shapes, in the obstacle's frame.
+    /// Returns the box around all shapes, in the obstacle's frame.
     fn shape(&self, node: Element<'_, '_>) -> Result<Shape> {
         let mut corners = Vec::new();
         for shape in node.children().filter(Node::is_element) {
@@ -457,14 +457,14 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    /// The corners of a `<rectangle>`, around it.
+    /// Returns the corners of a `<rectangle>` in the order around it.
     fn rectangle(&self, node: Element<'_, '_>) -> Result<[Vec2; 4]> {
         let yaw = optional(node, "orientation", |n| self.number(n))?.unwrap_or_default();
         let (length, width) = (self.extent(node, "length")?, self.extent(node, "width")?);
         Ok(corners_of(self.centre(node)?, yaw, length, width))
     }
 
-    /// The centre of a `<rectangle>` or `<circle>`: the origin, where none is given.
+    /// Returns the centre of a `<rectangle>` or `<circle>`; the origin if none is given.
     fn centre(&self, node: Element<'_, '_>) -> Result<Vec2> {
         Ok(optional(node, "center", |n| self.point(n))?.unwrap_or_default())
     }
@@ -482,7 +482,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(extent)
     }
 
-    /// A state; `default_yaw` is for things that may lack an orientation.
+    /// Reads a state; `default_yaw` is for things that may lack an orientation.
     fn state(
         &self,
         node: Element<'_, '_>,
@@ -505,7 +505,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
-    /// The goals of a planning problem. A goal that cannot be read is left out with a warning.
+    /// Reads the goals of a planning problem. Leaves out, with a warning, one that cannot be read.
     fn goals(
         &self,
         problem: Element<'_, '_>,
@@ -548,8 +548,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         goals
     }
 
-    /// A part of the plane, and points on the way through it; `None` for a lanelet that is not in
-    /// the file.
+    /// Reads a part of the plane, and points on the way through it; `None` for a lanelet that is
+    /// not in the file.
     fn area(
         &self,
         node: Element<'_, '_>,
@@ -585,7 +585,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(Some((area, vec![centre])))
     }
 
-    /// A point, or the centre of an area.
+    /// Reads a point, or the centre of an area.
     fn place(&self, node: Element<'_, '_>) -> Result<Vec2> {
         let Some(place) = node.children().find(Node::is_element) else {
             return Err(self.error(node, "is empty", "give a <point>, <rectangle> or <circle>"));
@@ -610,13 +610,13 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(Vec2::new(x, y))
     }
 
-    /// `<exact>`, or the middle of `<intervalStart>` and `<intervalEnd>`.
+    /// Reads `<exact>`, or the middle of `<intervalStart>` and `<intervalEnd>`.
     fn value(&self, node: Element<'_, '_>) -> Result<f64> {
         let (start, end) = self.range(node)?;
         Ok((start + end) / 2.0)
     }
 
-    /// `<intervalStart>` and `<intervalEnd>`, or twice `<exact>`.
+    /// Reads `<intervalStart>` and `<intervalEnd>`, or uses `<exact>` as both.
     fn range(&self, node: Element<'_, '_>) -> Result<(f64, f64)> {
         if let Some(exact) = elements(node, "exact").next() {
             let exact = self.number(exact)?;
@@ -650,7 +650,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         text.trim().parse().map_err(problem)
     }
 
-    /// A speed that a road vehicle can have.
+    /// Reads a speed that a road vehicle can have.
     fn speed(&self, node: Element<'_, '_>) -> Result<f64> {
         let speed = self.value(node)?;
         if speed.abs() > SPEED_MAX {
@@ -710,7 +710,7 @@ fn optional<'a, 'i: 'a, T>(
     elements(node, name).next().map(read).transpose()
 }
 
-/// The corners of a rectangle, around it.
+/// Returns the corners of a rectangle in the order around it.
 fn corners_of(centre: Vec2, yaw: f64, length: f64, width: f64) -> [Vec2; 4] {
     let along = Vec2::from_angle(yaw) * (length / 2.0);
     let across = Vec2::from_angle(yaw).left() * (width / 2.0);
@@ -723,7 +723,7 @@ fn corners_of(centre: Vec2, yaw: f64, length: f64, width: f64) -> [Vec2; 4] {
     .map(|corner| centre + corner)
 }
 
-/// The corners of the box around the points; an empty box for none.
+/// Returns the corners of the box around the points; an empty box for none.
 fn bounds(points: &[Vec2]) -> (Vec2, Vec2) {
     let Some(&first) = points.first() else {
         return Default::default();

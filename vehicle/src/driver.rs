@@ -72,7 +72,7 @@ pub(crate) struct View {
     pub(crate) leader: Leader,
 }
 
-/// The driver's control: keeps the lane, the set speed and the distance.
+/// Returns the driver's request: it keeps the lane, the set speed and the distance.
 pub(crate) fn by_hand(road: &Road, now: &View, set_speed: f64) -> Request {
     let lane = road.lane(now.lane);
     let ahead = lane.at(now.station + AIM.0 + AIM.1 * now.speed);

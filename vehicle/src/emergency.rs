@@ -1,4 +1,4 @@
-//! Whether a situation is an emergency: the deceleration that it needs.
+//! Decides whether a situation is an emergency, by the deceleration that it needs.
 
 use crate::geometry::{Footprint, Pose, wrap_angle};
 use crate::plant::BMW_320I;
@@ -11,8 +11,8 @@ pub(crate) const EMERGENCY_BRAKING: f64 = 3.0;
 const ROOM_M: f64 = 1.0;
 /// Lower limit of the distance in the computation, m.
 const LEAST_M: f64 = 0.1;
-/// Another road user is in the way if it is in the ego's path within this time, s, with this room
-/// aside, m.
+/// Another road user is in the way if it is in the ego's path within this time, s, with this
+/// lateral room, m.
 const SOON_S: f64 = 2.0;
 const ASIDE_M: f64 = 0.35;
 
@@ -28,8 +28,8 @@ pub(crate) struct Ego {
     pub(crate) end: f64,
 }
 
-/// The constant deceleration, m/s², that the ego needs from now on for all that is ahead. `leader`:
-/// distance to the one in its lane, which may bend before that, m, and its speed, m/s.
+/// Returns the constant deceleration, m/s², that the ego needs for everything ahead. `leader`:
+/// distance to the vehicle ahead in its lane, m (the lane may bend before it), and its speed, m/s.
 pub(crate) fn needed<'a>(
     ego: &Ego,
     leader: (f64, f64),
@@ -41,7 +41,7 @@ pub(crate) fn needed<'a>(
     others.fold(end.max(leader), f64::max)
 }
 
-/// The same for one other road user; 0 if it is not in the way.
+/// Returns the same for one other road user; 0 if it is not in the way.
 fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     let Footprint {
         pose,
@@ -65,8 +65,8 @@ fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     behind(ego.speed, gap, other.speed * cosine, other.acceleration)
 }
 
-/// The constant deceleration that keeps [`ROOM_M`] behind a leader which continues to brake as it
-/// does, m/s². The leader stands before the ego reaches it, or they are equally fast there: A.
+/// Returns the constant deceleration, m/s², that keeps [`ROOM_M`] behind a leader that keeps its
+/// braking. Either the leader stands before the ego reaches it, or both are equally fast there: A.
 /// Kesting, M. Treiber, D. Helbing, Phil. Trans. R. Soc. A 368 (2010), equation 2.
 fn behind(speed: f64, gap: f64, leader: f64, acceleration: f64) -> f64 {
     let gap = (gap - ROOM_M).max(LEAST_M);

@@ -5,9 +5,9 @@
 //! its sender is still a master. The caller receives a ruling on every control frame, and
 //! records it, so that "two masters" and "no master" are facts.
 //!
-//! | frame | verdict | acts |
+//! | frame | ruling | acts |
 //! |---|---|---|
-//! | protection, length or value wrong, or the term's lowest bit is another | `Invalid` | no |
+//! | protection, length, value, or the term's lowest bit (the system) wrong | `Invalid` | no |
 //! | role other than master | `NotMaster` | no |
 //! | term lower than the highest seen | `Fenced` | no |
 //! | was on its way for too long, or rests on data that are too old | `Stale` | no |
@@ -75,7 +75,7 @@ pub enum Ruling {
     Implausible,
 }
 
-/// The verdict on a control frame, and its time.
+/// The ruling on a control frame, and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Acceptance {
     /// When the frame arrived, ns, on the caller's clock.
@@ -84,7 +84,7 @@ pub struct Acceptance {
     pub system: u8,
     /// The frame's term; 0 if it is invalid.
     pub term: u32,
-    /// The verdict on it.
+    /// The ruling on it.
     pub verdict: Ruling,
 }
 
@@ -134,7 +134,7 @@ pub struct Gate {
 /// A control frame that was judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judged {
-    /// The verdict on it.
+    /// The ruling on it.
     pub acceptance: Acceptance,
     /// Its command, if it acts.
     pub command: Option<Control>,
@@ -159,7 +159,7 @@ impl Gate {
         }
     }
 
-    /// Judges a frame that arrives at `now_ns` on the caller's clock; `None` if it is no control
+    /// Judges a frame that arrives at `now_ns` on the caller's clock; `None` if it is not a control
     /// frame.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Judged> {
         let system = Control::IDS
@@ -243,7 +243,7 @@ impl Gate {
         (Ruling::Accepted, Some(control))
     }
 
-    /// The delay of this frame relative to the fastest one of its system, ms.
+    /// Returns the delay of this frame relative to the fastest one of its system, ms.
     fn delay_ms(&mut self, now_ns: u64, system: usize, sent_at: u16) -> u16 {
         if sent_at == 0 {
             return 0;
@@ -267,7 +267,7 @@ impl Gate {
         delay.max(0) as u16
     }
 
-    /// Range of the command, and its rate since the last one that was obeyed.
+    /// Tests the command's range, and its rate of change since the last command that was obeyed.
     fn is_plausible(&self, now_ns: u64, control: &Control) -> bool {
         let (angle, acceleration) = (control.steering_angle, control.acceleration);
         if angle.abs() > MAX_STEERING || !(-MAX_BRAKING..=MAX_ACCELERATION).contains(&acceleration)
@@ -293,7 +293,7 @@ impl Gate {
         self.accepted = Some(entry);
     }
 
-    /// The last frame that acted.
+    /// Returns the last frame that acted.
     #[must_use]
     pub fn accepted(&self) -> Option<Acceptance> {
         self.accepted
@@ -304,8 +304,8 @@ impl Gate {
         self.speed = speed as f32;
     }
 
-    /// The echo to both systems, to be sent at `now_ns`: the term that the vehicle obeys, the age
-    /// of its last frame, and the command.
+    /// Returns the echo to both systems, to be sent at `now_ns`: the term that the vehicle obeys,
+    /// the age of its last frame, and the command.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
         let sent_at = (now_ns / 1_000_000) as u8;
         let none = GateEcho {
@@ -334,13 +334,13 @@ impl Gate {
             .is_some_and(|last| overdue.contains(&silence(last)))
     }
 
-    /// Counts of the rulings so far.
+    /// Returns the counts of the rulings so far.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
         self.counts
     }
 
-    /// Gaps, changes and two masters, from the frames that acted.
+    /// Returns gaps, changes and two masters, from the frames that acted.
     #[must_use]
     pub const fn mastership(&self) -> &Mastership {
         &self.mastership
@@ -374,7 +374,7 @@ mod tests {
         }
     }
 
-    /// Sends master frames of (time in ms, system, term) and returns the verdicts.
+    /// Sends master frames of (time in ms, system, term) and returns the rulings.
     fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Ruling> {
         let mut sender = Sender(FrameTransmitter::new());
         let judged = frames.iter().map(|(at, system, term)| {
@@ -436,7 +436,7 @@ mod tests {
         assert_eq!(gate.echo(33 * MS).term, 3);
     }
 
-    /// The verdict on a frame of A that asks for this at this time, ms.
+    /// Returns the ruling on a frame of A that asks for this at this time, ms.
     fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Ruling {
         let control = Control {
             role: RoleCode::Master,
@@ -539,7 +539,7 @@ mod tests {
         }
     }
 
-    /// Whether a control frame acts; `None` if it is none.
+    /// Returns whether a control frame acts; `None` if the frame is not one.
     fn acts(judged: Option<Judged>) -> Option<bool> {
         let judged = judged?;
         let accepted = judged.acceptance.verdict == Ruling::Accepted;

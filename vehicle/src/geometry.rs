@@ -26,7 +26,7 @@ impl Vec2 {
         Self { x: cos, y: sin }
     }
 
-    /// Scalar product.
+    /// Returns the scalar product.
     #[must_use]
     pub fn dot(self, other: Self) -> f64 {
         self.x * other.x + self.y * other.y
@@ -38,19 +38,19 @@ impl Vec2 {
         self.x * other.y - self.y * other.x
     }
 
-    /// Length.
+    /// Returns length.
     #[must_use]
     pub fn norm(self) -> f64 {
         self.x.hypot(self.y)
     }
 
-    /// Angle to the x axis, -π ..= π.
+    /// Returns the angle to the x axis, -π ..= π.
     #[must_use]
     pub fn angle(self) -> f64 {
         self.y.atan2(self.x)
     }
 
-    /// Turned left by 90 degrees.
+    /// Returns this vector, turned left by 90 degrees.
     #[must_use]
     pub const fn left(self) -> Self {
         Self {
@@ -59,7 +59,7 @@ impl Vec2 {
         }
     }
 
-    /// The point at the share `t` of the line to `other`.
+    /// Returns the point at fraction `t` of the line to `other`.
     #[must_use]
     pub fn lerp(self, other: Self, t: f64) -> Self {
         self + (other - self) * t
@@ -106,7 +106,7 @@ impl Neg for Vec2 {
     }
 }
 
-/// The same angle in -π ..= π.
+/// Returns the same angle in -π ..= π.
 #[must_use]
 pub fn wrap_angle(angle: f64) -> f64 {
     if (-PI..=PI).contains(&angle) {
@@ -116,7 +116,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
     }
 }
 
-/// The angle at the share `t` between `a` and `b`, in the shorter direction.
+/// Returns the angle at fraction `t` between `a` and `b`, in the shorter direction.
 #[must_use]
 pub fn lerp_angle(a: f64, b: f64, t: f64) -> f64 {
     wrap_angle(a + wrap_angle(b - a) * t)
@@ -132,7 +132,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// This pose as a frame, prepared for many points.
+    /// Returns this pose as a frame, prepared for many points.
     #[must_use]
     pub fn frame(self) -> LocalFrame {
         LocalFrame {
@@ -141,26 +141,26 @@ impl Pose {
         }
     }
 
-    /// The point `local` of this pose's frame (x forward, y left) in the world.
+    /// Returns the point `local` of this pose's frame (x forward, y left) in the world.
     #[must_use]
     pub fn to_world(self, local: Vec2) -> Vec2 {
         self.position + self.rotate(local)
     }
 
-    /// The world's point in this pose's frame.
+    /// Returns the world's point in this pose's frame.
     #[must_use]
     pub fn to_local(self, world: Vec2) -> Vec2 {
         self.unrotate(world - self.position)
     }
 
-    /// The direction `local` of this pose's frame in the world.
+    /// Returns the direction `local` of this pose's frame in the world.
     #[must_use]
     pub fn rotate(self, local: Vec2) -> Vec2 {
         let forward = Vec2::from_angle(self.yaw);
         forward * local.x + forward.left() * local.y
     }
 
-    /// The world's direction in this pose's frame.
+    /// Returns the world's direction in this pose's frame.
     #[must_use]
     pub fn unrotate(self, world: Vec2) -> Vec2 {
         let forward = Vec2::from_angle(self.yaw);
@@ -181,12 +181,12 @@ impl LocalFrame {
         Self { position, ..self }
     }
 
-    /// The unit vector with this frame's heading.
+    /// Returns the unit vector with this frame's heading.
     pub(crate) const fn forward(&self) -> Vec2 {
         self.forward
     }
 
-    /// The world's point in this frame; bit-identical to [`Pose::to_local`].
+    /// Returns the world's point in this frame; bit-identical to [`Pose::to_local`].
     #[must_use]
     pub fn to_local(&self, world: Vec2) -> Vec2 {
         let apart = world - self.position;
@@ -206,7 +206,7 @@ pub struct Footprint {
 }
 
 impl Footprint {
-    /// The four corners: front left, front right, rear right, rear left.
+    /// Returns the four corners: front left, front right, rear right, rear left.
     #[must_use]
     pub fn corners(&self) -> [Vec2; 4] {
         self.corners_along(Vec2::from_angle(self.pose.yaw))
@@ -225,14 +225,14 @@ impl Footprint {
         ]
     }
 
-    /// Whether the two rectangles overlap; touching is not overlapping.
+    /// Returns whether the two rectangles overlap; touching is not overlapping.
     ///
     /// Separating axis theorem: two convex shapes are apart exactly if their projections on one of
     /// the edge normals are (Gottschalk, Lin, Manocha, "OBBTree", SIGGRAPH 1996).
     #[must_use]
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = other.pose.position - self.pose.position;
-        // Twice the half diagonals; two sides are never shorter.
+        // At least the sum of both diagonals: a diagonal is never longer than two sides.
         let reach = self.length + self.width + other.length + other.width;
         if apart.dot(apart) * 4.0 > reach * reach {
             return false;

@@ -10,7 +10,7 @@ const MASTERSHIPS: usize = 64;
 struct Span {
     system: u8,
     term: u32,
-    /// The first frame of the other system since its own last one, ns.
+    /// Time of the other system's first frame after the last one of this span, ns.
     other_ns: Option<u64>,
 }
 
@@ -67,8 +67,8 @@ impl Mastership {
         }
     }
 
-    /// Longest time between two obeyed frames, or from the last one to `until_ns`; 0 before the
-    /// first.
+    /// Returns the longest time between two obeyed frames, or from the last one to `until_ns`; 0
+    /// before the first.
     #[must_use]
     pub fn gap_max_ns(&self, until_ns: u64) -> u64 {
         let open = self
@@ -77,7 +77,7 @@ impl Mastership {
         self.gap_max_ns.max(open)
     }
 
-    /// How often the obeyed system changed.
+    /// Returns how often the obeyed system changed.
     #[must_use]
     pub const fn changes(&self) -> u32 {
         self.changes

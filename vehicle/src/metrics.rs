@@ -8,7 +8,7 @@ use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
 use crate::traffic::{Participant, RoadUser};
 
-/// A collision with the same vehicle counts again after this time apart, s.
+/// A collision with the same vehicle counts again if the two were apart for this time, s.
 const COLLISION_APART_S: f64 = 1.0;
 /// Within this distance of a lane's centre the ego counts as being in place, m.
 const IN_PLACE: f64 = 0.3;
@@ -72,19 +72,19 @@ pub struct WorldMetrics {
     pub takeover_asked_s: Option<f64>,
     /// When the function first began its minimal-risk stop, s.
     pub safe_stop_s: Option<f64>,
-    /// Largest distance to the centre of the own lane, m, while no lane change was under way.
+    /// Largest distance to the centre of the ego's lane, m, while no lane change was under way.
     ///
     /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
     /// ends in the middle of another lane. One that leads back counts in full, as does one that
-    /// lasts longer than 10 s, one that has not ended yet in another lane, and one that leads
-    /// beside the road. The path from the start to the centre of the first lane does not count
-    /// while it is on the road.
+    /// lasts longer than 10 s, one that is still open in another lane, and one that leaves the
+    /// road. The path from the start to the centre of the first lane does not count while it is on
+    /// the road.
     pub lateral_error_max_m: f64,
     /// The same within lane changes, to the nearest lane's centre, m: about half a lane's width.
     pub lane_change_offset_max_m: f64,
     /// How often the ego went to another lane.
     pub lane_changes: u32,
-    /// Smallest bumper distance to the leader in the own lane, m; infinite if there was none.
+    /// Smallest bumper distance to the leader in the ego's lane, m; infinite if there was none.
     pub gap_min_m: f64,
     /// Smallest time to collision with the leader, s; infinite if the ego never closed in.
     pub ttc_min_s: f64,
@@ -166,7 +166,7 @@ pub struct HardBraking {
 }
 
 impl HardBraking {
-    /// In words.
+    /// Returns the reason in words.
     #[must_use]
     pub fn reason(&self) -> String {
         format!("{}; {:.1} m/s² needed", self.what(), self.needed)
@@ -198,7 +198,7 @@ pub(crate) struct Sample {
     pub(crate) offset: f64,
     /// Width of the lane there, m; 0 where it does not exist or runs the other way.
     pub(crate) width: f64,
-    /// Whether the ego is on a lane of the other direction and not on one of its own.
+    /// Whether the ego is on a lane of the other direction and not on one of its direction.
     pub(crate) wrong_way: bool,
     pub(crate) pose: Pose,
     pub(crate) gap: f64,
@@ -221,7 +221,7 @@ pub(crate) struct Meter {
     excursion: Excursion,
     lane: Option<LaneId>,
     stopped_since: Option<f64>,
-    /// The last emergency, s.
+    /// Time of the last emergency, s.
     emergency_s: Option<f64>,
     /// The newest deceleration that was needed, m/s², and when, s.
     needed: (f64, f64),
@@ -237,7 +237,7 @@ pub(crate) struct Meter {
 struct Excursion {
     since: f64,
     largest: f64,
-    /// The excursion is no error: the ego changes lanes, or has not yet reached its first lane.
+    /// The excursion is not an error: the ego changes lanes, or has not yet reached its first lane.
     excused: bool,
 }
 
@@ -317,7 +317,7 @@ impl Meter {
         }
     }
 
-    /// When a goal was reached, s.
+    /// Returns the time at which a goal was reached, s.
     pub(crate) const fn reached_s(&self) -> Option<f64> {
         self.metrics.goal_reached_s
     }
@@ -441,7 +441,7 @@ impl Meter {
         self.steps += 1;
     }
 
-    /// The figures so far.
+    /// Returns the figures so far.
     pub(crate) fn metrics(&self) -> WorldMetrics {
         let total: u64 = self.jerks.iter().map(|count| u64::from(*count)).sum();
         let mut left = total - total * 99 / 100;
@@ -463,7 +463,7 @@ impl Meter {
     }
 }
 
-/// Whether the moving ego caused its collision with `other`.
+/// Returns whether the moving ego caused its collision with `other`.
 ///
 /// It did not if it was hit from behind, or from the side while it kept its lane.
 fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
@@ -586,7 +586,7 @@ mod tests {
         }
     }
 
-    /// Feeds (offset, lane) every 100 ms, each for 100 steps of a millisecond.
+    /// Feeds each (offset, lane) for 100 ms, in steps of one millisecond.
     fn lateral(samples: &[(f64, usize)]) -> WorldMetrics {
         let mut meter = Meter::new(0, Arc::new([]));
         for (index, (offset, lane)) in samples.iter().enumerate() {
@@ -627,8 +627,8 @@ mod tests {
         assert_eq!(lateral(&start).lateral_error_max_m, 0.1);
     }
 
-    /// An excursion counts even if the run ends before it. One that leads beside the road counts
-    /// even if the ego crosses lanes during it.
+    /// An excursion counts even if the run ends before it. One that leaves the road counts even if
+    /// the ego crosses lanes during it.
     #[test]
     fn an_excursion_that_is_open_at_the_end_counts() {
         let open = [(0.1, 0), (0.9, 0), (1.4, 0)];

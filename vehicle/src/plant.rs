@@ -4,7 +4,7 @@
 //! Models", 2020. Step responses are compared to the published Python implementation, see
 //! `fixtures/plant/`.
 
-/// Below this speed the kinematic model holds, m/s: the dynamic model divides by the speed.
+/// Below this speed the kinematic model is used, m/s: the dynamic model divides by the speed.
 pub const KINEMATIC_BELOW: f64 = 0.1;
 
 /// m/s²
@@ -120,7 +120,7 @@ impl PlantInput {
     }
 }
 
-/// The state's derivative by time.
+/// Returns the state's derivative by time.
 fn derivative(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantState {
     let u = input.limited(state, p);
     if state.speed.abs() < KINEMATIC_BELOW {
@@ -130,7 +130,7 @@ fn derivative(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantSta
     }
 }
 
-/// Single-track with tyre slip; load transfer by the longitudinal acceleration.
+/// Derivative with tyre slip; the longitudinal acceleration shifts load between the axles.
 fn dynamic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
     let (lf, lr, v) = (p.front_axle, p.rear_axle, state.speed);
     let wheelbase = lf + lr;
@@ -155,7 +155,7 @@ fn dynamic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
     }
 }
 
-/// Rolling without slip, referred to the centre of gravity.
+/// Derivative of rolling without slip, referred to the centre of gravity.
 fn kinematic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
     let wheelbase = p.front_axle + p.rear_axle;
     let share = p.rear_axle / wheelbase;
@@ -179,7 +179,7 @@ fn kinematic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
 }
 
 impl PlantState {
-    /// `self + rate * dt`, component by component.
+    /// Returns `self + rate * dt`, component by component.
     fn advanced(&self, rate: &Self, dt: f64) -> Self {
         Self {
             x: self.x + rate.x * dt,
@@ -222,7 +222,7 @@ impl PlantState {
 mod tests {
     use super::*;
 
-    /// Largest distance of a component between the two states, in the order pose, motion.
+    /// Returns the largest difference of any component, for pose and motion.
     fn distance(a: &PlantState, b: &PlantState) -> (f64, f64) {
         let pose = [a.x - b.x, a.y - b.y];
         let motion = [

@@ -25,7 +25,7 @@ pub(crate) use line::{Foot, Point, Rough};
 const STEP: f64 = 2.0;
 /// Length of the straight pieces before and after the mapped lane, smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
-/// Longest sum of all lanes, m: each metre takes 90 bytes, and each search of the whole road some
+/// Longest sum of all lanes, m: each metre takes 90 bytes, and each search of the whole road a few
 /// nanoseconds.
 pub const ROAD_MAX: f64 = 1e6;
 /// An end of the domain is passed when it is this far behind the vehicle's centre, m.
@@ -85,7 +85,7 @@ pub struct RoadLane {
 }
 
 impl RoadLane {
-    /// The lane at arc length `s`; extrapolated straight outside of the map.
+    /// Returns the lane at arc length `s`; extrapolated straight outside of the map.
     #[must_use]
     pub fn at(&self, s: f64) -> Section {
         let (a, b, t, beyond) = self.around(s);
@@ -99,34 +99,34 @@ impl RoadLane {
         }
     }
 
-    /// The neighbours to the left and to the right at `s`, as [`RoadLane::at`] has them.
+    /// Returns the neighbours to the left and to the right at `s`, as [`RoadLane::at`] has them.
     pub(crate) fn beside(&self, s: f64) -> [Option<LaneId>; 2] {
         let (a, b, t, _) = self.around(s);
         let section = nearer(a, b, t);
         [section.left, section.right]
     }
 
-    /// The samples before and after `s`, the share between them, and the distance beyond all
-    /// samples, m.
+    /// Returns the samples before and after `s`, the fraction of the way between them, and the
+    /// distance beyond all samples, m.
     fn around(&self, s: f64) -> (&Section, &Section, f64, f64) {
         let (index, t, beyond) = self.line.around(s);
         let next = (index + 1).min(self.sections.len() - 1);
         (&self.sections[index], &self.sections[next], t, beyond)
     }
 
-    /// The width at `s`, as [`RoadLane::at`] has it, m.
+    /// Returns the width at `s`, as [`RoadLane::at`] has it, m.
     pub(crate) fn width_at(&self, s: f64) -> f64 {
         let (a, b, t, _) = self.around(s);
         width(a, b, t)
     }
 
-    /// The curvature at `s`, as [`RoadLane::at`] has it, 1/m.
+    /// Returns the curvature at `s`, as [`RoadLane::at`] has it, 1/m.
     pub(crate) fn curvature_at(&self, s: f64) -> f64 {
         let (a, b, t, beyond) = self.around(s);
         curvature(a, b, t, beyond)
     }
 
-    /// The sections inside of the map, with their arc lengths.
+    /// Returns the sections inside of the map, with their arc lengths.
     pub(crate) fn mapped(&self) -> impl Iterator<Item = (f64, &Section)> {
         let run_out = (RUN_OUT / STEP) as usize + 1;
         let sections = self.sections.iter().enumerate().skip(run_out);
@@ -136,21 +136,21 @@ impl RoadLane {
             .map(|(index, section)| (index as f64 * STEP, section))
     }
 
-    /// Whether the lane exists at arc length `s`.
+    /// Returns whether the lane exists at arc length `s`.
     #[must_use]
     pub fn exists_at(&self, s: f64) -> bool {
         self.begin.is_none_or(|begin| s >= begin) && self.end.is_none_or(|end| s <= end)
     }
 
-    /// The foot of the perpendicular from `point`, by a descent that starts at `near`: on curved
-    /// roads `near` should be within some ten metres of it.
+    /// Returns the foot of the perpendicular from `point`, by a descent that starts at `near`: on
+    /// curved roads `near` should be within a few tens of metres of it.
     #[must_use]
     pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
         let sample = self.line.sample_near(point, self.line.sample_at(near));
         self.line.foot(point, sample).place
     }
 
-    /// The foot of the perpendicular from `point`, searched over the whole lane.
+    /// Returns the foot of the perpendicular from `point`, searched over the whole lane.
     #[must_use]
     pub fn project(&self, point: Vec2) -> Frenet {
         self.foot_of(point).place
@@ -160,7 +160,7 @@ impl RoadLane {
         self.line.foot(point, self.line.sample(point))
     }
 
-    /// The point with these coordinates.
+    /// Returns the point with these coordinates.
     #[must_use]
     pub fn point(&self, place: Frenet) -> Vec2 {
         self.line.at(place.s).beside(place.d)
@@ -206,13 +206,13 @@ impl Road {
         Ok(Self { lanes })
     }
 
-    /// All lanes, in the order of their ids.
+    /// Returns all lanes, in the order of their ids.
     #[must_use]
     pub fn lanes(&self) -> &[RoadLane] {
         &self.lanes
     }
 
-    /// The lane with this id.
+    /// Returns the lane with this id.
     ///
     /// # Panics
     /// If the id belongs to another road.
@@ -221,8 +221,8 @@ impl Road {
         &self.lanes[id.0]
     }
 
-    /// The lane whose centre line is nearest among those that exist there and run roughly along
-    /// `yaw`; without such a lane, the nearest of all.
+    /// Returns the lane whose centre line is nearest among those that exist there and run roughly
+    /// along `yaw`; without such a lane, the nearest of all.
     #[must_use]
     pub fn locate(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let mut best = (LaneId(0), Frenet::default());
@@ -246,7 +246,7 @@ impl Road {
         best
     }
 
-    /// Whether the point is on a lane that runs against `yaw`.
+    /// Returns whether the point is on a lane that runs against `yaw`.
     #[must_use]
     pub fn is_oncoming(&self, point: Vec2, yaw: f64) -> bool {
         self.lanes.iter().any(|lane| {
@@ -262,8 +262,8 @@ impl Road {
         })
     }
 
-    /// Metres to the end of the operational design domain on this lane from arc length `s`, and its
-    /// cause; `None` if there is no end.
+    /// Returns the metres to the end of the operational design domain on this lane from arc length
+    /// `s`, and its cause; `None` if there is no end.
     #[must_use]
     pub fn domain_end(&self, lane: LaneId, s: f64) -> Option<(f64, Exit)> {
         let exits = &self.lane(lane).exits;
@@ -273,8 +273,8 @@ impl Road {
         Some(((at - s).max(0.0), *exit))
     }
 
-    /// Metres from arc length `s` to where the lane or the domain on it ends; infinite if it
-    /// continues.
+    /// Returns the metres from arc length `s` to where the lane or the domain on it ends; infinite
+    /// if it continues.
     #[must_use]
     pub fn drivable(&self, lane: LaneId, s: f64) -> f64 {
         let end = self.distance_to_end(lane, s);
@@ -282,8 +282,8 @@ impl Road {
             .map_or(end, |(exit, _)| end.min(exit))
     }
 
-    /// The lane in which a drive starts: as [`Road::locate`], but where lanes overlap, as after a
-    /// fork, the one along `yaw`.
+    /// Returns the lane in which a drive starts: as [`Road::locate`], but where lanes overlap, as
+    /// after a fork, the lane along `yaw`.
     #[must_use]
     pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let (nearest, place) = self.locate(point, yaw);
@@ -305,7 +305,7 @@ impl Road {
         best
     }
 
-    /// Metres to the lane's end from arc length `s`; infinite if it continues.
+    /// Returns the metres to the lane's end from arc length `s`; infinite if it continues.
     #[must_use]
     pub fn distance_to_end(&self, lane: LaneId, s: f64) -> f64 {
         self.lane(lane)
@@ -314,17 +314,17 @@ impl Road {
     }
 }
 
-/// The sample that is nearer at the share `t` between two.
+/// Returns the nearer of two samples at fraction `t` between them.
 fn nearer<'a>(a: &'a Section, b: &'a Section, t: f64) -> &'a Section {
     if t < 0.5 { a } else { b }
 }
 
-/// Width at the share `t` between two samples, m.
+/// Returns the width at fraction `t` between two samples, m.
 fn width(a: &Section, b: &Section, t: f64) -> f64 {
     a.width + (b.width - a.width) * t
 }
 
-/// Curvature at the share `t` between two samples, or `beyond` all, 1/m.
+/// Returns the curvature at fraction `t` between two samples, 1/m; 0 `beyond` all samples.
 fn curvature(a: &Section, b: &Section, t: f64, beyond: f64) -> f64 {
     if beyond == 0.0 {
         a.curvature + (b.curvature - a.curvature) * t

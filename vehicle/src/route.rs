@@ -9,14 +9,14 @@ use crate::commonroad::Goal;
 use crate::geometry::Vec2;
 use crate::road::{Frenet, LaneId, Road};
 
-/// A goal is in a lane if it is no farther from its centre than this share of the width.
+/// A goal is in a lane if its distance to the lane's centre is at most this fraction of the width.
 const IN_LANE: f64 = 0.55;
 /// Number of lanes searched on each side, here and this far ahead, m: lanes open on the way.
 const LANES_ASIDE: usize = 6;
 const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
 /// The speed for the goal exceeds the driver's by no more than this factor.
 const HURRY: f64 = 1.3;
-/// The ego should reach a spot after this share of its time.
+/// The ego should reach a spot when this fraction of the goal's time has passed.
 const EARLY: f64 = 0.2;
 /// If the ego may stand at a spot, it drives there at once and waits: it approaches with this time
 /// constant, s.
@@ -105,8 +105,8 @@ impl Navigation {
         })
     }
 
-    /// The speed at which the ego drives between `from` and `to` metres within the goal's time.
-    /// `in_lane`: the goal is ahead in the own lane.
+    /// Returns the speed at which the ego drives between `from` and `to` metres within the goal's
+    /// time. `in_lane`: the goal is ahead in the ego's lane.
     fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
         let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));
         let (opens, ends) = ((opens - time_s).max(0.0), (ends - time_s).max(NEAR_S));
@@ -143,8 +143,8 @@ impl Navigation {
     }
 }
 
-/// The own lane and those beside it at `ahead`, m, each with the route to it and the ego's arc
-/// length in it.
+/// Returns the ego's lane and those beside it at `ahead`, m, each with the route to it and the
+/// ego's arc length in it.
 fn lanes_beside<'a>(
     road: &'a Road,
     here: &Here,

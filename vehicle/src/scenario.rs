@@ -71,12 +71,12 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// Names of the embedded scenarios.
+    /// Returns the names of the embedded scenarios.
     pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
         EMBEDDED.iter().map(|(name, ..)| *name)
     }
 
-    /// Names of the embedded scenarios, each with one line about it.
+    /// Returns the names of the embedded scenarios, each with one line about it.
     pub fn descriptions() -> impl ExactSizeIterator<Item = (&'static str, &'static str)> {
         EMBEDDED
             .iter()
@@ -197,8 +197,8 @@ impl Scenario {
         &self.goals
     }
 
-    /// Why the driving functions cannot drive this scenario: it starts outside of their operational
-    /// design domain. `None` if it starts inside.
+    /// Returns why the driving functions cannot drive this scenario: it starts outside of their
+    /// operational design domain. `None` if it starts inside.
     #[must_use]
     pub fn outside_domain(&self) -> Option<&str> {
         self.outside.as_deref()
@@ -210,27 +210,27 @@ impl Scenario {
         &self.warnings
     }
 
-    /// Its name: that of the embedded scenario, or the file's benchmark id.
+    /// Returns its name: that of the embedded scenario, or the file's benchmark id.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The lanes.
+    /// Returns the lanes.
     #[must_use]
     pub fn road(&self) -> &Road {
         &self.road
     }
 
-    /// The speed that the driver asks for, m/s: the speed limit where the ego starts; without one,
-    /// the highest speed in the file.
+    /// Returns the speed that the driver asks for, m/s: the speed limit where the ego starts;
+    /// without one, the highest speed in the file.
     #[must_use]
     pub fn set_speed(&self) -> f64 {
         self.set_speed
     }
 }
 
-/// The text of a regular file. Reads no more than the parser accepts.
+/// Returns the text of a regular file. Reads no more than the parser accepts.
 fn read_limited(path: &Path) -> std::io::Result<String> {
     // Opening a pipe would block until its writer opens it.
     if !path.metadata()?.is_file() {
@@ -280,7 +280,7 @@ fn too_near(lane: &RoadLane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Op
     })
 }
 
-/// The area that an obstacle covers when the ego starts; `None` if it is not there then.
+/// Returns the area that an obstacle covers when the ego starts; `None` if it is not there then.
 fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
     let track = Track::new(&obstacle.states);
     let (begin, end) = track.span();
@@ -300,7 +300,7 @@ fn fastest(obstacles: &[Obstacle]) -> f64 {
     states.filter_map(|state| state.speed).fold(0.0, f64::max)
 }
 
-/// The embedded name that shares the most pairs of letters, if it shares at least half.
+/// Returns the embedded name that shares the most pairs of letters, if it shares at least half.
 fn nearest_name(wanted: &str) -> Option<&'static str> {
     let pairs = |name: &str| -> Vec<[u8; 2]> {
         let name = name.to_lowercase();
@@ -328,7 +328,7 @@ mod tests {
     use crate::commonroad::{Class, TimedState};
 
     /// A scenario with an unavoidable collision is refused before the start: a vehicle stands or
-    /// drives slowly close ahead, in the lane or a few centimetres beside the own path.
+    /// drives slowly close ahead, in the lane or a few centimetres beside the ego's path.
     #[test]
     fn who_is_too_near_to_brake_for_is_named() {
         let scenario = Scenario::load("free-lane").unwrap();

@@ -75,7 +75,7 @@ pub struct VehicleSnapshot {
 }
 
 impl VehicleSnapshot {
-    /// The area that it covers.
+    /// Returns the area that it covers.
     #[must_use]
     pub fn footprint(&self) -> Footprint {
         Footprint {
@@ -115,7 +115,7 @@ pub struct WorldSnapshot {
     pub station: f64,
     /// Offset from the lane's centre, m, left positive.
     pub lateral_offset: f64,
-    /// Bumper distance to the leader in the own lane, m; infinite without one.
+    /// Bumper distance to the leader in the ego's lane, m; infinite without one.
     pub gap: f64,
     /// Speed of that leader, m/s; 0 without one.
     pub leader_speed: f64,
@@ -146,7 +146,7 @@ pub struct World {
     sensors: Sensors,
     sensor_faults: Faults,
     gate: Gate,
-    /// Width of the lane that the ego is in or nearest to; 0 if that is not one of its direction.
+    /// Width of the lane that the ego is in or nearest to; 0 if that lane runs the other way.
     lane_width: f64,
     /// Whether it is on a lane of the other direction.
     wrong_way: bool,
@@ -269,8 +269,8 @@ impl World {
         self.next_ns = Some(next);
     }
 
-    /// When the world sends its next frame, if it receives no control frame before, ns: the time of
-    /// a period, at least `now_ns`, at most [`MOTION_TICKS`] periods ahead.
+    /// Returns the time at which the world sends its next frame, ns, if no control frame arrives
+    /// before: the time of a period, at least `now_ns`, at most [`MOTION_TICKS`] periods ahead.
     #[must_use]
     pub fn next_frame(&self, now_ns: u64) -> u64 {
         let next_ns = self.next_ns.unwrap_or(now_ns);
@@ -554,44 +554,44 @@ impl World {
         }
     }
 
-    /// The world now.
+    /// Returns the world now.
     #[must_use]
     pub fn snapshot(&self) -> &WorldSnapshot {
         &self.snapshot
     }
 
-    /// The figures of the run so far.
+    /// Returns the figures of the run so far.
     #[must_use]
     pub fn metrics(&self) -> WorldMetrics {
         self.meter.metrics()
     }
 
-    /// Counts of the rulings on control frames.
+    /// Returns the counts of the rulings on control frames.
     #[must_use]
     pub fn gate(&self) -> &Gate {
         &self.gate
     }
 
-    /// The lanes.
+    /// Returns the lanes.
     #[must_use]
     pub fn road(&self) -> &Road {
         &self.road
     }
 
-    /// The speed that the driver asks for, m/s.
+    /// Returns the speed that the driver asks for, m/s.
     #[must_use]
     pub fn set_speed(&self) -> f64 {
         self.set_speed
     }
 
-    /// How long the world paused because [`World::step`] was not called, ns.
+    /// Returns how long the world paused because [`World::step`] was not called, ns.
     #[must_use]
     pub fn stalled_ns(&self) -> u64 {
         self.stalled_ns
     }
 }
 
-/// The ego as a participant of the traffic.
+/// Returns the ego as a participant of the traffic.
 fn participant(ego: &EgoTruth) -> Participant {
     let footprint = Footprint {
         pose: ego.pose,
@@ -605,8 +605,8 @@ fn participant(ego: &EgoTruth) -> Participant {
     }
 }
 
-/// Bumper distance and speed of the nearest vehicle ahead in the ego's lane: its centre is in the
-/// lane, or it is in the way of the ego's body.
+/// Returns the bumper distance and speed of the nearest vehicle ahead in the ego's lane: its centre
+/// is in the lane, or it is in the way of the ego's body.
 fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
     let lane = road.lane(ego.lane);
     let frame = ego.pose.frame();

@@ -21,7 +21,7 @@ pub struct LoggedFrame {
 }
 
 impl LoggedFrame {
-    /// Its standard id; `None` if it has an extended one. The DBC has standard ids only.
+    /// Returns its standard id; `None` if it has an extended one. The DBC has standard ids only.
     #[must_use]
     pub fn id(&self) -> Option<u16> {
         match self.frame.id() {
@@ -30,13 +30,13 @@ impl LoggedFrame {
         }
     }
 
-    /// The decoded message; `None` if the DBC has no such frame.
+    /// Returns the decoded message; `None` if the DBC has no such frame.
     #[must_use]
     pub fn message(&self) -> Option<Message> {
         Message::decode(self.id()?.into(), self.frame.data()).ok()
     }
 
-    /// The system whose control frame it is, by its id; `None` for any other frame.
+    /// Returns the system whose control frame it is, by its id; `None` for any other frame.
     #[must_use]
     pub fn controller(&self) -> Option<SystemId> {
         let id = self.id()?;
@@ -46,9 +46,9 @@ impl LoggedFrame {
 }
 
 impl World {
-    /// One period: the frames of the controllers, then the world up to `due` with the frames of its
-    /// sensors. `due` is when the period was due: a late call does not change the world.
-    /// `seen` receives each frame in bus order, with its ruling.
+    /// Runs one period: receives the frames of the controllers, then runs the world up to `due` and
+    /// sends the frames of its sensors. `due` is when the period was due: a late call does not
+    /// change the world. `seen` receives each frame in bus order, with its ruling.
     pub fn run_period(
         &mut self,
         due: Instant,
@@ -61,13 +61,13 @@ impl World {
         bus.ring_receivers();
     }
 
-    /// A period before [`World::next_frame`]: the world up to `due`. It sends nothing.
+    /// Runs a period before [`World::next_frame`]: the world up to `due`. It sends nothing.
     pub fn run_quiet_period(&mut self, due: Instant) {
         self.step(due.as_ns(), &mut |_, _| {});
     }
 
-    /// Between two periods: the frames of the controllers, and at once the echo of one that acts.
-    /// Call it after all due periods have run.
+    /// Runs between two periods: receives the frames of the controllers, and immediately sends the echo
+    /// of one that acts. Call it after all due periods have run.
     pub fn run_between(&mut self, bus: &mut impl VehicleBus, seen: &mut dyn FnMut(LoggedFrame)) {
         let now = bus.now();
         bus.transmitted(&mut |_, _, carried| seen(self.hear(now, carried)));
@@ -113,7 +113,7 @@ fn send(
 /// A bus between the world and the driving functions in the same program, without a board.
 #[derive(Clone, Debug)]
 pub struct LocalBus {
-    /// The time of both.
+    /// The time of the bus and of the world.
     pub now: Instant,
     /// Frames that the vehicle sent in the last period. The controller takes them.
     pub from_vehicle: Vec<CanFrame>,

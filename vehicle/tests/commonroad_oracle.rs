@@ -15,8 +15,8 @@ use tandem_vehicle::geometry::{Footprint, Pose, Vec2};
 
 const ROOM: &str = env!("CARGO_MANIFEST_DIR");
 
-/// Whether both packages are installed. Without them a test passes and prints that it was skipped;
-/// with `TANDEM_REQUIRE_COMMONROAD=1` it fails.
+/// Returns whether both packages are installed. Without them a test passes and prints that it was
+/// skipped; with `TANDEM_REQUIRE_COMMONROAD=1` it fails.
 fn installed_or_skip(test: &str) -> bool {
     let import = Command::new("python3")
         .args(["-c", "import commonroad, commonroad_dc.pycrcc"])
@@ -127,7 +127,7 @@ fn commonroad_io_reads_the_same() {
     }
 }
 
-/// A goal with a turned rectangle, an interval across ±π, speeds and times: 2,000 states around it.
+/// 2,000 states around a goal with a turned rectangle, an interval across ±π, speeds and times.
 #[test]
 fn commonroad_io_calls_the_same_goals_reached() {
     if !installed_or_skip("commonroad_io_calls_the_same_goals_reached") {

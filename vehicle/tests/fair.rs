@@ -31,7 +31,7 @@ fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&WorldSnapsho
     world
 }
 
-/// The first two other vehicles that overlap.
+/// Returns the first two other vehicles that overlap.
 fn overlapping(now: &WorldSnapshot) -> Option<(i64, i64)> {
     let footprint = |v: &tandem_vehicle::VehicleSnapshot| Footprint {
         pose: v.pose,

@@ -11,8 +11,8 @@ use tandem_vehicle::{Scenario, World, WorldConfig};
 /// The ego's speed, m/s.
 const SPEED: f64 = 20.0;
 
-/// Three straight lanes along x, 3.5 m wide, the ego in the middle one at the origin; the leftmost
-/// lane ends at 150 m. `things` are (x, y, length, width) of standing objects.
+/// Returns three straight lanes along x, 3.5 m wide, the ego in the middle one at the origin; the
+/// leftmost lane ends at 150 m. `things` are (x, y, length, width) of standing objects.
 fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
     let mut xml = String::from(
         "<commonRoad commonRoadVersion=\"2018b\" timeStepSize=\"0.1\" benchmarkID=\"straight\">",
@@ -55,7 +55,7 @@ fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
     Scenario::parse(&xml, "straight").unwrap()
 }
 
-/// All lists of one sensor, and all lanes, in `cycles` measurements of the standing world.
+/// Returns all lists of one sensor, and all lanes, in `cycles` measurements of the standing world.
 fn measure(
     scenario: &Scenario,
     sensor: SensorId,
@@ -82,7 +82,7 @@ fn measure(
     (lists, lanes)
 }
 
-/// Share of the lists that have an object within 3 m of this place.
+/// Returns the share of the lists that have an object within 3 m of this place.
 fn seen(lists: &[Vec<SensorObject>], x: f64, y: f64) -> f64 {
     let near =
         |object: &SensorObject| (f64::from(object.x) - x).hypot(f64::from(object.y) - y) < 3.0;

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::geometry::Vec2;
 
-/// Instants of the world and of a file differ by rounding, s; the world checks every 5 ms.
+/// Tolerance for rounding of the times of a goal, s; the world checks a goal every 5 ms.
 const TIME_TOLERANCE: f64 = 2.6e-3;
 
 /// A part of the plane.
@@ -22,7 +22,7 @@ pub enum Area {
 }
 
 impl Area {
-    /// The centre of the disc, or of the box around the corners.
+    /// Returns the centre of the disc, or of the box around the corners.
     #[must_use]
     pub fn centre(&self) -> Vec2 {
         match self {
@@ -34,7 +34,7 @@ impl Area {
         }
     }
 
-    /// Distance from the point to the area, m; 0 inside.
+    /// Returns the distance from the point to the area, m; 0 inside.
     #[must_use]
     pub fn distance(&self, point: Vec2) -> f64 {
         if self.contains(point) {
@@ -54,7 +54,7 @@ impl Area {
         }
     }
 
-    /// Whether the point lies inside.
+    /// Returns whether the point lies inside.
     #[must_use]
     pub fn contains(&self, point: Vec2) -> bool {
         match self {
@@ -99,7 +99,7 @@ pub struct Goal {
 }
 
 impl Goal {
-    /// Whether the ego is there in time.
+    /// Returns whether this state of the ego at time `t`, s, meets all conditions of the goal.
     #[must_use]
     pub fn is_reached(&self, t: f64, position: Vec2, yaw: f64, speed: f64) -> bool {
         let within = |range: Option<(f64, f64)>, value: f64, tolerance: f64| {
@@ -114,8 +114,8 @@ impl Goal {
             && (self.areas.is_empty() || self.areas.iter().any(|area| area.contains(position)))
     }
 
-    /// The nearest approach so far: `before`, or the present one if it is nearer and within the
-    /// goal's time.
+    /// Returns the nearest approach so far: `before`, or the present one if it is nearer and within
+    /// the goal's time.
     #[must_use]
     pub fn nearer(
         &self,
@@ -141,7 +141,7 @@ impl Goal {
         is_nearer.then(here).or(before)
     }
 
-    /// The time from which it can no longer be reached, s since the ego's start.
+    /// Returns the time from which the goal can no longer be reached, s since the ego's start.
     #[must_use]
     pub fn deadline(&self) -> Option<f64> {
         self.time.map(|(_, to)| to)

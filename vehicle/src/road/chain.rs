@@ -145,7 +145,7 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
     Ok(chains)
 }
 
-/// The successor whose centre line bends least from the lanelet's.
+/// Returns the successor whose centre line bends least from the lanelet's.
 fn straightest(
     pieces: &[Piece],
     from: usize,
@@ -156,7 +156,7 @@ fn straightest(
     candidates.min_by(|a, b| bend(*a).total_cmp(&bend(*b)))
 }
 
-/// The lanelets beside this one, over up to [`BESIDE_MAX`] lanes, in the same direction.
+/// Returns the lanelets beside this one, over up to [`BESIDE_MAX`] lanes, in the same direction.
 fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, start: usize) -> Vec<usize> {
     let mut found = Vec::new();
     let mut open = vec![start];
@@ -179,7 +179,7 @@ fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, start: usize) 
     found
 }
 
-/// The first lane that contains each lanelet, by the lanelet's id.
+/// Returns the first lane that contains each lanelet, by the lanelet's id.
 pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64, usize> {
     let mut lanes = HashMap::new();
     for (lane, chain) in chains.iter().enumerate() {
@@ -190,8 +190,8 @@ pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64
     lanes
 }
 
-/// The direction in which each lane continues beyond the map: the mean over all lanes that end side
-/// by side, so that they stay side by side.
+/// Returns the direction in which each lane continues beyond the map: the mean over all lanes that
+/// end side by side, so that they stay side by side.
 pub(super) fn run_out_headings(lines: &[CentreLine]) -> Vec<f64> {
     let ends: Vec<(Vec2, f64)> = lines
         .iter()
@@ -210,7 +210,7 @@ pub(super) fn run_out_headings(lines: &[CentreLine]) -> Vec<f64> {
         .collect()
 }
 
-/// The lanes whose ends are side by side with this one's, directly or through other lanes.
+/// Returns the lanes whose ends are side by side with this one's, directly or through other lanes.
 fn side_by_side(ends: &[(Vec2, f64)], start: usize) -> Vec<usize> {
     let mut group = vec![start];
     let mut next = 0;
@@ -228,7 +228,7 @@ fn side_by_side(ends: &[(Vec2, f64)], start: usize) -> Vec<usize> {
     group
 }
 
-/// The centre line through all pieces of a chain.
+/// Returns the centre line through all pieces of a chain.
 pub(super) fn centre_line(pieces: &[Piece], chain: &Chain) -> CentreLine {
     let mut line = CentreLine {
         points: Vec::new(),
@@ -270,7 +270,7 @@ impl CentreLine {
         end_heading(&self.points)
     }
 
-    /// The lanelet at this station.
+    /// Returns the lanelet at this station.
     pub(super) fn piece_at(&self, station: f64) -> usize {
         let found = self.ends.partition_point(|(end, _)| *end <= station);
         self.ends[found.min(self.ends.len() - 1)].1
@@ -285,7 +285,7 @@ impl CentreLine {
     }
 }
 
-/// Points halfway between the bounds, with the distance between the bounds.
+/// Returns points halfway between the bounds, with the distance between the bounds.
 fn centre_points(lanelet: &Lanelet) -> Vec<(Vec2, f64)> {
     let middle = |(a, b): (Vec2, Vec2)| (a.lerp(b, 0.5), (a - b).norm());
     if lanelet.left.len() == lanelet.right.len() {

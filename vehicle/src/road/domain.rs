@@ -54,7 +54,7 @@ impl fmt::Display for Exit {
     }
 }
 
-/// The ends of the domain on each lane, by arc length.
+/// Returns the ends of the domain on each lane, by arc length.
 pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
     // Sections by squares of the plane, so that only near ones are compared.
     let square = |x: f64| (x / CROSSING_NEAR).floor() as i64;
@@ -105,7 +105,7 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         .collect()
 }
 
-/// Why a drive that starts at this place is outside of the domain; `None` if it is inside.
+/// Returns why a drive that starts at this place is outside of the domain; `None` if it is inside.
 pub(crate) fn refusal(
     road: &Road,
     lane: LaneId,
@@ -140,7 +140,7 @@ mod tests {
     use crate::geometry::Vec2;
     use crate::road::Frenet;
 
-    /// A lane along these points, this wide.
+    /// Creates a lane of this width along these points.
     fn lanelet(id: i64, points: &[Vec2], width: f64) -> Lanelet {
         let aside = |from: Vec2, to: Vec2| {
             let along = to - from;
@@ -170,7 +170,7 @@ mod tests {
         [Vec2::new(from.0, from.1), Vec2::new(to.0, to.1)]
     }
 
-    /// The end of the domain on the first lane, from 10 m after its start.
+    /// Returns the end of the domain on the first lane, from 10 m after its start.
     fn end(lanelets: &[Lanelet]) -> Option<(f64, Exit)> {
         let road = Road::new(lanelets).unwrap();
         let start = road.lane(LaneId(0)).project(Vec2::new(10.0, 0.0)).s;

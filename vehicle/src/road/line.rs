@@ -35,12 +35,12 @@ struct Sample {
 /// How the line bends within [`AROUND`] samples.
 #[derive(Clone, Copy, Debug)]
 struct Bend {
-    /// Largest angle to the direction at the sample, rad; infinite if it is large.
+    /// Largest angle to the direction at the sample, rad; infinite if its sine is above 0.47.
     angle: f64,
     /// Largest curvature, 1/m.
     curvature: f64,
-    /// Largest difference between 1 and the progress along the line's direction per metre of arc
-    /// length.
+    /// Progress along the line's direction per metre of arc length is 1 m. This is the bound of its
+    /// error, m.
     stretch: f64,
 }
 
@@ -53,7 +53,7 @@ pub(crate) struct Point {
 }
 
 impl Point {
-    /// The point `d` metres to the left.
+    /// Returns the point `d` metres to the left.
     pub(crate) fn beside(self, d: f64) -> Vec2 {
         self.centre + Vec2::from_angle(self.heading).left() * d
     }
@@ -107,8 +107,8 @@ impl Bounds {
         })
     }
 
-    /// The square of the distance, m². It is rounded like the distance to a point inside, so it
-    /// never exceeds that distance.
+    /// Returns the square of the distance, m². It is rounded like the distance to a point inside,
+    /// so it never exceeds that distance.
     fn distance_squared(&self, point: Vec2) -> f64 {
         let outside = |low: f64, high: f64, at: f64| (low - at).max(at - high).max(0.0);
         let apart = Vec2::new(
@@ -132,7 +132,7 @@ impl Bend {
     };
 }
 
-/// The bend around this sample.
+/// Returns the bend around this sample.
 fn bend(samples: &[Sample], index: usize) -> Bend {
     let along = samples[index].along;
     // An angle of up to 0.5 rad is no larger than 1.05 times its sine.
@@ -204,8 +204,8 @@ impl Line {
         self.samples.len() - 1
     }
 
-    /// The index of the sample before `s`, the share of the step from there to the next one, and
-    /// the distance beyond all samples, m.
+    /// Returns the index of the sample before `s`, the fraction of the step from there to the next
+    /// one, and the distance beyond all samples, m.
     pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
         let last = self.last();
         let place = (s / STEP).clamp(0.0, f64::from(last as u32));
@@ -214,7 +214,7 @@ impl Line {
         (index as usize, place - f64::from(index), s - place * STEP)
     }
 
-    /// The line at arc length `s`.
+    /// Returns the line at arc length `s`.
     pub(crate) fn at(&self, s: f64) -> Point {
         let (index, t, beyond) = self.around(s);
         let from = &self.samples[index];
@@ -231,7 +231,7 @@ impl Line {
         }
     }
 
-    /// The sample that is nearest to arc length `s`.
+    /// Returns the sample that is nearest to arc length `s`.
     pub(crate) fn sample_at(&self, s: f64) -> usize {
         let place = (s / STEP).clamp(0.0, f64::from(self.last() as u32));
         let before = place as i32;
@@ -239,8 +239,8 @@ impl Line {
         before as usize + usize::from(place - f64::from(before) >= 0.5)
     }
 
-    /// The sample at which a walk from sample `start` to nearer samples ends. All samples passed
-    /// lead to the same one.
+    /// Walks from sample `start` to ever nearer samples and returns the last. From all samples
+    /// passed, the walk ends at the same one.
     pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
         let distance = |index: usize| distance_squared(point, self.samples[index].centre);
         let (mut index, mut least) = (start, distance(start));
@@ -259,7 +259,7 @@ impl Line {
         }
     }
 
-    /// The sample that is nearest to `point` on the whole line, found from a coarse search.
+    /// Returns the sample that is nearest to `point` on the whole line, found from a coarse search.
     pub(super) fn sample(&self, point: Vec2) -> usize {
         let mut nearest = (f64::INFINITY, 0);
         let search = |piece: usize, nearest: &mut (f64, usize)| {
@@ -288,7 +288,7 @@ impl Line {
         self.sample_near(point, nearest.1)
     }
 
-    /// The foot of the perpendicular from `point`, by Newton steps from this sample.
+    /// Returns the foot of the perpendicular from `point`, by Newton steps from this sample.
     pub(crate) fn foot(&self, point: Vec2, sample: usize) -> Foot {
         let mut s = sample as f64 * STEP;
         let (mut at, mut along) = if sample < self.last() {
@@ -344,8 +344,8 @@ impl Line {
         })
     }
 
-    /// Whether each point of the line is farther from `point` than `distance`, m. May return false
-    /// for a farther line if one of its boxes is nearer.
+    /// Returns whether each point of the line is farther from `point` than `distance`, m. May
+    /// return false for a farther line if one of its boxes is nearer.
     pub(super) fn is_farther(&self, point: Vec2, distance: f64) -> bool {
         let limit = distance + ROUNDING;
         let limit_squared = limit * limit;
@@ -363,12 +363,12 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// A winding line with a bend that returns to its start.
+    /// Returns a winding line with a bend that returns to its start.
     fn winding() -> Line {
         bending(2.4)
     }
 
-    /// A line that winds to both sides by this angle, rad.
+    /// Returns a line that winds to both sides by this angle, rad.
     fn bending(angle: f64) -> Line {
         let mut points = vec![Vec2::default()];
         let heading = |index: usize| (index as f64 * 0.031).sin() * angle + 0.001 * index as f64;
@@ -379,7 +379,7 @@ mod tests {
         Line::new(&points, &headings)
     }
 
-    /// Points on a grid around the line.
+    /// Returns points on a grid around the line.
     fn places(line: &Line) -> impl Iterator<Item = Vec2> {
         let Bounds { low, high } = line.whole;
         let on = |share: usize, low: f64, high: f64| {
@@ -403,7 +403,7 @@ mod tests {
             let (nearest, _) = nearest.unwrap();
             let expected = line.sample_near(point, nearest * COARSE);
             assert_eq!(line.sample(point), expected, "{point:?}");
-            // The line and its continuations, densely.
+            // Dense stations on the line and beyond both of its ends.
             let stations = (-2_000..4_000).map(|s| f64::from(s) * 0.5);
             let apart = stations.map(|s| (line.at(s).centre - point).norm());
             let distance = apart.fold(f64::INFINITY, f64::min);

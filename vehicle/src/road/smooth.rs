@@ -6,8 +6,8 @@ use crate::geometry::Vec2;
 /// than 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
 const SIGMA: f64 = 15.0;
 
-/// Points every `step` metres along the line, both ends included (the last distance may be longer
-/// by up to half a step).
+/// Returns points every `step` metres along the line, both ends included (the last distance may be
+/// longer by up to half a step).
 pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     let count = ((length / step).round() as usize).max(2);
@@ -43,7 +43,7 @@ pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
         .collect()
 }
 
-/// Moving average with a Gaussian kernel; the ends are continued straight.
+/// Returns the moving average with a Gaussian kernel; the ends are continued straight.
 fn gaussian(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let reach = (4.0 * SIGMA / step) as isize;
     let weights: Vec<f64> = (-reach..=reach)
@@ -74,7 +74,7 @@ fn gaussian(points: &[Vec2], step: f64) -> Vec<Vec2> {
         .collect()
 }
 
-/// Direction at each point, from its neighbours.
+/// Returns the direction at each point, from its neighbours.
 pub(super) fn headings(points: &[Vec2]) -> Vec<f64> {
     let last = points.len() - 1;
     (0..points.len())

@@ -1,4 +1,4 @@
-//! The camera's lanes: a cubic polynomial through the own lane's centre line, neighbours, ends.
+//! The camera's lanes: a cubic polynomial through the ego lane's centre line, neighbours, ends.
 //!
 //! The cubic is valid only as far as it follows the lane: [`RANGES`] are tried from the longest. An
 //! end of a lane, or of the operational design domain on it, is known from the map.
@@ -22,13 +22,13 @@ const RESIDUAL: f64 = 0.15;
 const END_IN_SIGHT: f64 = 300.0;
 /// How many points are fitted.
 const POINTS: usize = 20;
-/// Standard deviations of the coefficients' errors; at 60 m each causes 8 cm, and the same at the
-/// same share of a shorter range.
+/// Standard deviations of the coefficients' errors: each causes 8 cm at 60 m, and 8 cm at the same
+/// fraction of a shorter range.
 const NOISE: [f64; 4] = [0.02, 0.001_2, 2e-5, 3e-7];
-/// Standard deviations of width (m) and of the distance to an end (share of it).
+/// Standard deviations of width (m) and of the distance to an end (fraction of the distance).
 const WIDTH_NOISE: f64 = 0.05;
 const END_NOISE: f64 = 0.01;
-/// If the ego is farther from its lane's centre, m, it is off the road, and the camera sees no own
+/// If the ego is farther from its lane's centre, m, it is off the road, and the camera sees no ego
 /// lane.
 const OFF_ROAD: f64 = 4.0;
 
@@ -110,7 +110,7 @@ impl LaneCamera {
     }
 }
 
-/// The cubic over the longest range in which it follows the lane, and that range, m.
+/// Returns the cubic over the longest range in which it follows the lane, and that range, m.
 fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
     let last = RANGES[RANGES.len() - 1];
     let follows = |range: f64| {
@@ -120,8 +120,8 @@ fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
     RANGES.into_iter().find_map(follows).unwrap_or_default()
 }
 
-/// Least squares fit of y(x) to the centre line over `range` metres of it in the vehicle frame, and
-/// the largest distance between the two, m.
+/// Returns the least squares fit of y(x) to the centre line over `range` metres of it in the
+/// vehicle frame, and the largest distance between the two, m.
 fn fit(ego: &EgoTruth, road: &Road, range: f64) -> ([f64; 4], f64) {
     let lane = road.lane(ego.lane);
     let step = range / POINTS as f64;

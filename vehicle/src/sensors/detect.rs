@@ -171,7 +171,7 @@ impl Detector {
         }
     }
 
-    /// The object list at this moment, nearest first.
+    /// Returns the object list at this moment, nearest first.
     pub(super) fn measure(&mut self, ego: &EgoTruth, vehicles: &[RoadUser]) -> &[SensorObject] {
         self.list.clear();
         let origin = Pose {
@@ -183,7 +183,7 @@ impl Detector {
         self.tell(origin, ego, vehicles)
     }
 
-    /// The list of the objects that are not hidden.
+    /// Returns the list of the objects that are not hidden.
     fn tell(&mut self, origin: Pose, ego: &EgoTruth, vehicles: &[RoadUser]) -> &[SensorObject] {
         self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
         self.covered.clear();
@@ -216,7 +216,7 @@ impl Detector {
             let footprint = &vehicle.participant.footprint;
             let centre = frame.to_local(footprint.pose.position);
             let farthest = reach + footprint.length;
-            // Compares squares first, without a root, which excludes most of the others.
+            // Compares squares first: this excludes most of the others without a square root.
             if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }
@@ -247,7 +247,7 @@ impl Detector {
         let (right, left) = { self.sights.iter() }.fold(NOWHERE, |(right, left), sight| {
             (right.min(sight.edges.0), left.max(sight.edges.1))
         });
-        // Directions that are less than half a turn apart have sides.
+        // Left and right exist only for directions that are less than half a turn apart.
         let (is_empty, is_narrow) = (right > left, left - right < 3.0);
         let (right, left) = (Vec2::from_angle(right), Vec2::from_angle(left));
         self.sights.retain_mut(|sight| {
@@ -267,7 +267,7 @@ impl Detector {
         });
     }
 
-    /// The share of the directions that is covered.
+    /// Returns the share of the directions that is covered.
     fn covered_share(&self, (low, high): (f64, f64)) -> f64 {
         let covered: f64 = self
             .covered
@@ -289,7 +289,7 @@ impl Detector {
         self.covered.push((low, high));
     }
 
-    /// The detection of one visible vehicle, if it is in the field of view and not missed.
+    /// Returns the detection of one visible vehicle, if it is in the field of view and not missed.
     fn detect(&mut self, origin: Pose, ego: &EgoTruth, vehicle: &RoadUser) -> Option<SensorObject> {
         let Model {
             mount,

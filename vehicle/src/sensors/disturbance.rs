@@ -11,7 +11,7 @@ const LATE_MS: u64 = 400;
 /// A sensor that fails, and when: written as `camera-front:lost:10-15` or `radar-front:late:10-15`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorFault {
-    /// Which.
+    /// The sensor.
     pub sensor: SensorId,
     /// Whether its lists are sent late; otherwise they are lost.
     pub late: bool,
@@ -24,7 +24,7 @@ pub struct SensorFault {
 #[error("write it as camera-front:lost:10-15; sensors are {sensors}; lost or late", sensors = names())]
 pub struct NoSensorFault;
 
-/// The name of a sensor on the command line: `radar-front-left`.
+/// Returns the name of a sensor on the command line: `radar-front-left`.
 fn name_of(sensor: SensorId) -> String {
     let mut name = String::new();
     for letter in sensor.name().chars() {
@@ -106,7 +106,7 @@ impl Faults {
         }
     }
 
-    /// Whether a delayed message is due by this tick.
+    /// Returns whether a delayed message is due by this tick.
     pub(crate) fn is_due(&self, tick: u64) -> bool {
         self.held.front().is_some_and(|(due, _)| *due <= tick)
     }

@@ -52,7 +52,7 @@ pub struct EgoTruth {
 }
 
 impl EgoTruth {
-    /// Velocity over ground in world axes, m/s.
+    /// Returns the velocity over ground in world axes, m/s.
     #[must_use]
     pub fn velocity(&self) -> Vec2 {
         Vec2::from_angle(self.pose.yaw + self.slip_angle) * self.speed
@@ -70,7 +70,7 @@ impl Noise {
         Self(generator)
     }
 
-    /// An error with this standard deviation.
+    /// Returns an error with this standard deviation.
     fn normal(&mut self, deviation: f64) -> f64 {
         let unit: f64 = StandardNormal.sample(&mut self.0);
         unit * deviation
@@ -103,7 +103,7 @@ impl Sensors {
         }
     }
 
-    /// The object list of one sensor, nearest first.
+    /// Returns the object list of one sensor, nearest first.
     pub fn objects(
         &mut self,
         sensor: SensorId,
@@ -113,12 +113,12 @@ impl Sensors {
         self.detectors[sensor.index()].measure(ego, vehicles)
     }
 
-    /// The camera's lanes.
+    /// Returns the camera's lanes.
     pub fn lanes(&mut self, ego: &EgoTruth, road: &Road) -> CameraLanes {
         self.lanes.measure(ego, road)
     }
 
-    /// The chassis sensors.
+    /// Returns the measurements of the chassis sensors.
     pub fn motion(&mut self, ego: &EgoTruth, world_running: bool) -> EgoMotion {
         EgoMotion {
             world_running,

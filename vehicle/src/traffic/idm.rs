@@ -3,9 +3,9 @@
 //! Base: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and
 //! microscopic simulations", Phys. Rev. E 62 (2000). With the improved free term and the "constant
 //! acceleration heuristic" of Kesting, Treiber, Helbing, "Enhanced Intelligent Driver Model to
-//! assess the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): the base model
-//! brakes in an emergency when a vehicle cuts in, where human drivers see that gentle braking is
-//! enough.
+//! assess the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): when a vehicle
+//! cuts in, the base model brakes as in an emergency, although human drivers see that gentle
+//! braking is enough.
 
 /// Share of the heuristic in the model ("coolness"); the published value.
 const COOLNESS: f64 = 0.99;
@@ -69,7 +69,7 @@ impl IdmParameters {
         ..Self::CAR
     };
 
-    /// The acceleration that this driver chooses at `speed` (m/s), in m/s², not below -9.
+    /// Returns the acceleration that this driver chooses at `speed` (m/s), in m/s², not below -9.
     #[must_use]
     pub fn follow(&self, speed: f64, leader: &Leader) -> f64 {
         let careful = self.improved(speed, leader);
@@ -86,7 +86,7 @@ impl IdmParameters {
         chosen.max(-DECELERATION_MAX)
     }
 
-    /// The model with a free term that does not change the desired gap at the desired speed.
+    /// Returns the acceleration with a free term that keeps the desired gap at the desired speed.
     fn improved(&self, speed: f64, leader: &Leader) -> f64 {
         let (a, b) = (self.acceleration, self.deceleration);
         let ratio = speed / self.desired_speed.max(0.1);
@@ -108,7 +108,7 @@ impl IdmParameters {
         }
     }
 
-    /// The acceleration that just avoids a collision if the leader keeps its own.
+    /// Returns the acceleration that just avoids a collision if the leader keeps its own.
     fn constant_acceleration(&self, speed: f64, leader: &Leader) -> f64 {
         let gap = leader.gap.max(0.1);
         let ahead = leader.acceleration.min(self.acceleration);
@@ -125,8 +125,8 @@ impl IdmParameters {
 mod tests {
     use super::*;
 
-    /// Drives 300 s behind a leader whose speed is `leader(t)`; the smallest gap, the final one,
-    /// and the hardest braking.
+    /// Drives 300 s behind a leader whose speed is `leader(t)`. Returns the smallest gap, the final
+    /// one, and the hardest braking.
     fn drive(mut gap: f64, leader: impl Fn(f64) -> f64) -> (f64, f64, f64) {
         let (mut speed, mut smallest, mut hardest) = (leader(0.0), f64::INFINITY, 0.0_f64);
         for step in 0..30_000 {

@@ -96,12 +96,12 @@ pub struct RoadUser {
     /// The offset from the lane's centre that the driver aims at, m.
     aim: f64,
     driver: IdmParameters,
-    /// The time gap when it left its recording, s, and that time.
+    /// Its time gap when it left its recording, s, and the time at which it left it, s.
     begun: (f64, f64),
 }
 
 impl RoadUser {
-    /// Whether it is present.
+    /// Returns whether it is present.
     #[must_use]
     pub fn is_present(&self) -> bool {
         self.mode != Movement::Absent
@@ -117,7 +117,7 @@ impl RoadUser {
         };
     }
 
-    /// The values that its views depend on.
+    /// Returns the values that its views depend on.
     const fn motion(&self) -> (Pose, f64) {
         (self.participant.footprint.pose, self.participant.speed)
     }
@@ -146,7 +146,7 @@ impl Deviating {
         }
     }
 
-    /// Its predicted place after `dt`, at constant velocity.
+    /// Returns its predicted place after `dt`, at constant velocity.
     fn predicted(&self, dt: f64) -> Footprint {
         let Footprint { pose, .. } = self.participant.footprint;
         let position = pose.position + self.velocity * dt;
@@ -229,7 +229,7 @@ impl Traffic {
         traffic
     }
 
-    /// All road users, also absent ones, in the order of the scenario.
+    /// Returns all road users, also absent ones, in the order of the scenario.
     #[must_use]
     pub fn vehicles(&self) -> &[RoadUser] {
         &self.vehicles
@@ -280,7 +280,7 @@ impl Traffic {
         self.views[index].foot(&self.road, lane, pose.position, near)
     }
 
-    /// Bounds of that foot.
+    /// Returns bounds of that foot.
     pub(crate) fn rough(&mut self, index: usize, lane: LaneId, near: f64) -> Option<Rough> {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].rough(&self.road, lane, pose.position, near)
@@ -328,7 +328,7 @@ impl Traffic {
         self.views[index].renew(vehicle.frame.forward());
     }
 
-    /// Whether a replayed vehicle would need others to get out of its way.
+    /// Returns whether a replayed vehicle would need others to get out of its way.
     fn endangers(&mut self, index: usize, t: f64) -> bool {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
@@ -472,15 +472,15 @@ impl Traffic {
         leader
     }
 
-    /// The end of the lane as a leader that stands.
+    /// Returns the end of the lane as a leader that stands.
     fn end_of_lane(&self, vehicle: &RoadUser) -> Leader {
         let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
         Leader::standing(end - vehicle.participant.footprint.length / 2.0)
     }
 }
 
-/// The largest distance of a part of the vehicle from its present place within the look-ahead time
-/// plus 10 %, m.
+/// Returns the largest distance of a part of the vehicle from its present place within the
+/// look-ahead time plus 10 %, m.
 fn farthest(speed_max: f64, footprint: &Footprint) -> f64 {
     speed_max * (LOOK_AHEAD_S * 1.1) + (footprint.length + footprint.width) / 2.0
 }
@@ -492,7 +492,7 @@ fn reach(replayed: &Footprint, other: &Footprint) -> f64 {
     (sides(replayed) + ROOM.0 + ROOM.1 + sides(other)) / 2.0
 }
 
-/// All others that are present, and the ego, with the views of each.
+/// Returns all others that are present, and the ego, with the views of each.
 fn others<'a>(
     vehicles: &'a [RoadUser],
     views: &'a mut [Views],

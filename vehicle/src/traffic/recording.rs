@@ -78,26 +78,26 @@ impl Track {
         }
     }
 
-    /// The span of time that the recording covers, s.
+    /// Returns the span of time that the recording covers, s.
     pub(crate) fn span(&self) -> (f64, f64) {
         (self.knots[0].t, self.knots[self.knots.len() - 1].t)
     }
 
-    /// The largest speed of the recorded vehicle, m/s.
+    /// Returns the largest speed of the recorded vehicle, m/s.
     pub(crate) const fn speed_max(&self) -> f64 {
         self.speed_max
     }
 
-    /// A point near the vehicle at time `t`, and the largest distance from it, m.
+    /// Returns a point near the vehicle at time `t`, and the largest distance from it, m.
     pub(crate) fn around(&self, t: f64) -> (Vec2, f64) {
         let knot = &self.knots[self.count_until(t).saturating_sub(1)];
         (knot.position, knot.speed_max * (t - knot.t).max(0.0))
     }
 
-    /// How many states are not later than `t`.
+    /// Returns how many states are at or before `t`.
     fn count_until(&self, t: f64) -> usize {
         let knots = &self.knots;
-        // States are recorded at equal distances, nearly always.
+        // Nearly all recordings have states at equal intervals of time.
         let guess = (t - knots[0].t) * self.rate;
         let mut count = (guess.max(0.0) as u32 as usize).min(knots.len());
         while knots.get(count).is_some_and(|knot| knot.t <= t) {
@@ -109,7 +109,7 @@ impl Track {
         count
     }
 
-    /// The motion at time `t`, held before the first state and after the last.
+    /// Returns the motion at time `t`, held before the first state and after the last.
     pub(crate) fn motion(&self, t: f64) -> Motion {
         let after = self.count_until(t);
         let (from, to) = (after.saturating_sub(1), after.min(self.knots.len() - 1));
@@ -146,7 +146,7 @@ fn hermite(a: &Knot, b: &Knot, share: f64, span: f64) -> Vec2 {
         + (b.tangent * span) * (t3 - t2)
 }
 
-/// Velocity from the states before and after.
+/// Returns the velocity from the states before and after.
 fn tangent(states: &[TimedState], index: usize) -> Vec2 {
     let before = &states[index.saturating_sub(1)];
     let after = &states[(index + 1).min(states.len() - 1)];

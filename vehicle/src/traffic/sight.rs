@@ -71,7 +71,7 @@ impl Views {
         *self.find(road, id, position, near).foot(road, position)
     }
 
-    /// Bounds of this place.
+    /// Returns bounds of this place.
     pub(super) fn rough(
         &mut self,
         road: &Road,
@@ -82,7 +82,7 @@ impl Views {
         self.find(road, id, position, near).rough
     }
 
-    /// Its place, and its speeds across the lane and along it.
+    /// Returns its place, and its speeds across the lane and along it.
     fn view(
         &mut self,
         road: &Road,
@@ -151,8 +151,8 @@ impl<'a> Viewer<'a> {
         Self { road, vehicle }
     }
 
-    /// `None` for a vehicle behind, far ahead, or far aside; with `passes`, also for one that
-    /// neither [`ahead`] nor [`blocks_return`] would report. `views`: those of `other`.
+    /// Returns `other` as seen; `None` if it is behind, far ahead, or far aside, or with `passes`
+    /// if neither [`ahead`] nor [`blocks_return`] would report it. `views`: those of `other`.
     #[inline]
     pub(super) fn see(&self, other: &Participant, views: &mut Views, passes: bool) -> Option<Seen> {
         let vehicle = self.vehicle;
@@ -167,8 +167,8 @@ impl<'a> Viewer<'a> {
         Some(self.look(other, views, apart.x, reach))
     }
 
-    /// Whether both certainly pass each other, now and within a second, and `other` does not block
-    /// the middle of the lane.
+    /// Returns whether both certainly pass each other, now and within a second, and `other` does
+    /// not block the middle of the lane.
     #[inline]
     fn passes(&self, other: &Participant, views: &mut Views, ahead: f64) -> bool {
         let Frenet { s, d } = self.vehicle.place;
@@ -183,7 +183,7 @@ impl<'a> Viewer<'a> {
         })
     }
 
-    /// The view of a vehicle that is `ahead` m ahead and not far aside.
+    /// Returns the view of a vehicle that is `ahead` m ahead and not far aside.
     #[inline(never)]
     fn look(&self, other: &Participant, views: &mut Views, ahead: f64, reach: f64) -> Seen {
         let own = self.vehicle.place.s;
@@ -210,7 +210,7 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// The lanes beside that end: a vehicle there must merge.
+    /// Returns the lanes beside the viewer's that end: a vehicle there must merge.
     pub(super) fn ending_beside(&self) -> [Option<LaneId>; 2] {
         let beside = self
             .road
@@ -220,7 +220,7 @@ impl<'a> Viewer<'a> {
     }
 }
 
-/// Side distance of the centres at which two just pass each other, m.
+/// Returns the lateral distance of the centres at which two vehicles just pass each other, m.
 fn clearance(vehicle: &RoadUser, other: &Participant) -> f64 {
     (vehicle.participant.footprint.width + other.footprint.width) / 2.0 + SIDE
 }

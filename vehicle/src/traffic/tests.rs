@@ -29,7 +29,7 @@ fn road(drop: Option<f64>) -> Arc<Road> {
     Arc::new(Road::new(&lanelets).unwrap())
 }
 
-/// A car recorded every 0.1 s until `end`, with x and y by time.
+/// Returns a car recorded every 0.1 s until `end`, with x and y by time.
 fn car(id: i64, end: f64, place: impl Fn(f64) -> (f64, f64)) -> Obstacle {
     let states = (0..=(end * 10.0) as u32).map(|step| {
         let t = f64::from(step) * 0.1;

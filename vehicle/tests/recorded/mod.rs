@@ -9,14 +9,14 @@ use std::path::{Path, PathBuf};
 
 use tandem_vehicle::Scenario;
 
-/// The embedded scenarios, then those in the folder that `TANDEM_SCENARIOS` names. Without the
-/// variable the test says that it skips them.
+/// Returns the embedded scenarios, then those in the folder that `TANDEM_SCENARIOS` names. Without
+/// the variable the test says that it skips them.
 pub(crate) fn scenarios() -> Vec<Scenario> {
     let embedded = Scenario::names().map(|name| Scenario::load(name).unwrap());
     embedded.chain(recorded()).collect()
 }
 
-/// The recorded scenarios: the CommonRoad files of the folder, in the order of their names.
+/// Returns the recorded scenarios: the CommonRoad files of the folder, in the order of their names.
 ///
 /// # Panics
 /// If the named folder has no scenario, or one cannot be read.

@@ -42,7 +42,7 @@ impl ReferenceDriver {
         }
     }
 
-    /// The control frame for the present state of the world.
+    /// Returns the control frame for the present state of the world.
     pub(crate) fn control(&mut self, world: &World) -> tandem_bus::Encoded {
         let now = world.snapshot();
         let target = self.choose_lane(world);
@@ -100,7 +100,7 @@ impl ReferenceDriver {
     }
 }
 
-/// The nearest vehicles ahead and behind in a lane.
+/// Returns the nearest vehicles ahead and behind in a lane.
 fn neighbours(world: &World, now: &WorldSnapshot, lane: LaneId) -> (Leader, Leader) {
     let line = world.road().lane(lane);
     let own = line.project(now.pose.position);
