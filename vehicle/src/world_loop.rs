@@ -66,7 +66,7 @@ impl World {
         self.step(due.as_ns(), &mut |_, _| {});
     }
 
-    /// Runs between two periods: receives the frames of the controllers, and immediately sends the echo
+    /// Runs between two periods: receives the controllers' frames, and immediately sends the echo
     /// of one that acts. Call it after all due periods have run.
     pub fn run_between(&mut self, bus: &mut impl VehicleBus, seen: &mut dyn FnMut(LoggedFrame)) {
         let now = bus.now();
