@@ -147,8 +147,8 @@ impl<'b, B: Board> Core1<'b, B> {
         self.expected = next.unwrap_or(begun.released + (PERIOD - PATIENCE));
     }
 
-    /// Reads the frames that have arrived. Returns when the frame that completed the round was on
-    /// the bus, if the round is complete.
+    /// Reads the frames that have arrived. Returns the time at which the frame that completed the
+    /// round was on the bus; `None` if the round is not complete.
     fn receive(&mut self) -> Option<Instant> {
         let mut completed = None;
         let mut left = CAN_FRAMES;
@@ -164,7 +164,7 @@ impl<'b, B: Board> Core1<'b, B> {
         completed
     }
 
-    /// The due release: the round is complete, or the time to wait for it is over.
+    /// Returns the due release: the round is complete, or the time to wait for it is over.
     fn release(&mut self) -> Option<Release> {
         let completed = self.receive();
         let limit = self.expected + PATIENCE;

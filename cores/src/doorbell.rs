@@ -33,7 +33,7 @@ pub struct DoorbellThrottle {
 }
 
 impl DoorbellThrottle {
-    /// The doorbell rang.
+    /// Called when the doorbell has rung.
     pub fn ring(&self, now: Instant) -> RingOutcome {
         if now >= self.opens() {
             self.pass(now);
@@ -47,8 +47,8 @@ impl DoorbellThrottle {
         RingOutcome::HeldBack
     }
 
-    /// The doorbell may have rung. Returns whether its tasks run now. This call begins no new
-    /// distance, so it delays no ring.
+    /// Called when the doorbell may have rung. Returns whether its tasks run now. A call begins no
+    /// new distance, so it delays no ring.
     pub fn may_have_rung(&self, now: Instant) -> bool {
         if now < self.opens() {
             self.pending.store(true, Relaxed);
@@ -79,7 +79,7 @@ impl DoorbellThrottle {
         Instant::from_words([self.opens[0].load(Relaxed), self.opens[1].load(Relaxed)])
     }
 
-    /// When the ring that is held back passes; [`Instant::NEVER`] if none is.
+    /// Returns the time at which the held-back ring passes; [`Instant::NEVER`] if there is none.
     pub fn due(&self) -> Instant {
         if self.pending.load(Relaxed) {
             self.opens()
@@ -88,7 +88,7 @@ impl DoorbellThrottle {
         }
     }
 
-    /// How many times rings were held back; wraps around.
+    /// Returns how many times rings were held back; wraps around.
     pub fn held_back(&self) -> u32 {
         self.held_back.load(Relaxed)
     }

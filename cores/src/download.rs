@@ -8,8 +8,8 @@ const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
 /// Connect, in the first four bytes.
 const CONNECT: u32 = 0x083E_572D;
 
-/// The system whose bootloader a host asks for. A request that names no system is for a system that
-/// has just started. A running application ignores it.
+/// Returns the system whose bootloader a host asks for. A request that names no system is for a
+/// system that has just started. A running application ignores it.
 pub(crate) fn requested(frame: &CanFrame) -> Option<SystemId> {
     let &[a, b, c, d, system, _, 0, 0] = frame.data() else {
         return None;

@@ -110,7 +110,7 @@ impl<'a> ControllerMap<'a> {
         word.store(wrong, Relaxed);
     }
 
-    /// How many successive steps of core 0 core 2 has found wrong.
+    /// Returns how many successive steps of core 0 were wrong according to core 2.
     #[must_use]
     pub fn wrong_steps(&self) -> u32 {
         self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1].load(Relaxed)

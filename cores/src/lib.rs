@@ -52,7 +52,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// For chips, which do not stall.
+    /// Returns the limits for chips, which do not stall.
     #[must_use]
     pub const fn chip() -> Self {
         Self {
@@ -61,7 +61,7 @@ impl Config {
         }
     }
 
-    /// For machines whose timers are late by far less than a millisecond.
+    /// Returns the limits for machines whose timers are late by far less than a millisecond.
     #[must_use]
     pub const fn rt() -> Self {
         Self {
@@ -72,7 +72,7 @@ impl Config {
         }
     }
 
-    /// For ordinary processes on a desktop.
+    /// Returns the limits for ordinary processes on a desktop.
     #[must_use]
     pub const fn desktop() -> Self {
         Self {
@@ -93,8 +93,8 @@ enum ReceivedFrame {
     Download(SystemId),
 }
 
-/// The next received frame of the DBC whose CRC is right, or request of a host, with the time at
-/// which it was on the bus. Skips other frames.
+/// Returns the next received frame of the DBC whose CRC is right, or request of a host, with the
+/// time at which it was on the bus. Skips other frames.
 ///
 /// Takes at most `left` frames of any kind from the receiver, and counts `left` down; 0 means that
 /// more may wait.

@@ -30,19 +30,19 @@ impl TickGrid {
         period: Duration::from_ns(1),
     };
 
-    /// The number of the first tick that is not before `at`.
+    /// Returns the number of the first tick that is not before `at`.
     #[must_use]
     pub const fn after(&self, at: Instant) -> u64 {
         at.since(self.origin).as_ns().div_ceil(self.period.as_ns())
     }
 
-    /// The number of the last tick that is not after `at`.
+    /// Returns the number of the last tick that is not after `at`.
     #[must_use]
     pub const fn before(&self, at: Instant) -> u64 {
         at.since(self.origin).as_ns() / self.period.as_ns()
     }
 
-    /// The last tick that is not after `at`.
+    /// Returns the last tick that is not after `at`.
     #[must_use]
     pub fn floor(&self, at: Instant) -> Instant {
         self.origin + Duration::from_ns(self.before(at) * self.period.as_ns())
@@ -70,7 +70,7 @@ impl Grid {
         }
     }
 
-    /// The release that is due, if one is.
+    /// Returns the release that is due, if one is.
     ///
     /// A task that is late by whole periods runs once; the release says how many were missed.
     pub fn release(&mut self, now: Instant) -> Option<Release> {
@@ -94,7 +94,7 @@ impl Grid {
         self.next = at;
     }
 
-    /// The time of the next release.
+    /// Returns the time of the next release.
     #[must_use]
     pub const fn next(&self) -> Instant {
         self.next

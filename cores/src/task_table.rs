@@ -29,13 +29,13 @@ impl TaskCode {
     /// Core 0: fetches scene and trajectory when core 2 signals.
     pub const TRAJECTORY_INPUT: Self = Self(9);
 
-    /// Whether this task runs the control cycle.
+    /// Returns whether this task runs the control cycle.
     #[must_use]
     pub const fn is_control(self) -> bool {
         matches!(self, Self::CONTROL | Self::DEGRADED)
     }
 
-    /// Its name; `None` if it is in no table.
+    /// Returns its name; `None` if it is in no table.
     #[must_use]
     pub fn name(self) -> Option<&'static str> {
         let mut cores = CoreId::ALL.into_iter();
@@ -89,13 +89,13 @@ pub struct TaskInfo {
 }
 
 impl TaskInfo {
-    /// Whether its releases lie on a grid of its period.
+    /// Returns whether its releases lie on a grid of its period.
     #[must_use]
     pub fn is_periodic(&self) -> bool {
         self.released_by.contains(&ReleasedBy::Period)
     }
 
-    /// Whether the doorbell's interrupt releases it.
+    /// Returns whether the doorbell's interrupt releases it.
     #[must_use]
     pub fn is_for_interrupts(&self) -> bool {
         self.released_by.contains(&ReleasedBy::Doorbell)
@@ -197,7 +197,7 @@ pub const CORE_2: [TaskInfo; 1] = [TaskInfo {
     purpose: "decides and plans a trajectory",
 }];
 
-/// The tasks of a core, in falling order of priority.
+/// Returns the tasks of a core, in falling order of priority.
 #[must_use]
 pub const fn tasks(core: CoreId) -> &'static [TaskInfo] {
     match core {
@@ -207,7 +207,7 @@ pub const fn tasks(core: CoreId) -> &'static [TaskInfo] {
     }
 }
 
-/// The table row of this task of the core; `None` if there is none.
+/// Returns the table row of this task of the core; `None` if there is none.
 #[must_use]
 pub fn task(core: CoreId, code: TaskCode) -> Option<&'static TaskInfo> {
     tasks(core).iter().find(|info| info.code == code)
@@ -224,7 +224,7 @@ impl IrqCode {
     /// The tick of the kernel.
     pub const TICK: Self = Self(2);
 
-    /// Its name; `None` if it has none.
+    /// Returns its name; `None` if it has none.
     #[must_use]
     pub fn name(self) -> Option<&'static str> {
         let info = INTERRUPTS.iter().find(|info| info.code == self);

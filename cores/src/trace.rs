@@ -313,8 +313,8 @@ impl From<tandem_redundancy::RedundancyEvent> for Event {
 }
 
 impl Event {
-    /// Whether a scheduler or a signal writes it, thousands of times a second. Any other event is
-    /// reported one by one.
+    /// Returns whether a scheduler or a signal writes it, thousands of times a second. Any other
+    /// event is reported one by one.
     #[must_use]
     pub const fn is_scheduling(self) -> bool {
         matches!(
@@ -386,8 +386,8 @@ macro_rules! codec {
         $($least:literal ..= $most:literal)?;
     )+) => {
         impl Event {
-            /// The event as four words: kind and up to three small fields in the first, then three
-            /// numbers.
+            /// Returns the event as four words: kind and up to three small fields in the first,
+            /// then three numbers.
             #[must_use]
             pub fn encode(self) -> TraceRecord {
                 let none = Fields::default();

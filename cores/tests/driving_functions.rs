@@ -36,7 +36,7 @@ impl Feed {
         }
     }
 
-    /// One cycle in which these sensors see these objects; `lanes` if the camera sees the road.
+    /// Runs a cycle in which these sensors see these objects; `lanes` if the camera sees the road.
     fn cycle(&mut self, seen: &[(SensorId, &[SensorObject])], lanes: bool) -> &Scene {
         for step in 0..5 {
             let motion = EgoMotion {
@@ -187,7 +187,7 @@ fn lanes_are_carried_along_and_then_given_up() {
     assert!(feed.cycle(&[], true).lanes.is_some());
 }
 
-/// A vehicle that cuts in from the next lane is reported before it is in the own lane.
+/// A vehicle that cuts in from the next lane is reported before it is in the ego lane.
 #[test]
 fn a_cut_in_is_foreseen() {
     let mut feed = Feed::new(25.0);

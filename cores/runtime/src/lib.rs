@@ -34,7 +34,7 @@ const TICK: Duration = Duration::from_ms(1);
 const LONGEST: Ticks = Ticks::from_millis(1000);
 /// Time between two reports of a task on itself.
 const REPORT_PERIOD: Duration = Duration::from_ms(1000);
-/// Above the tick.
+/// Priority of the doorbell's interrupt: above the tick's.
 const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 
 /// The task that waits for the end of the distance when the doorbell has rung too early. The
@@ -183,7 +183,7 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
     fn release(&self, tasks: TaskSet) {
         for (task, handle) in Core0Task::ALL.into_iter().zip(&self.below) {
             if let (true, Some(handle)) = (tasks.contains(task), handle) {
-                // It never ends.
+                // Fails only for a task that has ended, and this one never ends.
                 let _ = handle.notify(self.ctx);
             }
         }
@@ -224,7 +224,7 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
         _ => ticks.after(deadline),
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
-    // The kernel's count may be behind the clock, or beyond the due tick if the machine stood still
+    // The kernel's count may be behind the clock, or beyond the due tick if the machine was stopped
     // since the clock was read. Both wrap around after 49 days.
     let left = ctx.now().until(Ticks(due as u32));
     if far {
@@ -372,7 +372,7 @@ pub fn start<B: Board + Sync>(
                 RingOutcome::Merged => false,
             };
             if let (true, Some(handle)) = (released, handle) {
-                // It never ends.
+                // Fails only for a task that has ended, and this one never ends.
                 let _ = handle.notify(ctx);
             }
         }

@@ -131,7 +131,7 @@ impl Agreement {
         self.stage
     }
 
-    /// Whether this system has run its functions for long enough for its command to count.
+    /// Returns whether this system has run its functions for long enough for its command to count.
     pub(super) fn is_warm(&self, now: Instant) -> bool {
         self.since.is_some_and(|since| now.since(since) >= WARM_UP)
     }
@@ -180,8 +180,8 @@ impl Agreement {
         (is_new || is_worst).then_some((stage, percent))
     }
 
-    /// The stage that the other system reports. Either system may ask for the stop: neither can
-    /// judge the reasons of the other.
+    /// Takes the stage that the other system reports. Either system may ask for the stop: neither
+    /// can judge the reasons of the other.
     pub(super) fn on_stage_of_peer(&mut self, stage: Stage) -> Option<Change> {
         self.reports = if stage == Stage::Unresolved {
             self.reports.saturating_add(1)
@@ -220,7 +220,7 @@ mod tests {
         Instant::from_ns(cycle * 10_000_000)
     }
 
-    /// The deviation of commands whose accelerations differ by these values, m/s².
+    /// Returns the deviation of commands whose accelerations differ by these values, m/s².
     fn apart(lateral: f32, longitudinal: f32) -> Option<Deviation> {
         let command = Command {
             steering_angle: lateral / SPEED / SPEED * WHEELBASE_M,

@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(both_stop.last().flatten(), Some(CoreId::PERCEPTION));
     }
 
-    /// Polls every millisecond. Returns when the first core was silent, and its id.
+    /// Polls every millisecond. Returns the time at which the first core was silent, and its id.
     fn poll(
         alive: &mut Alive,
         mut ms: core::ops::Range<u64>,

@@ -1,4 +1,4 @@
-//! CAN at core 0: end-to-end checks, counters, and what the function that drives has yet to use.
+//! CAN at core 0: end-to-end checks, counters, and inputs that the drive has not used yet.
 
 use super::{Driving, frames};
 use crate::driving::function::Driver;
@@ -37,7 +37,7 @@ impl Inbox {
     }
 }
 
-/// Both ends of CAN.
+/// Both directions of CAN.
 pub(super) struct CanPort {
     pub(super) receiver: FrameReceiver,
     pub(super) transmitter: FrameTransmitter,
@@ -73,7 +73,7 @@ impl CanPort {
         self.inbox.driver = Some(frames::driver(request));
     }
 
-    /// The vehicle obeys another system.
+    /// Records the command in an echo: the vehicle obeys another system.
     pub(super) fn on_obeyed(&mut self, echo: &GateEcho) {
         self.inbox.obeyed = Some(frames::obeyed(echo));
     }

@@ -54,32 +54,32 @@ impl CommandCheck<'_> {
         self.agreement.stage()
     }
 
-    /// Whether this system's command was found wrong.
+    /// Returns whether this system's command was found wrong.
     pub(super) const fn is_wrong(&self) -> bool {
         self.is_wrong
     }
 
-    /// This system's command is wrong. Returns whether this is new.
+    /// Records that this system's command is wrong. Returns whether this is new.
     pub(super) const fn on_wrong(&mut self) -> bool {
         !core::mem::replace(&mut self.is_wrong, true)
     }
 
-    /// The command of the other system, from its control frame or the link.
+    /// Takes the command of the other system, from its control frame or the link.
     pub(super) fn on_peer_command(&mut self, command: Command, mode: ModeCode) {
         self.received = Some((command, mode));
     }
 
-    /// The stage that the other system reports.
+    /// Takes the stage that the other system reports.
     pub(super) fn on_peer_stage(&mut self, stage: Stage) -> Option<Change> {
         self.agreement.on_stage_of_peer(stage)
     }
 
-    /// The command of the other system in a datagram.
+    /// Takes the command of the other system from a datagram.
     pub(super) fn on_datagram(&mut self, words: &[u32]) -> Option<PeerCommand> {
         self.link.on_datagram(words)
     }
 
-    /// The vehicle's echo. Returns whether this system's command is wrong.
+    /// Takes the vehicle's echo. Returns whether this system's command is wrong.
     pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> bool {
         // The vehicle's speed, if this system stops it because no reset has repaired its command.
         let stops = redundancy.stops_for_its_command();
@@ -88,8 +88,8 @@ impl CommandCheck<'_> {
         self.read_back.on_echo(term, echo, speed)
     }
 
-    /// The mode that the redundancy and the agreement permit; [`Driving`](super::Driving) may do
-    /// less.
+    /// Returns the mode that the redundancy and the agreement permit; [`Driving`](super::Driving)
+    /// may do less.
     pub(super) fn permits(&self, mode: Mode) -> Mode {
         if mode != Mode::None && self.stage() == Stage::Unresolved {
             Mode::SafeStop
@@ -98,7 +98,7 @@ impl CommandCheck<'_> {
         }
     }
 
-    /// The other system's command, if both disagree without a known cause. `mode`: the
+    /// Returns the other system's command, if both disagree without a known cause. `mode`: the
     /// redundancy's.
     pub(super) fn peer_command(&self, now: Instant, mode: Mode) -> Option<Command> {
         let unresolved = self.stage() == Stage::Unresolved && mode != Mode::SafeStop;
@@ -140,7 +140,7 @@ impl CommandCheck<'_> {
         self.agreement.cycle(now, phase, deviation)
     }
 
-    /// The datagram with this system's command for the other one.
+    /// Returns the datagram with this system's command for the other one.
     pub(super) fn datagram(&mut self, now: Instant, output: &Output) -> impl AsRef<[u32]> + use<> {
         let mode = if self.agreement.is_warm(now) {
             output.mode

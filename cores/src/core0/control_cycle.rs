@@ -1,9 +1,9 @@
 //! The control cycle: computes a command from the inputs and sends it as a frame.
 //!
 //! A cycle takes three locked sections. The first takes the release and all inputs, the second
-//! computes, the third sends. More urgent tasks may run between them, so the third section takes
-//! role, term and the permission to send from the redundancy as it is then: no frame leaves with a
-//! role or term that no longer holds. The mode of a command may be a cycle old.
+//! computes, the third sends. More urgent tasks may run between them, so the third section asks the
+//! redundancy again for role, term and the permission to send: no frame leaves with a role or term
+//! that no longer holds. The mode of a command may be a cycle old.
 
 use super::driving::{Driving, Output};
 use super::shared::SharedState;

@@ -33,7 +33,7 @@ impl ControlGrid {
         }
     }
 
-    /// From now on releases lie on these ticks.
+    /// Makes all later releases lie on these ticks.
     pub(super) fn set_ticks(&mut self, ticks: TickGrid, now: Instant) {
         self.ticks = ticks;
         self.restart(now);
@@ -44,13 +44,13 @@ impl ControlGrid {
         self.grid.restart(self.ticks.floor(now));
     }
 
-    /// A trajectory has arrived. While trajectories wait too long for the control task, the grid
-    /// moves earlier, a tick at a time.
+    /// Called when a trajectory has arrived. While trajectories wait too long for the control task,
+    /// the grid moves earlier, a tick at a time.
     pub(super) fn on_trajectory(&mut self, now: Instant) {
         self.follow.on_trajectory(self.grid.next().since(now));
     }
 
-    /// The release that is due at `now`.
+    /// Returns the release that is due at `now`.
     pub(super) fn release(&mut self, now: Instant) -> Option<Release> {
         let release = self.grid.release(now)?;
         if self.follow.moves() {
@@ -59,7 +59,7 @@ impl ControlGrid {
         Some(release)
     }
 
-    /// The time of the next release.
+    /// Returns the time of the next release.
     pub(super) const fn next(&self) -> Instant {
         self.grid.next()
     }
@@ -71,7 +71,7 @@ impl ControlGrid {
         self.for_degraded = Some(Release { missed, ..release });
     }
 
-    /// The release for the degraded task.
+    /// Returns the release for the degraded task.
     pub(super) fn take_passed_on(&mut self) -> Option<Release> {
         self.for_degraded.take()
     }
@@ -84,7 +84,7 @@ struct Follow {
 }
 
 impl Follow {
-    /// A trajectory has arrived, and the control task will use it after `wait`.
+    /// Called when a trajectory has arrived that the control task will use after `wait`.
     fn on_trajectory(&mut self, wait: Duration) {
         if wait <= LONGEST_WAIT {
             self.waited = 0;
@@ -93,7 +93,7 @@ impl Follow {
         }
     }
 
-    /// Whether the grid moves earlier by [`GRID_STEP`] now. Once it has moved, each further
+    /// Returns whether the grid moves earlier by [`GRID_STEP`] now. Once it has moved, each further
     /// trajectory that waits too long moves it again, until one does not.
     fn moves(&mut self) -> bool {
         let moves = self.waited >= LATE;
@@ -110,8 +110,8 @@ mod tests {
 
     const PERIOD_US: u64 = 10_000;
 
-    /// The waits of trajectories that arrive this long after the beginning of their round, µs, and
-    /// the grid's last position. A round has five control periods.
+    /// Returns the waits of trajectories that arrive this long after the beginning of their round,
+    /// µs, and the grid's last position. A round has five control periods.
     fn waits(mut grid_us: u64, arrivals_us: [u64; 20]) -> ([u64; 20], u64) {
         let mut follow = Follow::default();
         let waits = arrivals_us.map(|arrival_us| {

@@ -16,7 +16,7 @@ pub(crate) struct Output {
     pub(crate) mode: Mode,
     /// Age of the oldest measurement that it uses; `None` if it uses none.
     pub(crate) age: Option<Duration>,
-    /// The command of this system if it had driven all the time.
+    /// The command that this system would give had it driven all the time.
     pub(crate) standalone: Command,
     /// m/s
     pub(crate) speed: f32,
@@ -81,7 +81,7 @@ impl Driving {
         self.scene = Some(scene);
     }
 
-    /// The knowledge of this system, for one that joins; `None` before the first scene.
+    /// Returns the knowledge of this system, for one that joins; `None` before the first scene.
     pub(crate) fn knowledge(&self) -> Option<Knowledge> {
         Some(Knowledge::of(
             self.scene.as_ref()?,
@@ -101,7 +101,7 @@ impl Driving {
         self.driver = driver;
     }
 
-    /// The state of the driving function, with what is known at `now`.
+    /// Returns the state of the driving function, with what is known at `now`.
     fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> FunctionState {
         let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
         let scene = self.scene.as_ref().filter(fresh);
@@ -122,9 +122,9 @@ impl Driving {
         )
     }
 
-    /// The command for `now` by the best function that `permitted`, the state of the driving
-    /// function and the inputs allow.
-    /// `other`: the command of the other system, while both disagree without a known cause.
+    /// Returns the command for `now` by the best function that `permitted`, the state of the
+    /// driving function and the inputs allow. `other`: the command of the other system, while both
+    /// disagree without a known cause.
     pub(crate) fn cycle(
         &mut self,
         now: Instant,

@@ -26,8 +26,7 @@ pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::ModeCode {
     }
 }
 
-/// The control frame for this output.
-/// `now`: when it is made.
+/// Returns the control frame for this output. `now`: when it is made.
 pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) -> Control {
     Control {
         role: bus_role(redundancy.role()),
@@ -36,14 +35,14 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
         term: redundancy.term().bits(),
         steering_angle: output.command.steering_angle,
         acceleration: output.command.acceleration,
-        // The largest number that the signal can carry stands for "rests on no sensor data".
+        // The largest number that the signal can carry means "uses no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
-        // 0 stands for "not known".
+        // 0 means "not known".
         sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
     }
 }
 
-/// The status frame.
+/// Returns the status frame.
 pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) -> Status {
     let state = redundancy.state();
     let [line1_silent, line2_silent] = redundancy.lines_silent();
@@ -70,7 +69,7 @@ pub(super) fn send_encoded<B: Board>(board: &B, encoded: &Encoded) -> bool {
     frame.is_ok_and(|frame| board.can().try_send(&frame).is_ok())
 }
 
-/// A control frame of the other system, in the form that the redundancy takes.
+/// Converts a control frame of the other system to the form that the redundancy takes.
 pub(super) fn received_control(from: u8, control: &Control) -> Option<ControlHeader> {
     Some(ControlHeader {
         system: SystemId::from_index(usize::from(from))?,
@@ -80,7 +79,7 @@ pub(super) fn received_control(from: u8, control: &Control) -> Option<ControlHea
     })
 }
 
-/// The command in a control frame.
+/// Returns the command in a control frame.
 pub(super) const fn command(control: &Control) -> Command {
     Command {
         steering_angle: control.steering_angle,
@@ -88,7 +87,7 @@ pub(super) const fn command(control: &Control) -> Command {
     }
 }
 
-/// The command that the vehicle obeys.
+/// Returns the command that the vehicle obeys.
 pub(super) const fn obeyed(echo: &GateEcho) -> Command {
     Command {
         steering_angle: echo.steering_angle,
@@ -96,7 +95,7 @@ pub(super) const fn obeyed(echo: &GateEcho) -> Command {
     }
 }
 
-/// The request of the driver.
+/// Returns the request of the driver.
 pub(super) const fn driver(request: &DriverRequest) -> Driver {
     match (request.engage, request.overrides) {
         (true, false) => Driver::Engages,
@@ -104,7 +103,7 @@ pub(super) const fn driver(request: &DriverRequest) -> Driver {
     }
 }
 
-/// The term that the vehicle obeyed when it sent this echo, `on_the_way` ago.
+/// Returns the term that the vehicle obeyed when it sent this echo, `on_the_way` ago.
 pub(super) fn received_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
     ObeyedTerm {
         term: Term::from_bits(echo.term),
@@ -113,7 +112,7 @@ pub(super) fn received_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm
     }
 }
 
-/// A status frame of the other system. Its arrival shows that the sender's CAN is alive.
+/// Converts a status frame of the other system. Its arrival shows that the sender's CAN is alive.
 pub(super) fn received_status(status: &Status) -> Option<PeerReport> {
     Some(PeerReport {
         role: Role::from_repr(status.role as u8)?,

@@ -66,7 +66,7 @@ impl KnowledgeTransfer<'_> {
         }
     }
 
-    /// A datagram that may be a request or a chunk. Refuses knowledge of an earlier term.
+    /// Takes a datagram that may be a request or a chunk. Refuses knowledge of an earlier term.
     pub(super) fn on_datagram(
         &mut self,
         now: Instant,
@@ -91,13 +91,13 @@ impl KnowledgeTransfer<'_> {
         }
     }
 
-    /// Whether this system can begin a transfer, if it drives.
+    /// Returns whether this system can begin a transfer, if it drives.
     pub(super) fn wants_knowledge(&self, now: Instant) -> bool {
         self.sender.wants(now)
     }
 
-    /// Once in a control cycle: asks while this system is newly started, and answers if it drives.
-    /// Bounded.
+    /// Called once in a control cycle: asks while this system is newly started, and answers if it
+    /// drives. Takes a bounded time.
     pub(super) fn cycle(
         &mut self,
         now: Instant,
@@ -153,7 +153,7 @@ impl KnowledgeSender {
         }
     }
 
-    /// A datagram that may be a request.
+    /// Takes a datagram that may be a request.
     fn on_datagram(&mut self, now: Instant, words: &[u32]) {
         if let &[_, incarnation] = words
             && is_sealed(&mut self.requests, VERSION, words)
@@ -162,7 +162,7 @@ impl KnowledgeSender {
         }
     }
 
-    /// Whether a transfer is requested and none is under way.
+    /// Returns whether a transfer is requested and none is under way.
     fn wants(&self, now: Instant) -> bool {
         let is_idle = self.next >= self.len;
         is_idle
@@ -195,7 +195,7 @@ impl KnowledgeSender {
         self.transfer = self.transfer.wrapping_add(1);
     }
 
-    /// The next chunk of the transfer.
+    /// Returns the next chunk of the transfer.
     fn chunk(&mut self) -> Option<heapless::Vec<u32, MAX_WORDS>> {
         let content = self.content.get(self.next..self.len)?;
         let content = &content[..content.len().min(CHUNK_CONTENT)];
@@ -239,14 +239,14 @@ impl KnowledgeReceiver {
         }
     }
 
-    /// The datagram that requests a transfer.
+    /// Returns the datagram that requests a transfer.
     fn request(&mut self) -> [u32; 2] {
         let mut words = [0, self.incarnation];
         seal(KNOWLEDGE_REQUEST, VERSION, &mut self.counter, &mut words);
         words
     }
 
-    /// A datagram that may be a chunk. Returns the knowledge if it was the last one.
+    /// Takes a datagram that may be a chunk. Returns the knowledge if it was the last one.
     fn on_datagram(&mut self, now: Instant, words: &[u32]) -> Option<Received> {
         let (&[_, place], content) = words.split_first_chunk::<HEAD>()?;
         if words.len() > MAX_WORDS || !is_sealed(&mut self.chunks, VERSION, words) {
@@ -302,7 +302,7 @@ mod tests {
         Instant::from_ns(ms * 1_000_000)
     }
 
-    /// A full road, at 1 s of the sender's clock.
+    /// Returns a full road, at 1 s of the sender's clock.
     fn knowledge(objects: usize) -> Knowledge {
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],
@@ -328,7 +328,7 @@ mod tests {
         Knowledge::of(&scene, None)
     }
 
-    /// The chunks of a transfer that begins 40 ms after its scene, in term 5.
+    /// Returns the chunks of a transfer that begins 40 ms after its scene, in term 5.
     fn chunks(
         receiver: &mut KnowledgeReceiver,
         sender: &mut KnowledgeSender,

@@ -27,7 +27,7 @@ pub const EDGES_PER_MS: u32 = 4;
 const WINDOW: Duration = Duration::from_ms(100);
 
 /// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
-/// stall of this core is no flood; of 20 doorbells that the distance permits, half came early.
+/// stall of this core is not a flood. The distance permits 20 doorbells: half of them came early.
 const EXCEEDED: u32 = 10;
 
 /// The activity of a source since the last report.
@@ -91,7 +91,7 @@ impl Floods {
         let Some((at, last)) = self.lines.replace((now, *counts)) else {
             return;
         };
-        // The part of a millisecond before the first edge and after the last one counts as two.
+        // The polls may fall within a millisecond: the parts at both ends count as one each.
         let ms = u32::try_from(now.since(at).as_us() / 1_000).unwrap_or(u32::MAX);
         let allowed = EDGES_PER_MS.saturating_mul(ms.saturating_add(2));
         let new = |now: u32, last: u32| now.wrapping_sub(last);
@@ -108,7 +108,7 @@ impl Floods {
         }
     }
 
-    /// The floods to report now.
+    /// Returns the floods to report now.
     pub(super) fn events(&mut self, now: Instant) -> impl Iterator<Item = Event> + use<> {
         let over = now.since(self.since) >= WINDOW;
         let sources = if over {

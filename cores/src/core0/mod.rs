@@ -70,7 +70,7 @@ impl Core0Task {
         Self::Status,
     ];
 
-    /// Its row of the table.
+    /// Returns its row of the table.
     #[must_use]
     pub const fn info(self) -> &'static TaskInfo {
         &CORE_0[self as usize]
@@ -95,7 +95,7 @@ impl TaskSet {
         Self(1 << task as u8)
     }
 
-    /// Whether `task` is among them.
+    /// Returns whether `task` is among them.
     #[must_use]
     pub const fn contains(self, task: Core0Task) -> bool {
         self.0 & Self::of(task).0 != 0
@@ -134,14 +134,14 @@ pub trait Executor<'b, B: Board> {
     /// Releases tasks, all of them less urgent than the caller. Not within [`Executor::shared`].
     fn release(&self, tasks: TaskSet);
 
-    /// How many times rings of the doorbell were held back, see
+    /// Returns how many times rings of the doorbell were held back, see
     /// [`DoorbellThrottle`](crate::doorbell::DoorbellThrottle); wraps around.
     fn held_back(&self) -> u32;
 
-    /// A job of this task, the caller, begins. For the trace.
+    /// Reports to the trace that a job of this task, the caller, begins.
     fn begins(&self, task: Core0Task, begin: Begin);
 
-    /// The job is done.
+    /// Reports to the trace that the job is done.
     fn ends(&self, task: Core0Task);
 }
 
@@ -150,7 +150,7 @@ pub trait TaskBody<'b, B: Board> {
     /// Which task.
     const ID: Core0Task;
 
-    /// A periodic task's releases begin at `at`.
+    /// Makes the releases of a periodic task begin at `at`.
     fn start(&mut self, _at: Instant) {}
 
     /// Does all due work and returns the latest time of the next call; it may be called earlier.

@@ -53,7 +53,7 @@ impl PeerCommandLink {
         }
     }
 
-    /// The datagram for a command that is sent now.
+    /// Returns the datagram for a command that is sent now.
     pub(super) fn datagram(&mut self, own: PeerCommand) -> [u32; PeerCommand::WORDS] {
         let mut words = [
             0,
@@ -65,7 +65,7 @@ impl PeerCommandLink {
         words
     }
 
-    /// The command in a datagram; `None` if it holds another kind, or is not new.
+    /// Returns the command in a datagram; `None` if it holds another kind, or is not new.
     pub(super) fn on_datagram(&mut self, words: &[u32]) -> Option<PeerCommand> {
         let words: &[u32; PeerCommand::WORDS] = words.try_into().ok()?;
         let is_sealed = is_sealed(&mut self.checker, VERSION, words);

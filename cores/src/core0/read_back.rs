@@ -2,7 +2,7 @@
 //!
 //! The vehicle's echo names the control frame that it obeys, by the frame's counter, and the
 //! command. A fault between the computation and the bus (a stuck signal with a valid protection,
-//! for instance) shows here within some control periods. An echo may be late: the frames of the
+//! for instance) shows here within a few control periods. An echo may be late: the frames of the
 //! last 0.3 s are remembered, and echoes of older ones are not judged.
 
 use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
@@ -100,8 +100,8 @@ impl ReadBack {
     }
 }
 
-/// Whether the vehicle, at this speed in m/s, still stops in its lane although it obeys a command
-/// other than the one sent.
+/// Returns whether the vehicle, at this speed in m/s, still stops in its lane although it obeys a
+/// command other than the one sent.
 fn stops_with(sent: &Command, obeyed: &Command, speed: f32) -> bool {
     let deviation = Deviation::of(sent, obeyed, speed);
     let in_lane = (sent.steering_angle - obeyed.steering_angle).abs() <= ASIDE
@@ -127,7 +127,7 @@ mod tests {
         }
     }
 
-    /// The echo of the frame of this cycle.
+    /// Returns the echo of the frame of this cycle.
     fn echo(cycle: u32) -> GateEcho {
         let control = control(cycle);
         GateEcho {

@@ -80,22 +80,22 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         self.running.as_ref()
     }
 
-    /// The phase, once the start protocol has begun.
+    /// Returns the phase, once the start protocol has begun.
     pub(super) fn phase(&self) -> Option<Phase> {
         self.running().map(Redundancy::phase)
     }
 
-    /// Whether this system is master.
+    /// Returns whether this system is master.
     pub(super) fn is_driving(&self) -> bool {
         self.phase().is_some_and(Phase::is_driving)
     }
 
-    /// When [`RedundancyPort::poll`] is due.
+    /// Returns the time at which [`RedundancyPort::poll`] is due.
     pub(super) const fn due(&self) -> Instant {
         self.due
     }
 
-    /// Whether this system may send a control frame now; `None` before the start protocol.
+    /// Returns whether this system may send a control frame now; `None` before the start protocol.
     pub(super) fn may_transmit(&mut self) -> Option<bool> {
         let now = self.board.now();
         self.running.as_mut().map(|it| it.may_transmit(now))
@@ -122,7 +122,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         }
     }
 
-    /// Core 1 or 2 is dead. Before the start protocol, that is a reason for a reset.
+    /// Called when core 1 or 2 is dead. Before the start protocol, that is a reason for a reset.
     pub(super) fn on_dead_core(&mut self, fault: FailureMode) -> Outcome {
         if self.running.is_none() {
             self.board.supply().request_reset(ResetRequest::CoreDead);
@@ -130,7 +130,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         self.on(Input::OwnFault(fault))
     }
 
-    /// Starts the redundancy when its conditions hold; then lets it judge the lines.
+    /// Starts the redundancy when its conditions hold. Once it runs, passes it the lines to judge.
     pub(super) fn poll(&mut self, lines: LineSnapshot) -> Outcome {
         if self.running.is_none() {
             self.start();
@@ -153,7 +153,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
             lanes_seen,
         } = self.ready;
         let is_ready = cores_run && ego_seen && lanes_seen;
-        // A system also has to start without lanes, and without any vehicle.
+        // A system must also start without lanes, and without any vehicle.
         if is_ready || now.since(self.started) > self.config.boot_limit {
             let cause = self.board.supply().reset_cause();
             let config = self.config.redundancy;

@@ -78,7 +78,7 @@ impl<'b, B: Board> Core0<'b, B> {
         }
     }
 
-    /// The phase of this system, once the start protocol has begun.
+    /// Returns the phase of this system, once the start protocol has begun.
     #[must_use]
     pub fn phase(&self) -> Option<Phase> {
         self.executor.shared.borrow().phase()

@@ -1,6 +1,6 @@
 //! The state that the tasks of core 0 share, one part for each subject.
 //!
-//! A task holds it for microseconds; no command is computed here. This file handles all that
+//! A task holds it for microseconds; no command is computed here. This file handles everything that
 //! concerns more than one part: an input from the bus goes to the redundancy, the checks and the
 //! drive.
 
@@ -73,12 +73,12 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.grid.set_ticks(ticks, self.board.now());
     }
 
-    /// The phase of this system, once the start protocol has begun.
+    /// Returns the phase of this system, once the start protocol has begun.
     pub(super) fn phase(&self) -> Option<Phase> {
         self.redundancy.phase()
     }
 
-    /// The mode that the redundancy and the agreement permit.
+    /// Returns the mode that the redundancy and the agreement permit.
     pub(super) fn mode(&self) -> Option<Mode> {
         let mode = self.redundancy.running()?.mode();
         Some(self.check.permits(mode))
@@ -104,7 +104,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// The newest report that has arrived over the link. Other datagrams do not hide it.
+    /// Returns the newest report that has arrived over the link. Other datagrams do not hide it.
     fn newest_report(&mut self) -> Option<LinkReport> {
         let mut newest = None;
         let mut words = [0; MAX_WORDS];
@@ -177,7 +177,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         TaskSet::NONE
     }
 
-    /// A frame with a right CRC and a wrong counter. Only the term of a control frame is used.
+    /// Takes a frame with a right CRC and a wrong counter. Uses only the term of a control frame.
     fn on_stale_message(&mut self, message: Message) -> TaskSet {
         match message {
             Message::Control { system, control } if usize::from(system) != self.system.index() => {
@@ -188,9 +188,9 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
     }
 
-    /// A host asks for the bootloader of a system. A system leaves only if the vehicle does not
-    /// need it: next to a master without a fault, or at standstill. A master first hands over; the
-    /// host asks again. T-BOOT-1
+    /// Called when a host asks for the bootloader of a system. A system leaves only if the vehicle
+    /// does not need it: next to a master without a fault, or at standstill. A master first hands
+    /// over; the host asks again. T-BOOT-1
     fn on_download_request(&mut self, of: SystemId) -> TaskSet {
         let redundancy = self.redundancy.running();
         let Some(redundancy) = redundancy.filter(|_| of == self.system) else {
@@ -203,8 +203,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::HandOver)
     }
 
-    /// Whether this frame, which the redundancy already knows, is of a master other than this
-    /// system.
+    /// Returns whether this frame, which the redundancy already knows, is of a master other than
+    /// this system.
     fn is_of_master(&self, frame: ControlHeader) -> bool {
         self.redundancy.running().is_none_or(|redundancy| {
             !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
@@ -257,7 +257,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// This system's command is wrong. It stops sending commands and leaves; the other one drives.
+    /// Called when its command is wrong: this system stops sending and leaves; the other one
+    /// drives.
     pub(super) fn on_wrong_command(&mut self, witness: u8) -> TaskSet {
         if !self.check.on_wrong() {
             return TaskSet::NONE;
@@ -266,13 +267,13 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::WrongCommand))
     }
 
-    /// The control task no longer completes its cycles. Before the start protocol only the watchdog
-    /// acts on this: it resets the system.
+    /// Called when the control task no longer completes its cycles. Before the start protocol only
+    /// the watchdog acts on this: it resets the system.
     pub(super) fn on_hung_control(&mut self) -> TaskSet {
         self.notify(Input::OwnFault(FailureMode::Deadline))
     }
 
-    /// The driver of the outputs has a fault. `is_new`: it was not reported yet.
+    /// Called when the driver of the outputs has a fault. `is_new`: it was not reported yet.
     pub(super) fn on_output_fault(&mut self, found: OutputDiagnosis, is_new: bool) -> TaskSet {
         if is_new {
             let found = found as u8;
@@ -281,7 +282,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::IoModule))
     }
 
-    /// The CAN controller was bus-off, and has not been error-active since. `again`: it is bus-off
+    /// Called when the CAN controller was bus-off and not error-active since. `again`: bus-off
     /// again. The vehicle receives nothing from this system, so the other one is notified at once.
     pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
         let released = self.notify(Input::OwnFault(FailureMode::CanBusOff));
@@ -291,7 +292,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// Core 1 or 2 is dead.
+    /// Called when core 1 or 2 is dead.
     pub(super) fn on_dead_core(&mut self, fault: FailureMode) -> TaskSet {
         let outcome = self.redundancy.on_dead_core(fault);
         self.after(outcome)

@@ -33,7 +33,7 @@ mod tests {
 
     const SECTOR: u32 = 128;
 
-    /// A flash on which an operation takes some calls of `status`.
+    /// A flash on which an operation takes several calls of `status`.
     struct SlowFlash {
         bytes: RefCell<Vec<u8>>,
         running: RefCell<Option<FlashOp>>,

@@ -115,7 +115,7 @@ impl Progress {
     }
 }
 
-/// This many polls in a row must find a fault of the outputs.
+/// The number of polls in a row that must find a fault of the outputs.
 const OUTPUT_FAULT_POLLS: u8 = 3;
 
 impl<'b, B: Board> MonitoringTask<'b, B> {
@@ -168,8 +168,7 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
     }
 
     /// Reports a control task that hangs: such a standby cannot take over. While it hangs or the
-    /// command is wrong, the watchdog is not serviced, and resets the system if it has not left
-    /// before.
+    /// command is wrong, the watchdog is not serviced. It then resets a system that has not left.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
             self.control.poll(shared.counters.control_cycles);

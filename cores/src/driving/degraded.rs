@@ -68,7 +68,7 @@ impl DegradedControl {
         }
     }
 
-    /// The command of the last step without limits.
+    /// Returns the command of the last step without limits.
     #[must_use]
     pub(crate) fn wish(&self) -> Wish {
         self.wish
@@ -79,26 +79,26 @@ impl DegradedControl {
         self.shaper.resume(last);
     }
 
-    /// The command that was given last, or the one to resume from.
+    /// Returns the command that was given last, or the one to resume from.
     #[must_use]
     pub fn last(&self) -> Command {
         self.shaper.last()
     }
 
-    /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads
-    /// to [`DegradedControl::safe_stop`].
+    /// Returns the command for `now`; to be called every 10 ms. A scene older than
+    /// [`SCENE_MAX_AGE`] leads to [`DegradedControl::safe_stop`].
     pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
         self.drive(now, ego, scene, DRIVER.max_acceleration)
     }
 
-    /// The same, but brakes to standstill in the lane: a minimal-risk stop that uses the scene.
+    /// As [`Self::step`], but brakes to standstill in the lane: a minimal-risk stop with the scene.
     pub fn stop(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
         self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
     }
 
-    /// The same for two systems that disagree when neither knows which is wrong. Steers halfway
-    /// between both commands, so an error of one system's lane has half its effect. Brakes as hard
-    /// as the harder of both.
+    /// As [`Self::stop`], for two systems that disagree when neither knows which is wrong. Steers
+    /// halfway between both commands, so an error of one system's lane has half its effect. Brakes
+    /// as hard as the harder of both.
     pub(crate) fn stop_between(
         &mut self,
         now: Instant,
@@ -169,7 +169,7 @@ impl DegradedControl {
 
     /// Stops with the chassis sensors alone: brakes moderately and slowly straightens the wheels.
     pub fn safe_stop(&mut self, ego: &Ego) -> Command {
-        // The steering angle decays within some seconds: better than driving straight at once or
+        // The steering angle decays within a few seconds: better than driving straight at once or
         // circling for ever.
         let steering_angle = 0.995 * self.shaper.last().steering_angle;
         self.shape(
@@ -222,7 +222,7 @@ fn keep(line: &CentreLine, pose: &EgoPose, ego: &Ego) -> f32 {
     steer(&error, ego.speed, ego.acceleration)
 }
 
-/// The speed at which the curves ahead stay comfortable, m/s.
+/// Returns the speed at which the curves ahead stay comfortable, m/s.
 fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
     let mut slowest = f32::INFINITY;
     let mut x = 0.0;
@@ -234,7 +234,7 @@ fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
     slowest
 }
 
-/// An object in relation to the own lane.
+/// An object in relation to the ego lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Concern {
     /// Not ahead, or in another lane.
@@ -282,7 +282,7 @@ fn keep_distance(
             gap,
             speed: max(object.vx, 0.0),
         };
-        // Noise of the estimated acceleration is no reason to brake.
+        // Do not brake because of noise in the estimated acceleration.
         let braking = min(object.ax + 0.7, 0.0);
         acceleration = min(
             acceleration,

@@ -22,8 +22,8 @@ pub const DEGRADED_LIMIT: Duration = Duration::from_ms(60_000);
 pub const TAKEOVER_LIMIT: Duration = Duration::from_ms(10_000);
 /// How long inputs may be missing while the best function without them drives.
 pub const BLIND_LIMIT: Duration = Duration::from_ms(2_000);
-/// The longest time from standing speed to standstill in a minimal-risk stop: 60 m/s at the
-/// 2.5 m/s² of the safe stop, and a second to build up the brake.
+/// The longest time to standstill in a minimal-risk stop: from 60 m/s at the 2.5 m/s² of the safe
+/// stop, and a second to build up the brake.
 pub const STOP_LIMIT: Duration = Duration::from_ms(25_000);
 /// Automated driving that lost a system or its domain ends within this time: with the driver, or at
 /// standstill.
@@ -37,14 +37,14 @@ const STOP_BRAKING: f32 = 2.5;
 const STANDS_BEFORE_M: f32 = 30.0;
 /// The same time while an adjacent lane continues, s: the vehicle first changes to that lane.
 const CHANGE_S: f32 = 4.0;
-/// A lane continues if it ends at least this much later than the own lane, m.
+/// A lane continues if it ends at least this much later than the ego lane, m.
 const CONTINUES_M: f32 = 50.0;
 /// The request ends when the end of the domain is this many times as far as the limit for asking:
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 
-/// Whether a vehicle with this `speed`, m/s, stays within the operational design domain for as long
-/// as it takes to ask the driver and to stop. `stayed`: the result of the previous cycle.
+/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain for
+/// as long as it takes to ask the driver and to stop. `stayed`: the result of the previous cycle.
 #[must_use]
 pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
     if !lanes.ends_domain {
@@ -75,20 +75,20 @@ pub enum FunctionState {
     Active = 2,
     /// Drives with the functions of one system.
     Degraded = 3,
-    /// Drives on, and asks the driver to take over.
+    /// Continues to drive, and asks the driver to take over.
     TakeoverRequest = 4,
     /// Brings the vehicle to standstill and holds it there.
     MinimalRisk = 5,
 }
 
 impl FunctionState {
-    /// Whether the function drives instead of the driver.
+    /// Returns whether the function drives instead of the driver.
     #[must_use]
     pub const fn is_driving(self) -> bool {
         !matches!(self, Self::Off | Self::Ready)
     }
 
-    /// The longest time for which the state may last; `None` if unlimited.
+    /// Returns the longest time for which the state may last; `None` if unlimited.
     #[must_use]
     pub const fn limit(self) -> Option<Duration> {
         match self {
@@ -98,7 +98,7 @@ impl FunctionState {
         }
     }
 
-    /// The mode in which core 0 drives, within what the redundancy permits.
+    /// Returns the mode in which core 0 drives, within what the redundancy permits.
     #[must_use]
     pub const fn mode(self, permitted: Mode) -> Mode {
         match (self, permitted) {
@@ -116,7 +116,7 @@ impl FunctionState {
 pub enum Signal {
     /// The inputs are missing for longer than [`BLIND_LIMIT`].
     Blind = 0,
-    /// The inputs are there.
+    /// The inputs are present.
     Sees = 1,
     /// The driver drives: steers or brakes against the function, or switches it off.
     Override = 2,
@@ -187,14 +187,14 @@ pub struct Function {
 }
 
 impl Function {
-    /// The state after the last cycle.
+    /// Returns the state after the last cycle.
     #[must_use]
     pub const fn state(&self) -> FunctionState {
         self.state
     }
 
-    /// One control cycle. The driver's signal is processed first and the time limit's last. Each
-    /// signal acts on the state that the previous one produced.
+    /// Runs one control cycle. The driver's signal is processed first and the time limit's last.
+    /// Each signal acts on the state that the previous one produced.
     pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> FunctionState {
         if inputs.sees {
             self.seen = now;

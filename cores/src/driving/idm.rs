@@ -4,7 +4,7 @@
 //! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A.
 //! Kesting, "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): the steady gap does not shrink
 //! near the desired speed, and the reaction above it is bounded. [`adaptive`] is its extension to a
-//! cruise control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber, D.
+//! cruise control that stays calm when a gap is short but not dangerous: A. Kesting, M. Treiber, D.
 //! Helbing, "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on
 //! Traffic Capacity", Phil. Trans. R. Soc. A 368 (2010).
 
@@ -62,7 +62,7 @@ pub(crate) fn adaptive(
     )
 }
 
-/// The acceleration that avoids a collision if both vehicles then keep their accelerations.
+/// Returns the acceleration that avoids a collision if both vehicles then keep their accelerations.
 fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerates: f32) -> f32 {
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);
@@ -100,7 +100,7 @@ pub(crate) fn acceleration(driver: &Driver, speed: f32, leader: Option<Leader>) 
     clamp(combined, -MAX_BRAKING, driver.max_acceleration)
 }
 
-/// The gap that the driver wants at this speed behind a leader with that speed, m.
+/// Returns the gap that the driver wants at this speed behind a leader with that speed, m.
 pub(crate) fn desired_gap(driver: &Driver, speed: f32, leader_speed: f32) -> f32 {
     let closing = speed - leader_speed;
     let comfort = 2.0 * sqrt(driver.max_acceleration * driver.comfortable_braking);

@@ -1,6 +1,6 @@
 //! The knowledge that a driving system sends to a system that has just joined. T-CHIP-5
 //!
-//! It comes from another system, so it may only refine the data of the own sensors (see
+//! It comes from another system, so it may only refine the data of this system's sensors (see
 //! `docs/decisions/0021-state-for-a-system-that-joins.md`): it creates no object and no lane, and
 //! it is used only in the first [`STARTING_CYCLES`] cycles.
 
@@ -28,7 +28,7 @@ pub struct KnownPlan {
     pub points: [TrajectoryPoint; PLAN_POINTS],
 }
 
-/// The centre line of the own lane, as in [`super::types::Lanes`].
+/// The centre line of the ego lane, as in [`super::types::Lanes`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownLine {
     /// Its polynomial.
@@ -42,9 +42,9 @@ pub struct KnownLine {
 pub struct Knowledge {
     /// The time of the scene, on the clock of the system that holds this.
     pub at: Instant,
-    /// Motion of the own vehicle at `at`.
+    /// Motion of the ego vehicle at `at`.
     pub ego: Ego,
-    /// The own lane; `None` if none is seen.
+    /// The ego lane; `None` if none is seen.
     pub line: Option<KnownLine>,
     /// The plan for this scene; `None` while there is none.
     pub plan: Option<KnownPlan>,
@@ -53,7 +53,7 @@ pub struct Knowledge {
 }
 
 impl Knowledge {
-    /// What a system with this scene and this trajectory knows.
+    /// Creates the knowledge of a system that has this scene and this trajectory.
     #[must_use]
     pub fn of(scene: &Scene, trajectory: Option<&Trajectory>) -> Self {
         let plan = trajectory.filter(|trajectory| trajectory.cycle == scene.cycle);
@@ -72,7 +72,7 @@ impl Knowledge {
         }
     }
 
-    /// Whether all values can occur on a road.
+    /// Returns whether all values can occur on a road.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         let within = |value: f32, limit: f32| value.abs() <= limit;
@@ -140,7 +140,7 @@ impl KnownObject {
         ])
     }
 
-    /// The track; `None` if no road user can have these values.
+    /// Returns the track; `None` if no road user can have these values.
     pub(crate) fn unpack(self) -> Option<Known> {
         let m = |word: u32, shift: u32| f32::from((word >> shift) as u16 as i16) / 100.0;
         let [place, velocity, acceleration, rest] = self.0;

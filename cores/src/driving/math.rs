@@ -35,12 +35,12 @@ pub(crate) fn abs(x: f32) -> f32 {
     libm::fabsf(x)
 }
 
-/// The greater one; `b` if `a` is not a number.
+/// Returns the greater one; `b` if `a` is not a number.
 pub(crate) fn max(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// The lesser one; `b` if `a` is not a number.
+/// Returns the lesser one; `b` if `a` is not a number.
 pub(crate) fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
@@ -60,7 +60,7 @@ pub(crate) fn lerp(a: f32, b: f32, share: f32) -> f32 {
     a + (b - a) * share
 }
 
-/// The same angle in -π..=π. For angles of a few turns.
+/// Returns the same angle in -π..=π. For angles of a few turns.
 pub(crate) fn wrap_angle(angle: f32) -> f32 {
     use core::f32::consts::{PI, TAU};
     let mut angle = angle;

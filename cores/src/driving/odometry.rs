@@ -39,13 +39,13 @@ impl EgoPose {
         }
     }
 
-    /// A point of the parent frame in this pose's frame.
+    /// Returns a point of the parent frame in this pose's frame.
     #[must_use]
     pub fn to_local(self, x: f32, y: f32) -> (f32, f32) {
         self.axes().to_local(x, y)
     }
 
-    /// This pose prepared for the transformation of many points.
+    /// Returns this pose prepared for the transformation of many points.
     pub(crate) fn axes(self) -> Axes {
         Axes {
             origin: (self.x, self.y),
@@ -54,7 +54,7 @@ impl EgoPose {
         }
     }
 
-    /// A point of this pose's frame in the parent frame.
+    /// Returns a point of this pose's frame in the parent frame.
     #[must_use]
     pub fn to_parent(self, x: f32, y: f32) -> (f32, f32) {
         let (sine, cosine) = (sin(self.heading), cos(self.heading));
@@ -74,20 +74,20 @@ pub(crate) struct Axes {
 }
 
 impl Axes {
-    /// A point of the parent frame in this frame.
+    /// Returns a point of the parent frame in this frame.
     pub(crate) fn to_local(self, x: f32, y: f32) -> (f32, f32) {
         self.turn(x - self.origin.0, y - self.origin.1)
     }
 
-    /// A vector of the parent frame in this frame.
+    /// Returns a vector of the parent frame in this frame.
     pub(crate) fn turn(self, x: f32, y: f32) -> (f32, f32) {
         let (sine, cosine) = (self.sine, self.cosine);
         (cosine * x + sine * y, cosine * y - sine * x)
     }
 }
 
-/// The pose after `dt` seconds in which the motion changes linearly from `from` to `to`, in the
-/// frame of the start.
+/// Returns the pose after `dt` seconds in which the motion changes linearly from `from` to `to`, in
+/// the frame of the start.
 #[must_use]
 pub fn motion(from: &Ego, to: &Ego, dt: f32) -> EgoPose {
     let turn = 0.5 * (from.yaw_rate + to.yaw_rate) * dt;
@@ -168,14 +168,14 @@ impl Odometry {
         }
     }
 
-    /// The newest motion.
+    /// Returns the newest motion.
     #[must_use]
     pub fn ego(&self) -> &Ego {
         &self.ego
     }
 
-    /// The pose at `to` as seen from the pose at `from`. Times before the memory count as its
-    /// oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
+    /// Returns the pose at `to` as seen from the pose at `from`. Times before the memory count as
+    /// its oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
     /// before the first update.
     #[must_use]
     pub fn between(&self, from: Instant, to: Instant) -> EgoPose {

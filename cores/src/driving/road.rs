@@ -1,4 +1,4 @@
-//! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet
+//! The ego lane's centre line as a curve: extension beyond the view, curvature, and the Frenet
 //! frame.
 
 use super::knowledge::KnownLine;
@@ -19,7 +19,7 @@ pub struct CentreLine {
 }
 
 impl CentreLine {
-    /// The centre line of the own lane.
+    /// The centre line of the ego lane.
     #[must_use]
     pub fn new(lanes: &Lanes) -> Self {
         Self {
@@ -61,7 +61,7 @@ impl CentreLine {
         y + beyond * (self.slope(inside) + 0.5 * beyond * self.bend(inside))
     }
 
-    /// First derivative of y at x.
+    /// Returns the first derivative of y at x.
     #[must_use]
     pub fn slope(&self, x: f32) -> f32 {
         let [_, c1, c2, c3] = self.c;
@@ -76,26 +76,26 @@ impl CentreLine {
         slope + (x - inside) * self.bend(inside)
     }
 
-    /// Second derivative of y at x, 1/m.
+    /// Returns the second derivative of y at x, 1/m.
     #[must_use]
     pub fn bend(&self, x: f32) -> f32 {
         let inside = clamp(x, 0.0, self.end);
         bound(2.0 * self.c[2] + 6.0 * inside * self.c[3], MAX_BEND)
     }
 
-    /// Curvature in 1/m at x.
+    /// Returns the curvature in 1/m at x.
     #[must_use]
     pub fn curvature(&self, x: f32) -> f32 {
         curved(self.slope(x), self.bend(x))
     }
 
-    /// Direction in rad at x.
+    /// Returns the direction in rad at x.
     #[must_use]
     pub fn heading(&self, x: f32) -> f32 {
         atan(self.slope(x))
     }
 
-    /// The foot of the perpendicular from a point, as its x, and the signed distance (left
+    /// Returns the foot of the perpendicular from a point, as its x, and the signed distance (left
     /// positive).
     #[must_use]
     pub fn project(&self, x: f32, y: f32) -> (f32, f32) {
@@ -117,7 +117,7 @@ impl CentreLine {
     }
 }
 
-/// Curvature of a line with this first and second derivative, 1/m.
+/// Returns the curvature of a line with this first and second derivative, 1/m.
 fn curved(slope: f32, bend: f32) -> f32 {
     let stretch = 1.0 + slope * slope;
     bend / (stretch * sqrt(stretch))
@@ -195,7 +195,7 @@ impl FrenetFrame {
         (self.s_of(foot), offset)
     }
 
-    /// The reference at arc length `s`.
+    /// Returns the reference at arc length `s`.
     pub(crate) fn reference(&self, s: f32) -> Reference {
         let x = self.x_of(s);
         let slope = self.line.slope(x);
@@ -214,7 +214,7 @@ impl FrenetFrame {
         }
     }
 
-    /// The greatest curvature between two arc lengths, by samples every 10 m, 1/m.
+    /// Returns the greatest curvature between two arc lengths, by samples every 10 m, 1/m.
     pub(crate) fn max_curvature(&self, from: f32, to: f32) -> f32 {
         let mut greatest = 0.0;
         let mut s = from;

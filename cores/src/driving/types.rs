@@ -1,7 +1,7 @@
 //! The values that the driving functions pass to each other: scene (core 1 to 2), trajectory (core
 //! 2 to 0), command (core 0 to the vehicle).
 //!
-//! Vehicle frame (ISO 8855): origin at the centre of gravity of the own vehicle, x forward, y left,
+//! Vehicle frame (ISO 8855): origin at the centre of gravity of the ego vehicle, x forward, y left,
 //! angles counter-clockwise. SI units throughout.
 
 use heapless::Vec;
@@ -15,10 +15,10 @@ pub const TRAJECTORY_SAMPLES: usize = 41;
 /// Time between two samples of a trajectory, in seconds: the horizon is 4 s.
 pub const TRAJECTORY_STEP_S: f32 = 0.1;
 
-/// Motion of the own vehicle.
+/// Motion of the ego vehicle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ego {
-    /// Speed over ground along the own x axis, m/s.
+    /// Speed over ground along the ego's x axis, m/s.
     pub speed: f32,
     /// rad/s, left positive.
     pub yaw_rate: f32,
@@ -30,23 +30,23 @@ pub struct Ego {
     pub slip_angle: f32,
 }
 
-/// The lanes around the own vehicle. The own lane's centre line is
+/// The lanes around the ego vehicle. The ego lane's centre line is
 /// `y(x) = c[0] + c[1] x + c[2] x² + c[3] x³` in the vehicle frame; its neighbours run parallel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lanes {
-    /// Polynomial of the own lane's centre line.
+    /// Polynomial of the ego lane's centre line.
     pub c: [f32; 4],
     /// The polynomial holds for 0 ≤ x ≤ this, m.
     pub view_range: f32,
-    /// Width of the own lane, m.
+    /// Width of the ego lane, m.
     pub width: f32,
     /// Width of the lane to the left, m, if there is one in the same direction.
     pub left: Option<f32>,
     /// Width of the lane to the right, m, if there is one in the same direction.
     pub right: Option<f32>,
-    /// Distance to the end of the own lane, m; `f32::INFINITY` if no end is in sight.
+    /// Distance to the end of the ego lane, m; `f32::INFINITY` if no end is in sight.
     pub own_end: f32,
-    /// The own lane continues beyond that end, but outside the operational design domain.
+    /// The ego lane continues beyond that end, but outside the operational design domain.
     pub ends_domain: bool,
     /// The same distance for the lane to the left.
     pub left_end: f32,
@@ -99,9 +99,9 @@ pub struct Object {
     pub length: f32,
     /// m
     pub width: f32,
-    /// Lane relative to the own one by scene analysis: 0 own, 1 left, -1 right, further ones ±2.
+    /// Lane relative to the ego lane by scene analysis: 0 the same, 1 left, -1 right, others ±2.
     pub lane: i8,
-    /// It moves towards the own lane and will be in it soon.
+    /// It moves towards the ego lane and will be in it soon.
     pub cuts_in: bool,
     /// Approximate number of cycles for which it has been moving in: for a system that joins.
     pub approaching: u8,
@@ -120,7 +120,7 @@ pub struct Scene {
     /// The sensors that are lost or late, one bit for each by
     /// [`SensorId::index`](tandem_bus::SensorId::index).
     pub missing: u8,
-    /// Motion of the own vehicle at `at`.
+    /// Motion of the ego vehicle at `at`.
     pub ego: Ego,
     /// Lanes; `None` while the camera sees none.
     pub lanes: Option<Lanes>,
@@ -164,7 +164,7 @@ impl Memory {
         }
     }
 
-    /// Its bits.
+    /// Returns its bits.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -199,7 +199,7 @@ pub struct Trajectory {
     pub cycle: u32,
     /// The decision that it carries out.
     pub maneuver: Maneuver,
-    /// The memory of decision.
+    /// The memory of the behaviour decision.
     pub memory: Memory,
     /// The samples.
     pub points: [TrajectoryPoint; TRAJECTORY_SAMPLES],
@@ -224,7 +224,7 @@ pub struct ControlStep {
     pub age_s: f32,
     /// The vehicle in the trajectory's frame: x and y in m, heading in rad.
     pub pose: [f32; 3],
-    /// Motion of the own vehicle, its slip angle without noise.
+    /// Motion of the ego vehicle, its slip angle without noise.
     pub ego: Ego,
     /// The previous command.
     pub last: Command,

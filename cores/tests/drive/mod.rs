@@ -62,7 +62,7 @@ impl System {
         }
     }
 
-    /// The knowledge that this system would send to another one.
+    /// Returns the knowledge that this system would send to another one.
     pub(crate) fn knowledge(&self) -> Knowledge {
         Knowledge::of(self.perception.scene(), self.trajectory.as_ref())
     }

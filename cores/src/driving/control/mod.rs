@@ -35,7 +35,7 @@ const MAX_WAY_ERROR_M: f32 = 3.0;
 pub enum ControlError {
     /// The trajectory is older than [`TRAJECTORY_MAX_AGE`]: degrade to functions that need none.
     TrajectoryTooOld,
-    /// The trajectory has values that are no numbers.
+    /// The trajectory has values that are not numbers.
     TrajectoryInvalid,
 }
 
@@ -73,13 +73,13 @@ impl MotionControl {
         }
     }
 
-    /// The last step that gave a command, with its inputs.
+    /// Returns the last step that gave a command, with its inputs.
     #[must_use]
     pub fn last_step(&self) -> &ControlStep {
         &self.last_step
     }
 
-    /// The command of the last step without limits.
+    /// Returns the command of the last step without limits.
     #[must_use]
     pub(crate) fn wish(&self) -> Wish {
         self.wish
@@ -96,13 +96,13 @@ impl MotionControl {
         self.shaper.resume(last);
     }
 
-    /// The command that [`MotionControl::step`] gave last, or the one to resume from.
+    /// Returns the command that [`MotionControl::step`] gave last, or the one to resume from.
     #[must_use]
     pub fn last(&self) -> Command {
         self.shaper.last()
     }
 
-    /// The command for `now`; to be called every 10 ms.
+    /// Returns the command for `now`; to be called every 10 ms.
     ///
     /// # Errors
     /// [`ControlError`]; the last command then stays as it was.
@@ -147,8 +147,8 @@ const ACCELERATION_ROUNDING: f32 = 1e-3;
 const PLAUSIBLE_POSE: [f32; 3] = [2.0, 0.6, 0.1];
 const PLAUSIBLE_EGO: [f32; 3] = [3.0, 0.4, 0.06];
 
-/// Whether this step of another core follows from its inputs, and its inputs fit the data of this
-/// core: the trajectory, and the motion at its start. T-RED-9
+/// Returns whether this step of another core follows from its inputs, and its inputs fit the data
+/// of this core: the trajectory, and the motion at its start. T-RED-9
 #[must_use]
 pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool {
     let expected = motion(ego, &step.ego, step.age_s);
@@ -224,7 +224,7 @@ fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
     })
 }
 
-/// The trajectory `t` seconds after its begin, linear between samples.
+/// Returns the trajectory `t` seconds after its begin, linear between samples.
 pub(crate) fn sample(trajectory: &Trajectory, t: f32) -> TrajectoryPoint {
     let place = max(t, 0.0) / TRAJECTORY_STEP_S;
     let index = min(place, (TRAJECTORY_SAMPLES - 2) as f32) as usize;
@@ -240,7 +240,7 @@ pub(crate) fn sample(trajectory: &Trajectory, t: f32) -> TrajectoryPoint {
     }
 }
 
-/// Curvature of the path that the vehicle drives now, 1/m.
+/// Returns the curvature of the path that the vehicle drives now, 1/m.
 pub(crate) fn driven_curvature(ego: &Ego) -> f32 {
     if ego.speed > 3.0 {
         ego.yaw_rate / ego.speed

@@ -107,7 +107,7 @@ impl Shaper {
         self.last
     }
 
-    /// The hardest braking from which the vehicle comes to a soft stop, m/s², negative.
+    /// Returns the hardest braking from which the vehicle comes to a soft stop, m/s², negative.
     fn soft_stop(&self, speed: f32) -> f32 {
         let soon = max(
             speed + BRAKE_DELAY_S * min(self.last.acceleration, 0.0),

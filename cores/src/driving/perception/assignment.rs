@@ -17,7 +17,7 @@ const COLUMNS: usize = MAX_DETECTIONS + MAX_TRACKS;
 /// Costs of all pairs; rows are tracks, columns are detections.
 pub(crate) type Costs = Vec<[f32; MAX_DETECTIONS], MAX_TRACKS>;
 
-/// The detection of each track, if any, of the first `detections`. Time is bounded by
+/// Returns the detection of each track, if it has one of the first `detections`. Time is bounded by
 /// `MAX_TRACKS² × (MAX_DETECTIONS + MAX_TRACKS)` steps.
 pub(crate) fn assign(costs: &Costs, detections: usize) -> [Option<usize>; MAX_TRACKS] {
     let tracks = costs.len();

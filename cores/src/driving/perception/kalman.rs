@@ -45,7 +45,7 @@ impl Motion {
 }
 
 impl Span {
-    /// Position, velocity and acceleration at the end of the span.
+    /// Returns position, velocity and acceleration at the end of the span.
     fn end(&self, begin: Vector3<f32>) -> Vector3<f32> {
         let Self { dt, fade, .. } = *self;
         let [position, velocity, acceleration] = begin.into();
@@ -139,7 +139,7 @@ impl Axis {
         }
     }
 
-    /// This axis as a measurement, for an independent filter.
+    /// Returns this axis as a measurement, for an independent filter.
     pub(crate) fn measured(&self) -> Measured {
         Measured {
             position: self.state.x,

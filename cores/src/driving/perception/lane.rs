@@ -1,4 +1,4 @@
-//! The lanes as the camera sees them, filtered over time and carried along with the own motion.
+//! The lanes as the camera sees them, filtered over time and moved with the ego vehicle.
 //!
 //! The coefficients of the centre line are the state of a Kalman filter whose transition is the
 //! Taylor shift of the polynomial by the distance driven: E. D. Dickmanns, B. D. Mysliwetz,
@@ -173,8 +173,8 @@ impl LaneFilter {
         }
     }
 
-    /// The lanes in the frame up to which the filter was predicted; `None` if the camera has been
-    /// blind for too long.
+    /// Returns the lanes in the frame up to which the filter was predicted; `None` if the camera
+    /// has been blind for too long.
     pub(crate) fn lanes(&self, now: Instant) -> Option<Lanes> {
         let seen = self.seen?;
         if now.since(seen) > COAST {

@@ -25,8 +25,8 @@ struct SensorClock {
 }
 
 impl SensorClock {
-    /// The time of a measurement that is stamped `measured_at` and arrives `now`; a stamp of 0 is
-    /// none.
+    /// Returns the time of a measurement with the stamp `measured_at` that arrives `now`; the stamp
+    /// 0 means that there is none.
     fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
         if measured_at == 0 {
             return now;
@@ -90,14 +90,14 @@ impl Lists {
         }
     }
 
-    /// When the list of the sensor with this index was complete; `None` if it is not, or was taken.
+    /// Returns the time at which the list was complete; `None` if it is not, or was taken.
     pub(crate) fn completed(&self, sensor: usize) -> Option<Instant> {
         let list = &self.lists[sensor];
         let is_complete = list.fresh && list.objects.len() == list.expected;
         is_complete.then_some(list.done)
     }
 
-    /// The oldest list that is ready and was not taken before: its sensor, the times of the
+    /// Returns the oldest list that is ready and was not taken before: its sensor, the times of the
     /// measurement and of its last object's arrival, and its objects.
     pub(crate) fn take(
         &mut self,

@@ -65,7 +65,7 @@ impl Default for Perception {
 }
 
 impl Perception {
-    /// Knows nothing yet.
+    /// Creates a perception that has received nothing yet.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -111,8 +111,8 @@ impl Perception {
         }
     }
 
-    /// Whether all inputs that the last cycle used have arrived again. A sensor that missed the
-    /// last cycle is not waited for, so a lost sensor delays one cycle.
+    /// Returns whether all inputs that the last cycle used have arrived again. A sensor that missed
+    /// the last cycle is not waited for, so a lost sensor delays one cycle.
     #[must_use]
     pub fn is_round_complete(&self) -> bool {
         self.round.is_next_complete(|member| match member {
@@ -121,8 +121,8 @@ impl Perception {
         })
     }
 
-    /// When all these inputs are next expected, after `now`, if they arrive every `period`; `None`
-    /// if nothing arrived for the last cycle.
+    /// Returns the time after `now` at which all these inputs are next expected, if they arrive
+    /// every `period`; `None` if nothing arrived for the last cycle.
     pub fn next_round(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         self.round.next_end(now, period)
     }
@@ -132,15 +132,15 @@ impl Perception {
         self.cycle_with(now, None)
     }
 
-    /// Whether [`Perception::cycle_with`] still accepts knowledge.
+    /// Returns whether [`Perception::cycle_with`] still accepts knowledge.
     #[must_use]
     pub const fn is_starting(&self) -> bool {
         self.scene.cycle < STARTING_CYCLES
     }
 
-    /// [`Perception::cycle`] with knowledge of another system. It makes the own tracks and lanes
-    /// more precise. It adds nothing to the scene and removes nothing. Old knowledge is ignored,
-    /// and any after the first [`STARTING_CYCLES`] cycles.
+    /// [`Perception::cycle`] with knowledge of another system. It makes the tracks and lanes of
+    /// this system more precise; it adds nothing to the scene and removes nothing. Knowledge is
+    /// ignored if it is old, or after the first [`STARTING_CYCLES`] cycles.
     pub fn cycle_with(&mut self, now: Instant, received: Option<&Knowledge>) -> &Scene {
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;
@@ -177,13 +177,13 @@ impl Perception {
         &self.scene
     }
 
-    /// The last scene.
+    /// Returns the last scene.
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The sensors whose newest measurement is too old.
+    /// Returns the sensors whose newest measurement is too old.
     fn missing(&mut self, now: Instant) -> u8 {
         let mut missing = 0;
         for (index, measured) in self.measured.iter_mut().enumerate() {
@@ -251,7 +251,7 @@ impl Perception {
         }
     }
 
-    /// Uses the knowledge of another system as the prediction, which own detections correct.
+    /// Uses the knowledge of another system as the prediction, which detections then correct.
     fn recall(&mut self, now: Instant, received: &Knowledge) {
         let dt = now.since(received.at).as_secs_f32();
         let step = motion(&received.ego, self.odometry.ego(), dt);
@@ -262,7 +262,7 @@ impl Perception {
             let known = Track::received(self.next_id, &known, dt, &step);
             match self.tracks.iter_mut().find(|own| own.is_same(&known)) {
                 Some(own) => own.recall(&known, dt),
-                // Not confirmed: it is not in the scene until an own sensor sees it.
+                // Not confirmed: it is not in the scene until a sensor of this system sees it.
                 None => {
                     self.next_id = self.next_id.wrapping_add(1);
                     let _full = self.tracks.push(known);
@@ -356,13 +356,13 @@ impl Perception {
     }
 }
 
-/// Squared distance from the own vehicle, m².
+/// Squared distance from the ego vehicle, m².
 fn distance(track: &Track) -> f32 {
     let (x, y) = (track.x.position(), track.y.position());
     x * x + y * y
 }
 
-/// The own motion in a bus message.
+/// Returns the ego's motion in a bus message.
 #[must_use]
 pub fn ego_of(motion: &EgoMotion) -> Ego {
     Ego {

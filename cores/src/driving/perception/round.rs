@@ -24,7 +24,7 @@ impl Round {
         self.members[member] = Some(at);
     }
 
-    /// Whether this round has members and all are complete again. `arrived`: when each was
+    /// Returns whether this round has members and all are complete again. `arrived`: when each was
     /// complete.
     pub(super) fn is_next_complete(
         &self,
@@ -35,7 +35,7 @@ impl Round {
             && members.all(|member| arrived(member).is_some_and(|at| at > self.next_since))
     }
 
-    /// The first end of a round after `now`; `None` if this round has no members.
+    /// Returns the first end of a round after `now`; `None` if this round has no members.
     ///
     /// The next round begins in the middle of the pause. A member that arrives before that is late
     /// and belongs to the old round; else it would count as punctual and be a period old each time.

@@ -1,4 +1,4 @@
-//! Scene analysis: which lane an object is in, and whether it is about to enter the own one.
+//! Scene analysis: which lane an object is in, and whether it is about to enter the ego lane.
 
 use crate::driving::math::{abs, cos, sin};
 use crate::driving::road::{CentreLine, DEFAULT_LANE_WIDTH_M};
@@ -63,7 +63,7 @@ impl RoadView {
         }
     }
 
-    /// Places a track; counts in it for how long it has been approaching the own lane.
+    /// Places a track; counts in it for how long it has been approaching the ego lane.
     pub(crate) fn place(&self, track: &mut Track) -> Place {
         let (foot, offset) = self.line.project(track.x.position(), track.y.position());
         let heading = self.line.heading(foot);
@@ -71,7 +71,7 @@ impl RoadView {
         let lane = self.lane_of(offset);
 
         // Moving in means: towards the centre, its near side still outside or just over the line,
-        // and its centre inside the own lane before the horizon.
+        // and its centre inside the ego lane before the horizon.
         let inwards = if offset > 0.0 { -across } else { across };
         let reach = abs(offset) - inwards * CUT_IN_HORIZON_S;
         let overlaps = abs(offset) - 0.5 * track.width < 0.5 * self.own - 0.2;

@@ -46,7 +46,7 @@ const CONFIRMING_SENSORS: u32 = 2;
 const TENTATIVE_COAST_S: f32 = 0.12;
 /// A confirmed track is kept unseen for this long, s: short occlusions, single dropouts.
 const COAST_S: f32 = 0.8;
-/// The same for a track close beside the own vehicle, where the fields of view may leave a gap, s.
+/// The same for a track close beside the ego vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;
 
 /// A detection in the vehicle frame, with velocities over ground.
@@ -61,7 +61,7 @@ pub(crate) struct Detection {
 }
 
 impl Detection {
-    /// Converts a sensor's object, with the own motion at the time of the measurement.
+    /// Converts a sensor's object, with the ego's motion at the time of the measurement.
     pub(crate) fn new(sensor: SensorId, object: &SensorObject, ego: &Ego) -> Self {
         let (along, across) = velocity_variances(sensor, object.x, object.y);
         let deviation = |value: f32| clamp(value, 0.1, 5.0);
@@ -86,7 +86,7 @@ impl Detection {
         }
     }
 
-    /// The object after `lag_s` at its speed, in the frame of the own vehicle after `step`.
+    /// The object after `lag_s` at its speed, in the frame of the ego vehicle after `step`.
     pub(crate) fn carried(mut self, lag_s: f32, step: EgoPose) -> Self {
         let along = self.x.position + self.x.velocity * lag_s;
         let across = self.y.position + self.y.velocity * lag_s;
@@ -159,7 +159,7 @@ pub(crate) struct Track {
     pub(crate) length: f32,
     pub(crate) width: f32,
     pub(crate) confirmed: bool,
-    /// Cycles in a row in which it moved into the own lane.
+    /// Cycles in a row in which it moved into the ego lane.
     pub(crate) approaching: u8,
     hits: u16,
     sensors: u8,
@@ -217,8 +217,8 @@ impl Track {
         track
     }
 
-    /// Another system has tracked this object for longer: its track, `dt` seconds old, becomes the
-    /// prediction that newer own detections correct. Works once, and only if these fit.
+    /// Called if another system has tracked this object for longer: its track, `dt` seconds old,
+    /// becomes the prediction that newer detections correct. Works once, and only if these fit.
     pub(crate) fn recall(&mut self, known: &Self, dt: f32) {
         if self.received && self.hits > 0 {
             return;
@@ -266,7 +266,7 @@ impl Track {
         self.y.set(y, vy, ay);
     }
 
-    /// How the detection fits, if it lies within the gate.
+    /// Returns how the detection fits, if it lies within the gate.
     pub(crate) fn fit(&self, detection: &Detection) -> Option<Match> {
         if abs(detection.x.position - self.x.position()) > MAX_JUMP_X_M
             || abs(detection.y.position - self.y.position()) > MAX_JUMP_Y_M
@@ -278,7 +278,7 @@ impl Track {
         (x.distance + y.distance < GATE).then_some(Match { x, y })
     }
 
-    /// Takes the detection in.
+    /// Updates the track with the detection.
     pub(crate) fn update(&mut self, fit: &Match, detection: &Detection) {
         self.x.update(&fit.x);
         self.y.update(&fit.y);
@@ -303,7 +303,7 @@ impl Track {
         }
     }
 
-    /// Whether the track ends, because no sensor has seen it for too long.
+    /// Returns whether the track ends, because no sensor has seen it for too long.
     pub(crate) fn is_lost(&self) -> bool {
         let beside = abs(self.x.position()) < 8.0 && abs(self.y.position()) < 8.0;
         let patience = match (self.confirmed, beside) {
@@ -314,7 +314,7 @@ impl Track {
         self.unseen_s > patience
     }
 
-    /// Whether both tracks are the same object: two vehicles cannot be in one place.
+    /// Returns whether both tracks are the same object: two vehicles cannot be in one place.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         let reach = clamp(0.6 * max(self.length, other.length), 1.0, 6.0);
         let width = clamp(0.7 * max(self.width, other.width), 0.6, 1.6);
@@ -323,7 +323,7 @@ impl Track {
             && abs(self.x.velocity() - other.x.velocity()) < 4.0
     }
 
-    /// Whether this track is to be kept rather than `other`, which is the same object.
+    /// Returns whether this track is to be kept rather than `other`, which is the same object.
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         (self.confirmed, self.hits, other.id) > (other.confirmed, other.hits, self.id)
     }

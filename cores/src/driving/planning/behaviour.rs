@@ -17,18 +17,18 @@ const CHANGING_THRESHOLD: f32 = 0.45;
 const PULL_OUT_THRESHOLD: f32 = 0.1;
 /// How much the follower's loss counts (politeness).
 const POLITENESS: f32 = 0.3;
-/// Braking that a change may ask of the new follower, m/s²; more when the own lane ends.
+/// Braking that a change may ask of the new follower, m/s²; more when the ego lane ends.
 const SAFE_BRAKING: f32 = 2.0;
 const SAFE_BRAKING_AT_END: f32 = 3.5;
 /// Time after which the follower reacts to a change, s.
 const REACTION_S: f32 = 0.4;
-/// No change is begun while the own leader makes the vehicle brake harder than this, m/s².
+/// No change begins while the leader makes the ego brake harder than this, m/s².
 const CALM_BRAKING: f32 = 1.5;
 /// A wish must hold for this long before it is acted on, in cycles of 50 ms.
 const WISH_CYCLES: u16 = 16;
-/// The same when the own lane ends.
+/// The same when the ego lane ends.
 const FORCED_WISH_CYCLES: u16 = 4;
-/// A change begins within this distance of the own lane's centre, m; the second if it is forced.
+/// A change begins within this distance of the ego lane's centre, m; the second if it is forced.
 const CENTRED_M: f32 = 0.6;
 const CENTRED_FORCED_M: f32 = 1.3;
 /// Pause after a change or an attempt, in cycles.
@@ -36,7 +36,7 @@ const REST_CYCLES: u16 = 100;
 const REST_CYCLES_AT_END: u16 = 20;
 /// A change takes this long …
 const CHANGE_S: f32 = 5.0;
-/// … or this, when the own lane ends, …
+/// … or this, when the ego lane ends, …
 const FORCED_CHANGE_S: f32 = 3.5;
 /// … but at least this distance, m.
 const CHANGE_MIN_M: f32 = 18.0;
@@ -47,13 +47,13 @@ const REST_MIN_S: f32 = 2.0;
 const SLOW: f32 = 3.0;
 const STANDS: f32 = 0.3;
 const PULL_OUT_M: f32 = 6.0;
-/// A lane that ends within this time is not changed to, s.
+/// The vehicle does not change to a lane that ends within this time, s.
 const LANE_WORTH_S: f32 = 20.0;
-/// A lane that ends within this time is left, s, or within this distance, m.
+/// The vehicle leaves a lane that ends within this time, s, or within this distance, m.
 const LEAVE_BEFORE_S: f32 = 14.0;
 const LEAVE_BEFORE_M: f32 = 200.0;
 
-/// A side of the own lane.
+/// A side of the ego lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Left,
@@ -85,7 +85,7 @@ impl Side {
 pub(crate) enum Intent {
     /// Keep the lane.
     Keep,
-    /// Change the lane; `crossed` once the new lane is the own lane.
+    /// Change the lane; `crossed` once the new lane is the ego lane.
     Change {
         side: Side,
         crossed: bool,
@@ -104,7 +104,7 @@ pub(crate) struct Situation<'a> {
     pub(crate) next_speed: f32,
     /// m/s
     pub(crate) desired_speed: f32,
-    /// Own offset from the own lane's centre, m.
+    /// Offset from the ego lane's centre, m.
     pub(crate) offset: f32,
     /// Where the driver's route leads.
     pub(crate) route: RouteCode,
@@ -140,7 +140,7 @@ impl Behaviour {
         }
     }
 
-    /// The memory of this decision.
+    /// Returns the memory of this decision.
     pub(crate) fn memory(&self) -> Memory {
         let [left, right] = self.wishes.map(|wish| u32::from(wish.min(31)));
         let intent = match self.intent {
@@ -177,7 +177,7 @@ impl Behaviour {
         }
     }
 
-    /// Reports that the own lane is now the one to the left (+1) or right (-1) of the old one.
+    /// Reports that the ego lane is now the one to the left (+1) or right (-1) of the old one.
     pub(crate) fn crossed_line(&mut self, direction: f32) {
         self.wishes = [0; 2];
         if let Intent::Change { side, crossed, .. } = &mut self.intent {
@@ -185,7 +185,7 @@ impl Behaviour {
         }
     }
 
-    /// Whether a change is under way and its line not crossed yet.
+    /// Returns whether a change is under way and its line not crossed yet.
     pub(crate) fn is_leaving(&self) -> bool {
         matches!(self.intent, Intent::Change { crossed: false, .. })
     }
@@ -201,7 +201,7 @@ impl Behaviour {
         false
     }
 
-    /// The goal for this cycle; `moved` is the distance driven since the last cycle, m.
+    /// Returns the goal for this cycle; `moved` is the distance driven since the last cycle, m.
     pub(crate) fn decide(&mut self, now: &Situation<'_>, moved: f32) -> Goal {
         self.rest = self.rest.saturating_sub(1);
         if let Intent::Change { rest_m, .. } = &mut self.intent {
@@ -322,7 +322,7 @@ fn max_of(a: u16, b: u16) -> u16 {
 }
 
 impl Situation<'_> {
-    /// The IDM driver of the own vehicle, with a share of the usual time gap.
+    /// Returns the IDM driver of the ego vehicle, with a share of the usual time gap.
     fn driver(&self, share: f32) -> Driver {
         Driver {
             desired_speed: self.desired_speed,
@@ -333,8 +333,8 @@ impl Situation<'_> {
         }
     }
 
-    /// The side to change to because the own lane ends soon or the route leads there, and that
-    /// lane's centre.
+    /// Returns the side to change to because the ego lane ends soon or the route leads there, and
+    /// that lane's centre.
     fn forced(&self) -> Option<(Side, f32)> {
         let end = self.lanes.own_end;
         let soon = max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M);
@@ -360,7 +360,7 @@ impl Situation<'_> {
         side.sign() * self.offset > 0.5 * self.lanes.width - 0.25 * WIDTH_M
     }
 
-    /// The nearest objects ahead and behind in the lane with this centre.
+    /// Returns the nearest objects ahead and behind in the lane with this centre.
     fn neighbours(&self, centre: f32) -> (Option<&Predicted>, Option<&Predicted>) {
         let half = 0.5 * self.lanes.width;
         let (mut leader, mut follower): (Option<&Predicted>, Option<&Predicted>) = (None, None);
@@ -405,8 +405,8 @@ impl Situation<'_> {
         idm::acceleration(&driver, follower.speed, Some(Leader { gap, speed }))
     }
 
-    /// Whether a slow vehicle has a reason and the room to steer out of its lane: the object ahead
-    /// stands, and is not so near that the vehicle would have to turn on the spot.
+    /// Returns whether a slow vehicle has a reason and the room to steer out of its lane: the
+    /// object ahead stands, and is not so near that the vehicle would have to turn on the spot.
     fn can_pull_out(&self, leader: Option<&Predicted>) -> bool {
         leader.is_some_and(|object| {
             let gap = object.s - object.half_length - 0.5 * LENGTH_M;
@@ -414,7 +414,7 @@ impl Situation<'_> {
         })
     }
 
-    /// Whether the lane with this centre has a gap so large that the own vehicle and the follower
+    /// Whether the lane with this centre has a gap so large that the ego vehicle and the follower
     /// could both stop in it, and would not have to brake harder than [`SAFE_BRAKING`] at once.
     fn is_calm(&self, centre: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
@@ -435,10 +435,10 @@ impl Situation<'_> {
             })
     }
 
-    /// Whether the lane with this centre has a gap for a vehicle that must change: the one that
-    /// closes in, the own vehicle or the follower, has to brake by no more than `braking` to keep
-    /// `share` of the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the distance
-    /// in the reaction time plus that of braking off the speed difference.
+    /// Returns whether the lane with this centre has a gap for a vehicle that must change: the one
+    /// that closes in, the ego vehicle or the follower, has to brake by no more than `braking` to
+    /// keep `share` of the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the
+    /// distance in the reaction time plus that of braking off the speed difference.
     fn is_possible(&self, centre: f32, braking: f32, share: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
         let way = |closing: f32| closing * (REACTION_S + 0.5 * closing / braking);

@@ -44,7 +44,7 @@ impl Path {
     }
 }
 
-/// The Frenet state of a Cartesian one (Werling et al., appendix).
+/// Returns the Frenet state of a Cartesian one (Werling et al., appendix).
 pub(crate) fn to_frenet(point: &TrajectoryPoint, s: f32, d: f32, road: &Reference) -> Station {
     let turn = crate::driving::math::bound(point.heading - road.heading, 1.0);
     let stretch = max(1.0 - road.curvature * d, 0.2);
@@ -86,7 +86,7 @@ pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> Traj
     }
 }
 
-/// The cost of a path at this speed: comfort against the time off the centre.
+/// Returns the cost of a path at this speed: comfort against the time off the centre.
 pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
     let mut cost = 0.0;
     for step in 0..16 {

@@ -85,13 +85,13 @@ const MARGIN_MAX_M: f32 = 15.0;
 pub(crate) struct Corridor {
     /// Speed to drive when nothing is ahead, m/s.
     pub(crate) desired_speed: f32,
-    /// How far the own centre may go before it touches what is ahead, m.
+    /// How far the ego's centre may go before it touches what is ahead, m.
     pub(crate) bound: [f32; STEPS],
     /// Speed of what is ahead, m/s.
     pub(crate) bound_speed: [f32; STEPS],
     /// The same for a vehicle of the next lane behind which a gap is sought: it adds no danger.
     sought: [(f32, f32); STEPS],
-    /// The last place for the own centre to stop, m: with a margin before the lane's end, …
+    /// The last place for the ego's centre to stop, m: with a margin before the lane's end, …
     pub(crate) stop: [f32; STEPS],
     /// … and with the least margin.
     pub(crate) end: [f32; STEPS],
@@ -134,7 +134,7 @@ impl Corridor {
         }
     }
 
-    /// The speed that a good driver would have at this step and place, m/s.
+    /// Returns the speed that a good driver would have at this step and place, m/s.
     fn target_speed(&self, step: usize, motion: &Jet) -> f32 {
         let mut target = self.desired_speed;
         if self.bound[step] < f32::INFINITY {
@@ -174,7 +174,7 @@ impl Corridor {
         max(target, 0.0)
     }
 
-    /// The cost of danger at this step, per second.
+    /// Returns the cost of danger at this step, per second.
     fn danger(&self, step: usize, motion: &Jet) -> f32 {
         let speed = max(motion.first, 0.0);
         let mut cost = 0.0;
@@ -200,26 +200,26 @@ impl Corridor {
         cost
     }
 
-    /// The cost per second of using the margin before the end of the lane at this step.
+    /// Returns the cost per second of using the margin before the end of the lane at this step.
     fn margin(&self, step: usize, motion: &Jet) -> f32 {
         WEIGHT_MARGIN * clamp(motion.value - self.stop[step], 0.0, MARGIN_MAX_M)
     }
 }
 
-/// The distance to keep at this speed, m.
+/// Returns the distance to keep at this speed, m.
 fn wanted_gap(speed: f32) -> f32 {
     let speed = max(speed, 0.0);
     let (low, high) = TIME_GAP_S;
     STANDSTILL_GAP_M + min(low + TIME_GAP_RISE * speed, high) * speed
 }
 
-/// The shorter distance at this speed, m.
+/// Returns the shorter distance at this speed, m.
 fn near_gap(speed: f32) -> f32 {
     NEAR_STANDSTILL_GAP_M + NEAR_TIME_GAP_S * max(speed, 0.0)
 }
 
-/// Speed relative to the leader for this spare distance, m/s: linear near the wanted gap; farther
-/// away, a constant deceleration closes the distance.
+/// Returns the speed relative to the leader for this spare distance, m/s: linear near the wanted
+/// gap; farther away, a constant deceleration closes the distance.
 fn closing(spare: f32, braking: f32, time_constant: f32, regain_s: f32) -> f32 {
     if spare <= 0.0 {
         return spare / regain_s;
@@ -325,7 +325,7 @@ impl Profile {
         }
     }
 
-    /// Full braking.
+    /// Returns full braking from this start.
     pub(crate) fn emergency(start: &Jet) -> Self {
         Self::Brake(Ramp::new(
             start.first,
@@ -335,7 +335,7 @@ impl Profile {
         ))
     }
 
-    /// How rough this motion is if it begins with `acceleration` (m/s²).
+    /// Returns how rough this motion is if it begins with `acceleration` (m/s²).
     fn manner(&self, acceleration: f32) -> Manner {
         // The jerk of a quartic is linear in time.
         let (hardest, jerk) = match self {
@@ -377,7 +377,7 @@ impl Profile {
         (cost <= best).then_some((cost, danger))
     }
 
-    /// The cost of one step of [`Profile::cost`].
+    /// Returns the cost of one step of [`Profile::cost`].
     #[inline]
     fn cost_at(&self, corridor: &Corridor, step: usize) -> Option<(f32, f32)> {
         let motion = self.at((step + 1) as f32 * STEP_S);
@@ -432,7 +432,7 @@ const CANDIDATES: usize = DURATIONS_S.len() * (SPEED_CHANGES.len() + 2)
     + SMOOTH_BRAKINGS.len()
     + EMERGENCY_BRAKINGS.len();
 
-/// All candidates from this start.
+/// Returns all candidates from this start.
 fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> {
     let keep = move |duration: f32| {
         let changed = SPEED_CHANGES.iter().map(|change| start.first + change);
@@ -451,8 +451,8 @@ fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> 
     keep.chain(brake.map(Profile::Brake))
 }
 
-/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if it is not
-/// dangerous, else one without a jerk if it keeps a distance, else the cheapest of all.
+/// Returns the cheapest profile from this start (way 0) and how rough it is: a comfortable one if
+/// it is not dangerous, else one without a jerk if it keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
     let candidates = || candidates(start, corridor.desired_speed);

@@ -4,7 +4,7 @@
 //! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one
 //! after the other: a path towards the goal of the behaviour decision, then the cheapest motion
 //! along it. Every plan begins at the last plan's present state, not at the measured one, so that
-//! consecutive plans join smoothly; it moves towards the measured state slowly.
+//! consecutive plans join smoothly. The plan moves towards the measured state slowly.
 
 mod behaviour;
 mod lateral;
@@ -56,9 +56,9 @@ const END_LEAST_M: f32 = 1.0;
 /// hard, m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
-/// The body stays this far from the lane's border if the driver asks for a place aside, m.
+/// The body stays this far from the lane's border if the driver asks for a place off centre, m.
 const BORDER_M: f32 = 0.2;
-/// Room aside that counts as free, m.
+/// Lateral room that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
 /// Until this time before they meet, s, a road user that comes towards the vehicle is expected to
 /// return to its own lane.
@@ -114,14 +114,14 @@ impl Planner {
         }
     }
 
-    /// Whether [`Planner::recall`] still accepts knowledge.
+    /// Returns whether [`Planner::recall`] still accepts knowledge.
     #[must_use]
     pub const fn is_starting(&self) -> bool {
         self.plans < STARTING_CYCLES
     }
 
     /// Continues the plan of another system, if this one is newly started: the next plan joins it.
-    /// Each plan is made for the own scene and obeys its limits.
+    /// Each plan is made for this system's scene and obeys its limits.
     pub fn recall(&mut self, received: &Knowledge) {
         let Some(plan) = received.plan.as_ref().filter(|_| self.is_starting()) else {
             return;
@@ -144,15 +144,15 @@ impl Planner {
         });
     }
 
-    /// The last plan, and the vehicle's motion at its begin; `None` before the first.
+    /// Returns the last plan, and the vehicle's motion at its begin; `None` before the first.
     #[must_use]
     pub fn last(&self) -> Option<(&Trajectory, &Ego)> {
         let last = self.last.as_ref()?;
         Some((&last.trajectory, &last.ego))
     }
 
-    /// The trajectory for this scene. Always returns one: in the worst case, full braking along the
-    /// lane. Without lanes it continues the present curve and slows down.
+    /// Returns the trajectory for this scene. Always returns one: in the worst case, full braking
+    /// along the lane. Without lanes it continues the present curve and slows down.
     pub fn plan(&mut self, scene: &Scene) -> Trajectory {
         let line = match &scene.lanes {
             Some(lanes) => CentreLine::new(lanes),
@@ -273,8 +273,8 @@ impl Planner {
         trajectory
     }
 
-    /// The state that the new plan begins with, in the scene's frame, and the distance driven since
-    /// the last plan, m.
+    /// Returns the state that the new plan begins with, in the scene's frame, and the distance
+    /// driven since the last plan, m.
     fn start(&self, scene: &Scene) -> (TrajectoryPoint, f32) {
         let measured = TrajectoryPoint {
             x: 0.0,
@@ -317,7 +317,7 @@ impl Planner {
         (start, step.x)
     }
 
-    /// Notices when the own lane has become another one: its centre line jumps aside.
+    /// Notices when the ego lane has become another one: its centre line jumps aside.
     fn watch_lines(&mut self, scene: &Scene, line: &CentreLine) {
         let (Some(last), Some(lanes)) = (&self.last, &scene.lanes) else {
             return;
@@ -349,8 +349,8 @@ impl Planner {
     }
 }
 
-/// The speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a request of
-/// the driver, the present speed is the driver's.
+/// Returns the speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a
+/// request of the driver, the present speed is the driver's.
 fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     let Some(lanes) = &scene.lanes else {
         return 0.0;
@@ -362,8 +362,8 @@ fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     max(min(known, unseen_speed(lanes.view_range)), 0.0)
 }
 
-/// The speed that is safe for the unseen road, m/s: where the camera sees only part of its range,
-/// the lane bends, and beyond the view it may bend as sharply as the domain permits.
+/// Returns the speed that is safe for the unseen road, m/s: where the camera sees only part of its
+/// range, the lane bends, and beyond the view it may bend as sharply as the domain permits.
 fn unseen_speed(view_range_m: f32) -> f32 {
     if view_range_m >= FULL_VIEW_M {
         return f32::INFINITY;
@@ -372,8 +372,8 @@ fn unseen_speed(view_range_m: f32) -> f32 {
     sqrt(UNSEEN_BEND_SPEED * UNSEEN_BEND_SPEED + 2.0 * UNSEEN_BRAKING * room)
 }
 
-/// The distance within which to stop for a lane that ends in `end` m: with room to steer into the
-/// next lane if that needs no hard braking.
+/// Returns the distance within which to stop for a lane that ends in `end` m: with room to steer
+/// into the next lane if that needs no hard braking.
 fn stop_before(end: f32, speed: f32) -> f32 {
     let nearest = end - END_LEAST_M - 0.5 * LENGTH_M;
     let comfortable = speed * speed / (2.0 * SEEKING_BRAKING) + 0.5 * speed;
@@ -383,7 +383,7 @@ fn stop_before(end: f32, speed: f32) -> f32 {
     )
 }
 
-/// The cheapest path to the goal.
+/// Returns the cheapest path to the goal.
 fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
     if let Some(rest_m) = goal.rest_m {
         return Path::new(from, goal.offset, rest_m);
@@ -401,8 +401,8 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
     best
 }
 
-/// The cheapest motion along the path among all road users, from this place and motion. `before`:
-/// the motion that determines when the vehicle is aside; `None` for the present speed.
+/// Returns the cheapest motion along the path among all road users, from this place and motion.
+/// `before`: the motion that determines when the vehicle is aside; `None` for the present speed.
 fn choose_profile(
     view: &View,
     (station, start): (&Station, &Jet),
@@ -426,7 +426,7 @@ fn choose_profile(
         let t = (step + 1) as f32 * STEP_S;
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
-        // While a gap in the next lane is sought, the own lane is used as long as it lasts.
+        // While a gap in the next lane is sought, the ego lane is used as long as it lasts.
         if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
             corridor.stop[step] = stop_before(end - station.s, start.first);
             corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
@@ -483,7 +483,7 @@ impl View {
     }
 }
 
-/// Whether the plan touches the object, which is beside or ahead of the vehicle.
+/// Returns whether the plan touches the object, which is beside or ahead of the vehicle.
 fn touches(object: &Predicted, station: &Station, path: &Path, profile: &Profile) -> bool {
     let length = object.half_length + 0.5 * LENGTH_M;
     let width = object.half_width + 0.5 * WIDTH_M + 0.1;

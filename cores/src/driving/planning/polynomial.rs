@@ -14,7 +14,7 @@ pub(crate) struct Jet {
 }
 
 impl Jet {
-    /// `t` later, with this first derivative.
+    /// Returns the state `t` later, if the first derivative stays constant.
     #[inline]
     fn straight_on(&self, t: f32) -> Self {
         Self {
@@ -72,7 +72,7 @@ impl Quintic {
     }
 }
 
-/// A quartic up to `end`, then linear with the first derivative of `last`, its state there. Its
+/// A quartic up to `end`, then linear with the first derivative of `last`, its state at `end`. Its
 /// coefficients are stored because it is evaluated at many times.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Quartic {
@@ -106,7 +106,7 @@ impl Quartic {
         quartic
     }
 
-    /// The end of the quartic; then the line is straight.
+    /// Returns the end of the quartic; then the line is straight.
     pub(crate) const fn end(&self) -> f32 {
         self.end
     }

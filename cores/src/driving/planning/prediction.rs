@@ -1,4 +1,4 @@
-//! Prediction of the other road users, in the Frenet frame of the own lane.
+//! Prediction of the other road users, in the Frenet frame of the ego lane.
 
 use crate::driving::math::{abs, clamp, exp, max, min};
 use crate::driving::road::{FrenetFrame, Reference};
@@ -12,7 +12,7 @@ const ONCOMING: f32 = 1.0;
 /// an angle with a larger tangent than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
-/// A road user slower than this against the own direction has just stopped, m/s: the rest is noise.
+/// A road user slower than this against the ego's direction has just stopped, m/s: it is noise.
 const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
 const SWERVE_S: f32 = 1.2;
@@ -24,9 +24,9 @@ const BRAKING_S_PER_STRENGTH: f32 = 0.8;
 /// One object and its expected motion.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Predicted {
-    /// Along the road, m; 0 is the own vehicle.
+    /// Along the road, m; 0 is the ego vehicle.
     pub(crate) s: f32,
-    /// Across the road from the centre of the own lane, m, left positive.
+    /// Across the road from the centre of the ego lane, m, left positive.
     pub(crate) d: f32,
     /// Along the road, m/s.
     pub(crate) speed: f32,
@@ -42,7 +42,7 @@ pub(crate) struct Predicted {
 enum Sideways {
     /// It ends its movement: a swerve.
     Swerves,
-    /// Into the middle of the own lane.
+    /// Into the middle of the ego lane.
     CutsIn,
     /// Straight on, to the other side.
     Crosses,
@@ -83,8 +83,8 @@ impl Predicted {
         }
     }
 
-    /// Place along the road and speed in `t` seconds: harder braking lasts longer, acceleration is
-    /// not extrapolated.
+    /// Returns place along the road and speed in `t` seconds. Harder braking is expected to last
+    /// longer; acceleration is not extrapolated.
     pub(crate) fn along(&self, t: f32) -> (f32, f32) {
         if self.speed <= 0.0 {
             return (self.s + self.speed * t, self.speed);
@@ -99,18 +99,18 @@ impl Predicted {
         (self.s + way, speed)
     }
 
-    /// Whether it comes towards the vehicle.
+    /// Returns whether it comes towards the vehicle.
     pub(crate) fn is_oncoming(&self) -> bool {
         self.speed < -ONCOMING
     }
 
-    /// Whether it and the vehicle pass each other: it crosses the road, or comes towards.
+    /// Returns whether it crosses the road or comes towards the vehicle, so that both pass.
     pub(crate) fn passes(&self) -> bool {
         self.is_oncoming() || self.sideways == Sideways::Crosses
     }
 
-    /// Place across the road in `t` seconds: a cut-in ends in the middle of the own lane, a swerve
-    /// fades, and a road user that crosses continues.
+    /// Returns the place across the road in `t` seconds: a cut-in ends in the middle of the ego
+    /// lane, a swerve fades, and a road user that crosses continues.
     pub(crate) fn across(&self, t: f32) -> f32 {
         match self.sideways {
             Sideways::Swerves if self.across == 0.0 => self.d,
