@@ -35,9 +35,9 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
         term: redundancy.term().bits(),
         steering_angle: output.command.steering_angle,
         acceleration: output.command.acceleration,
-        // The largest number that the signal can carry means "uses no sensor data".
+        // The largest number that the signal can carry stands for "rests on no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
-        // 0 means "not known".
+        // 0 stands for "not known".
         sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
     }
 }

@@ -213,7 +213,7 @@ fn wanted_gap(speed: f32) -> f32 {
     STANDSTILL_GAP_M + min(low + TIME_GAP_RISE * speed, high) * speed
 }
 
-/// Returns the shorter distance at this speed, m.
+/// The shorter distance at this speed, m.
 fn near_gap(speed: f32) -> f32 {
     NEAR_STANDSTILL_GAP_M + NEAR_TIME_GAP_S * max(speed, 0.0)
 }

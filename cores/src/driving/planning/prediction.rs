@@ -83,7 +83,7 @@ impl Predicted {
         }
     }
 
-    /// Returns place along the road and speed in `t` seconds. Harder braking is expected to last
+    /// Returns place and speed along the road in `t` seconds. Harder braking is expected to last
     /// longer; acceleration is not extrapolated.
     pub(crate) fn along(&self, t: f32) -> (f32, f32) {
         if self.speed <= 0.0 {
