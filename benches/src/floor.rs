@@ -26,7 +26,7 @@ pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// Ends on two such lines; the receiver sleeps in the kernel until the word changes.
+/// Ends on two cache lines; the receiver sleeps in the kernel until the word changes.
 fn futex_ends(shared: &SharedPage, ways: [usize; 2]) -> impl End + use<> {
     let [out, inward] = ways.map(|way| shared.line(2 * way));
     let mut last = 0;

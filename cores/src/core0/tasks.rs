@@ -197,7 +197,7 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// Reads the state of the CAN controller. After bus-off it has sent nothing for some control
+    /// Reads the state of the CAN controller. After bus-off it has sent nothing for several control
     /// cycles: that is a fault of this system until its counters are good again.
     fn supervise_can(&mut self, executor: &impl Executor<'b, B>) {
         let can = self.board.can();

@@ -39,7 +39,7 @@ struct Bend {
     angle: f64,
     /// Largest curvature, 1/m.
     curvature: f64,
-    /// Progress along the line's direction per metre of arc length is 1 m. This is the bound of its
+    /// Per metre of arc length, the line advances by 1 m along its direction, with at most this
     /// error, m.
     stretch: f64,
 }
