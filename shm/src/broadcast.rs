@@ -15,7 +15,7 @@ pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape};
 use crate::sync::AtomicU32;
 
-/// Words of a ring of this shape.
+/// Returns the number of words of a ring of this shape.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {

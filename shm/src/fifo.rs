@@ -44,14 +44,14 @@ pub const LOOKS_PER_DOUBT: u32 = 32;
 #[cfg(loom)]
 pub const LOOKS_PER_DOUBT: u32 = 1;
 
-/// Words of a queue of this shape.
+/// Returns the number of words of a queue of this shape.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * stride(shape)
 }
 
-/// Words from one slot to the next. A slot crosses a line only if it is longer than a line.
+/// Returns the words from one slot to the next. Only a slot longer than a line crosses a line.
 #[inline]
 const fn stride(shape: Shape) -> usize {
     let slot = shape.slot_words() + 1;
@@ -108,7 +108,7 @@ impl<'a> Queue<'a> {
         self.slot(k).1
     }
 
-    /// Returns whether the consumer publishes this number of released values at once.
+    /// Returns whether the consumer publishes this released count now, or waits for a group of 8.
     #[inline]
     const fn is_group(&self, released: u32) -> bool {
         released.is_multiple_of(8) || self.mask < 63
@@ -273,7 +273,7 @@ pub struct Loan<'p, 'a, T> {
 }
 
 impl<'a, T> Loan<'_, 'a, T> {
-    /// The words to fill.
+    /// Returns the words to fill.
     #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
         &mut self.words
@@ -360,7 +360,7 @@ impl<T: Payload> Consumer<'_, T> {
     /// Receives the next value, or returns `None` if the queue is empty. Never blocks.
     ///
     /// # Errors
-    /// [`Corrupt`] if the words are not a value of the type; the slot is released all the same.
+    /// [`Corrupt`] if the words are not a value of the type; the slot is released in this case too.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
         let (words, stamp) = self.queue.slot_of(self.head, T::WORDS);

@@ -188,8 +188,8 @@ impl<'a> Attached<'a> {
         self.incarnations
     }
 
-    /// Returns the generation that attached last, for [`Attached::insert`]. `None` if that is this
-    /// incarnation, or if this one is not alive: a later one, if attached, must not be disowned.
+    /// Returns the generation that attached last, for [`Attached::insert`]. `None` if it is this
+    /// incarnation, or if this one is not alive: it must not disown a later one that has attached.
     pub(crate) fn earlier(&self, incarnation: Incarnation) -> Option<u32> {
         // Acquire pairs with the Release in `insert`: a core that sees a later incarnation attached
         // also sees its announcement, so `is_alive` below returns false.

@@ -251,8 +251,8 @@ impl<'a> Lock<'a> {
         }
     }
 
-    /// The fast path: takes the lock if the token is still the one that this end released last (or
-    /// if the lock was never taken).
+    /// Takes the lock quickly, if the token is still the one that this end released last (or if the
+    /// lock was never taken).
     #[inline]
     fn retake(&mut self) -> bool {
         // 2^23 turns later, another task of this core may hold the lock with the same token.

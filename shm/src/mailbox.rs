@@ -12,7 +12,7 @@
 //! without reading a count. Otherwise it compares all counts. It may then handle a signal that is
 //! counted but not yet posted, so that it has handled more signals than were posted. Until both
 //! numbers are equal again, it compares all counts at each new post, because it cannot know which
-//! signal a post stands for.
+//! signal a post reports.
 //!
 //! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
 //! task gets the newest value. Count and value of the ids 1 ..= 7 lie in the same cache line as the
@@ -83,8 +83,8 @@ const fn handled_at(index: usize) -> usize {
 /// The posted word, from the lowest bit: the index of the last signal's task (4 bits), a bit that
 /// is always 0, the number of signals (27 bits).
 const NUMBER_SHIFT: u32 = 5;
-/// Stands in place of an index. A new sender posts it, because its predecessor may have counted
-/// signals without posting them.
+/// The index in the first post of a new sender, because its predecessor may have counted signals
+/// without posting them: it names no task.
 const NO_TASK: u32 = TASKS as u32;
 
 /// Returns the next posted word, without an index.
@@ -151,7 +151,7 @@ impl TaskId {
     }
 }
 
-/// Whether the caller must ring the receiver's doorbell now.
+/// The result of a signal: whether the caller must ring the receiver's doorbell now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use = "a receiver that sleeps must be rung"]
 pub enum Ring {
@@ -595,8 +595,8 @@ mod tests {
         assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
     }
 
-    /// T-SYNC-3: after a stop of exactly 2^27 signals the posted word is unchanged; the receiver
-    /// finds the signals all the same.
+    /// T-SYNC-3: after a stop of exactly 2^27 signals the posted word is unchanged, but the
+    /// receiver finds the signals.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_polling() {

@@ -18,8 +18,8 @@ use crate::sync::AtomicU32;
 /// Number of attempts of [`Reader::read`] if the writer overtakes it each time.
 const ATTEMPTS: u32 = 4;
 
-/// Words of a channel of this shape. A small channel, for example 4 slots of 2 words, is one cache
-/// line; otherwise each slot has its own lines. Use 4 slots if in doubt.
+/// Returns the number of words of a channel of this shape. A small channel, for example 4 slots of
+/// 2 words, is one cache line; otherwise each slot has its own lines. Use 4 slots if in doubt.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {

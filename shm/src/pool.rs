@@ -63,7 +63,7 @@ const NUMBER_SHIFT: u32 = 7;
 const NUMBER_MASK: u32 = 0x1FF;
 const STAMP_SHIFT: u32 = 16;
 
-/// Words of a pool of `blocks` blocks.
+/// Returns the number of words of a pool of `blocks` blocks.
 ///
 /// # Panics
 /// If `blocks` is not 1 ..= [`MAX_BLOCKS`]; in a constant that is a compile error.
@@ -137,7 +137,7 @@ impl Handle {
         ]
     }
 
-    /// The inverse of [`Handle::to_words`]. Checks nothing: the pool checks each use of the handle.
+    /// Converts two words to a handle. Checks nothing: the pool checks each use of the handle.
     #[must_use]
     pub const fn from_words([place, stamp]: [u32; 2]) -> Self {
         Self {

@@ -162,7 +162,7 @@ impl From<FitError> for EndError {
 }
 
 impl<K: RegionKind> Region<K> {
-    /// The first region of a map. The name is part of the layout's hash.
+    /// Returns the first region of a map. The name is part of the layout's hash.
     #[must_use]
     pub const fn first(name: &'static str) -> Self {
         Self::after(Layout::EMPTY, name)
@@ -489,7 +489,7 @@ mod tests {
         }
     }
 
-    /// A mailbox does not take a claim word for a signal.
+    /// A mailbox does not mistake a claim word for a signal.
     #[test]
     fn claims_are_no_signals() {
         let map = map();

@@ -232,7 +232,7 @@ pub struct Loan<'w, 'a, T> {
 }
 
 impl<'a, T> Loan<'_, 'a, T> {
-    /// The words to fill.
+    /// Returns the words to fill.
     #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
         &mut self.words

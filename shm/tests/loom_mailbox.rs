@@ -108,7 +108,7 @@ fn what_a_handler_has_read_may_be_reused() {
     });
 }
 
-/// T-SYNC-3: each end is replaced between operations while the other one runs: each signal is
+/// T-SYNC-3: each end is replaced between operations while the other end runs: each signal is
 /// handled once, and the doorbell wakes a sleeping successor.
 #[test]
 fn replaced_ends_lose_no_signal() {

@@ -437,7 +437,7 @@ fn a_guard_counts_the_turns_that_it_waited() {
         let guard = c.lock(5, |_| {
             polls += 1;
             held[0] = None;
-            // B is before C after A.
+            // After A, B's turn is before C's.
             let taken = (polls == 1 && turns == 1).then(|| b.try_lock().unwrap());
             held[1] = taken.map(|it| it.into_guard().detach());
         });
@@ -453,7 +453,7 @@ fn turns_wrap_around() {
     let bench = Bench::new();
     let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
     drop(b.try_lock());
-    // One turn less than a full round later.
+    // A token that is one turn before B's token, a full round of the turns later.
     let before = (b.mine & !(ONE_TURN - 1)).wrapping_sub(ONE_TURN) | a.identity;
     bench.token().store(before, Ordering::Relaxed);
     a.own_released.store(before, Ordering::Relaxed);

@@ -93,7 +93,7 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
         let Ok(handle) = pool.get((1 + below(3) as usize) * BLOCK_WORDS) else {
             return;
         };
-        // The pool may refuse a straggler.
+        // The pool may refuse a core that runs after it was declared dead.
         let Ok(own) = pool.open(handle) else {
             return;
         };

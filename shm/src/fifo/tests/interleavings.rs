@@ -98,7 +98,7 @@ impl Play {
         k.wrapping_sub(self.base)
     }
 
-    /// Returns the action during a freeze: `act` runs fewer than `limit` times.
+    /// Returns the action to run during a freeze: it calls `act` fewer than `limit` times.
     fn others(self: &Rc<Self>, limit: u32, act: fn(&Rc<Self>, Time)) -> impl FnOnce() + 'static {
         let play = Rc::clone(self);
         move || (0..play.random.below(limit)).for_each(|_| act(&play, Time::Others))
@@ -228,7 +228,7 @@ impl Play {
     }
 }
 
-/// Either end is killed or frozen at any access while the other continues, also when the numbers
+/// Either end is killed or frozen at any access while the other end continues, also if the numbers
 /// wrap around: every sent value is received whole and in order, and only values that a killed
 /// consumer had not published as released are received again.
 #[test]
