@@ -9,7 +9,7 @@ use tandem_redundancy::{Evidence, Phase};
 use crate::roles::RoleState;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
-/// Tests whether a core or its scheduler writes this event in every cycle. A story omits it.
+/// Tests whether a core or its scheduler writes this event in every cycle. Lists of events omit it.
 #[must_use]
 pub const fn is_routine(event: &Event) -> bool {
     matches!(

@@ -20,11 +20,11 @@ const SILENT_NS: u64 = 15_000_000;
 /// A longer stall of a standby may have delayed a poll by more than its jitter (3 ms): the observed
 /// length is up to 2 ms too short, ns.
 const HELD_UP_NS: u64 = 1_000_000;
-/// A system whose last status frame is older than this is not standby, ns: the frames arrive every
-/// 100 ms.
+/// A system whose last status frame is older than this is not standby, ns: two and a half status
+/// periods, as in `roles`.
 const STATUS_NS: u64 = 250_000_000;
-/// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
-/// frame under way has arrived.
+/// A refused frame belongs to a takeover that was at most this long ago, ns: after this time no
+/// earlier frame is still on its way.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
 /// A control frame that nothing delays arrives within this time after it was made, ms: one control
 /// period.
@@ -32,7 +32,7 @@ const USUAL_WAY_MS: f64 = 10.0;
 /// A new master is heard by its running predecessor within a control period and one bus step, ms.
 pub const HAND_OVER_MS: f64 = 11.0;
 
-/// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
+/// How long the vehicle may be without control, ms, for each evidence of a takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// The old master fell silent: any evidence except the two below. Also the bound without a
@@ -61,7 +61,7 @@ impl Default for Bounds {
 
 impl Bounds {
     /// Returns the bounds as the vehicle sees them. `on_bus`: the delay of a frame on the bus.
-    /// `timers`: the additional lateness of the timers. The bounds of silence contain that already.
+    /// `timers`: the additional lateness of the timers, which only the bound for power lacks.
     #[must_use]
     pub fn new(limits: Limits, on_bus: Duration, timers: Duration) -> Self {
         let ms = |bound: Duration| (bound + on_bus).as_ms_f64();
@@ -266,7 +266,7 @@ pub fn periods(
         .collect()
 }
 
-/// Tests whether the system was standby at that time, by its last status frame.
+/// Tests whether the system was standby at that time, according to its last status frame.
 fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
     let mut of_system = log.status.iter().rev().filter(|it| it.system == system);
     let last = of_system.find(|status| status.at_ns <= at_ns);
@@ -285,12 +285,12 @@ struct Responsible {
 }
 
 impl Responsible {
-    /// Returns how much of this time, ns, is excused by stalls of the bus and of the CPUs of the
-    /// systems that must drive, and these stalls. Overlapping stalls count once.
+    /// Returns how much of this gap stalls excuse, ns, and these stalls. Only stalls of the bus and
+    /// of the CPUs of the systems that must drive count; overlapping ones count once.
     ///
-    /// A standby that was held up restarts its limits once, because its own stall is no evidence.
-    /// The time that it had already waited counts too, but at most the time that a correct standby
-    /// waits.
+    /// A standby that was held up restarts its limits once, because its own stall is not evidence.
+    /// So the time that it had already waited is excused too, but at most the longest time that a
+    /// correct standby waits.
     fn excused(
         &self,
         log: &RunLog,
@@ -340,7 +340,7 @@ fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
 
 /// Returns the time in which both systems transmitted control frames as master, ms, whether the
 /// vehicle obeyed or refused them. It lasts from the first frame of one system to the frame after
-/// the last of the other, by the times of sending.
+/// the last of the other system, measured at sending.
 #[must_use]
 pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     let claims =
@@ -371,7 +371,7 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
 }
 
 /// Returns how long both systems may have transmitted, ms. A master that resigns, or whose frames
-/// were lost, sends until it hears the new one. One that was held up may have one frame on its way.
+/// were lost, sends until it hears the new one. A held-up master may still send one frame.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     hand_overs(takeovers) as f64 * HAND_OVER_MS
@@ -401,7 +401,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
     stale.filter(follows).count()
 }
 
-/// Tests whether stalls of the bus and of its sender's CPU explain the delay of this frame.
+/// Tests whether stalls of the bus and of the sender's CPU explain the delay of this frame.
 fn was_held_up(log: &RunLog, frame: &ControlFrame, stalls: &[Stall]) -> bool {
     let max_delay_ms = f64::from(MAX_DELAY_MS);
     let cpu = log.control_cpu(frame.system).map(Stood::Cpu);
@@ -586,7 +586,8 @@ mod tests {
         assert_eq!(found(&early, &[])[0].ms(), 2_000.0);
     }
 
-    /// Whether these stalls excuse the gap from 10 ms to `to_ms`, which `by` ends; B is standby.
+    /// Returns whether these stalls excuse the gap from 10 ms until `by` drives at `to_ms`. B is
+    /// standby.
     fn excused(by: SystemId, to_ms: u64, stalls: &[Stall]) -> bool {
         let mut log = log(&[(0, A), (10, A), (to_ms, by)], to_ms);
         log.status = vec![StatusFrame {
@@ -619,7 +620,7 @@ mod tests {
             assert!(!excused(B, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
             assert!(!excused(A, 51, &[stall(Stood::Cpu(cpu), 10, 51)]), "{cpu}");
         }
-        // If the cores are not pinned, no CPU is known to belong to them.
+        // If the cores are not pinned, their CPUs are unknown.
         let mut log = log(&[(0, A), (50, A)], 50);
         log.header.cpus.clear();
         assert!(!found(&log, &[stall(OF_A, 5, 45)])[0].is_explained());
@@ -663,7 +664,7 @@ mod tests {
     }
 
     /// A standby that was held up restarts its limits once. The gap may be longer by the stall
-    /// and by the time that it had already waited, which is at most that of a takeover.
+    /// and by the time already waited, which is at most the wait before a takeover.
     #[test]
     fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
         for (to_ms, stalls, is_explained) in [

@@ -41,13 +41,13 @@ pub struct Lane {
 pub struct Sample {
     /// The run's clock, ns.
     pub at_ns: u64,
-    /// Position of the ego vehicle, m.
+    /// X position of the ego vehicle, m.
     pub x: f64,
-    /// m
+    /// Y position, m.
     pub y: f64,
-    /// rad
+    /// Heading, rad.
     pub heading: f64,
-    /// m/s
+    /// Speed, m/s.
     pub speed: f64,
     /// The speed that the driver has set, m/s.
     pub set_speed: Option<f64>,
@@ -63,7 +63,7 @@ pub struct Sample {
     pub lead_gap: Option<f64>,
     /// How fast that distance shrinks, m/s.
     pub closing_speed: Option<f64>,
-    /// Vehicles around; empty in samples that leave them out.
+    /// Surrounding vehicles; empty in samples that omit them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<Other>,
 }
@@ -71,15 +71,15 @@ pub struct Sample {
 /// Another vehicle, as a rectangle.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Other {
-    /// Centre, m.
+    /// X position of its centre, m.
     pub x: f64,
-    /// m
+    /// Y position of its centre, m.
     pub y: f64,
-    /// rad
+    /// Heading, rad.
     pub heading: f64,
-    /// m
+    /// Length, m.
     pub length: f64,
-    /// m
+    /// Width, m.
     pub width: f64,
 }
 
@@ -141,7 +141,7 @@ pub struct Comfort {
     pub brake_max: f64,
     /// Strongest lateral acceleration to either side, m/s².
     pub lat_accel_max: f64,
-    /// Strongest braking outside emergencies, m/s², positive. An emergency needs more than 3 m/s².
+    /// Strongest braking outside emergencies (which need more than 3 m/s²), m/s², positive.
     #[serde(default)]
     pub calm_brake_max: f64,
     /// 99th percentile of the longitudinal jerk, sampled every millisecond, m/s³.

@@ -27,7 +27,7 @@ const THIRD_LEAST: Duration = Duration::from_ms(11);
 pub struct Limits {
     /// Name of the profile.
     pub profile: &'static str,
-    /// The time of two heartbeats, and their lateness although nothing stalls.
+    /// The time of two heartbeats plus their lateness when nothing stalls.
     beats: Duration,
     /// How long the power level must be low, without a heartbeat, before the standby acts on it.
     level: Duration,
@@ -65,7 +65,7 @@ impl Limits {
     /// All profiles.
     pub const ALL: [Self; 3] = [Self::CHIP, Self::RT, Self::DESKTOP];
 
-    /// Returns the profile of a product, by the periods at which its systems send to each other.
+    /// Returns the profile of a product: that with the periods at which its systems communicate.
     #[must_use]
     pub fn of_profile(product: &Config) -> Self {
         match (product.heartbeat_period, product.report_period) {
@@ -100,12 +100,12 @@ impl Limits {
         self.stall.min(LINE_MOST - self.beats)
     }
 
-    /// Returns how long both heartbeat lines are silent before the standby acts on it.
+    /// Returns how long both heartbeat lines must be silent before the standby acts.
     fn line(&self) -> Duration {
         self.beats + self.tolerated_stall()
     }
 
-    /// Returns how long the control frames are missing before the third witness reports it.
+    /// Returns how long control frames must be missing before the third witness reports it.
     fn third(&self) -> Duration {
         (THIRD_LEAST + self.stall).min(THIRD_MOST)
     }
@@ -135,8 +135,8 @@ impl Limits {
         self.silent().max(self.mute())
     }
 
-    /// Returns the silence of the heartbeats after which a falling level has the bound of silence:
-    /// no heartbeat can confirm the fall.
+    /// If the heartbeats were silent for this long when the level fell, the bound for silence
+    /// applies: no heartbeat can confirm the fall.
     #[must_use]
     pub fn silent_before(&self) -> Duration {
         self.line() + self.third()

@@ -85,7 +85,7 @@ pub struct PowerChange {
     pub on: bool,
 }
 
-/// From this age on, a command is based on no measurement, ms.
+/// A command with this age, or a greater one, is not based on a measurement, ms.
 const NO_AGE_MS: f64 = 6_553.0;
 
 /// The complete log of one run; each kind of entry is in the order of time.
@@ -262,7 +262,7 @@ impl RunLog {
             .filter(|frame| frame.verdict == Ruling::Accepted)
     }
 
-    /// Returns gaps, changes and times of two masters, from the frames that the vehicle obeyed.
+    /// Returns gaps, changes and times with two masters, from the frames that the vehicle obeyed.
     #[must_use]
     pub fn mastership(&self) -> Mastership {
         let mut mastership = Mastership::default();

@@ -40,9 +40,9 @@ pub struct Takeover {
     pub detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
     pub gap_ms: f64,
-    /// The old master had not failed.
+    /// Whether the takeover was false: the old master had not failed.
     pub is_false: bool,
-    /// The old master found later that it had been held up.
+    /// Whether the old master found later that it had been held up.
     pub held_up: bool,
 }
 

@@ -9,8 +9,8 @@ use crate::RunLog;
 use crate::roles::{RoleState, timeline};
 use crate::run_log::{ControlFrame, CoreEvent};
 
-/// A system without a status frame for longer than this is not standby, ns: they arrive every 100
-/// ms.
+/// A system without a status frame for longer than this is not standby, ns: three and a half status
+/// periods, after which a product's master degrades too.
 const THERE_NS: u64 = 350_000_000;
 /// A standby counts as running at the end if its last report is at most this old, s.
 const SIGN_S: f64 = 0.25;
@@ -25,7 +25,7 @@ pub enum Stop {
     SafeStop(f64),
 }
 
-/// Returns the stop of this run without a reason, if there is one. Reasons for a minimal-risk
+/// Returns the stop of this run that has no reason, if there is one. Reasons for a minimal-risk
 /// stop are a failure, a core that was late, and a bus that stalled.
 #[must_use]
 pub fn stop(log: &RunLog) -> Option<Stop> {
@@ -51,8 +51,8 @@ pub fn stop(log: &RunLog) -> Option<Stop> {
     }
 }
 
-/// Returns when the first failure was recorded, ns: one that a core reported or a supply saw, or a
-/// system without power.
+/// Returns the time of the first recorded failure, ns: a failure that a core reported or a supply
+/// detected, or a system without power.
 fn failure_ns(log: &RunLog) -> Option<u64> {
     let fails = |event: &Event| match *event {
         Event::Phase { on, .. } => matches!(
@@ -83,8 +83,8 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
     reported.chain(seen).chain(off).min()
 }
 
-/// Returns the scenario time since which no system was standby, up to the end of the run, s; `None`
-/// if one was, or if no system ever drove.
+/// Returns the scenario time since which no system was standby, s; `None` if one was at the end of
+/// the run, or if no system ever drove.
 #[must_use]
 pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     log.accepted().next()?;
@@ -94,11 +94,11 @@ pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     (log.driven_s() - last_s > SIGN_S).then_some(last_s)
 }
 
-/// Returns how long, at most, the mode of the accepted frames did not fit the redundancy, s.
+/// Returns the longest time in which the mode of the accepted frames did not fit the redundancy, s.
 ///
 /// L3 needs a second system: its status frames show whether there is one. A degraded master with a
-/// standby needs a cause: a change of its phase, or a failure. A master that does not hear its
-/// standby has no cause, because the standby's frames are on the bus.
+/// standby needs a cause: a change of its phase, or a failure. That it does not hear its standby is
+/// not a cause, because the standby's frames are on the bus.
 #[must_use]
 pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let start_ns = log.start_ns.unwrap_or(0);
