@@ -51,7 +51,7 @@ pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * stride(shape)
 }
 
-/// Returns the words from one slot to the next. Only a slot longer than a line crosses a line.
+/// Returns the words from one slot to the next. Only a slot longer than a line crosses a boundary.
 #[inline]
 const fn stride(shape: Shape) -> usize {
     let slot = shape.slot_words() + 1;

@@ -83,8 +83,8 @@ const fn handled_at(index: usize) -> usize {
 /// The posted word, from the lowest bit: the index of the last signal's task (4 bits), a bit that
 /// is always 0, the number of signals (27 bits).
 const NUMBER_SHIFT: u32 = 5;
-/// The index in the first post of a new sender, because its predecessor may have counted signals
-/// without posting them: it names no task.
+/// The index in the first post of a new sender. It names no task, because the predecessor may have
+/// counted signals without posting them.
 const NO_TASK: u32 = TASKS as u32;
 
 /// Returns the next posted word, without an index.

@@ -453,7 +453,7 @@ fn turns_wrap_around() {
     let bench = Bench::new();
     let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
     drop(b.try_lock());
-    // A token that is one turn before B's token, a full round of the turns later.
+    // Skip to one turn before the number of B's turn occurs again; A has released that turn.
     let before = (b.mine & !(ONE_TURN - 1)).wrapping_sub(ONE_TURN) | a.identity;
     bench.token().store(before, Ordering::Relaxed);
     a.own_released.store(before, Ordering::Relaxed);
