@@ -90,8 +90,8 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// FreeRTOS's message buffer between cores. Only the benchmark of the firmware links it, to
-/// compare. No task waits at either end: the benchmark rings the doorbell itself.
+/// Compiles FreeRTOS's message buffer between cores. Only the benchmark of the firmware links it,
+/// for comparison. No task waits at either end: the benchmark rings the doorbell itself.
 fn message_buffer(mut build: cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     build.file(kernel.join("stream_buffer.c"));
     build.define("configUSE_STREAM_BUFFERS", "1");
@@ -104,7 +104,7 @@ fn message_buffer(mut build: cc::Build, kernel: &Path) -> Result<(), Box<dyn Err
     Ok(())
 }
 
-/// The C compiler for riscv32 and the flags that name its target.
+/// Returns the C compiler for riscv32 and the flags that name its target.
 fn riscv_compiler() -> Result<(String, Vec<&'static str>), Box<dyn Error>> {
     println!("cargo::rerun-if-env-changed=TANDEM_RISCV_CC");
     let machine = ["-march=rv32imac_zicsr", "-mabi=ilp32"];

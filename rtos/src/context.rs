@@ -70,7 +70,7 @@ impl InterruptContext {
         }
     }
 
-    /// Whether the handler woke a task, which runs when the last interrupt has ended (T-RTOS-2).
+    /// Returns whether the handler woke a task, which runs after the last interrupt (T-RTOS-2).
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
     }

@@ -29,7 +29,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// How often the task runs during a test.
+    /// Returns how often the task runs during a test.
     #[must_use]
     pub const fn rounds(&self) -> u32 {
         SPAN_MS / self.period_ms

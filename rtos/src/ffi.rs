@@ -175,13 +175,13 @@ pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
     body()
 }
 
-/// The control block of the running task, or null.
+/// Returns the control block of the running task, or null.
 pub(crate) fn current_tcb() -> *mut Tcb {
     // SAFETY: the kernel's variable is a pointer and is read in one access.
     unsafe { pxCurrentTCB.load(Ordering::Relaxed) }
 }
 
-/// The name of the running task, for messages.
+/// Returns the name of the running task, for messages.
 pub(crate) fn current_name() -> &'static str {
     let current = current_tcb();
     if current.is_null() {
@@ -191,7 +191,7 @@ pub(crate) fn current_name() -> &'static str {
     }
 }
 
-/// The name of a live task.
+/// Returns the name of a live task.
 pub(crate) fn name_of(tcb: *mut Tcb) -> &'static str {
     // SAFETY: a live task's control block holds its name, which ends with a zero; the name is read
     // at once and not kept.

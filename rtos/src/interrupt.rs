@@ -12,7 +12,7 @@ impl Interrupt {
     /// The highest number of a source. The tick has the next number.
     pub const LAST: Self = Self(62);
 
-    /// Source 0 to 62. The target has [`Interrupt::DOORBELL`] and [`Interrupt::EXTERNAL`] only.
+    /// Returns source `number`, 0 to 62. On the target: [`Self::DOORBELL`] and [`Self::EXTERNAL`].
     ///
     /// # Panics
     /// Above 62; in a constant that is a compile error.
@@ -22,7 +22,7 @@ impl Interrupt {
         Self(number)
     }
 
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn number(self) -> u8 {
         self.0
@@ -42,7 +42,7 @@ impl InterruptPriority {
     /// The most urgent.
     pub const HIGHEST: Self = Self(255);
 
-    /// A priority of 3 to 255.
+    /// Returns the priority `level`, 3 to 255.
     ///
     /// # Panics
     /// Below 3; in a constant that is a compile error.
@@ -55,7 +55,7 @@ impl InterruptPriority {
         Self(level)
     }
 
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn level(self) -> u8 {
         self.0

@@ -11,7 +11,7 @@ impl Priority {
     /// One below the service task of the software timers.
     pub const HIGHEST: Self = Self(30);
 
-    /// A priority of 1 to 30.
+    /// Returns the priority `level`, 1 to 30.
     ///
     /// # Panics
     /// At 0, which is the idle task's, and above 30; in a constant that is a compile error.
@@ -24,7 +24,7 @@ impl Priority {
         Self(level)
     }
 
-    /// The number.
+    /// Returns the number.
     #[must_use]
     pub const fn level(self) -> u8 {
         self.0
@@ -43,7 +43,7 @@ pub struct TaskOptions<'a> {
 }
 
 impl<'a> TaskOptions<'a> {
-    /// A task with the usual stack: 64 KiB on the host, 4 KiB on the target.
+    /// Returns the options of a task with the usual stack: 64 KiB on the host, 4 KiB on the target.
     #[must_use]
     pub const fn new(name: &'a str, priority: Priority) -> Self {
         let stack_bytes = if cfg!(target_os = "linux") {

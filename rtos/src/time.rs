@@ -15,20 +15,20 @@ impl Ticks {
     /// Waits without a limit.
     pub const FOREVER: Self = Self(u32::MAX);
 
-    /// A span in milliseconds.
+    /// Returns a span of `ms` milliseconds.
     #[must_use]
     pub const fn from_millis(ms: u32) -> Self {
         Self(ms)
     }
 
-    /// The ticks from `earlier` to this point. The count may wrap between them.
+    /// Returns the ticks from `earlier` to this point. The count may wrap between them.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Self {
         Self(self.0.wrapping_sub(earlier.0))
     }
 
-    /// The ticks from this point to `later`; none if that point has passed. The count may wrap
-    /// between them. They must be less than 24 days apart.
+    /// Returns the ticks from this point to `later`; zero if that point has passed. The count may
+    /// wrap between them. They must be less than 24 days apart.
     #[must_use]
     pub const fn until(self, later: Self) -> Self {
         let left = later.since(self);
@@ -38,7 +38,7 @@ impl Ticks {
         left
     }
 
-    /// The point `span` after this one. The count may wrap between them.
+    /// Returns the point `span` after this one. The count may wrap between them.
     #[must_use]
     pub const fn after(self, span: Self) -> Self {
         Self(self.0.wrapping_add(span.0))

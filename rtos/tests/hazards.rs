@@ -314,7 +314,7 @@ fn what_an_abandoned_task_has_lent_stays() {
     }
 }
 
-/// The lowest address of the stack of the running task: its mapping begins above the guard.
+/// Returns the lowest address of the stack of the running task: its mapping begins above the guard.
 fn own_stack() -> usize {
     let local = 0u8;
     let here = (&raw const local).addr();

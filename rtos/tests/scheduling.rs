@@ -33,7 +33,7 @@ fn equals_that_yield_take_turns() {
 }
 
 /// T-RTOS-1, T-RTOS-4: a more urgent task pre-empts a task that never yields, at the tick at which
-/// it is due. By the machine's clock a tick may be late.
+/// it is due. On the machine's clock a tick may be late.
 #[test]
 fn a_task_that_never_yields_is_pre_empted() {
     for clock in [TickSource::Virtual, TickSource::Wall] {
@@ -160,8 +160,8 @@ fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
     log.take()
 }
 
-/// Whether the outputs of a run have the periods of their tasks, measured by the clock. On a busy
-/// machine, one change in each half of the run must be in time: a period that is wrong by 1 %
+/// Returns whether the outputs of a run have the periods of their tasks, measured by the clock. On
+/// a busy machine, one change in each half of the run must be in time: a period that is 1 % wrong
 /// delays every change of the second half.
 fn has_its_periods(clock: TickSource) -> bool {
     const IN_TIME_NS: i64 = 600_000;
@@ -190,7 +190,7 @@ fn has_its_periods(clock: TickSource) -> bool {
 #[test]
 fn three_tasks_run_with_their_periods() {
     assert!(has_its_periods(TickSource::Virtual));
-    // By the machine's clock a tick may be late: only `cargo xtask campaign rtos-drift` fails then.
+    // On the machine's clock a tick may be late, so this fails only in `campaign rtos-drift`.
     let in_time = has_its_periods(TickSource::Wall);
     assert!(in_time || std::env::var_os("TANDEM_RTOS_DRIFT_SECONDS").is_none());
 }
@@ -301,8 +301,8 @@ fn a_critical_section_holds_interrupts_back() {
     assert_eq!(log.take(), ["still masked", "interrupt", "task"]);
 }
 
-/// By how many ticks the count and the clock differ: the minimum of many reads, because the tick
-/// that is due may be late. A count that has drifted differs in all reads.
+/// Returns by how many ticks the count and the clock differ: the minimum of many reads, because the
+/// tick that is due may be late. A count that has drifted differs in all reads.
 fn off_by(ctx: &TaskContext) -> u32 {
     let read = |_| {
         let mut wake = ctx.now();

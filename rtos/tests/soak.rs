@@ -25,7 +25,7 @@ use tandem_rtos::{Interrupt, Kernel, TaskContext, TaskHandle, TickSource, Ticks}
 const TICK_NS: u64 = 1_000_000;
 /// The length of a set's run, in ticks.
 const SPAN: u32 = 400;
-/// The task that raises interrupts is more urgent than all tasks that are checked.
+/// Priority of the task that raises interrupts: above those of all checked tasks.
 const RAISER: u8 = 20;
 
 /// When a task's jobs are released.
@@ -318,7 +318,7 @@ mod model {
             next
         }
 
-        /// A task that is late for its next release starts at once, after those of equal priority.
+        /// Releases the next job; if late, it starts at once, after ready tasks of equal priority.
         fn release(state: &mut State, after: u32, tick: u32) -> Next {
             state.release += after;
             if state.release > tick {

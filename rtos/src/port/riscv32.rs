@@ -157,8 +157,8 @@ pub(crate) unsafe fn reset() {
 
 static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
 
-/// Whether the caller is a task of the kernel's hart, and not a handler. Other harts have no
-/// context, so they cannot call an object.
+/// Returns whether the caller is a task of the kernel's hart, and not a handler. Other harts have
+/// no context, so they cannot call an object.
 pub(crate) fn in_task() -> bool {
     hart() == KERNEL_HART.load(Ordering::Relaxed) && !IN_INTERRUPT.load(Ordering::Relaxed)
 }
@@ -174,7 +174,7 @@ fn wait() {
     unsafe { core::arch::asm!("wfi") };
 }
 
-/// A fine counter for the run time of tasks: `mtime`.
+/// Reads the fine counter for the run time of tasks: `mtime`.
 pub(crate) fn run_time() -> u64 {
     let low = ptr::with_exposed_provenance::<u32>(MTIME);
     let high = ptr::with_exposed_provenance::<u32>(MTIME + 4);
@@ -196,18 +196,18 @@ pub(crate) fn run_time() -> u64 {
 /// Nanoseconds of a count of `mtime`: 10 MHz, as configCPU_CLOCK_HZ.
 const MTIME_NS: u64 = 100;
 
-/// A span of [`run_time`].
+/// Converts a span of [`run_time`] to time.
 pub(crate) fn run_time_span(counts: u64) -> Duration {
     Duration::from_nanos(counts * MTIME_NS)
 }
 
-/// The time of an event, in nanoseconds of `mtime`.
+/// Returns the time of an event, in nanoseconds of `mtime`.
 pub(crate) fn timestamp_ns() -> u64 {
     run_time() * MTIME_NS
 }
 
-/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock. It is computed from the timer's register,
-/// which holds the time of the next tick.
+/// Returns the time of tick 0, in nanoseconds of [`timestamp_ns`]'s clock. It is computed from the
+/// timer's register, which holds the time of the next tick.
 pub(crate) fn tick_origin_ns() -> u64 {
     let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
     // Neither changes while interrupts are masked: the tick's interrupt changes both.

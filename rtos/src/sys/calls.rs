@@ -11,7 +11,7 @@ use core::ptr;
 use core::time::Duration;
 
 impl TimerContext {
-    /// The current tick.
+    /// Returns the current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
         task::now(false)
@@ -19,7 +19,7 @@ impl TimerContext {
 }
 
 impl InterruptContext {
-    /// The current tick.
+    /// Returns the current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
         task::now(true)
@@ -40,13 +40,13 @@ impl TaskContext {
         task::spawn(options, Box::new(body))
     }
 
-    /// The current tick.
+    /// Returns the current tick.
     #[must_use]
     pub fn now(&self) -> Ticks {
         task::now(false)
     }
 
-    /// The time of tick 0, in nanoseconds of the clock that times
+    /// Returns the time of tick 0, in nanoseconds of the clock that times
     /// [`KernelEvent`](crate::KernelEvent)s. The value is the same in every task and at every call,
     /// until the count of ticks wraps around (49 days).
     #[must_use]
@@ -74,7 +74,7 @@ impl TaskContext {
         take(false, timeout.into()) != 0
     }
 
-    /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).
+    /// Yields to the other ready tasks of the same priority (T-RTOS-2: the switch happens at once).
     pub fn yield_now(&self) {
         // SAFETY: called by a task.
         unsafe { ffi::tandem_yield() };
@@ -116,8 +116,8 @@ impl TaskContext {
         }
     }
 
-    /// Bytes of this task's stack that were never used. Reads all of them, which takes some
-    /// microseconds; other tasks may run during that time.
+    /// Returns the bytes of this task's stack that were never used. Reads all of them, which takes
+    /// some microseconds; other tasks may run during that time.
     #[must_use]
     pub fn unused_stack_bytes(&self) -> usize {
         let mut info = ffi::TaskInfo::default();
@@ -154,7 +154,7 @@ fn take(all: bool, timeout: Ticks) -> u32 {
     unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
 }
 
-/// How long the running task has run, in the port's units.
+/// Returns how long the running task has run, in the port's units.
 fn own_run_time() -> u64 {
     // SAFETY: null means the caller, a task.
     unsafe { ffi::ulTaskGetRunTimeCounter(ptr::null()) }

@@ -56,7 +56,7 @@ impl Life {
         Self(port::epoch())
     }
 
-    /// Whether the object was made in the current life.
+    /// Returns whether the object was made in the current life.
     pub(crate) fn is_current(&self) -> bool {
         self.0 == port::epoch()
     }

@@ -31,7 +31,7 @@ pub struct Mutex<T: 'static> {
 }
 
 impl<T> Clone for Mutex<T> {
-    /// Another handle of the same mutex.
+    /// Returns another handle of the same mutex.
     fn clone(&self) -> Self {
         Self {
             inner: Arc::clone(&self.inner),
@@ -46,7 +46,7 @@ impl<T: fmt::Debug> fmt::Debug for Mutex<T> {
 }
 
 impl<T: Send> Mutex<T> {
-    /// A mutex that is not locked.
+    /// Makes a mutex that is not locked.
     #[must_use]
     pub fn new(_at: &impl TaskLevel, value: T) -> Self {
         let inner = Arc::new(Inner {

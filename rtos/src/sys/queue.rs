@@ -43,7 +43,7 @@ impl Raw {
         }
     }
 
-    /// The kernel's handle.
+    /// Returns the kernel's handle.
     ///
     /// # Panics
     /// If the object was made in an earlier life of the kernel.
@@ -103,7 +103,7 @@ impl Raw {
         taken == ffi::PASS
     }
 
-    /// Whether the running task holds this mutex.
+    /// Returns whether the running task holds this mutex.
     pub(crate) fn is_mine(&self) -> bool {
         // SAFETY: a mutex of this life; compares two pointers.
         unsafe { ffi::xQueueGetMutexHolder(self.handle()) == ffi::current_tcb() }
@@ -121,7 +121,7 @@ impl Raw {
         joined
     }
 
-    /// The address by which the set identifies a member.
+    /// Returns the address by which the set identifies a member.
     pub(super) fn address(&self) -> usize {
         self.block.get() as usize
     }
@@ -154,7 +154,7 @@ impl<T> Items<T> {
         self.0.len()
     }
 
-    /// The address of the items. It is null for items of no bytes, as the kernel requires.
+    /// Returns the address of the items. It is null for items of no bytes, as the kernel requires.
     pub(super) fn place(&self) -> *mut u8 {
         if size_of::<T>() == 0 {
             ptr::null_mut()
@@ -321,7 +321,7 @@ impl<T: Send> Queue<T> {
         }
     }
 
-    /// The largest number of values in the queue.
+    /// Returns the largest number of values in the queue.
     #[must_use]
     pub fn capacity(&self) -> usize {
         self.values.items.count()

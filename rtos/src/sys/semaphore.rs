@@ -53,7 +53,7 @@ impl Semaphore {
         &self.raw
     }
 
-    /// The highest count.
+    /// Returns the highest count.
     #[must_use]
     pub fn max(&self) -> usize {
         self.max

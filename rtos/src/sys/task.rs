@@ -18,13 +18,13 @@ pub(crate) const NAME_BYTES: usize = 24;
 /// The code of a task.
 type Entry = Box<dyn FnOnce(&TaskContext) + Send>;
 
-/// A task in memory. The control block is the first field: a kernel's handle is a pointer to it.
+/// A task in memory. The control block is the first field: the kernel's handle is a pointer to it.
 #[repr(C)]
 pub(crate) struct Record {
     tcb: UnsafeCell<[usize; ffi::TASK_WORDS]>,
     stack: UnsafeCell<Option<port::Stack>>,
     entry: UnsafeCell<Option<Entry>>,
-    /// The kernel knows the task, and the task has neither returned nor been abandoned.
+    /// Whether the kernel knows the task, which has neither returned nor been abandoned.
     alive: AtomicBool,
     next: AtomicPtr<Record>,
     /// Mutexes that the task holds.
@@ -110,7 +110,7 @@ pub enum TaskError {
 }
 
 impl TaskHandle {
-    /// Whether the task has neither returned nor been stopped.
+    /// Returns whether the task has neither returned nor been stopped.
     #[must_use]
     pub fn is_alive(&self) -> bool {
         self.record.alive.load(Ordering::Relaxed)
@@ -240,7 +240,7 @@ unsafe fn retire(record: &Record) {
     drop(unsafe { (*record.stack.get()).take() });
 }
 
-/// Whether every task has returned and its memory is free.
+/// Returns whether every task has returned and its memory is free.
 pub(crate) fn none_left() -> bool {
     TASKS.load(Ordering::Relaxed).is_null()
 }
@@ -345,7 +345,7 @@ extern "C" fn vApplicationIdleHook() {
     port::idle(none_left);
 }
 
-/// The kernel found at a switch that the end of this task's stack was overwritten.
+/// The kernel calls this at a switch if the end of this task's stack was overwritten.
 #[unsafe(no_mangle)]
 extern "C" fn vApplicationStackOverflowHook(task: *mut Tcb, _name: *const c_char) {
     port::fatal(format_args!(
@@ -421,7 +421,7 @@ pub(crate) fn each(mut visit: impl FnMut(&TaskStatistics<'_>)) {
 }
 
 impl TaskHandle {
-    /// The task's number in traces.
+    /// Returns the task's number in traces.
     ///
     /// # Errors
     /// [`TaskError::Ended`]

@@ -35,7 +35,7 @@ impl<A> TaskAllocator<A> {
         Self { inner }
     }
 
-    /// The wrapped allocator.
+    /// Returns the wrapped allocator.
     pub const fn inner(&self) -> &A {
         &self.inner
     }
@@ -77,7 +77,7 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
     }
 }
 
-/// Whether the program's allocator is a [`TaskAllocator`].
+/// Returns whether the program's allocator is a [`TaskAllocator`].
 pub(super) fn is_installed() -> bool {
     PROBED.store(false, Relaxed);
     PROBING.store(true, Relaxed);

@@ -98,7 +98,7 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
 }
 
-/// The lowest address of the running task's stack.
+/// Returns the lowest address of the running task's stack.
 fn current_stack() -> Option<usize> {
     let task = ffi::current_tcb();
     if task.is_null() {
@@ -110,12 +110,12 @@ fn current_stack() -> Option<usize> {
     known.then_some(low as usize)
 }
 
-/// Whether a fault's address is in the accessible part of the stack: it is then not an overflow.
+/// Returns whether a fault's address is in the accessible stack: then it is not an overflow.
 fn on_stack(address: usize, low: usize) -> bool {
     (low..low + FRAME_BYTES).contains(&address)
 }
 
-/// The stack pointer of interrupted code.
+/// Returns the stack pointer of interrupted code.
 ///
 /// # Safety
 /// `context` is the argument of a signal handler.
@@ -128,8 +128,8 @@ pub(super) unsafe fn stack_pointer(context: *const libc::ucontext_t) -> usize {
     return unsafe { (*context).uc_mcontext.sp as usize };
 }
 
-/// A panic in a task ends the process. The task's name follows the usual message, which is repeated
-/// because a test may have captured it.
+/// Makes a panic in a task end the process. The task's name follows the usual message, which is
+/// repeated because a test may have captured it.
 pub(super) fn name_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

@@ -141,7 +141,7 @@ fn serve() {
     }
 }
 
-/// The pending source with a handler that is more urgent than `level`, and its priority.
+/// Returns the pending source with a handler that is more urgent than `level`, and its priority.
 fn most_urgent(level: u32) -> Option<(u32, u32)> {
     // Acquire pairs with the Release in `raise`.
     let mut pending = PENDING.load(Ordering::Acquire);
@@ -201,7 +201,7 @@ fn nested<R>(handler: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again.
+/// Makes the kernel choose a task, and switches to it. Returns when this task is chosen again.
 /// Interrupts are masked once on entry and on return.
 fn switch() {
     YIELD.store(false, Relaxed);

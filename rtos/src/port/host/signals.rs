@@ -15,18 +15,18 @@ const TICK: u32 = 63;
 /// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. Both are in
 /// one word, so that a thread that sets the bit knows to which core it belongs.
 static CORE: AtomicU64 = AtomicU64::new(0);
-/// A signal to that thread is under way, or `PENDING` has not been read since it arrived.
+/// Set while a signal to that thread is under way, or `PENDING` was not read since it arrived.
 const SIGNALLED: u64 = 1 << 32;
 
-/// The signal has arrived, and `PENDING` has not been read since. Used only by the core's thread.
+/// Whether the signal has arrived and `PENDING` was not read since. Only the core's thread uses it.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
-/// The signal for interrupts of other threads.
+/// Returns the signal for interrupts of other threads.
 fn raise_signal() -> i32 {
     libc::SIGRTMIN() + 2
 }
 
-/// The signal for the tick.
+/// Returns the signal for the tick.
 pub(super) fn tick_signal() -> i32 {
     libc::SIGRTMIN() + 3
 }

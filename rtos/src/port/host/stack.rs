@@ -17,13 +17,13 @@ pub(crate) struct Stack {
     pub(crate) words: usize,
 }
 
-/// Bytes of a page, which is also the guard: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
+/// Returns the size of a page and of the guard, bytes: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
 pub(super) fn page() -> usize {
     // SAFETY: reads a value that Linux passes to every process at its start.
     unsafe { libc::getauxval(libc::AT_PAGESZ) as usize }
 }
 
-/// Bytes of a stack that has room for `bytes`, and bytes of its mapping with the guard.
+/// Returns the bytes of a stack with room for `bytes`, and those of its mapping with the guard.
 fn sizes(bytes: usize, page: usize) -> Option<(usize, usize)> {
     let stack = bytes.max(MIN_BYTES).checked_next_multiple_of(page)?;
     Some((stack, stack.checked_add(page)?))

@@ -37,7 +37,7 @@ pub(super) static LEVEL: AtomicU32 = AtomicU32::new(0);
 pub(super) static DEPTH: AtomicU32 = AtomicU32::new(0);
 /// How many times pre-emption is deferred: interrupts run, and the switch waits.
 pub(super) static DEFERRED: AtomicU32 = AtomicU32::new(0);
-/// A reschedule is due.
+/// Whether a reschedule is due.
 pub(super) static YIELD: AtomicBool = AtomicBool::new(false);
 /// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
@@ -48,7 +48,7 @@ std::thread_local! {
     static ON_CORE: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether the caller runs on the core's thread.
+/// Returns whether the caller runs on the core's thread.
 pub(super) fn on_core() -> bool {
     ON_CORE.get()
 }
@@ -78,7 +78,7 @@ pub(super) fn unmask_once() -> bool {
     masked.load(Relaxed) == 0 && needs_attention()
 }
 
-/// Whether interrupts are masked.
+/// Returns whether interrupts are masked.
 pub(super) fn is_masked() -> bool {
     tandem_port.masked.load(Relaxed) != 0
 }
@@ -90,7 +90,7 @@ pub(super) fn set_masked(times: u32) {
     compiler_fence(SeqCst);
 }
 
-/// Whether interrupts or a switch must be served when interrupts are unmasked.
+/// Returns whether interrupts or a switch must be served when interrupts are unmasked.
 pub(super) fn needs_attention() -> bool {
     tandem_port.attention.load(Relaxed) != 0
 }
@@ -129,17 +129,17 @@ pub(crate) fn assert_may_block() {
     );
 }
 
-/// Whether no handler runs and pre-emption is not deferred.
+/// Returns whether no handler runs and pre-emption is not deferred.
 pub(super) fn may_switch() -> bool {
     DEPTH.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0
 }
 
-/// Whether the caller is a task: on the core's thread, and not a handler.
+/// Returns whether the caller is a task: on the core's thread, and not a handler.
 pub(crate) fn in_task() -> bool {
     on_core() && !in_interrupt()
 }
 
-/// Whether a handler of an interrupt runs.
+/// Returns whether a handler of an interrupt runs.
 pub(super) fn in_interrupt() -> bool {
     DEPTH.load(Relaxed) != 0
 }

@@ -125,7 +125,7 @@ pub(super) unsafe fn first_frame(
     }
 }
 
-/// The saved context of a new task, from the stack pointer up.
+/// Returns the saved context of a new task, from the stack pointer up.
 #[cfg(target_arch = "x86_64")]
 fn frame(begin: usize, code: usize, argument: usize) -> [usize; 8] {
     // Default control words: all floating-point exceptions masked, round to nearest; the x87 unit
@@ -136,7 +136,7 @@ fn frame(begin: usize, code: usize, argument: usize) -> [usize; 8] {
     [control, 0, begin, argument, code, 0, 0, first]
 }
 
-/// The saved context of a new task, from the stack pointer up.
+/// Returns the saved context of a new task, from the stack pointer up.
 #[cfg(target_arch = "aarch64")]
 fn frame(begin: usize, code: usize, argument: usize) -> [usize; 22] {
     let mut words = [0; 22];

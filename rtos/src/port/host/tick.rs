@@ -36,8 +36,8 @@ static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
 /// Called with the lateness of each tick interrupt in nanoseconds.
 static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 
-/// Ticks of this run, or of the last one, that were served together with a later tick because the
-/// machine was late by more than a tick.
+/// Returns the number of ticks of this run, or of the last one, that were served together with a
+/// later tick because the machine was late by more than a tick.
 #[must_use]
 pub fn caught_up() -> u64 {
     CAUGHT_UP.load(Relaxed)
@@ -50,7 +50,7 @@ pub fn observe(observer: Option<fn(u64)>) {
     OBSERVER.store(pointer, Relaxed);
 }
 
-/// Nanoseconds since tick 0 of the clock that drives the tick.
+/// Returns the time since tick 0 on the clock that drives the tick, ns.
 #[must_use]
 pub fn elapsed_ns() -> u64 {
     if VIRTUAL.load(Relaxed) {
@@ -60,12 +60,12 @@ pub fn elapsed_ns() -> u64 {
     }
 }
 
-/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock.
+/// Returns the time of tick 0, in nanoseconds of [`timestamp_ns`]'s clock.
 pub(crate) fn tick_origin_ns() -> u64 {
     START_NS.load(Relaxed)
 }
 
-/// Nanoseconds of CLOCK_MONOTONIC.
+/// Returns the time of CLOCK_MONOTONIC, ns.
 #[must_use]
 pub fn now_ns() -> u64 {
     let mut now = MaybeUninit::<libc::timespec>::uninit();
@@ -144,7 +144,7 @@ pub(super) fn end() {
     }
 }
 
-/// The interrupt of the tick. Called with interrupts masked.
+/// Handles the interrupt of the tick. Called with interrupts masked.
 pub(super) fn interrupt() {
     let elapsed = elapsed_ns();
     let done = DONE.load(Relaxed);
@@ -195,7 +195,7 @@ pub(crate) fn virtual_work(span: Duration) -> bool {
     is_virtual()
 }
 
-/// The time of an event, in nanoseconds of CLOCK_MONOTONIC or of virtual time.
+/// Returns the time of an event, in nanoseconds of CLOCK_MONOTONIC or of virtual time.
 pub(crate) fn timestamp_ns() -> u64 {
     if is_virtual() {
         VIRTUAL_NS.load(Relaxed)
@@ -229,7 +229,7 @@ pub(super) fn skip_to_next() {
     consume_virtual(TICK_NS - now % TICK_NS);
 }
 
-/// A counter for the run time of tasks: the processor's own, which needs no system call.
+/// Reads the counter for the run time of tasks: the processor's own, without a system call.
 pub(crate) fn run_time() -> u64 {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: reads a counter that every x86_64 has.
