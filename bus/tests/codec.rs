@@ -1,4 +1,4 @@
-//! Messages to frames and back, against the ranges and steps that the DBC gives.
+//! Tests encoding and decoding by the ranges and steps of the DBC.
 #![allow(clippy::unwrap_used)]
 
 mod frames;

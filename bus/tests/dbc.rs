@@ -76,7 +76,7 @@ fn one_more_message_needs_only_the_dbc() -> Result<()> {
     Ok(())
 }
 
-/// Formatted as by `cargo fmt`.
+/// Returns the code as `cargo fmt` formats it.
 fn formatted(code: &str) -> Result<String> {
     let mut rustfmt = Command::new("rustfmt")
         .args(["--edition", "2024"])
@@ -175,7 +175,7 @@ fn sensors(dbc: &Dbc) -> Vec<&str> {
     dbc.messages.iter().filter(begins_list).map(node).collect()
 }
 
-/// The layouts in the order in which their first frame stands in the DBC.
+/// Returns the layouts, ordered by the place of their first frame in the DBC.
 fn layouts<'a>(dbc: &'a Dbc, sensors: &[&str]) -> Result<Vec<Layout<'a>>> {
     let mut layouts: Vec<Layout<'a>> = Vec::new();
     for message in &dbc.messages {

@@ -1,4 +1,4 @@
-//! The end-to-end protection against published values and its own rules.
+//! Tests the end-to-end protection by published values and by its own rules.
 #![allow(clippy::unwrap_used)]
 
 use crc::{CRC_16_IBM_3740, Crc};

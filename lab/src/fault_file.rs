@@ -1,4 +1,4 @@
-//! A file of faults, checked for the site that they are for.
+//! Reads a file of faults and checks that its site can inject them.
 
 use std::path::{Path, PathBuf};
 

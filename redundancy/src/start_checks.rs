@@ -153,7 +153,7 @@ mod tests {
         assert_eq!(boot(Trap, after).1.fault, fails, "and only one");
     }
 
-    /// T-RED-5: a system that has left twice because of its command fails at its next abnormal
+    /// T-RED-5: a system that left twice because of a wrong command fails at its next abnormal
     /// start. A power cycle gives it one more attempt. One wrong command alone has no effect.
     #[test]
     fn resets_that_do_not_cure_the_command_are_limited() {

@@ -193,7 +193,7 @@ pub(crate) fn another_command(frame: &CanFrame) -> CanFrame {
     steered(frame, |angle| angle + 0.001)
 }
 
-/// Returns the same control frame with the steering angle, rad, that `steer` makes of its own.
+/// Returns the control frame with its steering angle, rad, replaced by `steer(angle)`.
 pub(crate) fn steered(frame: &CanFrame, steer: impl FnOnce(f32) -> f32) -> CanFrame {
     let CanId::Standard(id) = frame.id() else {
         return *frame;

@@ -144,7 +144,7 @@ impl Bench {
     }
 
     /// Returns the rules that the roles violate after the end: one system drives and none stands
-    /// by, or a system that may drive stops the vehicle. `may_drive`: whether the faults leave one.
+    /// by, or the vehicle stops although `may_drive`: the faults leave a system that can drive.
     pub(crate) fn judge_roles(&mut self, may_drive: bool) -> Vec<Rule> {
         let is_alone = |bench: &Self| {
             let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);

@@ -333,7 +333,7 @@ impl Job {
         }
     }
 
-    /// Returns when the execution of the job ends; `None` if it has ended or there is no job.
+    /// Returns the time at which the job's execution ends; `None` if it has ended or there is none.
     /// `begins` returns whether a job begins now.
     fn ends(&mut self, begins: impl FnOnce() -> bool) -> Option<Instant> {
         let now = self.board.now();

@@ -7,7 +7,7 @@ use tandem_cores::task_table::TaskCode;
 /// How long jobs, wires and frames take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Time {
-    /// Nothing takes time: core 0 polls in no time; bus and lines deliver at once.
+    /// All execution and transmission times are zero.
     #[default]
     Ideal,
     /// Jobs take between a quarter and the whole of the measured 99th percentile, most often 5/8 of
@@ -21,7 +21,7 @@ pub enum Time {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured(u64, u64);
 
-/// Executions on the host: the columns "p99" and "max" of the table of response times in
+/// Execution times on the host: columns "p99" and "max" of the table of response times in
 /// `docs/rtos-tasks.md`. The maxima are 2 to 20 times the percentiles, so they also cover a
 /// processor that is slower than the host by that factor.
 const CORE_0: [(TaskCode, Measured); 6] = [
@@ -32,7 +32,7 @@ const CORE_0: [(TaskCode, Measured); 6] = [
     (TaskCode::TRAJECTORY_INPUT, Measured(30_700, 38_500)),
     (TaskCode::STATUS, Measured(4_400, 11_300)),
 ];
-/// Executions of cores 1 and 2. Percentiles were measured on the host, release build: `tandem run`
+/// Execution times on cores 1 and 2. Percentiles: on the host, release build, by `tandem run`
 /// of `cut-in` and `stop-and-go`, 30 s each, SCHED_FIFO, cores pinned to two CPUs; worst of both
 /// systems and runs. Medians were 21 to 32 µs and 90 to 112 µs, maxima 222 and 387 µs. The maxima
 /// here are of the firmware: `tandem run --board qemu`, same scenarios, 20 s each. An instruction

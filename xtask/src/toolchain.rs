@@ -7,8 +7,8 @@ use anyhow::{Context as _, Result, ensure};
 use std::path::Path;
 use std::process::Command;
 
-/// Lets rustup add the standard library of a target if it is missing; fails without rustup, and
-/// prints the command.
+/// Installs the standard library of a target by rustup if it is missing. Without rustup it fails
+/// and prints the command.
 pub(crate) fn demand(target: &str) -> Result<()> {
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).args(["--print", "sysroot"]).output();

@@ -27,7 +27,7 @@ impl FlashFile {
     /// Opens a file, or creates an erased one.
     ///
     /// # Errors
-    /// An error of the operating system, or that the file has the wrong size.
+    /// An error of the operating system, or an error if the file has the wrong size.
     pub fn open(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         let file = options

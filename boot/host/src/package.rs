@@ -214,7 +214,7 @@ impl Image {
     /// if it has one, is core 0's.
     ///
     /// # Errors
-    /// [`PackageError`] if the data are not those of one image.
+    /// [`PackageError`] if the data do not fit into the place of one image.
     pub fn of(
         content: &Content,
         mut release: ReleaseInfo,
@@ -249,7 +249,7 @@ impl Image {
     /// begin at the file's entry.
     ///
     /// # Errors
-    /// [`PackageError`] if it is not an ELF file, or its data are not those of one image.
+    /// [`PackageError`] if it is not an ELF file, or its data do not fit into one image.
     pub fn of_elf(
         elf: &[u8],
         flash: u32,

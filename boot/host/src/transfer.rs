@@ -82,7 +82,7 @@ pub fn send_file(
 /// Runs a bootloader until its next action is neither to wait nor to send.
 ///
 /// # Errors
-/// [`TransferError`] if bus or flash fail.
+/// [`TransferError`] if the bus or the flash fails.
 pub fn serve<F: NorFlash>(
     wire: &UdpBus,
     start: Clock,

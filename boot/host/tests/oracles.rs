@@ -15,7 +15,7 @@ use tandem_boot::{SIGNED_BYTES, Slot, Trust, TrustMode};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Content, line, records};
 
-/// Whether `program` starts with these arguments. If not, prints that `test` is skipped.
+/// Returns whether `program` runs with these arguments. If not, prints that `test` is skipped.
 fn have(test: &str, program: &str, arguments: &[&str]) -> bool {
     let output = Command::new(program).args(arguments).output();
     if output.is_ok_and(|output| output.status.success()) {
@@ -136,7 +136,7 @@ fn bincopy_reads_the_same() {
     );
 }
 
-/// T-BOOT-4: srec_cat writes files that we read, for every width of address, and reads ours.
+/// T-BOOT-4: for each width of address we read the files of srec_cat, and it reads ours.
 #[test]
 fn srec_cat_writes_and_reads_the_same() {
     if !have(
@@ -201,7 +201,7 @@ fn srec_cat_writes_and_reads_the_same() {
     assert_eq!(fs::read(&binary).unwrap(), image.bytes);
 }
 
-/// T-BOOT-4, T-BOOT-5: a program's file from objcopy is signed, downloaded and booted.
+/// T-BOOT-4, T-BOOT-5: a program that objcopy converted is signed, downloaded and booted.
 #[test]
 fn a_file_of_objcopy_loads() {
     if !have("a_file_of_objcopy_loads", "objcopy", &["--version"]) {

@@ -15,7 +15,7 @@ fn running(end: End) -> (Slot, u32) {
     }
 }
 
-/// T-BOOT-1, T-BOOT-3, U-3: with each protocol, a download is on trial, approves itself and stays.
+/// T-BOOT-1, T-BOOT-3, U-3: with each window, a download is on trial, approves itself and stays.
 #[test]
 fn a_download_boots_and_stays() {
     for window in [0, 1, 16] {
@@ -199,7 +199,7 @@ fn unchanged_but_for_the_log(before: &[u8], after: &[u8]) {
     assert_eq!(outside(before), outside(after));
 }
 
-/// T-BOOT-4, U-5: each file is wrong in one way and gets the refusal for it, and the old image
+/// T-BOOT-4, U-5: each file has one defect and is refused for that reason, and the old image
 /// boots.
 #[test]
 fn wrong_files_are_refused_with_the_reason() {

@@ -1,5 +1,5 @@
-//! One round of a drive: a sequence of faults is injected, then everything is restored until one
-//! system is master and the other its standby again.
+//! One round of a drive: a sequence of faults is injected, then everything is restored. The round
+//! ends when one system is master and the other standby again.
 
 use std::path::Path;
 

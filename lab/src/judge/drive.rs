@@ -25,7 +25,7 @@ const GIVE_UP: Duration = Duration::from_ms(15_000);
 
 /// A vehicle slower than this is standing, m/s.
 const STANDING: f64 = 0.1;
-/// Largest distance to the end of the domain at which a standing vehicle has stopped for it, m.
+/// A standing vehicle that is this close to the end of the domain has stopped because of it, m.
 const STOPPED_BEFORE_M: f64 = 50.0;
 
 /// The verdict on a scenario.

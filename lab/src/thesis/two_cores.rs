@@ -1,5 +1,5 @@
 //! Two experiments with two cores, which are processes on two CPUs: a core sends 4 bytes to a task
-//! that they wake, and both increment a counter without and with the lock. T-SYNC-4, T-LOCK-2
+//! that polls, and both increment a counter without and with the lock. T-SYNC-4, T-LOCK-2
 #![allow(
     clippy::expect_used,
     reason = "a core that cannot start panics; its process dies, and the experiment fails"
@@ -19,7 +19,7 @@ use tandem_two_cores::worker::{BatchPart, PartContext, perform};
 pub(super) const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
 pub(super) const LOCK: Region<SharedLock> = MAILBOX.then("lock");
 pub(super) const LAYOUT: Layout = LOCK.end();
-/// Time between two messages, ns. The receiver then waits before each message is sent.
+/// Time between two messages, ns. The receiver already polls when one is sent.
 const PAUSE_NS: u64 = 20_000;
 /// After this many polls without a message the receiver yields the CPU.
 const POLLS: u32 = 1 << 16;

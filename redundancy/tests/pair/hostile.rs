@@ -194,7 +194,7 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
             let from = pair.now_us;
             pair.run_ms(500);
             let what = format!("{mute} mute, {pause_ms} ms: {:?}", pair.phases());
-            // Each attempt to cure the connection would count as one of four.
+            // Each reset to repair the connection would be one of four permitted ones.
             assert_eq!(resets(&pair), before, "{what}");
             assert!(
                 !pair.systems[A.index()].held && !pair.systems[B.index()].held,

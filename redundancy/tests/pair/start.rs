@@ -317,7 +317,7 @@ fn stray_sync_edges_without_an_end_keep_no_system_from_driving() {
 }
 
 /// T-RED-9: the connections of a master end right after its first frame, which its standby has not
-/// heard. The vehicle's echo shows that there was a master, so the standby misses it in time.
+/// heard. The vehicle's echo shows that there was one, so the standby detects its absence in time.
 #[test]
 fn a_master_that_ends_after_its_first_frame_is_missed() {
     for config in PROFILES {
