@@ -126,7 +126,7 @@ unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, Tan
 pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: by the mark, `put` has written the value; by 3 no other code uses it meanwhile.
+    // SAFETY: by the mark, `put` has written the value; by 3 no other code uses it during the call.
     Ok(unsafe { (*cell).value.assume_init_mut() })
 }
 

@@ -208,7 +208,7 @@ impl Bench {
         answer
     }
 
-    /// Receives the next order in place of the core that died before it released it.
+    /// Removes the next order, which the dead core received but did not release.
     pub(crate) fn drop_order(&self) {
         let stand_in = Incarnation::new(2, self.sent).unwrap();
         self.map.incarnations().announce(stand_in).unwrap();
