@@ -52,8 +52,8 @@ pub fn core(board: &VirtBoard) {
 /// Core 2 approves an image that has kept a role for this long.
 const PROVES_ITSELF: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
 
-/// Runs one incarnation of one core of an image in a slot. Core 2 approves the image: to program
-/// the flash takes less time than its cycle. U-3
+/// Runs one incarnation of one core of an image in a slot. Core 2 approves the image within a
+/// cycle, because programming the flash takes less time than a cycle. U-3
 pub fn core_in_slot(board: &VirtBoard) {
     if board.identity().core != CoreId::PLANNING {
         return core(board);

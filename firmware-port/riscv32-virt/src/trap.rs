@@ -17,7 +17,7 @@ pub(crate) struct HartState {
     pub(crate) slice: AtomicU32,
     /// A hash of the code addresses at which this hart's turns ended.
     pub(crate) places: AtomicU32,
-    /// The code address at which the last turn ended, and how often in a row (at most 6).
+    /// The code address where the last turn ended, and its repetitions in a row (at most 6).
     ended_at: AtomicU32,
     repeats: AtomicU32,
     /// Whether the carrier requests that this hart stop.

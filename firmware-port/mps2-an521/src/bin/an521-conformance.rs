@@ -1,9 +1,7 @@
-//! Runs the cases of the conformance suite that two processors can run, one case for each start of
-//! the machine.
+//! Runs one case of the conformance suite at each start of the machine.
 //!
-//! Strap 0 is the number of the case. The status is 0 if it passed, 1 if a role failed, [`SKIPPED`]
-//! if this machine cannot run it, and [`NO_SUCH_CASE`] after the last one; the log gives the
-//! reason.
+//! Strap 0 is the case's number. The status is 0 if it passed, 1 if a role failed, [`SKIPPED`] if
+//! this machine cannot run it, [`NO_SUCH_CASE`] after the last. The log gives the reason.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -15,7 +13,7 @@ use tandem_board_mps2_an521::{cpu, entry, exit, log, straps};
 
 entry!(main);
 
-/// The status for a case that two processors of this machine cannot run.
+/// The status for a case that this machine cannot run.
 const SKIPPED: u8 = 2;
 /// The status if there is no case with this number.
 const NO_SUCH_CASE: u8 = 3;

@@ -101,7 +101,7 @@ fn run(own: usize, board: &An521Board, map: Map<'_>) -> Checked {
     Ok(())
 }
 
-/// No processor sees the locked data in the middle of a change.
+/// Tests that no processor sees the locked data in the middle of a change.
 fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let mut lock = LOCK.attach(&map, incarnation).map_err(|_| fit)?;
@@ -171,7 +171,7 @@ fn next(consumer: &mut Consumer<'_, [u32; 3]>) -> [u32; 3] {
     }
 }
 
-/// Every value arrives, in order.
+/// Tests that every value arrives, in order.
 fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     if own == 0 {
@@ -194,7 +194,7 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     Ok(())
 }
 
-/// The newest value is never torn; the ring counts the values that it loses.
+/// Tests that the newest value is never torn, and that the ring counts the values that it loses.
 fn look(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     if own == 0 {

@@ -91,7 +91,7 @@ impl<'b> Core<'b> {
         }
     }
 
-    /// Runs one cycle. Returns when the next is due, and whether a control frame was sent.
+    /// Runs one cycle. Returns the time of the next one, and whether a control frame was sent.
     fn cycle(&mut self) -> (Instant, bool) {
         let now = self.board.now();
         while let Some(received) = self.board.can().try_receive() {

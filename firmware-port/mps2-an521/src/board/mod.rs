@@ -195,7 +195,7 @@ impl Supply for Absent {
     const WINDOW_CLOSES_US: u32 = u32::MAX;
     const FIRST_SERVICE_US: u32 = u32::MAX;
 
-    /// The only reset cause of this machine.
+    /// Returns the only reset cause of this machine.
     fn reset_cause(&self) -> ResetCause {
         ResetCause::PowerOn
     }

@@ -97,7 +97,7 @@ impl Lines for An521Lines {
         WIRES.edges[self.own.index()][line.index()][edge as usize].load(Ordering::Acquire)
     }
 
-    /// True: both systems share the power of the machine.
+    /// Returns true: both systems share the power of the machine.
     fn peer_powered(&self) -> bool {
         true
     }
@@ -201,7 +201,7 @@ impl Can for An521Can {
         WIRES.overruns[self.own].load(Ordering::Relaxed)
     }
 
-    /// No errors: this bus destroys no frame.
+    /// Returns no errors: this bus destroys no frame.
     fn errors(&self) -> CanErrors {
         CanErrors::default()
     }

@@ -25,12 +25,14 @@ static READY: AtomicBool = AtomicBool::new(false);
 static BACK: AtomicU32 = AtomicU32::new(0);
 /// Cycle at which hart 1 began to wake the task.
 static BEGAN_AT: AtomicU32 = AtomicU32::new(0);
-/// Whether the next doorbell comes without a signal.
+/// Whether the next doorbell rings without a signal.
 static BARE: AtomicBool = AtomicBool::new(false);
 
-/// Tasks of hart 1: signal at once; wait until hart 0 is idle, then signal, or only interrupt it.
+/// The task of hart 1 that signals hart 0 at once.
 const ANSWER: TaskId = task(1);
+/// The task of hart 1 that waits until hart 0 is idle, and signals it.
 const SIGNAL: TaskId = task(2);
+/// The task of hart 1 that waits until hart 0 is idle, and interrupts it without a signal.
 const INTERRUPT: TaskId = task(3);
 
 fn main(hart: usize) -> ! {

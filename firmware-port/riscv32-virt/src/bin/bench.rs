@@ -310,7 +310,7 @@ fn answer() -> ! {
     wake_by_mailbox(&map, own)
 }
 
-/// The minimum: `wfi` wakes the hart without a trap, and the hart clears the interrupt.
+/// Measures the minimum: `wfi` wakes the hart without a trap, and the hart clears the interrupt.
 #[inline(never)]
 fn wake_by_wfi() {
     hart::interrupts_off();

@@ -65,7 +65,7 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-/// The task that starts both tests, and sleeps while they run.
+/// Runs in a task: starts both tests, and sleeps while they run.
 fn run(ctx: &TaskContext) {
     let mut wake = ctx.now();
     // Sleep until a tick, so that the work between two sleeps starts at a tick.

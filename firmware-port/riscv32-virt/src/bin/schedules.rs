@@ -280,7 +280,7 @@ fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
     Ok(())
 }
 
-/// The same with a lock that tests and takes in two steps: the schedules must find this defect.
+/// As `test_lock`, with a lock that tests and takes in two steps: the schedules must detect that.
 fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
     let word = &counter(map)[2];
     for _ in 0..ROUNDS {

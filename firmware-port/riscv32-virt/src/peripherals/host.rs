@@ -1,4 +1,4 @@
-//! The carrier's connection to the world outside, which runs on the host in step with the machine.
+//! The carrier's connection to the vehicle process on the host, in step with the machine.
 
 use super::ring::Ring;
 use super::{SystemRegisters, now, system};
@@ -15,7 +15,7 @@ use tandem_cosim::{
 use tandem_peripherals::codec::FRAME_WORDS;
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
-/// The status of the machine if the world has ended.
+/// The status of the machine if the vehicle process has ended or its answer is not valid.
 const ABANDONED: u16 = 3;
 
 type Buffer = [AtomicU32; MAX_WORDS];
@@ -77,7 +77,7 @@ impl Host {
         self.len + ITEM_WORDS <= MAX_WORDS
     }
 
-    /// Reports the events of the systems `here` to the world. Calls `act` for each item it answers.
+    /// Reports events of the systems `here` to the host. Calls `act` for each item of the answer.
     pub(super) fn exchange(&mut self, here: [bool; 2], act: &mut dyn FnMut(Item)) {
         self.due = (time() / PERIOD_TICKS + 1) * PERIOD_TICKS;
         self.write(here)

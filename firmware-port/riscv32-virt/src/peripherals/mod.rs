@@ -6,9 +6,9 @@
 //! the register. Effects that need a third party (the bus, the supplies) happen on the carrier's
 //! hart. The models of `tandem-peripherals` decide the effects.
 //!
-//! With a world outside, the carrier exchanges messages with it once a millisecond of virtual time:
-//! see [`Peripherals::connect`]. A system that is not in this machine has registers here, too: they
-//! collect the edges and datagrams to it, which the carrier sends with the next exchange.
+//! A vehicle process may run on the host. The carrier then exchanges messages with it once in each
+//! millisecond of virtual time: see [`Peripherals::connect`]. Edges and datagrams to a system that
+//! is not in this machine collect in its registers here, and are sent with the next exchange.
 
 pub(crate) mod data_flash;
 mod host;

@@ -44,8 +44,8 @@ impl Peripherals {
         }
     }
 
-    /// Connects to the world outside, on the host, through two pipes in the emulator's folder. From
-    /// now on the carrier exchanges messages. Only the systems `here` are in this machine.
+    /// Connects to the vehicle process on the host, through two pipes in the emulator's folder.
+    /// From now on the carrier exchanges messages. Only the systems `here` are in this machine.
     pub fn connect(&mut self, here: [bool; 2]) {
         self.here = here;
         self.host = Some(Host::open());
@@ -99,8 +99,8 @@ impl Peripherals {
         system(which).level_cut.store(false, Relaxed);
     }
 
-    /// Emulates the hardware around the systems in this machine, with a world outside. The systems
-    /// are off at first: the world connects the battery, and later ends the machine.
+    /// Emulates the hardware around the systems in this machine, for a vehicle process on the host.
+    /// The systems are off at first: that process connects the battery, and later ends the machine.
     ///
     /// Strap `First`: the systems in this machine, 1 A, 2 B, 3 both.
     pub fn play_for_world(&mut self) -> ! {
@@ -123,7 +123,7 @@ impl Peripherals {
         self.exchange();
         if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
             self.act(item);
-            // The world measures from this time. Cores that the item stops have already stopped.
+            // The host measures from this time. Cores that the item stops have already stopped.
             log!("carried out at {} ns", now().as_ns());
         }
         for which in self.systems() {
@@ -183,9 +183,9 @@ impl Peripherals {
             .filter(move |system| here[system.index()])
     }
 
-    /// If an exchange is due, reports to the world, and carries out its answer.
+    /// If an exchange is due, reports to the vehicle process, and carries out its answer.
     fn exchange(&mut self) {
-        // `act` needs `self`, so the host is taken out of it meanwhile.
+        // `act` needs `self`, so the host is taken out of it during the call.
         if let Some(mut host) = self.host.take() {
             if time() >= host.due() {
                 host.exchange(self.here, &mut |item| self.act(item));
@@ -194,7 +194,7 @@ impl Peripherals {
         }
     }
 
-    /// Carries out one item of the world's answer.
+    /// Carries out one item of the answer from the host.
     fn act(&mut self, item: Item) {
         if let Some((_, later @ None)) = &mut self.later {
             *later = Some(item);
@@ -250,7 +250,7 @@ impl Peripherals {
         }
     }
 
-    /// Passes the content of its registers to a supply, and polls it.
+    /// Passes a system's registers to its supply, then polls the supply.
     fn look_after(&mut self, which: SystemId) -> Option<Change> {
         let registers = system(which);
         // Acquire pairs with the Release in `release_core`.
@@ -338,7 +338,7 @@ impl Peripherals {
         trap::release(CoreAddress::new(which, CoreId::CONTROL).index());
     }
 
-    /// The bus: passes every frame to all cores except its sender, to all in the same order.
+    /// Moves frames as the bus does: to all cores except the sender, to all in the same order.
     fn move_frames(&mut self) {
         loop {
             let mut moved = false;
