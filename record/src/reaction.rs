@@ -2,9 +2,9 @@
 
 use crate::RunLog;
 
-/// How much earlier than its real time a measurement may be placed, ns. The age in a control frame
-/// is rounded, and the world around an emulated machine advances in steps of 1 ms, so a frame has
-/// the time of the step before it was sent. The times between measurements are longer.
+/// How much earlier than its real time a measurement may seem to be, ns. The age in a control frame
+/// is rounded. The world around an emulated machine advances in steps of 1 ms, so the time stamp
+/// of a frame is up to one step early. Measurements are further apart than this.
 const EARLY_NS: u64 = 1_100_000;
 
 /// The two distributions, ms.
@@ -16,13 +16,13 @@ pub struct Reaction {
     pub age_ms: Vec<f64>,
 }
 
-/// Finds, for each measurement, the control frames that reflect it, by the age that they contain.
+/// Returns the reaction to each measurement, and the age of the data behind each control frame.
 ///
 /// A control frame contains the age of its oldest measurement. This age omits the shortest delay of
-/// the bus, but includes any longer wait for it. So the oldest measurement of a frame is the last
-/// one taken by that time, not the last one that was on the bus by then. A measurement belongs to
-/// the last command whose oldest measurement is not newer. The reaction ends when that command
-/// first acts.
+/// the bus, but includes any longer wait for it. So the oldest measurement is the last one taken,
+/// not the last one on the bus, at the time of sending minus the age. A measurement belongs to the
+/// last command whose oldest measurement is not newer. The reaction ends when that command first
+/// acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
@@ -46,7 +46,7 @@ pub fn reaction(log: &RunLog) -> Reaction {
     }
     for measured_ns in measured_ns {
         let after = commands.partition_point(|command| command.0 <= *measured_ns);
-        // Without a later command the end of the last one is unknown.
+        // The last command is skipped: newer measurements may belong to a command after it.
         if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
             && after < commands.len()
         {
@@ -70,9 +70,9 @@ mod tests {
     /// The shortest delay of the bus, which the controller neglects.
     const WAY_NS: u64 = MS / 2;
 
-    /// Object lists at 0 and 15 ms of each 50 ms. Control frames every 10 ms; the command of a
-    /// round acts from `acts_ms` of its period on. The controller places a measurement by its
-    /// sensor's clock, `early_ns` before the end of the shortest delay.
+    /// Object lists at 0 and 15 ms of each round of 50 ms. Control frames every 10 ms. The command
+    /// of a round first acts `acts_ms` after the round begins. The age in its frames places the
+    /// first list of the round `WAY_NS - early_ns` after its real time.
     fn log_placed(acts_ms: u64, early_ns: u64) -> RunLog {
         let mut log = RunLog::default();
         for round in 0..20 {
@@ -107,7 +107,7 @@ mod tests {
         kinds.sort_by(f64::total_cmp);
         kinds.dedup();
         assert_eq!(kinds, [5.0, 20.0]);
-        // Of 16 commands 15 have a next one; each reflects two lists.
+        // 15 of the 16 commands have a successor; each of them reflects two lists.
         assert_eq!(found.reaction_ms.len(), 2 * 15);
         let mut ages = found.age_ms;
         ages.sort_by(f64::total_cmp);
@@ -115,8 +115,8 @@ mod tests {
         assert_eq!(ages, [20.0, 30.0, 40.0, 50.0, 60.0]);
     }
 
-    /// The clocks drift, so a measurement may be placed before its list was on the bus, and a world
-    /// that advances in steps places it one step earlier. It must still belong to its own round.
+    /// Because the clocks drift, a measurement may seem to be older than its list on the bus. A
+    /// world that advances in steps makes it one step older. It must still belong to its own round.
     #[test]
     fn a_measurement_that_is_placed_early_stays_in_its_round() {
         for early_ns in [WAY_NS, WAY_NS + MS] {

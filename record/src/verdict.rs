@@ -1,4 +1,4 @@
-//! The rules for a good run: each stands here once, with its bound and the effect of a finding.
+//! The rules for a good run: each is defined once, with its bound and the effect of a finding.
 //!
 //! A run, its report, a campaign of faults and a judged scenario apply the same rules. The table in
 //! `docs/verdict.md` is generated from [`RULES`].
@@ -31,7 +31,7 @@ pub enum InRun {
 /// The bound of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
-    /// A larger figure is a finding; with its unit.
+    /// The largest permitted figure, with its unit.
     AtMost(f64, &'static str),
     /// A bound in words: it follows from the run.
     Given(&'static str),
@@ -57,8 +57,8 @@ pub struct Row {
 pub const LATERAL_ERROR_MAX_M: f64 = 0.85;
 /// The longest median of the control period, ms: 10 ms, and a tenth for clocks and timers.
 pub const CONTROL_PERIOD_MAX_MS: f64 = 11.0;
-/// A wrong mode may last this long, s: a standby that falls silent on CAN is missed after 0.35 s,
-/// and one that has returned counts again after 1 s.
+/// A wrong mode may last this long, s: the master detects a standby that falls silent on CAN after
+/// 0.35 s, and a standby that has returned counts again after 1 s.
 pub const WRONG_MODE_MAX_S: f64 = 1.5;
 /// The smallest permitted time gap to the vehicle ahead, s: the one that planning keeps at more
 /// than 60 km/h.
@@ -67,7 +67,7 @@ pub const HEADWAY_MIN_S: f64 = 1.6;
 /// Defines the enum of the rules and their table from one list. A rule says what must not happen.
 macro_rules! rules {
     ($($rule:ident, $fields:literal, $bound:expr, $in_run:expr, $words:literal;)+) => {
-        /// A rule. Its number, by order, is its code in the files of a campaign.
+        /// A rule. Its position in the list is its code in the files of a campaign.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[serde(rename_all = "kebab-case")]
         pub enum Rule {
@@ -149,8 +149,8 @@ impl Rule {
         &RULES[self as usize]
     }
 
-    /// Returns the finding of a figure beyond the rule's bound; `None` within it, or if the bound
-    /// is no number.
+    /// Returns the finding if the figure exceeds the rule's bound; `None` if it does not, or if
+    /// the bound is not a number.
     #[must_use]
     pub fn exceeded(self, measured: f64) -> Option<Finding> {
         let Row { words, bound, .. } = self.row();
@@ -223,7 +223,7 @@ impl Finding {
         })
     }
 
-    /// Returns a finding whose words are those of the rule.
+    /// Returns a finding that is described with the words of the rule.
     #[must_use]
     pub fn of(rule: Rule) -> Self {
         Self::new(rule, [1.0, 0.0], rule.row().words)
@@ -238,7 +238,7 @@ impl Finding {
         }
     }
 
-    /// Returns the finding with the stall at that time, and whether the stall excuses it.
+    /// Adds to the finding the stall at that time, and whether the stall excuses it.
     #[must_use]
     pub fn beside(self, evidence: String, excused: bool) -> Self {
         Self {
@@ -288,7 +288,7 @@ pub enum Outcome {
     UnderControl,
     /// A finding fails the run.
     Failed,
-    /// There was no real time, so a late frame may be the machine's fault.
+    /// The run had no real-time priority, so the machine may have delayed a frame.
     NotJudged,
 }
 
@@ -480,7 +480,7 @@ mod tests {
         );
     }
 
-    /// Without real time, a late frame proves nothing, but a collision still fails the run.
+    /// Without real-time priority a late frame proves nothing, but a collision fails the run.
     #[test]
     fn without_real_time_only_times_are_not_judged() {
         let gap = Finding::new(Rule::Gap, [40.0, 20.0], "no system drove for 40 ms");

@@ -28,7 +28,7 @@ pub struct Beside {
 
 impl Beside {
     /// Returns all stalls that are evidence, of CPUs and of the bus. A stall that a process of
-    /// ordinary priority observed is no evidence.
+    /// ordinary priority observed is not evidence.
     #[must_use]
     pub fn evidence(&self, log: &RunLog) -> Vec<Stall> {
         match self.watch {
@@ -54,19 +54,19 @@ pub struct Figures {
     pub both_transmitted_ms: f64,
     /// The part of that time that the hand-overs of this run can explain, ms.
     pub hand_over_ms: f64,
-    /// Control frames after a takeover that were too old to act, unless a stall explains it.
+    /// Control frames after a takeover that were too old to act, and that no stall explains.
     pub stale_frames: usize,
     /// Times without control beyond the bound of their cause.
     pub gaps: Vec<GapFigures>,
     /// Changes of the system that is obeyed.
     pub takeovers: Vec<TakeoverFigures>,
-    /// Takeovers that replaced a master that had not failed, unless a stall explains it.
+    /// Takeovers from a master that had not failed, and that no stall explains.
     pub false_takeovers: usize,
     /// The longest time in which the mode of the master did not fit the redundancy, s.
     pub wrong_mode_s: f64,
-    /// Scenario time since which no system was standby, up to the end, s; `None` if one was.
+    /// Scenario time since which no system was standby, s; `None` if one was at the end.
     pub redundancy_lost_s: Option<f64>,
-    /// Files and processes that were still there after the end.
+    /// Files and processes that still existed after the end.
     pub leftovers: Vec<String>,
 }
 
@@ -133,7 +133,7 @@ pub struct TakeoverFigures {
     pub to: String,
     /// Scenario time of the new master's first frame, s.
     pub at_s: f64,
-    /// The evidence by which the new master knew that the old one had failed.
+    /// The new master's evidence that the old master had failed.
     pub cause: String,
     /// Time from the old master's last sign of life to the decision, ms.
     pub detected_ms: Option<f64>,
@@ -373,7 +373,7 @@ mod tests {
 
     type Change = fn(&mut Figures, &mut RunLog, &mut Beside);
 
-    /// What breaks each rule of a run, and nothing else.
+    /// For each rule of a run, a change that breaks only this rule.
     const BREAKS: &[(Rule, Change)] = &[
         (Rule::NoControl, |it, _, _| it.control_frames = 0),
         (Rule::CutShort, |it, _, _| it.complete = false),
@@ -439,7 +439,7 @@ mod tests {
         let stop = findings(|_, log, _| log.figures.safe_stop_s = Some(6.0));
         let stop: Vec<Rule> = stop.iter().map(|it| it.rule).collect();
         assert_eq!(stop, [Rule::SafeStop, Rule::Stopped]);
-        // No rule of a run is left out here.
+        // The list above covers every rule of a run.
         for row in RULES.iter().filter(|row| row.in_run != InRun::Campaign) {
             let is_here = row.rule == Rule::SafeStop || BREAKS.iter().any(|it| it.0 == row.rule);
             assert!(is_here, "{}", row.rule);
