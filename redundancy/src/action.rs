@@ -95,8 +95,8 @@ pub enum RedundancyEvent {
     Implausible,
     /// A control frame of a lower term was heard and ignored; the vehicle refuses it.
     StaleTerm(Term),
-    /// This system takes a higher term without a change of role, because the other knows a higher
-    /// one.
+    /// This system takes a higher term without a change of role, because the other system knows a
+    /// higher one.
     TermRaised(Term),
     /// No frame is received on CAN (`true`), or frames are received again (`false`).
     CanSilent(bool),
@@ -141,7 +141,7 @@ impl RedundancyEvent {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actions {
     list: [Option<Action>; Self::CAPACITY],
-    /// The number of actions; they stand at the start of the list.
+    /// The number of actions; they are at the start of the list.
     count: u8,
     deadline: Instant,
 }

@@ -31,13 +31,13 @@ pub struct Config {
     pub control_period: Duration,
     /// How late a control frame may arrive: lateness of its sender, time on the bus.
     pub control_margin: Duration,
-    /// For how many control periods the vehicle may be silent before its last echo is out of date,
-    /// and before this system counts as deaf. If the vehicle sends no echo, a master whose control
-    /// frames are missing for this long is mute.
+    /// The number of control periods without a frame from the vehicle after which its last echo is
+    /// out of date and this system counts as deaf. If the vehicle sends no echo, a master whose
+    /// control frames are missing for this long is mute.
     pub mute_periods: u32,
     /// Time between two handshake edges.
     pub handshake_period: Duration,
-    /// How long a system waits at power-on for the other's handshake.
+    /// How long a system waits at power-on for the other system's handshake.
     pub start_limit: Duration,
     /// How much longer B waits than A wherever both might act at the same time. Long enough for B
     /// to hear A.
@@ -53,7 +53,7 @@ pub struct Config {
     /// Whether dual operation resumes at run time when the other system has recovered. Otherwise it
     /// resumes at the next power cycle, as in the thesis.
     pub reintegrate: bool,
-    /// How many abnormal resets in a row are tolerated.
+    /// The largest tolerated count of abnormal resets; see [`Config::healthy_after`].
     pub abnormal_limit: u8,
     /// Each period of this length without a reset subtracts one from the count of abnormal resets.
     pub healthy_after: Duration,
@@ -79,8 +79,8 @@ impl Config {
     }
 
     /// A power level that is low for this long, without a heartbeat, means that the other system is
-    /// off: a running system would have sent one, seen at most one poll later. The level is only
-    /// one wire, and must not overrule two other witnesses.
+    /// off: a running system would have sent a heartbeat, seen at most one poll later. The level is
+    /// only one wire, and must not overrule two other witnesses.
     #[must_use]
     pub fn level_limit(&self) -> Duration {
         self.heartbeat_period + self.heartbeat_jitter.min(self.poll_interval)
@@ -107,9 +107,9 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
-    /// How long a master that hears nothing on CAN may transmit after the other has taken over. It
-    /// hears the other's claim only over the link, and accepts it when it has lasted for
-    /// [`Config::mute_limit`]. The vehicle refuses its frames.
+    /// How long a master that hears nothing on CAN may transmit after the other system has taken
+    /// over. It hears that claim only over the link, and accepts it after [`Config::mute_limit`].
+    /// The vehicle refuses the frames that it sends until then.
     #[must_use]
     pub fn deaf_hand_over(&self) -> Duration {
         let reports = self
@@ -172,8 +172,8 @@ impl Config {
         self.silent_limit() - self.heartbeat_period
     }
 
-    /// The longest time between two polls that counts as running. After a longer time the system
-    /// was held up, and the silence that it saw is no evidence against the other.
+    /// The longest time between two polls of a running system. After a longer time it was held up,
+    /// and the silence that it saw is not evidence against the other system.
     #[must_use]
     pub fn stall_limit(&self) -> Duration {
         self.poll_interval + self.heartbeat_jitter
@@ -186,17 +186,17 @@ impl Config {
         self.silent_limit() + self.poll_interval
     }
 
-    /// From the failure of a master to the takeover, if its heartbeats fall silent, and its control
-    /// frames or the link too.
+    /// Time from the failure of a master to the takeover, if its heartbeats fall silent, and its
+    /// control frames or the link too.
     #[must_use]
     pub fn takeover_bound(&self) -> Duration {
         let third = self.witness_limit().min(self.link_limit());
         self.silent_limit().max(third) + self.poll_interval
     }
 
-    /// From the last control frame of a failed master to the first one of the new master, each when
-    /// it leaves its system, if the power level did not show the failure. In the worst case the
-    /// master fails just before a frame is due.
+    /// Time from the last control frame of a failed master to the first one of the new master, each
+    /// when it leaves its system, if the power level did not show the failure. In the worst case
+    /// the master fails just before a frame is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
         let third = self

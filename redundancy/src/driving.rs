@@ -71,8 +71,8 @@ impl Driving {
         core::mem::take(&mut self.refused)
     }
 
-    /// Whether the other may have taken over since this master was last permitted to transmit. It
-    /// cannot do so before the third witness's limit has passed, or if it is off.
+    /// Returns whether the other system may have taken over since this master was last permitted to
+    /// transmit. It cannot before the third witness's limit has passed, or if it is off.
     pub(crate) fn may_be_deposed(
         &self,
         config: &Config,
@@ -104,8 +104,8 @@ impl Driving {
         (!heard).then_some(Evidence::StandbyMute)
     }
 
-    /// Judges, while this system drives alone, whether the other has recovered and may be the
-    /// standby again. `peer_sound_for`: time since the last evidence of its failure.
+    /// Judges, while this system drives alone, whether the other system has recovered and may be
+    /// the standby again. `peer_sound_for`: time since the last evidence of its failure.
     pub(crate) fn judge_alone(
         &self,
         config: &Config,
@@ -130,11 +130,11 @@ impl Driving {
     }
 }
 
-/// The phase `Thawed`: this master was held up, and listens to find out whether the other drives.
+/// The phase `Thawed`: this master was held up, and listens whether the other system drives.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thawed {
-    /// The mastership to resume. After a stall no new term is taken: if the other took over
-    /// unheard, a new term would depose it.
+    /// The mastership to resume. After a stall no new term is taken, because it would depose the
+    /// other system if that one had taken over unheard.
     pub(crate) driving: Driving,
     /// This master was in dual operation.
     pub(crate) dual: bool,
@@ -143,9 +143,9 @@ pub(crate) struct Thawed {
 }
 
 impl Thawed {
-    /// Returns whether the other has not taken over and is not about to. `age` ago the vehicle
-    /// accepted the last frame of this mastership: either too recently for a takeover, or so long
-    /// ago that a takeover would already have happened.
+    /// Returns true if no takeover has happened or is in progress. `age`: time since the vehicle
+    /// accepted the last frame of this mastership. It is too short for a takeover, or so long that
+    /// the vehicle would obey the other system by now.
     pub(crate) fn is_kept(&self, config: &Config, age: Duration) -> bool {
         let under_way = config.poll_interval.times(2);
         age + under_way < config.witness_limit() || age > config.gap_bound() + under_way

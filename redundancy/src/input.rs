@@ -43,7 +43,7 @@ impl LineSnapshot {
 pub struct ControlHeader {
     /// The system that the frame names as its sender.
     pub system: SystemId,
-    /// Its mastership term.
+    /// The term in which its sender drives.
     pub term: Term,
     /// Its role; a control frame with any role but master is implausible.
     pub role: Role,

@@ -1,5 +1,5 @@
-//! The machine: lets the phase judge the witnesses, follows the transition table, and returns
-//! actions.
+//! The machine: evaluates the witnesses in the current phase, follows the transition table, and
+//! returns actions.
 
 mod hear;
 #[cfg(test)]
@@ -22,8 +22,8 @@ use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 /// can be missing from the flash after a loss of power.
 const TERM_STEP_AT_START: u32 = 8;
 /// The same step if no system has reported the highest term since power-on: more masterships than
-/// the other is likely to have had while this system was off. If the term were too low, the vehicle
-/// would refuse it and obey no system.
+/// the other system is likely to have had while this system was off. If the term were too low, the
+/// vehicle would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
 
 /// Tells the other system that this one is ready.
@@ -85,7 +85,7 @@ pub struct Redundancy {
     state: SystemState,
     /// The fault of this system, from the record in flash or found since the start.
     fault: Option<FailureMode>,
-    /// When the other was last found to have failed.
+    /// When the other system was last found to have failed.
     peer_failed_at: Instant,
     /// The number of consecutive changes of the driver, and the time of the last one.
     changes: u8,
@@ -183,9 +183,9 @@ impl Redundancy {
         actions
     }
 
-    /// Returns when the next poll is due: after the poll interval, for a heartbeat, or at the end
-    /// of a limit after which the master counts as failed. A takeover does not wait for the next
-    /// periodic poll, whose phase to the other system's polls is arbitrary.
+    /// Returns the time of the next poll: the end of the poll interval, the next heartbeat, or the
+    /// end of a limit after which the master counts as failed. A takeover must not wait for the
+    /// next periodic poll, because polls of the two systems are not aligned.
     fn deadline(&self, now: Instant) -> Instant {
         let due = self.beats.due();
         let due = due.min(self.polls.last() + self.config.poll_interval);
@@ -281,7 +281,7 @@ impl Redundancy {
         (self.beats.sent(), self.witnesses.beats.received())
     }
 
-    /// Whether the vehicle can do without this system: it is standby, and the other has driven
+    /// Returns whether this system may leave: it is standby, and the other system has driven
     /// without a fault for longer than the hold-down. All witnesses must confirm it. T-BOOT-1
     #[must_use]
     pub fn may_leave(&self, now: Instant) -> bool {
@@ -345,7 +345,7 @@ impl Redundancy {
             .since_last
             .is_none_or(|span| span > self.config.stall_limit());
         if late && self.witnesses.forgive(now) {
-            // Only polled time counts as silence: a stall of this system is no evidence.
+            // Only polled time counts as silence: a stall of this system is not evidence.
             if let PhaseState::Standby(standby) = &mut self.phase {
                 standby.forgive(now);
             }
@@ -372,8 +372,8 @@ impl Redundancy {
                 actions.push(Action::Transmit);
             }
             if seen.handshakes > 0 {
-                // The other starts while this system drives: the sync edge makes it follow. Send
-                // no handshake: another driving system would answer it with one, without end.
+                // The other system starts while this system drives: the sync edge makes it follow.
+                // Send no handshake: another driving system would answer it with one, without end.
                 actions.push(SYNC);
             }
         }
@@ -441,8 +441,8 @@ impl Redundancy {
         self.obey_fault(now, actions);
     }
 
-    /// Reacts to a fault of this system. The system leaves only when the other drives; until then
-    /// it stops the vehicle, or stays ready to do so.
+    /// Reacts to a fault of this system. It leaves only when the other system drives; until then it
+    /// stops the vehicle, or stays ready to do so.
     fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
         let Some(fault) = self.fault else {
             return;
@@ -551,7 +551,7 @@ impl Redundancy {
             }
             Phase::DegradedMaster => {
                 self.state.is_master = true;
-                // A fault of this system is no evidence against the other.
+                // A fault of this system is not evidence against the other system.
                 if on != Evidence::FaultStop {
                     self.set_peer_failed(now, true, actions);
                 }
@@ -636,8 +636,8 @@ impl Redundancy {
     }
 
     /// A long time without a reset subtracts one from the counts of abnormal resets and of wrong
-    /// commands. A system that crashes more often than that suspends eventually, even if the
-    /// crashes are far apart. T-RED-5
+    /// commands. If crashes occur more often than this, the system eventually suspends, even if
+    /// they are far apart. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since

@@ -27,7 +27,7 @@ pub enum Mode {
     L3 = 1,
     /// Lane and distance keeping by the remaining system.
     DegradedL2 = 2,
-    /// Stopping the vehicle: the remaining system has a fault of its own.
+    /// Stopping the vehicle: the remaining system has a fault too.
     SafeStop = 3,
 }
 
@@ -39,12 +39,12 @@ pub enum Phase {
     Starting = 0,
     /// The other system drives. Output closed, heartbeats.
     Standby = 1,
-    /// Dual operation: drives, the other is standby. Output open, heartbeats.
+    /// Dual operation: drives, the other system is standby. Output open, heartbeats.
     Master = 2,
     /// Drives alone. Output open, heartbeats.
     DegradedMaster = 3,
     /// Was master and was held up longer than its lease. Listens to find out whether the other
-    /// drives. Output closed, no heartbeats.
+    /// system drives. Output closed, no heartbeats.
     Thawed = 4,
     /// Has requested a reset that may cure its fault. Output closed, no heartbeats.
     Resetting = 5,
@@ -53,13 +53,13 @@ pub enum Phase {
 }
 
 impl Phase {
-    /// Whether the output is open.
+    /// Returns whether the output is open.
     #[must_use]
     pub const fn is_driving(self) -> bool {
         matches!(self, Self::Master | Self::DegradedMaster)
     }
 
-    /// Whether the system sends heartbeats: it is in a role, or ready for one.
+    /// Returns whether the system sends heartbeats: it has a role, or is ready for one.
     #[must_use]
     pub const fn sends_heartbeats(self) -> bool {
         matches!(self, Self::Standby | Self::Master | Self::DegradedMaster)
@@ -83,7 +83,7 @@ impl Phase {
         }
     }
 
-    /// Returns what the digital outputs show.
+    /// Returns the state that the digital outputs show.
     #[must_use]
     pub const fn lamp(self) -> RoleLamp {
         match self {
@@ -125,14 +125,14 @@ pub enum Evidence {
     /// The recovered system is also heard on CAN, and the configuration permits dual operation
     /// again. Or the vehicle still obeys this master, which was held up in dual operation.
     PeerStable = 10,
-    /// This master was held up; the other may have taken over in this time.
+    /// This master was held up; the other system may have taken over in this time.
     Stalled = 11,
     /// The time for listening after a stall is over: the other did not take over.
     ListenOver = 12,
-    /// This system has a fault that a reset may cure; it does not drive, and the other does.
+    /// This system has a fault that a reset may cure; it does not drive, and the other system does.
     FaultReset = 13,
     /// This system has a fault while it drives: it continues to drive, to stop the vehicle, until
-    /// the other drives.
+    /// the other system drives.
     FaultStop = 14,
     /// This system has a permanent fault, and the other system drives.
     FaultSuspend = 15,

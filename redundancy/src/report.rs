@@ -17,9 +17,9 @@ pub struct PeerReport {
     pub can_alive: bool,
 }
 
-/// A report as sent over the link. It contains its time of sending: a report that is repeated, or
-/// arrives far too late, is no sign of life. The time also shows the sender's clock to the other
-/// system.
+/// A report as sent over the link. It contains its time of sending, so that a report that is
+/// repeated, or arrives far too late, does not count as a sign of life. The time also shows the
+/// sender's clock to the other system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkReport {
     /// The content.

@@ -73,8 +73,8 @@ impl Standby {
         };
     }
 
-    /// Handles an echo: the vehicle accepted a frame of the master `age` ago. If this system has
-    /// heard no frame since about then, it has lost frames, and the master drives.
+    /// Handles an echo: the vehicle accepted a frame of the master `age` ago. If this system's last
+    /// frame is older by more than the margin, it has lost frames, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
         self.start = None;
         // Also if this system began to listen only just before that frame.
@@ -86,7 +86,7 @@ impl Standby {
         }
     }
 
-    /// Restarts the time limit: a stall of this system is no evidence against the master.
+    /// Restarts the time limit: a stall of this system is not evidence against the master.
     pub(crate) fn forgive(&mut self, now: Instant) {
         self.last_control = self.last_control.max(now);
     }
@@ -104,8 +104,8 @@ impl Standby {
             || witnesses.reports.drives(now, config.witness_limit())
     }
 
-    /// Whether the master drives without a fault and for long enough, by its heartbeats, its
-    /// control frames, its report over the link, and the vehicle's echo. None of them may be late.
+    /// Returns whether the master has driven without a fault for long enough. Its heartbeats and
+    /// control frames, its link report and the vehicle's echo must show it; none may be late.
     pub(crate) fn is_dispensable(
         &self,
         config: &Config,
@@ -124,7 +124,7 @@ impl Standby {
         now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
     }
 
-    /// Returns the evidence about the master. `sound`: this system has no fault of its own.
+    /// Returns the evidence about the master. `sound`: this system has no fault.
     pub(crate) fn judge(
         &mut self,
         config: &Config,
@@ -151,7 +151,7 @@ impl Standby {
             {
                 Evidence::SyncStray
             }
-            // Heartbeats arrive, but no control frame ever did: the other is a standby too.
+            // Heartbeats arrive, but no control frame ever did: the other system is a standby too.
             Evidence::PeerSilent | Evidence::MasterMute
                 if !self.control_known && !witnesses.beats.both_silent() =>
             {
@@ -174,9 +174,9 @@ impl Standby {
         // A handshake alone: the other has just started. A system that leads sends a sync edge too.
         let starts = seen.handshakes > 0 && seen.syncs == 0;
         // Remembered until control frames arrive again: a master that was reset may send heartbeats
-        // again, as a standby, before its control frames are missed.
+        // again, as a standby, before the absence of its control frames is detected.
         self.suspected |= silent || starts;
-        // A stray edge made this system a standby. The other is still starting.
+        // A stray edge made this system a standby. The other system is still starting.
         if starts && !self.control_known && self.no_system_drives(config, now, witnesses) {
             return Some(Evidence::HandshakeDone);
         }

@@ -4,7 +4,7 @@ use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
-/// If this many incarnations in a row found a wrong command, a further reset does not cure the
+/// At this count of incarnations that found their command wrong, a further reset does not cure the
 /// system. It starts in the safe stop, or suspends beside a system that drives.
 pub(crate) const WRONG_COMMANDS: u8 = 2;
 

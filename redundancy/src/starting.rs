@@ -2,8 +2,8 @@
 //!
 //! Each system repeats its handshake edge until the start is decided, so the order of switching on
 //! does not matter. The leading system sends a handshake and the sync edge when it has heard two
-//! handshakes of the other. The other begins on the sync edge. A master that already runs answers a
-//! handshake with the sync edge, so a late system becomes its standby.
+//! handshakes of the other system. The other system begins on the sync edge. A master that already
+//! runs answers a handshake with the sync edge, so a late system becomes its standby.
 
 use crate::input::Seen;
 use crate::{Config, Evidence};
@@ -17,9 +17,9 @@ const HANDSHAKES_OF_A_STARTING_SYSTEM: u32 = 2;
 /// How a system begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StartKind {
-    /// Power-on, and both systems count as healthy: wait for the other's handshake.
+    /// Power-on, and both systems count as healthy: wait for the other system's handshake.
     Handshake,
-    /// After a reset, or if the other counts as failed: only listen for a running master.
+    /// After a reset, or if the other system counts as failed: only listen for a running master.
     Listen,
 }
 
@@ -98,15 +98,15 @@ impl Starting {
         self.control_frame || self.beats >= BEATS_OF_A_RUNNING_SYSTEM
     }
 
-    /// Whether the time limit for an answer of the other system is over. A first handshake extends
-    /// it until the second is due.
+    /// Returns whether the time limit for an answer of the other system has passed. A first
+    /// handshake extends it until the second is due.
     pub(crate) fn is_over(&self, config: &Config, now: Instant) -> bool {
         let more = config.handshake_period.times(self.handshakes.min(1));
         now.since(self.since) >= self.alone_after(config) + more
     }
 
-    /// Returns how long after the other's handshake this system leads. If both claim to be master,
-    /// or neither does, A leads before B, so that the first sync edge decides.
+    /// Returns the delay from the other system's handshake until this system leads. If both claim
+    /// to be master, or neither does, A leads before B, so that the first sync edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
             (true, SystemId::A) => Duration::ZERO,
@@ -116,8 +116,8 @@ impl Starting {
         }
     }
 
-    /// How long this system waits for the other. The times are staggered: with a cut start line,
-    /// the first system to stop waiting runs, and is heard on other lines, before the second stops.
+    /// Returns how long this system waits for the other one. The times are staggered: if the start
+    /// line is cut, the first to stop waiting is heard on other lines before the second stops.
     fn alone_after(&self, config: &Config) -> Duration {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),

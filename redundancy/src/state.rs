@@ -53,7 +53,7 @@ impl FailureMode {
         Self::from_repr(code).unwrap_or(Self::Unknown)
     }
 
-    /// Whether a reset may cure it, so that the system returns as standby instead of suspending.
+    /// Returns whether a reset may cure it: the system then returns as standby, not suspended.
     #[must_use]
     pub const fn reset_may_cure(self) -> bool {
         matches!(
@@ -76,7 +76,7 @@ impl FailureMode {
     }
 }
 
-/// The knowledge of a system about itself and the other, kept across restarts. T-RED-1
+/// What a system knows about itself and the other system, kept across restarts. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemState {
     /// This system was master last, or was initialised as master.
@@ -91,10 +91,10 @@ pub struct SystemState {
     pub abn_resets: u32,
     /// Starts so far, for any cause; saturates.
     pub total_resets: u32,
-    /// Abnormal resets since this system last ran well for long enough; saturates.
+    /// Abnormal resets, minus one for each `Config::healthy_after` without a reset; saturates.
     pub abn_in_a_row: u8,
-    /// Incarnations that found their own command wrong, since this system last ran well for long
-    /// enough; saturates.
+    /// Incarnations that found their own command wrong, minus one for each `Config::healthy_after`
+    /// without a reset; saturates.
     pub wrong_in_a_row: u8,
     /// The highest mastership term seen or used.
     pub term: Term,

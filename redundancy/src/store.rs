@@ -197,8 +197,8 @@ impl StateStore {
         self.is_broken() || (self.wanted.is_none() && self.running == Running::Nothing)
     }
 
-    /// Whether the flash failed so often in a row that the store has given up. The system can
-    /// continue; after the next start its state will be old.
+    /// Returns whether the flash failed so often in a row that the store has given up. The system
+    /// can continue, but its next start will read an old state.
     #[must_use]
     pub fn is_broken(&self) -> bool {
         self.failures >= MAX_FAILURES

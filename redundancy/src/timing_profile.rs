@@ -177,8 +177,8 @@ impl Budget {
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: self.handshake_period,
-            // The longest time the other may take to start and to send its first handshake. The
-            // level line shows a system without power at once.
+            // The longest time the other system may take to start and to send its first handshake.
+            // The level line shows a system without power at once.
             start_limit: Duration::from_ns(self.boot_limit.as_ns() + AFTER_BOOT.as_ns()),
             stagger,
             // In this time the other system polls at least three times.

@@ -14,9 +14,9 @@ pub(crate) struct Rule {
 /// An effect of a rule other than entering a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effect {
-    /// Answers the other's handshake with handshake and sync edge: both begin now.
+    /// Answers the other system's handshake with handshake and sync edge: both begin now.
     LeadStart,
-    /// Begins on the other's sync edge.
+    /// Begins on the other system's sync edge.
     FollowStart,
     /// The other system counts as failed.
     MarkPeerFailed,

@@ -7,7 +7,7 @@ use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state
 use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
 
-/// What an operation that was interrupted after `n` bytes of work left in its range.
+/// The content of an operation's range when it was interrupted after `n` bytes.
 #[derive(Clone, Copy, Debug)]
 enum Torn {
     /// The first `n` bytes are new.

@@ -53,9 +53,9 @@ impl Redundancy {
         self.report_of_peer(now, report, true, actions);
     }
 
-    /// Handles a report over the link. The other's claim to drive counts only after it has lasted
-    /// long enough: a system that is cut off from the bus assumes for some time that the bus is
-    /// alive, and takes over because it hears no master.
+    /// Handles a report over the link. The other system's claim to drive counts only after it has
+    /// lasted long enough: a system that is cut off from the bus assumes for some time that the bus
+    /// is alive, and takes over because it hears no master.
     pub(super) fn link_report_of_peer(
         &mut self,
         now: Instant,
@@ -138,8 +138,8 @@ impl Redundancy {
     }
 
     /// Handles the vehicle's echo. If the obeyed term is above this master's term, the vehicle
-    /// refuses this master: it follows if the other drives, and takes a higher term if no system
-    /// drives in that term any more. For a standby the echo is a witness of the master.
+    /// refuses this master: it follows if the other system drives, and takes a higher term if no
+    /// system drives in that term any more. For a standby the echo is a witness of the master.
     pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
         let ObeyedTerm { term, age, sent } = obeyed;
         let ago = |span: Duration| Instant::from_ns(now.as_ns().saturating_sub(span.as_ns()));

@@ -288,8 +288,8 @@ fn an_output_that_closes_discards_what_waits() {
     );
 }
 
-/// T-RED-5, T-RED-9: a failed system stays silent; a fault and a higher term work in every phase
-/// that they concern; exactly the changes of phase are reported.
+/// T-RED-5, T-RED-9: a failed system stays silent; faults and higher terms have their effect in
+/// every phase where they apply; every change of phase is reported, and nothing else.
 #[test]
 fn faults_and_higher_terms_work_in_every_phase() {
     use Evidence as E;
@@ -321,8 +321,8 @@ fn faults_and_higher_terms_work_in_every_phase() {
     }
 }
 
-/// T-RED-9: a failed standby suspends only when it has heard the other drive, because the other may
-/// have failed too. A disturbed start line looks like a system that runs.
+/// T-RED-9: a failed standby suspends only when it has received a control frame of the other
+/// system, which may have failed too. A disturbed start line looks like a running system.
 #[test]
 fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
     let mut bench = Bench::of(Phase::Standby);

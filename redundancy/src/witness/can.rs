@@ -50,12 +50,12 @@ impl CanWatch {
         self.since.map_or(Duration::ZERO, |since| now.since(since))
     }
 
-    /// Whether frames arrive.
+    /// Returns whether frames arrive.
     pub(crate) fn is_alive(&self) -> bool {
         self.since.is_some()
     }
 
-    /// Whether the last frame, or the start, is longer ago than `limit`.
+    /// Returns whether no frame has arrived for longer than `limit`; the start counts as a frame.
     pub(crate) fn is_silent(&self, now: Instant, limit: Duration) -> bool {
         now.since(self.last) > limit
     }

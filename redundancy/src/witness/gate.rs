@@ -47,8 +47,7 @@ mod tests {
     use super::*;
     use tandem_board::Duration;
 
-    /// An echo, and the frame that it reports, is valid up to its limit and not a nanosecond
-    /// longer.
+    /// An echo, and the frame that it reports, is valid exactly until its limit.
     #[test]
     fn an_echo_counts_up_to_its_limit() {
         use GateVerdict::{Obeys, Uncontrolled, Unheard, Unknown};

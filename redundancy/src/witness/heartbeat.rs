@@ -51,7 +51,7 @@ impl BeatSender {
         Some(edge)
     }
 
-    /// Returns when the next heartbeat is due; [`Instant::NEVER`] while off.
+    /// Returns the time at which the next heartbeat is due; [`Instant::NEVER`] while off.
     pub(crate) fn due(&self) -> Instant {
         self.next.unwrap_or(Instant::NEVER)
     }
@@ -91,7 +91,7 @@ pub(crate) struct BeatReceiver {
 }
 
 impl BeatReceiver {
-    /// A receiver for lines that are silent after `limit` without an edge. Both begin silent.
+    /// Creates a receiver whose lines are silent after `limit` without an edge. Both begin silent.
     pub(crate) const fn new(limit: Duration, now: Instant) -> Self {
         let line = LineState {
             last_edge: now,
@@ -138,8 +138,8 @@ impl BeatReceiver {
         self.alive_since = Some(from);
     }
 
-    /// Restarts the time limits of the lines that are not silent. For a stall of this system, which
-    /// is no evidence against the other.
+    /// Restarts the time limits of the lines that are not silent. Called after a stall of this
+    /// system, which is not evidence against the other system.
     pub(crate) fn forgive(&mut self, now: Instant) {
         for line in self.lines.iter_mut().filter(|line| !line.silent) {
             line.last_edge = line.last_edge.max(now);
@@ -151,7 +151,7 @@ impl BeatReceiver {
         self.lines.map(|line| line.silent)
     }
 
-    /// Whether both lines are silent. One silent line is a broken line, not a failed system.
+    /// Returns whether both lines are silent. One silent line is broken: the system has not failed.
     pub(crate) fn both_silent(&self) -> bool {
         self.lines[0].silent && self.lines[1].silent
     }
@@ -266,8 +266,8 @@ mod tests {
         assert_eq!(receiver.alive_for(later), Duration::from_ms(3));
     }
 
-    /// T-RED-3: two clocks that drift apart by 1 % never raise a false alarm, though the counts of
-    /// sent and received heartbeats differ soon.
+    /// T-RED-3: two clocks that drift apart by 1 % never raise a false alarm, although the sent and
+    /// received counts of heartbeats soon differ.
     #[test]
     fn a_drift_of_phase_is_no_false_alarm() {
         let mut receiver = BeatReceiver::new(LIMIT, at_us(0));

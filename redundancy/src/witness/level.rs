@@ -87,14 +87,14 @@ impl Level {
         !core::mem::replace(&mut self.broken, true)
     }
 
-    /// The other system drives in a new term, which needs power. Returns whether this shows that
-    /// the line is broken.
+    /// Notes that the other system drives in a new term, which needs power. Returns whether this
+    /// shows that the line is broken.
     pub(crate) fn on_drive(&mut self) -> bool {
         self.is_low && !core::mem::replace(&mut self.broken, true)
     }
 
-    /// Returns when the fallen line has been low for long enough, if no heartbeat arrives until
-    /// then.
+    /// Returns the time at which the fallen line will have been low for long enough, if no
+    /// heartbeat arrives before.
     pub(crate) fn limit(&self, config: &Config) -> Instant {
         match self.fell {
             Some(_) => self.last_beat + config.level_limit(),

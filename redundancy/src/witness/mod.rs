@@ -46,9 +46,9 @@ impl Witnesses {
         }
     }
 
-    /// Restarts the time limits, because this system was held up or has just begun. Only once
-    /// between two signs of life, because a system that always polls late must also detect a failed
-    /// one. Returns whether it was done.
+    /// Restarts the time limits, because this system was held up or has just begun. Does so only
+    /// once between two signs of life, because a system that always polls late must also detect a
+    /// failed one. Returns whether it did.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
             return false;
@@ -132,7 +132,7 @@ impl Witnesses {
 
     /// Returns whether the link and both heartbeat lines fell silent together: three wires that
     /// fail at the same time show a failed master, unless a control frame was heard since. A link
-    /// that was cut before, or that is too slow, is no witness.
+    /// that was cut before, or that is too slow, is not a witness.
     pub(crate) fn link_ended(&self, config: &Config, now: Instant, last_control: Instant) -> bool {
         let limit = config.link_limit();
         let lines = self.beats.silent_for(now);
@@ -142,9 +142,9 @@ impl Witnesses {
             && now.since(last_control) + limit >= lines
     }
 
-    /// Returns when heartbeats, link and power level will count as silent or off if no further sign
-    /// arrives. In the past if they already do; [`Instant::NEVER`] for a witness that has seen
-    /// nothing.
+    /// Returns the times at which heartbeats, link and power level will count as silent or off if
+    /// no further sign arrives. A time is past if the witness already does so, and
+    /// [`Instant::NEVER`] if the witness has seen nothing.
     pub(crate) fn limits(&self, config: &Config) -> [Instant; 3] {
         let link = self.reports.heard_at();
         [
@@ -154,8 +154,8 @@ impl Witnesses {
         ]
     }
 
-    /// Returns whether this system heard third parties before and no longer does: it has no input
-    /// for driving, and must not relieve a master that can still stop the vehicle.
+    /// Returns whether this system no longer hears third parties that it heard before: it has no
+    /// input for driving, and must not replace a master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {
         self.can.is_deaf(now, config.mute_limit())
     }

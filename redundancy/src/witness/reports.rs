@@ -19,7 +19,7 @@ pub(crate) struct Reports {
     standby_at: Option<Instant>,
 }
 
-/// Whether a datagram follows the last one.
+/// The position of a datagram relative to the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Next {
     Yes,
@@ -44,7 +44,7 @@ impl Reports {
     }
 
     /// Handles a report over the link. `own`: the term of this system. Returns how long the other
-    /// has claimed to drive in a higher one, if it claims that now.
+    /// system has claimed to drive in a higher term, if it claims that now.
     pub(crate) fn on_link(
         &mut self,
         now: Instant,
@@ -72,7 +72,7 @@ impl Reports {
             .map(|(report, _)| report)
     }
 
-    /// Returns when the last report over the link arrived; `None` if there was none.
+    /// Returns the time at which the last report over the link arrived; `None` if there was none.
     pub(crate) fn heard_at(&self) -> Option<Instant> {
         self.link.map(|(_, at)| at)
     }
@@ -82,26 +82,26 @@ impl Reports {
         self.heard_at().map(|at| now.since(at))
     }
 
-    /// Returns whether the other reported over the link within `limit` that it drives.
+    /// Returns whether the other system reported over the link within `limit` that it drives.
     pub(crate) fn drives(&self, now: Instant, limit: Duration) -> bool {
         self.fresh(now, limit)
             .is_some_and(|report| report.role == Role::Master)
     }
 
-    /// Returns whether the other's last report, if not older than `limit`, says that it drives and
-    /// stops the vehicle.
+    /// Returns whether the other system's last report, if not older than `limit`, says that it
+    /// drives and stops the vehicle.
     pub(crate) fn resigns(&self, now: Instant, limit: Duration) -> bool {
         self.newest.is_some_and(|(report, at)| {
             now.since(at) <= limit && report.role == Role::Master && report.mode == Mode::SafeStop
         })
     }
 
-    /// Returns whether the other was heard on CAN as standby within `limit`.
+    /// Returns whether the other system was heard on CAN as standby within `limit`.
     pub(crate) fn standby_within(&self, now: Instant, limit: Duration) -> bool {
         self.standby_at.is_some_and(|at| now.since(at) <= limit)
     }
 
-    /// Returns whether the other was ever heard on CAN as standby.
+    /// Returns whether the other system was ever heard on CAN as standby.
     pub(crate) const fn was_standby(&self) -> bool {
         self.standby_at.is_some()
     }

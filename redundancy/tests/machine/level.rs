@@ -5,8 +5,8 @@ use tandem_board::SystemId;
 use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 
 /// T-RED-9: a level line is broken if it is low while a heartbeat, a control frame, a report or the
-/// vehicle shows that the other runs. It is reported once, and ignored until it has been high for
-/// long enough. Each sign alone is enough.
+/// vehicle shows that the other system runs. It is reported once, and ignored until it has been
+/// high for long enough. Each sign alone is enough.
 #[test]
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
     for sign in 0..4 {
@@ -91,7 +91,7 @@ fn a_takeover_contradicts_a_low_level_at_once() {
 /// T-RED-9: without a sign of life a low level counts after its limit, and not before.
 #[test]
 fn a_low_level_without_a_heartbeat_is_believed_within_its_limit() {
-    // A short reset ends before the heartbeat is missed: the level is high again by then.
+    // A short reset ends before the missing heartbeat is detected: the level is high again.
     for stays_low in [true, false] {
         let mut bench = Bench::standby();
         for _ in 0..100 {

@@ -161,8 +161,8 @@ fn reports_tell_times_that_rise() {
     assert_eq!([0, 0, 1, 10].map(sent), [1, 2, 3, 11].map(|us| first + us));
 }
 
-/// T-RED-6: a master that no longer hears CAN, while the other does, stops the vehicle until it
-/// hears CAN again. The limit doubles with each reset without success, three times at most.
+/// T-RED-6: a master that no longer hears CAN, while the other system does, stops the vehicle until
+/// it hears CAN again. The limit doubles with each reset without success, three times at most.
 #[test]
 fn a_master_stops_the_vehicle_while_its_can_is_open() {
     for (abn_in_a_row, times) in [(0, 1), (1, 2), (2, 4), (3, 8)] {
@@ -238,8 +238,8 @@ fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
     }
 }
 
-/// T-RED-9: the other counts as sound when it has been heard for one second, and as the standby,
-/// where that is permitted, after two.
+/// T-RED-9: the other system counts as sound when it has been heard for one second, and as the
+/// standby, where that is permitted, after two.
 #[test]
 fn a_standby_that_is_back_counts_again_after_its_time() {
     for reintegrate in [false, true] {
@@ -272,9 +272,9 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
     }
 }
 
-/// T-RED-2: a standby that has heard no master leads when a handshake shows that the other starts
-/// too, even if a stray edge made it standby. It listens first, and neither the other nor the
-/// vehicle may report a driver. If it has heard a master, that master has failed.
+/// T-RED-2: a standby that has heard no master leads when a handshake shows that the other system
+/// starts too, even if a stray edge made it standby. It listens first, and neither the other nor
+/// the vehicle may report a driver. If it has heard a master, that master has failed.
 #[test]
 fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     let limit = CONFIG.witness_limit().as_us() / 1_000;
@@ -320,8 +320,8 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
 }
 
 /// T-RED-8: a master that runs but is not heard is mute when the vehicle says so. Without an echo,
-/// it is mute if this system hears CAN or the other says that it does not drive. After an outage
-/// of CAN the master has time to be heard again.
+/// it is mute if this system hears CAN or the other system says that it does not drive. After an
+/// outage of CAN the master has time to be heard again.
 #[test]
 fn a_mute_master_is_relieved_when_its_limit_ends() {
     let (mute, witness) = (CONFIG.mute_limit(), CONFIG.witness_limit());
@@ -383,8 +383,8 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
     }
 }
 
-/// T-RED-9: an echo counts as a control frame only if the standby missed that frame: the vehicle
-/// accepted it more than the margin after the last frame that the standby heard.
+/// T-RED-9: an echo counts as a control frame only if the standby did not receive that frame: the
+/// vehicle accepted it more than the margin after the last frame that the standby received.
 #[test]
 fn an_echo_replaces_a_control_frame_that_was_missed() {
     let ms = |span: Duration| span.as_us() / 1_000;
@@ -406,7 +406,7 @@ fn an_echo_replaces_a_control_frame_that_was_missed() {
     }
 }
 
-/// T-RED-3: if two lines fall silent while the master drives, they are cut. Each cut is reported
+/// T-RED-3: two lines that fall silent while the master drives count as cut. Each cut is reported
 /// once.
 #[test]
 fn cut_lines_are_told_once() {
@@ -500,8 +500,8 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
     }
 }
 
-/// A link that becomes slower is no witness: a report that is late by more than its limit does not
-/// count.
+/// A link that becomes slower is not a witness: a report that is late by more than its limit does
+/// not count.
 #[test]
 fn a_report_that_is_too_late_does_not_count() {
     let mut bench = Bench::master();

@@ -168,7 +168,7 @@ impl Bench {
 }
 
 /// T-RED-9: a standby that was frozen with its whole receive path finds nothing new at its first
-/// polls. Its own stall is no evidence: it takes over only after it has listened for the limits
+/// polls. Its own stall is not evidence: it takes over only after the silence limits have passed
 /// again.
 #[test]
 fn own_absence_is_no_evidence() {
@@ -183,7 +183,7 @@ fn own_absence_is_no_evidence() {
 }
 
 /// T-RED-9: a system that was held up restarts the limits of the heartbeat lines: a first poll
-/// without an edge is no evidence. If no edge arrives within the limit, the line is silent.
+/// without an edge is not evidence. If no edge arrives within the limit, the line is silent.
 #[test]
 fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     for mut bench in [Bench::master(), Bench::standby()] {
@@ -289,13 +289,13 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     let mut held = Vec::new();
     let mut bench = Bench::master();
     for _ in 0..4 {
-        // The other has taken over.
+        // The other system has taken over.
         let term = bench.machine.highest_term().above(1, SystemId::B).unwrap();
         let _ = bench.control(term.bits());
         assert_eq!(bench.machine.phase(), Phase::Standby);
         let deposed = bench.now;
         bench.run_with_beats(5);
-        // The other's level falls and its heartbeats end, but the vehicle obeys it.
+        // The other system's level falls and its heartbeats end, but the vehicle obeys it.
         bench.snapshot.peer_powered = false;
         while bench.machine.phase() == Phase::Standby {
             let _ = bench.obeyed(Term::from_bits(1), 0);
@@ -370,7 +370,7 @@ fn lines_that_are_cut_from_the_start_are_told() {
 }
 
 /// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more,
-/// even if no control frame of the other has reached it yet.
+/// even if no control frame of the other system has reached it yet.
 #[test]
 fn a_master_held_up_listens_first() {
     for hears_other in [true, false] {
@@ -429,8 +429,8 @@ fn a_standby_that_is_always_late_takes_over() {
     assert!(bench.now.since(silent_since) > CONFIG.witness_limit());
 }
 
-/// T-RED-9: if the other is off, a master that was held up continues to drive: no other system can
-/// have taken over.
+/// T-RED-9: if the other system is off, a master that was held up continues to drive: no other
+/// system can have taken over.
 #[test]
 fn the_last_system_goes_on_after_a_stall() {
     let mut bench = Bench::master();
@@ -505,7 +505,7 @@ fn frames_of_a_lower_term_do_not_count() {
 }
 
 /// T-RED-9: a master that the vehicle refuses takes a term above the obeyed one. If the other
-/// drives in that term now, the master follows it.
+/// system drives in that term now, the master follows it.
 #[test]
 fn a_refused_master_takes_a_higher_term_or_follows() {
     for (above, age_ms, follows) in [(41, 200, false), (42, 0, false), (41, 5, true)] {
@@ -700,7 +700,7 @@ fn a_claim_over_the_link_must_hold() {
             can_alive: false,
             ..claim
         },
-        // The other knows this master's term and no higher one.
+        // The other system knows this master's term and no higher one.
         PeerReport {
             term: bench.machine.term(),
             ..claim
@@ -717,7 +717,7 @@ fn a_claim_over_the_link_must_hold() {
     assert_eq!(bench.machine.phase(), Phase::Standby);
 }
 
-/// T-RED-3: one silent line is reported, but is no failure.
+/// T-RED-3: one silent line is reported, but is not a failure.
 #[test]
 fn one_line_silent() {
     let mut bench = Bench::master();

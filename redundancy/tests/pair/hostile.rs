@@ -1,5 +1,5 @@
-//! Sequences by which a hostile assessor ended control, and what must happen in each. T-RED-5,
-//! T-RED-6, T-RED-9
+//! Sequences of faults with which an assessor ended control, and the required reaction to each.
+//! T-RED-5, T-RED-6, T-RED-9
 
 use crate::model::{Pair, us};
 use tandem_board::ResetCause;
@@ -176,7 +176,7 @@ fn a_standby_that_cannot_transmit_is_noticed() {
     }
 }
 
-/// T-RED-6: the transmitter of the standby is dead and the vehicle pauses: no system suspends,
+/// T-RED-6: the transmitter of one system is dead and the vehicle pauses: no system suspends,
 /// because a bus on which only the other system is heard does not count as alive.
 #[test]
 fn a_pause_of_the_vehicle_suspends_no_system() {
@@ -407,7 +407,7 @@ fn a_deaf_system_deposes_no_sound_master() {
             assert_eq!(pair.changes_of_driver(), 0, "{what}");
             check_driven(&pair, from, undisturbed(&config), &what);
         }
-        // The deaf system relieves no master that can still stop the vehicle.
+        // The deaf system does not replace a master that can still stop the vehicle.
         let mut pair = Pair::dual(config, 5);
         pair.cuts.can_hear[B.index()] = true;
         pair.run_ms(100);

@@ -73,7 +73,7 @@ pub(crate) struct System {
     pub(crate) faults: Vec<FailureMode>,
     /// A fault that lasts until the next reset.
     pub(crate) until_reset: Option<FailureMode>,
-    /// How many of a thousand frames this system misses.
+    /// How many of a thousand frames do not reach this system.
     pub(crate) misses_permille: u64,
     /// Program operations of its data flash so far.
     pub(crate) programs: u32,
@@ -201,7 +201,7 @@ impl Pair {
         system.until_reset = None;
     }
 
-    /// Lets the supply reset the system.
+    /// Makes the supply reset the system.
     pub(crate) fn reset(&mut self, id: SystemId, cause: ResetCause) {
         let system = &mut self.systems[id.index()];
         if system.powered && !system.held && system.boot.is_none() {
@@ -463,7 +463,7 @@ impl Pair {
         }
     }
 
-    /// Lets the supply reset the system when its state is in flash.
+    /// Makes the supply reset the system when its state is in flash.
     fn ask_reset(&mut self, id: SystemId, request: ResetRequest) {
         let system = &mut self.systems[id.index()];
         match request {

@@ -53,7 +53,7 @@ fn inject(pair: &mut Pair, fault: Fault) {
 /// Checks that under any faults the driver does not change without a cause, frames of a deposed
 /// master end, and two outputs on one bus do not stay open.
 fn check_safety(pair: &Pair, faults: usize) {
-    // A fault may change the driver twice: away, and back when its consequence shows.
+    // A fault may change the driver twice: to the other system, and later back.
     assert!(
         pair.changes_of_driver() <= 2 * faults + 1,
         "{} changes",

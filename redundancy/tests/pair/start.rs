@@ -256,7 +256,7 @@ fn a_master_with_a_forgotten_term_is_reported() {
 }
 
 /// T-RED-2: an edge on the start line that no system has sent, at any moment of the start, does not
-/// prevent dual operation, however much later the other is switched on.
+/// prevent dual operation, no matter how much later the other system is switched on.
 #[test]
 fn a_stray_edge_on_the_start_line_does_not_cost_dual_operation() {
     for config in [Config::chip(), Config::rt(), Config::desktop()] {

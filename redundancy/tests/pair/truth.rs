@@ -43,8 +43,8 @@ struct Outcome {
     phases: [&'static str; 2],
     obeyed: Option<SystemId>,
     gap_us: u64,
-    /// After A, or B, has lost its supply 100 ms after the cut, before any system suspends: the
-    /// system that the vehicle obeys, and the gap.
+    /// The system that the vehicle obeys, and the gap, if A (or B) loses its supply 100 ms after
+    /// the cut, before any system suspends.
     then_off: [(Option<SystemId>, u64); 2],
 }
 
