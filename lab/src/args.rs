@@ -25,7 +25,7 @@ pub(crate) struct Cli {
 pub(crate) enum Command {
     /// Drive a scenario with both systems, and write a report
     Run(RunArgs),
-    /// Publish a run for observers; a run starts this
+    /// Publish a run for observers; internal, started by `tandem run`
     #[command(hide = true)]
     Publish,
     /// Drive a folder of scenarios in virtual time and judge each drive
@@ -67,7 +67,7 @@ pub(crate) struct ThesisArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum ThesisBoard {
-    /// Processes of this machine, in real time
+    /// Processes on this machine, in real time
     Host,
     /// Both systems in this process, in virtual time
     Sim,

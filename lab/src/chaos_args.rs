@@ -48,7 +48,7 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
 
-    /// Inject these faults in one drive and exit; the campaign starts this
+    /// Inject these faults in one drive and exit; internal, started by the campaign
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
     pub(crate) drive: Option<Vec<u64>>,
 }

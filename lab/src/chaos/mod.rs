@@ -19,7 +19,7 @@ use crate::fault_file::FaultFile;
 use tandem::board_kind::DemoBoard;
 use tandem::failure::Failure;
 
-/// The source of a campaign's faults, and the site that they are for.
+/// The source of a campaign's faults, and the site at which they are injected.
 struct Source {
     kind: SourceKind,
     site: Site,

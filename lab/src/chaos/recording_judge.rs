@@ -29,7 +29,7 @@ pub(super) struct Outcome {
     pub(super) detection_ms: Option<f64>,
     /// The longest time without control, ms, without the parts that stalls excuse.
     pub(super) gap_ms: f64,
-    /// The bound of that time, by the evidence that ended it, ms.
+    /// The bound of that time, ms, which depends on the evidence that ended it.
     pub(super) bound_ms: f64,
     /// Time from the last control frame before the fault to the fault, ms.
     pub(super) phase_ms: f64,
@@ -75,7 +75,7 @@ pub(super) fn judge(
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Hears {
     All,
-    /// It is cut off the bus. After the repair it sends until it receives the next frame.
+    /// It is cut off from the bus. After the repair it sends until it receives the next frame.
     WhenRepaired,
     /// Its receiver is dead, so it learns of the new master over the link.
     OverTheLink,

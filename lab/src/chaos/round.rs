@@ -70,7 +70,7 @@ pub(super) fn settled(number: u64) -> Duration {
     Duration::from_ms(SETTLED_MS + number.wrapping_mul(7_919) % 311)
 }
 
-/// Returns the system that drives, if the other is its standby. `roles` are those of A and B.
+/// Returns the driving system if the other system is its standby. `roles` are those of A and B.
 pub(super) fn driver(roles: [RoleLamp; 2]) -> Option<SystemId> {
     SystemId::ALL.into_iter().find(|system| {
         let of = |system: SystemId| roles[system.index()];

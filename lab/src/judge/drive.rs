@@ -191,7 +191,7 @@ fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
     }
 }
 
-/// Both systems drive in the world until `duration_s` of its time have passed.
+/// Drives with both systems in the world until `duration_s` of its time have passed.
 fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Picture) {
     let config = Config {
         seed,

@@ -81,7 +81,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["faults", "only"])]
     merge: Vec<PathBuf>,
 
-    /// Print the story of one sequence, such as random:137; with --faults, give only the seed
+    /// Print the events of one sequence, such as random:137; with --faults, give only the seed
     #[arg(long, value_name = "GROUP:NUMBER")]
     only: Option<String>,
 
@@ -97,7 +97,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 
-    /// Run these sequences and exit; the campaign starts this
+    /// Run these sequences and exit; internal, started by the campaign
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
     chunk: Option<Vec<u64>>,
 }
@@ -221,7 +221,7 @@ impl Source {
         [option.to_owned(), self.name()]
     }
 
-    /// Returns the command that prints the story of the sequence with this number.
+    /// Returns the command that prints the events of the sequence with this number.
     fn repeats(&self, number: u64, arguments: &SimArgs) -> String {
         let which = match self {
             Self::Numbered(group) => format!("--only {}:{number}", group.name()),
@@ -316,7 +316,7 @@ fn sources(arguments: &SimArgs) -> Result<Vec<Source>> {
     })
 }
 
-/// Prints the story of one sequence: its events in order.
+/// Prints the events of one sequence, in order.
 fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failure> {
     let find = || -> Result<Sequence> {
         if let [file @ Source::File(_)] = sources {

@@ -32,7 +32,7 @@ pub(super) struct Outputs {
     clock: &'static str,
 }
 
-/// Returns when core 0 of a system first recorded, from `from_ns` on, that it is master.
+/// Returns the time at which core 0 of a system first recorded after `from_ns` that it is master.
 fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
     let of_system = log
         .events

@@ -135,8 +135,8 @@ struct Messages {
     received: Vec<(u32, f64)>,
 }
 
-/// Core 0 sends 4 bytes every millisecond and rings the doorbell, which wakes core 1, whose task
-/// receives them. The time of an exchange is the execution time of both ends on this machine,
+/// Makes core 0 send 4 bytes every millisecond and ring the doorbell. This wakes core 1, whose task
+/// receives the bytes. The time of an exchange is the execution time of both ends on this machine,
 /// because virtual time does not advance while a core computes.
 pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
     let messages = Arc::new(Mutex::new(Messages::default()));
@@ -203,8 +203,8 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
         .collect())
 }
 
-/// Cores 0 and 1 increment one counter `each` times. Between reading and writing back, each core
-/// reads its clock, which lets the other core run.
+/// Makes cores 0 and 1 increment one counter `each` times. Between reading and writing back, each
+/// core reads its clock, during which the other core can run.
 pub(super) fn counter(each: u32, locked: bool) -> anyhow::Result<Counted> {
     let seen = Arc::new(Mutex::new([Vec::new(), Vec::new()]));
     let shared = Arc::clone(&seen);

@@ -40,7 +40,7 @@ pub(super) fn payload(number: u32) -> u32 {
     u32::from_le_bytes([number as u8, 1, 2, 3])
 }
 
-/// Core 0 sends `count` different messages, and a task of core 1 receives each. The cores are
+/// Sends `count` different messages from core 0, each received by a task of core 1. The cores are
 /// processes on these CPUs and wait by spinning.
 pub(super) fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;
