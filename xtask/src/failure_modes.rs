@@ -1,4 +1,4 @@
-//! Each failure mode of the redundancy has a place in the product that produces it.
+//! Checks that some code of the product produces each failure mode of the redundancy.
 
 /// The file that names the modes.
 const MODES: &str = "redundancy/src/state.rs";

@@ -69,7 +69,7 @@ pub(crate) enum Firmware {
     /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and check
     /// that a broken lock is caught
     Explore {
-        /// How many lengths of turns; each with four offsets between the harts
+        /// How many lengths of a time slice; each with four offsets between the harts
         #[arg(long, default_value_t = 100)]
         lengths: u32,
     },

@@ -24,14 +24,15 @@ const CASES: [&str; 10] = [
 ];
 /// The repetitions in two runs of a case. Their difference excludes the program's start and end.
 const TIMES: [u64; 2] = [1_000, 5_000];
-/// The permitted difference with another compiler than the table's, in percent. With the same
-/// compiler a case takes the same number of instructions in each run.
+/// The permitted difference, in percent, if the compiler is not the table's. With the same compiler
+/// a case takes the same number of instructions in each run.
 const OTHER_COMPILER_PERCENT: f64 = 5.0;
-/// The starts of two runs differ by a few hundred instructions, because of the environment's size.
+/// Permitted difference with any compiler, in instructions per repetition: the starts of two runs
+/// differ by a few hundred instructions, because of the environment's size.
 const NOISE: f64 = 0.3;
 
-/// Counts, and compares with the table; `save` makes a new one. Without valgrind it prints this and
-/// checks nothing.
+/// Counts the instructions of each case and compares them with the table; `save` writes a new one.
+/// Without valgrind it says so and checks nothing.
 pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     if Command::new("valgrind").arg("--version").output().is_err() {
         println!("skipped: no valgrind (apt-get install --no-install-recommends valgrind)");
@@ -120,7 +121,7 @@ mod tests {
             (40.0, 0.0, &[][..]),
             (41.0, 0.0, &["lock 40.0 -> 41.0"]),
             (39.0, 0.0, &["lock 40.0 -> 39.0"]),
-            // A compiler other than the table's.
+            // The compiler is not the table's.
             (42.0, 5.0, &[]),
             (43.0, 5.0, &["lock 40.0 -> 43.0"]),
         ] {

@@ -66,7 +66,7 @@ enum Task {
     /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
     /// allowed, shared names, the lines of each room
     Tidy {
-        /// Write the present number of lines of each room to the table in docs/rooms.md
+        /// Write the current number of lines of each room to the table in docs/rooms.md
         #[arg(long)]
         save: bool,
     },
@@ -146,7 +146,7 @@ enum Task {
     /// Count the host instructions of the primitives under valgrind, and compare them with
     /// benches/two-cores/instructions.json
     Instructions {
-        /// Replace the table by these counts
+        /// Replace the table with these counts
         #[arg(long)]
         save: bool,
     },
@@ -218,11 +218,11 @@ enum Campaign {
         /// How many inputs for each
         #[arg(long, default_value_t = 100_000)]
         count: u64,
-        /// The first input's number; each is made from its number alone
+        /// The number of the first input; the same number always produces the same input
         #[arg(long, default_value_t = 0)]
         seed: u64,
-        /// Search with libFuzzer for this long in each instead; needs cargo-fuzz and a nightly
-        /// compiler
+        /// Instead, search each reader with libFuzzer for this many seconds; needs cargo-fuzz and
+        /// a nightly compiler
         #[arg(long, conflicts_with_all = ["count", "seed"])]
         seconds: Option<u64>,
     },
@@ -324,7 +324,7 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         );
         command
     };
-    // Runs an example with these options; those without a value are left out.
+    // Runs an example with these options; those without a value are omitted.
     let trial = |name: &str, options: &[(&str, Option<String>)]| {
         let mut command = example(root, "release", name)?;
         for (option, value) in options {
@@ -423,7 +423,7 @@ fn cargo_program() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
 
-/// A cargo command in the workspace's root.
+/// Returns a cargo command in the workspace's root.
 fn cargo(root: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(cargo_program());
     command.current_dir(root).args(arguments);

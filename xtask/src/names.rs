@@ -92,7 +92,7 @@ mod tests {
         assert_eq!(found.len(), 1);
         assert!(found[0].starts_with("Role: a public type in each of {\"bus\", \"redundancy\"}"));
         assert!(shared_types(&types, "Role: sent as it is held\n").is_empty());
-        // A reason for a name that is no longer shared.
+        // The list gives a reason for a name that is no longer shared.
         let stale = shared_types(&types, "Role: sent as it is held\nPhase: old\n");
         assert_eq!(
             stale,

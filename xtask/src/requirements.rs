@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(named_tests(text, &BTreeMap::new()), expected);
     }
 
-    /// The table may stand in another file of the folder.
+    /// The table may be in another file of the folder.
     #[test]
     fn cases_of_tables_count() {
         let table = "case!(\"line-count\", Plain, A0: lines::counter::<B>),\n\

@@ -23,7 +23,7 @@ const MARKS: &str = "response times";
 struct Load {
     /// Shortest time between two releases.
     period: f64,
-    /// How late a release may be, counted from the start of its period.
+    /// The largest delay of a release from the start of its period.
     jitter: f64,
     /// Longest time on the processor.
     execution: f64,
@@ -255,7 +255,7 @@ mod tests {
         assert_eq!(set, [Some(3.0), Some(6.0), Some(20.0)]);
     }
 
-    /// Tasks of 50 %, 33 % and 24 % need more than the processor has: the third has no response.
+    /// Tasks of 50 %, 33 % and 24 % together exceed the processor: the third has no response.
     #[test]
     fn what_cannot_be_done_in_time_has_no_response() {
         let set = responses_of(&[(10.0, 20.0), (10.0, 30.0), (12.0, 50.0)]);

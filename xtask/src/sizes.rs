@@ -38,8 +38,8 @@ struct Room {
 /// Rooms by their folders. A file belongs to the longest of these folders that contains it.
 type Rooms = BTreeMap<String, Room>;
 
-/// Prints each room beside the table, and returns those that grew. With `save` the table takes the
-/// present sizes, and only limits are checked.
+/// Prints each room beside the table, and returns those that grew. With `save` it first writes the
+/// current sizes to the table, so that only limits can be exceeded.
 pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
     let table = read(root.join(TABLE))?;
     let mut known = rooms_in(&table)?;

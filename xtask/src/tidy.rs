@@ -65,7 +65,7 @@ const MAX_COLUMNS: usize = 100;
 
 /// Checks everything, prints every finding, and fails if there is one.
 ///
-/// With `save` the table of the rooms takes their present sizes.
+/// With `save` it writes the current sizes of the rooms to their table.
 pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
     let mut findings = sizes::findings(root, save)?;
     findings.extend(dependencies(root)?);
@@ -144,7 +144,7 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
             ));
         }
     }
-    // Code that is measured in tests is in a separate module.
+    // Test code that only measures, in `measure.rs`, need not name partners.
     let is_measurement = place.ends_with("/measure.rs");
     let is_lock_free = NAMES_PARTNERS
         .iter()
