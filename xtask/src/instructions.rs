@@ -27,8 +27,7 @@ const TIMES: [u64; 2] = [1_000, 5_000];
 /// The permitted difference, in percent, if the compiler is not the table's. With the same compiler
 /// a case takes the same number of instructions in each run.
 const OTHER_COMPILER_PERCENT: f64 = 5.0;
-/// Permitted difference with any compiler, in instructions per repetition: the starts of two runs
-/// differ by a few hundred instructions, because of the environment's size.
+/// Permitted difference in instructions per repetition: the environment affects the start of a run.
 const NOISE: f64 = 0.3;
 
 /// Counts the instructions of each case and compares them with the table; `save` writes a new one.
