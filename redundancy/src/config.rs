@@ -293,7 +293,7 @@ mod tests {
     }
 
     /// T-RED-8: after a master falls silent, the gap ends when both lines are silent and either the
-    /// control frames are missed or the link is silent.
+    /// control frames are overdue or the link is silent.
     #[test]
     fn the_slowest_witness_that_is_needed_bounds_the_gap() {
         let (rt, ms) = (Config::rt(), Duration::from_ms);

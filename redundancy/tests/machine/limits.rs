@@ -46,8 +46,8 @@ fn a_standby_polls_when_a_limit_ends() {
 }
 
 /// T-RED-8: a link that falls silent with both lines shows a failed master before its control
-/// frames are missed. A link that fell silent more than its limit before the lines was cut, and
-/// shows nothing. A link whose limit is not below the third witness's shows nothing either.
+/// frames are overdue. A link that fell silent earlier than the lines by more than its limit was
+/// cut, and shows nothing. Nor does a link whose limit is not below the third witness's.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
