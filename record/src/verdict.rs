@@ -276,7 +276,7 @@ pub enum Watch {
     Virtual,
     /// By threads with a higher priority than the run: their lateness is evidence.
     Urgent,
-    /// By threads of ordinary priority: their lateness is no evidence.
+    /// By threads of ordinary priority: their lateness is not evidence.
     Ordinary,
 }
 
