@@ -29,7 +29,7 @@ pub(crate) struct Ground<'k> {
 }
 
 impl Ground<'_> {
-    /// Whether a download may erase this place.
+    /// Returns whether a download may erase this place.
     fn is_free(&self, target: ImageTarget) -> bool {
         match target {
             ImageTarget::Application(slot) => self.keep.application != Some(slot),

@@ -143,7 +143,7 @@ pub struct EnvironmentStore {
     sequence: u32,
     /// The copy that is kept while the other one is written.
     base: u8,
-    /// Both copies hold the current environment, confirmed.
+    /// Whether both copies hold the current environment, confirmed.
     settled: bool,
 }
 

@@ -49,7 +49,7 @@ pub(crate) fn program(
     }
 }
 
-/// Whether every part of an image has the digest in its manifest.
+/// Returns whether every part of an image has the digest in its manifest.
 pub(crate) fn is_intact(
     flash: &mut impl NorFlash,
     place: u32,

@@ -108,7 +108,7 @@ pub struct Loader<'k, F> {
     /// The final action, after the loader has decided.
     verdict: Option<Next>,
     refusal_logged: bool,
-    /// A frame was processed since the last [`Loader::next`].
+    /// Whether a frame was processed since the last [`Loader::next`].
     was_busy: bool,
 }
 
@@ -226,9 +226,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Whether to answer a request. If the host names no system, both loaders receive its request.
-    /// At power-on only A answers it. A loader that waits for a requested download, or because
-    /// nothing can boot, always answers: the other loader does not wait then.
+    /// Returns whether to answer a request. If the host names no system, both loaders receive its
+    /// request. At power-on only A answers it. A loader that waits for a requested download, or
+    /// because nothing can boot, always answers: the other loader does not wait then.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;

@@ -66,7 +66,7 @@ impl Slot {
     /// Both slots.
     pub const ALL: [Self; 2] = [Self::A, Self::B];
 
-    /// The other slot.
+    /// Returns the other slot.
     #[must_use]
     pub const fn other(self) -> Self {
         match self {

@@ -34,7 +34,7 @@ pub enum Refusal {
     NoManifest,
     /// The manifest is damaged, of another kind, for other hardware or too large for the slot.
     BadManifest,
-    /// The signature is not by an accepted key. Strict mode. E-4
+    /// The signature was not made with an accepted key. Only in strict mode. E-4
     Untrusted,
     /// The version is older than an approved one.
     Downgrade,
@@ -42,7 +42,7 @@ pub enum Refusal {
     Gap,
     /// The record overlaps the one before it.
     Overlap,
-    /// The record's address is lower than that of one before it.
+    /// The record's address is lower than that of an earlier record.
     Order,
     /// Data that the manifest does not name.
     Unannounced,

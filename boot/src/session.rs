@@ -12,8 +12,8 @@ use tandem_board::{Duration, Instant};
 
 /// The loader requests a resend after this time without a frame within a record or a window.
 pub const RESEND_AFTER: Duration = Duration::from_ms(100);
-/// The largest window. The receive buffer of a CAN controller must hold what the host sends during
-/// an erase: 16 records of 14 frames.
+/// The largest window. A CAN controller's receive buffer must hold this many records during an
+/// erase: our host's records have 6 frames each (16 data bytes), the longest permitted one has 65.
 pub const MAX_WINDOW: u8 = 16;
 /// After this many wrong records in a row the file is refused.
 const MAX_ATTEMPTS: u8 = 8;
@@ -55,7 +55,7 @@ impl Session {
         matches!(self.state, State::Finished)
     }
 
-    /// Whether the file was accepted or refused.
+    /// Returns whether the file was accepted or refused.
     pub(crate) const fn has_ended(&self) -> bool {
         matches!(self.state, State::Finished | State::Refused(_))
     }
@@ -64,7 +64,7 @@ impl Session {
         matches!(self.state, State::Open)
     }
 
-    /// Returns when the host was last heard.
+    /// Returns the time at which the host was last heard.
     pub(crate) const fn heard(&self) -> Instant {
         self.heard
     }
@@ -189,8 +189,8 @@ impl Session {
         }
     }
 
-    /// Returns when [`Session::on_silence`] is due; `None` if no record is incomplete or
-    /// unanswered.
+    /// Returns the time at which [`Session::on_silence`] is due; `None` if no record is incomplete
+    /// or unanswered.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let under_way = self.assembler.is_inside() || self.unanswered > 0;
         (self.is_open() && under_way).then(|| self.heard + RESEND_AFTER)

@@ -122,7 +122,7 @@ pub struct Assembler {
     line: [u8; MAX_LINE],
     /// Length of the line so far; larger than the buffer if the line is too long.
     len: usize,
-    /// The first frame of the record was received.
+    /// Whether the first frame of the record was received.
     begun: bool,
 }
 
@@ -166,7 +166,7 @@ impl Assembler {
         Some(SRecord::parse(line.strip_suffix(b"\r").unwrap_or(line)))
     }
 
-    /// Whether a record has begun and not ended.
+    /// Returns whether a record has begun and not ended.
     #[must_use]
     pub const fn is_inside(&self) -> bool {
         self.begun || self.len > 0

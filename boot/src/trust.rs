@@ -28,7 +28,7 @@ const ORDER: [u8; 32] = [
 ];
 
 impl Trust<'_> {
-    /// Whether a manifest is signed by the key that it names, and that key is not below
+    /// Returns whether a manifest is signed by the key that it names, and that key is not below
     /// `lowest_key`.
     #[must_use]
     pub fn is_authentic(&self, manifest: &[u8; MANIFEST_BYTES], lowest_key: u8) -> bool {

@@ -76,7 +76,7 @@ layouts! {
         acceleration: f32 = ACCELERATION("Acceleration", 80, 16, -32768..=32767; 0.001),
         /// Age of the sensor data on which the command is based. 0 ..= 6553.5 ms in steps of 0.1
         command_age: f32 = COMMAND_AGE("CommandAge", 96, 16, 0..=65535; 0.1),
-        /// Time at which the frame was made, by the sender's clock; wraps around; 0 = unknown. 0 ..= 65535 ms
+        /// Time at which the frame was made, on the sender's clock; wraps around; 0 = unknown. 0 ..= 65535 ms
         sent_at: u16 = SENT_AT("SentAt", 112, 16, 0..=65535),
     }
     /// The mastership term that the vehicle obeys: the term of the last accepted control frame.
@@ -91,7 +91,7 @@ layouts! {
         term_age: f32 = TERM_AGE("TermAge", 64, 16, 0..=65535; 0.1),
         /// Counter of the last accepted control frame. 0 ..= 255
         obeyed_counter: u8 = OBEYED_COUNTER("ObeyedCounter", 80, 8, 0..=255),
-        /// Time at which the frame was made, by the vehicle's clock; wraps around. 0 ..= 255 ms
+        /// Time at which the frame was made, on the vehicle's clock; wraps around. 0 ..= 255 ms
         sent_at: u8 = SENT_AT("SentAt", 88, 8, 0..=255),
         /// Requested road wheel angle of the last accepted control frame, left positive. -0.65536 ..= 0.65534 rad in steps of 0.00002
         steering_angle: f32 = STEERING_ANGLE("SteeringAngle", 96, 16, -32768..=32767; 2e-5),

@@ -1,20 +1,19 @@
 //! End-to-end protection after AUTOSAR profile 5: a CRC and a counter in every frame.
 //!
 //! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first; byte 2 is a counter that goes up by one
-//! with every frame of an id and wraps around. The CRC covers the bytes from 2 on and then the
-//! data id, low byte first; the data id is the CAN id and is not sent, so a frame under a wrong id
-//! is detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
+//! with every frame of an id and wraps around. The CRC covers all bytes from index 2, then the data
+//! id, low byte first. The data id is the CAN id and is not sent, so a frame under a wrong id is
+//! detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
 
 use crc::{CRC_16_IBM_3740, Crc};
 
-/// Bytes that the protection takes at the beginning of a frame.
+/// Number of bytes that the protection takes at the beginning of a frame.
 pub const HEADER_LEN: usize = 3;
 
 /// How far the counter may jump: a frame after up to nine lost ones is still good.
 ///
-/// Ten control frames are 100 ms. A receiver that has had no frame for that long has already seen
-/// its time-out. The counter only has to distinguish a plausible gap from a restarted or wrong
-/// sender.
+/// Ten control frames are 100 ms. A receiver without a frame for that long has already timed out.
+/// The counter only has to distinguish a plausible gap from a restarted or wrong sender.
 pub const MAX_DELTA_COUNTER: u8 = 10;
 
 /// CRC-16/CCITT-FALSE is called IBM-3740 in the catalogue of CRCs.
@@ -31,7 +30,7 @@ pub fn protect(id: u16, counter: u8, data: &mut [u8]) {
     data[..2].copy_from_slice(&crc);
 }
 
-/// CRC over the bytes from 2 on and the data id.
+/// Returns the CRC over all bytes from index 2, followed by the data id.
 fn checksum(id: u16, data: &[u8]) -> u16 {
     let mut digest = CRC.digest();
     digest.update(&data[2..]);
@@ -39,7 +38,7 @@ fn checksum(id: u16, data: &[u8]) -> u16 {
     digest.finalize()
 }
 
-/// The verdict of a [`Checker`] on a frame.
+/// The result of [`Checker::check`] for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
     /// The CRC is right and it is the first frame: the counter cannot be judged yet.
@@ -58,7 +57,7 @@ pub enum Check {
 }
 
 impl Check {
-    /// Whether the frame may be used: [`Check::Initial`], [`Check::Ok`] or [`Check::OkSomeLost`].
+    /// Returns whether the frame may be used: [`Check::Initial`], `Ok` or `OkSomeLost`.
     #[must_use]
     pub const fn is_accepted(self) -> bool {
         matches!(self, Self::Initial | Self::Ok | Self::OkSomeLost(_))
@@ -82,7 +81,7 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// A checker for the frames of this id; its first frame gives [`Check::Initial`].
+    /// Creates a checker for the frames of this id; its first frame gives [`Check::Initial`].
     #[must_use]
     pub const fn new(id: u16) -> Self {
         Self { id, last: None }

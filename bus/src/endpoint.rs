@@ -1,4 +1,4 @@
-//! The two ends of the protected communication: counters on one side, checkers on the other.
+//! Both ends of the protected communication: the sender's counters and the receiver's checkers.
 
 use core::fmt;
 
@@ -12,7 +12,7 @@ pub struct FrameTransmitter {
 }
 
 impl FrameTransmitter {
-    /// Every counter starts at 0.
+    /// Creates a transmitter whose counters start at 0.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -20,8 +20,8 @@ impl FrameTransmitter {
         }
     }
 
-    /// The frame to send. Call this once for each frame that is really sent: the receiver counts a
-    /// skipped number as a lost frame.
+    /// Returns the frame to send. Call this once for each frame that is really sent: the receiver
+    /// counts a skipped number as a lost frame.
     pub fn encode(&mut self, message: &Message) -> Encoded {
         let index = message.index();
         let counter = self.next[index];
@@ -64,7 +64,7 @@ pub struct FrameReceiver {
 }
 
 impl FrameReceiver {
-    /// A receiver that has seen no frame.
+    /// Creates a receiver that has received no frame.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -97,8 +97,8 @@ impl FrameReceiver {
         Message::decode(id, data).map_err(ReceiveError::Decode)
     }
 
-    /// How many frames were lost, by the counters; wraps around. Gaps that ended in
-    /// [`Check::WrongSequence`] are not counted.
+    /// Returns how many frames were lost according to the counters; wraps around. Gaps that ended
+    /// in [`Check::WrongSequence`] are not counted.
     #[must_use]
     pub const fn lost(&self) -> u32 {
         self.lost

@@ -1,14 +1,14 @@
-//! Messages to frames and back.
+//! Encodes messages as frames, and decodes frames.
 
 use crate::signal::{Decode, Encode, List, MAX_LEN};
 use crate::{CameraLanes, FRAMES, FrameError, FrameInfo, Message, e2e};
 
 impl Message {
-    /// Reads a frame with a standard id, without a check of the end-to-end protection.
+    /// Decodes a frame with a standard id. Does not check the end-to-end protection;
     /// [`FrameReceiver`](crate::FrameReceiver) does both.
     ///
     /// # Errors
-    /// [`FrameError`]: the frame is not in the DBC, or a value is not one that the DBC allows.
+    /// [`FrameError`]: the frame is not in the DBC, or the DBC does not allow a value in it.
     pub fn decode(id: u32, data: &[u8]) -> Result<Self, FrameError> {
         let mut message = u16::try_from(id)
             .ok()
@@ -23,7 +23,7 @@ impl Message {
         Ok(message)
     }
 
-    /// The frame, protected end to end with this counter.
+    /// Returns the frame, protected end to end with this counter.
     /// [`FrameTransmitter`](crate::FrameTransmitter) keeps the counters.
     ///
     /// Values out of range saturate, fractions round to nearest, NaN becomes 0.
@@ -38,13 +38,13 @@ impl Message {
         Encoded { id, len, bytes }
     }
 
-    /// Id of the frame.
+    /// Returns the id of the frame.
     #[must_use]
     pub const fn id(&self) -> u16 {
         self.frame().id
     }
 
-    /// The frame that carries it.
+    /// Returns the properties of the frame that carries the message.
     #[must_use]
     pub const fn frame(&self) -> &'static FrameInfo {
         &FRAMES[self.index()]
@@ -60,9 +60,9 @@ impl Message {
 }
 
 impl CameraLanes {
-    /// The value of `own_end`, `left_end` and `right_end` that says "no end in sight", m.
+    /// The value of `own_end`, `left_end` and `right_end` that means "no end in sight", m.
     pub const NO_END: f32 = Self::OWN_END.greatest();
-    /// The value of `speed_limit` that says "none", m/s.
+    /// The value of `speed_limit` that means "none", m/s.
     pub const NO_SPEED_LIMIT: f32 = Self::SPEED_LIMIT.greatest();
 }
 
@@ -78,7 +78,7 @@ pub struct Encoded {
 }
 
 impl Encoded {
-    /// The data bytes.
+    /// Returns the data bytes.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.bytes[..self.len]

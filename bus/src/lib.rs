@@ -1,8 +1,8 @@
 //! CAN frames of the vehicle: the DBC's signals and their end-to-end protection (no_std).
 //!
-//! `dbc/tandem.dbc` is the single source of every frame; `cargo xtask dbc` makes enums, structs and
-//! [`Message`], one frame with its values, from it. [`FrameTransmitter`] and [`FrameReceiver`] add
-//! and check the end-to-end protection of [`e2e`], [`candump`] writes logs.
+//! `dbc/tandem.dbc` is the single source of every frame; `cargo xtask dbc` generates the enums, the
+//! structs and [`Message`] (one frame with its values) from it. [`FrameTransmitter`] adds and
+//! [`FrameReceiver`] checks the end-to-end protection of [`e2e`]; [`candump`] writes logs.
 //!
 //! ```
 //! use tandem_bus::{Control, FrameReceiver, FrameTransmitter, Message};

@@ -3,19 +3,19 @@
 use crate::{SensorHeader, SensorId, SensorObject};
 
 impl SensorId {
-    /// 0 ..= 5
+    /// Returns 0 ..= 5: the index in [`SensorId::ALL`].
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// Id of the frame that begins an object list.
+    /// Returns the id of the frame that begins an object list.
     #[must_use]
     pub const fn header_id(self) -> u16 {
         SensorHeader::IDS[self.index()]
     }
 
-    /// Id of the frames that carry the objects.
+    /// Returns the id of the frames that carry the objects.
     #[must_use]
     pub const fn object_id(self) -> u16 {
         SensorObject::IDS[self.index()]

@@ -72,7 +72,7 @@ pub(crate) struct Signal {
 }
 
 impl Signal {
-    /// A signal whose raw value is its physical one.
+    /// Creates a signal whose raw value equals its physical value.
     pub(crate) const fn new(
         name: &'static str,
         start: usize,
@@ -89,12 +89,12 @@ impl Signal {
         }
     }
 
-    /// The same signal with steps of this size.
+    /// Returns the same signal with steps of this size.
     pub(crate) const fn in_steps_of(self, factor: f32) -> Self {
         Self { factor, ..self }
     }
 
-    /// Greatest physical value.
+    /// Returns the greatest physical value.
     pub(crate) const fn greatest(&self) -> f32 {
         self.max as f32 * self.factor
     }
@@ -145,13 +145,13 @@ impl Signal {
 
 /// A Rust type that a signal carries.
 pub(crate) trait Field: Copy {
-    /// The raw value; it may be out of the signal's range.
+    /// Returns the raw value; it may be out of the signal's range.
     fn to_raw(self, signal: &Signal) -> i64;
 
-    /// The value; `None` if the value table does not have it. `raw` is in the signal's range.
+    /// Returns the value; `None` if the value table lacks it. `raw` is in the signal's range.
     fn from_raw(signal: &Signal, raw: i64) -> Option<Self>;
 
-    /// The physical value.
+    /// Returns the physical value.
     fn physical(self) -> f64;
 }
 
@@ -190,7 +190,7 @@ impl Field for bool {
     }
 }
 
-/// Rounded to the nearest step; NaN as 0.
+/// Values are rounded to the nearest step; NaN becomes 0.
 impl Field for f32 {
     fn to_raw(self, signal: &Signal) -> i64 {
         round(self / signal.factor)
@@ -205,7 +205,7 @@ impl Field for f32 {
     }
 }
 
-/// An enum made from a value table.
+/// An enum generated from a value table.
 pub(crate) trait ValueTable: Copy + 'static {
     /// Every value.
     const VALUES: &'static [Self];
@@ -298,10 +298,10 @@ pub(crate) use layouts;
 
 /// An operation on each signal of a frame in turn.
 pub(crate) trait Walk {
-    /// A signal that is a field of the message.
+    /// Handles a signal that is a field of the message.
     fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError>;
 
-    /// A signal whose value follows from the frame's id.
+    /// Handles a signal whose value follows from the frame's id.
     fn implied(&mut self, signal: &Signal, raw: u8) -> Result<(), FrameError> {
         let mut value = raw;
         self.field(signal, &mut value)?;
@@ -346,7 +346,7 @@ impl<C: FnMut(&'static str, f64)> Walk for List<C> {
     }
 }
 
-/// Nearest integer, halves away from zero, saturated; NaN gives 0. (`f32::round` needs `std`.)
+/// Rounds halves away from zero and saturates; NaN gives 0. (`f32::round` needs `std`.)
 fn round(value: f32) -> i64 {
     let whole = value as i64;
     let fraction = value - whole as f32;
@@ -365,7 +365,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Signals of any place, length, range and step.
+    /// Generates signals of any place, length, range and step.
     fn signal() -> impl Strategy<Value = Signal> {
         let place = (24_usize..200, 1_u32..=32, any::<bool>());
         (place, any::<(u32, u32)>(), 1e-8_f32..10.0).prop_map(

@@ -1,4 +1,4 @@
-//! The frames of this crate and those of cantools, an independent implementation.
+//! Compares the frames of this crate with those of cantools, an independent implementation.
 #![allow(clippy::unwrap_used)]
 
 mod frames;
@@ -17,8 +17,8 @@ use tandem_bus::{Encoded, FRAMES, FrameTransmitter, Message};
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cantools_oracle.py");
 
-/// Whether cantools is installed. Without it a test passes and prints that it was skipped; with
-/// `TANDEM_REQUIRE_ORACLES=1` it fails.
+/// Returns whether cantools is installed. Without it a test passes and prints that it was skipped;
+/// with `TANDEM_REQUIRE_ORACLES=1` it fails.
 fn cantools_or_skip(test: &str) -> bool {
     let import = Command::new("python3")
         .args(["-c", "import cantools"])
@@ -31,7 +31,7 @@ fn cantools_or_skip(test: &str) -> bool {
         !required,
         "{test}: cantools is required and not installed (pip install cantools)"
     );
-    // Not captured by the test runner, so that a skipped test is visible.
+    // The test runner does not capture this output, so a skipped test is visible.
     let _ = writeln!(
         std::io::stderr(),
         "{test}: skipped: cantools is not installed (pip install cantools)"
@@ -60,7 +60,7 @@ fn python(arguments: &[&str], input: String) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Messages with random values, protected with running counters; the same ones in each run.
+/// Returns messages with random values and running counters; the same ones in each run.
 fn random_frames(count: usize) -> Vec<(Message, Encoded)> {
     let mut runner = TestRunner::deterministic();
     let mut transmitter = FrameTransmitter::new();
@@ -73,7 +73,7 @@ fn random_frames(count: usize) -> Vec<(Message, Encoded)> {
         .collect()
 }
 
-/// `name=value` words as a map.
+/// Parses `name=value` words.
 fn pairs<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<&'a str, f64> {
     let pair = |word: &'a str| {
         let (name, value) = word.split_once('=').unwrap();
@@ -94,7 +94,7 @@ fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(byte).collect()
 }
 
-/// The values that Rust reads from a frame are those of the oracle, to the precision of an `f32`.
+/// Asserts that Rust and the oracle read the same values, to the precision of an `f32`.
 fn assert_same_values(frame: &Message, oracle: &BTreeMap<&str, f64>) {
     let ours = frames::values(frame);
     // The oracle also decodes Crc and Counter.

@@ -20,7 +20,7 @@ fn every_signal_is_part_of_its_message() {
     }
 }
 
-/// The bytes of a frame whose signals are all 0, except the sender's.
+/// Returns the bytes of a frame whose signals are all 0, except the sender's.
 fn blank(frame: FrameInfo) -> Vec<u8> {
     let mut data = vec![0; frame.len];
     let mut signals = frames::signals(frame.id);

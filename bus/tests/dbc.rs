@@ -140,7 +140,7 @@ impl Layout<'_> {
         signals.iter().any(|signal| signal.name == SYSTEM)
     }
 
-    /// The pattern of a message of this layout, with these names for its parts.
+    /// Returns the pattern of a message of this layout, with these names for its parts.
     fn pattern(&self, sender: &str, values: &str) -> String {
         let name = &self.name;
         let field = snake(name);
@@ -169,7 +169,7 @@ fn node(message: &Message) -> &str {
     message.transmitter.as_deref().unwrap_or_default()
 }
 
-/// The nodes that send object lists, in the order of the DBC.
+/// Returns the nodes that send object lists, in the order of the DBC.
 fn sensors(dbc: &Dbc) -> Vec<&str> {
     let begins_list = |message: &&Message| message.name == format!("{}Header", node(message));
     dbc.messages.iter().filter(begins_list).map(node).collect()
@@ -291,7 +291,7 @@ impl SensorId {{
     Ok(())
 }
 
-/// One enum for each signal name with a value table; tables of the same name must be the same.
+/// Writes one enum for each signal name with a value table; equal names must have equal tables.
 fn write_value_tables(dbc: &Dbc, out: &mut String) -> Result<()> {
     let mut tables: BTreeMap<&str, &[ValDescription]> = BTreeMap::new();
     for message in &dbc.messages {
@@ -321,7 +321,7 @@ fn write_value_tables(dbc: &Dbc, out: &mut String) -> Result<()> {
     Ok(())
 }
 
-/// The enum of a signal with a value table.
+/// Returns the name of the enum of a signal with a value table.
 fn code_name(signal: &str) -> String {
     format!("{signal}Code")
 }
@@ -358,14 +358,14 @@ fn write_layout(dbc: &Dbc, layout: &Layout<'_>, out: &mut String) -> Result<()> 
     Ok(())
 }
 
-/// The comment of a message, for all frames with its layout.
+/// Returns the comment of a message, for all frames with its layout.
 fn comment(dbc: &Dbc, message: &Message) -> Option<String> {
     let comment = dbc.message_comment(message.id)?;
     let comment = comment.replace(" of system A", "");
     Some(comment.trim_end_matches('.').to_owned())
 }
 
-/// The enum of all messages.
+/// Writes the enum of all messages.
 fn write_messages(
     dbc: &Dbc,
     layouts: &[Layout<'_>],
@@ -540,7 +540,7 @@ impl Field {
     }
 }
 
-/// The arguments of `Signal::new` in `src/signal.rs` for a signal.
+/// Returns the arguments of `Signal::new` in `src/signal.rs` for a signal.
 fn signal_place(message: &Message, signal: &Signal) -> Result<String> {
     let Signal {
         name,
@@ -601,7 +601,7 @@ fn number(value: &NumericValue) -> f64 {
     }
 }
 
-/// `SteeringAngle` → `steering_angle`, `VX` → `vx`, `XDeviation` → `x_deviation`.
+/// Converts `SteeringAngle` to `steering_angle`, `VX` to `vx`, `XDeviation` to `x_deviation`.
 fn snake(camel: &str) -> String {
     let letters: Vec<char> = camel.chars().collect();
     let mut out = String::new();

@@ -24,7 +24,7 @@ fn bytes(hex: &str) -> Vec<u8> {
         .collect()
 }
 
-/// The check value of CRC-16/CCITT-FALSE that every catalogue gives.
+/// The CRC has the check value that every catalogue gives for CRC-16/CCITT-FALSE.
 #[test]
 fn crc_has_the_published_check_value() {
     assert_eq!(
@@ -33,7 +33,7 @@ fn crc_has_the_published_check_value() {
     );
 }
 
-/// The example of the AUTOSAR specification: eight zeroes, data id 0x1234, counter 0.
+/// Protects the example of the AUTOSAR specification: eight zeroes, data id 0x1234, counter 0.
 #[test]
 fn protects_the_example_of_the_specification() {
     let mut data = [0; 8];
@@ -41,7 +41,7 @@ fn protects_the_example_of_the_specification() {
     assert_eq!(data, [0x1C, 0xCA, 0, 0, 0, 0, 0, 0]);
 }
 
-/// Frames of an independent implementation; `fixtures/e2e_profile5.py` made them.
+/// Protects and accepts the frames that `fixtures/e2e_profile5.py` made independently.
 #[test]
 fn agrees_with_an_independent_implementation() {
     let fixture = include_str!("fixtures/e2e_profile5.txt");
@@ -60,7 +60,7 @@ fn agrees_with_an_independent_implementation() {
     assert_eq!(frames, 45);
 }
 
-/// The whole table of [`Checker`]: every pair of counters.
+/// Tests the whole table of [`Checker`]: every pair of counters.
 #[test]
 fn judges_every_step_of_the_counter() {
     for last in 0..=u8::MAX {

@@ -55,13 +55,13 @@ impl From<tandem_redundancy::Config> for Profile {
 }
 
 impl Profile {
-    /// The limits of the requirement for this configuration.
+    /// Returns the limits of the requirement for this configuration.
     #[must_use]
     pub fn bounds(&self) -> Limits {
         Limits::of_profile(&self.limits)
     }
 
-    /// The limits of both systems, with short waiting times at the start.
+    /// Returns the limits of both systems, with short waiting times at the start.
     fn config(&self) -> Config {
         let boot_limit = match self.around {
             // The cores need not wait for sensors.
@@ -119,9 +119,9 @@ fn counter(board: &'static SimBoard) -> Poller {
     })
 }
 
-/// While a bench heals, the roles are checked at this interval.
+/// Interval at which the roles are checked while a bench heals.
 const HEAL_STEP: Duration = Duration::from_ms(25);
-/// A bench is healed if master and standby are stable for this long; longer than `STEADY`.
+/// A bench is healed after master and standby were stable for this long; longer than `STEADY`.
 const HEALED: Duration = Duration::from_ms(300);
 
 /// The state of a system that a fault hits.
@@ -285,7 +285,7 @@ impl Bench {
         }
     }
 
-    /// The limit from restoring everything until a system drives: longer than a start of both.
+    /// Returns the limit from restoring everything until a system drives; covers a start of both.
     #[must_use]
     pub fn settles_within(&self) -> Duration {
         let limits = &self.config.redundancy;
@@ -423,10 +423,10 @@ impl Suffer for Bench {
             Kind::ResetBySoftware => pair.reset(of, ResetCause::Software),
             Kind::ResetByTrap => pair.reset(of, ResetCause::Trap),
             Kind::Hang(amount) if on => pair.freeze(of, amount.ms()),
-            // The fault has ended by its own time-out, or a later one holds the cores.
+            // The freeze has ended by itself, or a later fault still stops the cores.
             Kind::Hang(_) => {}
             Kind::CoreHangs(amount) => {
-                // Longer than any sequence: another change ends it.
+                // Longer than any sequence: another change ends the freeze.
                 let span = if on {
                     Duration::from_ms(3_600_000)
                 } else {

@@ -210,7 +210,7 @@ impl Drive {
         self.seen.borrow().log.masters()
     }
 
-    /// Returns how many times the vehicle has hit another one.
+    /// Returns how many times the vehicle has hit another vehicle.
     #[must_use]
     pub fn collisions(&self) -> u32 {
         self.seen.borrow().world.metrics().collisions

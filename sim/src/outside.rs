@@ -21,7 +21,7 @@ pub struct OutsideVehicle {
     pub accepted: Vec<Acceptance>,
     /// Control frames of an old term, which the gate refused.
     pub fenced: Vec<Acceptance>,
-    /// A system that is not master sent a control frame.
+    /// Whether a system that is not master sent a control frame.
     pub(crate) chatters: bool,
     /// The shortest headway so far: gap to the vehicle in front divided by speed, s.
     pub(crate) headway_s: f64,
@@ -87,7 +87,7 @@ impl OutsideVehicle {
         }
     }
 
-    /// Whether the last accepted frame stops the vehicle because its sender has a fault.
+    /// Returns whether the last accepted frame stops the vehicle because its sender has a fault.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         let message = self.last.and_then(|frame| match frame.id() {

@@ -42,7 +42,7 @@ impl fmt::Display for Tried {
     }
 }
 
-/// How many writes to the flash of one system are plausible for one fault.
+/// The largest plausible number of writes to the flash of one system for one fault.
 const PROGRAMS_OF_A_FAULT: usize = 12;
 
 impl Bench {

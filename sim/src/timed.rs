@@ -33,7 +33,7 @@ struct Flow {
     drive: RefCell<Driving>,
     released: Cell<TaskSet>,
     doorbell: DoorbellThrottle,
-    /// The running body has reported the start of a job.
+    /// Whether the running body has reported the start of a job.
     has_begun: Cell<bool>,
 }
 
@@ -76,7 +76,7 @@ fn trace_out(board: &SimBoard, task: TaskCode, leaves: Leaves) {
 struct State {
     /// The time of its next release.
     due: Instant,
-    /// It was released, and its job has not begun.
+    /// Whether it was released and its job has not begun.
     ready: bool,
     /// The remaining execution time of its job, ns.
     left_ns: Option<u64>,

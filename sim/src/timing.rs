@@ -11,7 +11,7 @@ pub enum Time {
     #[default]
     Ideal,
     /// Jobs take between a quarter and the whole of the measured 99th percentile, most often 5/8 of
-    /// it. Connections have the times of a sound vehicle.
+    /// it. Connections have the times of a vehicle without faults.
     Typical,
     /// Each job takes the longest measured time; connections are at their limits.
     Worst,
@@ -43,7 +43,7 @@ const CORES_1_AND_2: [(TaskCode, Measured); 2] = [
     (TaskCode::PERCEPTION, Measured(117_200, 2_322_900)),
     (TaskCode::PLANNING, Measured(202_000, 14_645_200)),
 ];
-/// Handlers, from the same table. Includes 0.6 µs each for the interrupt's entry and a switch.
+/// Execution times of handlers, same table, with 0.6 µs each for interrupt entry and a switch.
 pub(crate) const TICK: Measured = Measured(2_700, 32_400);
 pub(crate) const DOORBELL: Measured = Measured(9_600, 30_100);
 /// Response times of the tasks for roles and for control, from the same table.

@@ -81,7 +81,7 @@ pub struct TransmitFull;
 pub struct Received {
     /// The frame.
     pub frame: CanFrame,
-    /// When the frame was on the bus, by the receiver's clock.
+    /// When the frame was on the bus, on the receiver's clock.
     pub at: Instant,
 }
 

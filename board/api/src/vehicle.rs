@@ -25,8 +25,8 @@ pub trait VehicleBus {
     /// sender.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried));
 
-    /// Sends a frame from one of the vehicle's own nodes. Returns when it is on the bus: not before
-    /// the previous frame on the bus.
+    /// Sends a frame from one of the vehicle's own nodes. Returns the time at which it is on the
+    /// bus: not before the previous frame on the bus.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant;
 
     /// Wakes the cores that wait for frames, if there are new frames.

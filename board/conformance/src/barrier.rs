@@ -1,4 +1,4 @@
-//! Barriers: the roles of a case wait for each other with these.
+//! Barriers, with which the roles of a case wait for each other.
 
 use crate::case::{CaseFailure, check};
 use core::sync::atomic::{AtomicU32, Ordering};

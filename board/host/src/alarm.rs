@@ -97,8 +97,8 @@ impl Alarm {
     }
 }
 
-/// Returns when a timer was last due, given that its next expiry is in `left`; `None` if it was
-/// set again and has not expired since.
+/// Returns the time at which a timer was last due, given that its next expiry is in `left`; `None`
+/// if it was set again and has not expired since.
 fn last_due(now: Instant, left: Duration) -> Option<Instant> {
     let since = Duration::from_ns(AGAIN.as_ns().saturating_sub(left.as_ns()));
     (left.as_ns() > AGAIN.as_ns() / 2)

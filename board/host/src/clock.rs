@@ -45,7 +45,7 @@ impl Ticker {
         }
     }
 
-    /// Returns when the next tick is due.
+    /// Returns the time at which the next tick is due.
     #[must_use]
     pub const fn next(&self) -> Instant {
         self.next

@@ -1,10 +1,10 @@
 //! iceoryx2's dynamic storage over POSIX shared memory whose pages are reserved at creation.
 //!
-//! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file and
-//! lets the kernel find a page at the first access. In a full `/dev/shm` that access ends the
-//! process with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`]
-//! calls `fallocate` before any access to the memory: if there is not enough room, the creator gets
-//! an error, and no other process fails later.
+//! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file; the
+//! kernel finds a page only at the first access. In a full `/dev/shm` that access ends the process
+//! with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`] calls
+//! `fallocate` before any access to the memory: if there is not enough room, the creator gets an
+//! error, and no other process fails later.
 //!
 //! A *lasting* storage belongs to the run, not to the process that created it: dropping it does not
 //! remove it, and [`Builder::create`] takes over an existing one and initializes its value again,

@@ -247,7 +247,7 @@ impl Supply<'_> {
         }
     }
 
-    /// Returns when the registers must be read next.
+    /// Returns the time at which the registers must be read next.
     fn next_tick(&self, now: Instant) -> Instant {
         let is_calm = self.model.is_on() && self.begun == [true; CoreId::COUNT];
         let period = if is_calm { CALM_PERIOD } else { PERIOD };

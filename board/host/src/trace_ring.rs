@@ -18,9 +18,9 @@ use tandem_peripherals::codec::{TRACE_WORDS, decode_trace, encode_trace};
 
 /// Words of a cache line.
 const LINE: usize = 16;
-/// Line 0, written by the core: number of reserved slots; wraps around.
+/// Line 0, written by the core: total number of slots reserved so far; wraps around.
 const RESERVED_AT: usize = 0;
-/// Line 1, written by the reader: number of slots that were read; wraps around.
+/// Line 1, written by the reader: total number of slots read so far; wraps around.
 const READ_AT: usize = LINE;
 const SLOTS_AT: usize = 2 * LINE;
 /// A record, its turn, and the void mark: two slots fill a cache line.
@@ -48,7 +48,7 @@ impl TraceRing {
     /// Makes the ring in these words, which must be zero before the first record.
     ///
     /// # Panics
-    /// If their number is not [`WORDS`].
+    /// If the number of words is not [`WORDS`].
     pub(crate) fn new(words: &'static [AtomicU32]) -> Self {
         assert_eq!(words.len(), WORDS, "the words of a trace ring");
         Self { words }
@@ -143,7 +143,7 @@ impl Reader {
     /// Returns the next record and skips slots that were never filled. The core must have ended.
     pub(crate) fn salvage(&mut self) -> Option<(Instant, TraceRecord)> {
         let reserved = self.ring.words[RESERVED_AT].load(Relaxed);
-        // The ring never has more reserved slots than slots: limit a corrupt count.
+        // At most SLOTS records can be unread, so a larger difference is corrupt.
         let left = reserved.wrapping_sub(self.read).min(SLOTS);
         for _ in 0..left {
             if let Some(found) = self.next() {

@@ -87,7 +87,7 @@ struct Node {
     lost: u32,
     /// The core's count of discards at the last call.
     discards: u32,
-    /// Frames may wait in the ring until the core's controller accepts them.
+    /// Whether frames wait in the ring until the core's controller accepts them.
     waits: bool,
 }
 
@@ -205,7 +205,7 @@ impl HostVehiclePort {
                 // Read the clock again: this process may have been delayed since `now`.
                 let Received { frame, at } = frame.received;
                 let sent = at.clamp(emptied, clock::now());
-                // The ring, not the words, determines the sender. The controller is ready.
+                // The sender follows from the ring. A controller that is ready is not full.
                 let _full = network.send_frame(node.of, &frame, sent, now, &mut self.noise);
             }
         }
@@ -540,8 +540,8 @@ mod tests {
         assert_eq!(seen, [frame(4)]);
     }
 
-    /// The vehicle sleeps until the period in which it sends a frame; a core's frame wakes it
-    /// between two periods, after the periods that are due.
+    /// The vehicle sleeps until the period in which it sends a frame. A core's frame wakes it
+    /// early, but it first returns the periods that are already due.
     #[test]
     fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
         let (run, mut port) = port();

@@ -83,15 +83,15 @@ impl Operation {
         }
     }
 
-    /// Returns when the operation, begun at `begun`, has changed `count` bytes; `None` if it
-    /// changes fewer. It changes the bytes one after the other, from the lowest address.
+    /// Returns the time at which the operation, begun at `begun`, has changed `count` bytes; `None`
+    /// if it changes fewer. It changes the bytes one after the other, from the lowest address.
     #[must_use]
     pub fn changed(&self, begun: Instant, count: u64) -> Option<Instant> {
         let ns = begun.as_ns() + self.byte_ns() * count;
         (count <= self.len as u64).then_some(Instant::from_ns(ns))
     }
 
-    /// Returns when the operation ends, if it began at `begun`.
+    /// Returns the time at which the operation ends, if it began at `begun`.
     #[must_use]
     pub fn ends(&self, begun: Instant) -> Instant {
         Instant::from_ns(begun.as_ns() + self.byte_ns() * self.len as u64)

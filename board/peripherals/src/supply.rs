@@ -270,7 +270,7 @@ impl Supply {
         }
     }
 
-    /// Returns when [`Supply::poll`] is next due if no other call is made before.
+    /// Returns the time at which [`Supply::poll`] is next due if no other call is made before.
     #[must_use]
     pub fn next(&self) -> Instant {
         match self.state {

@@ -103,8 +103,8 @@ impl Machine {
             .prefix("tandem-qemu-")
             .tempdir()
             .map_err(MachineError::Pipes)?;
-        // The firmware opens the pipes as files. They have no name that outlives the world: if the
-        // world ends, even before the machine opens them, the machine reads the end of its pipe.
+        // The firmware opens the pipes as files. They are anonymous: if this process dies, even
+        // before the firmware opens them, the emulator reads end-of-file.
         let (from, to_world) = pipe().map_err(MachineError::Pipes)?;
         let (from_world, to) = pipe().map_err(MachineError::Pipes)?;
         for (name, place) in [("from-world", 0), ("to-world", 1)] {

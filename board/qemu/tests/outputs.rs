@@ -42,7 +42,7 @@ fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
     }
 }
 
-/// T-RTOS-3: each output has its period, by the clock of the machine.
+/// T-RTOS-3: each output has its period, on the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_toggle_every_60_40_and_20_ms() {
@@ -60,7 +60,7 @@ fn outputs_toggle_every_60_40_and_20_ms() {
     }
 }
 
-/// T-RTOS-4, by the clock of the machine.
+/// T-RTOS-4, on the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn no_lower_task_toggles_while_the_highest_works() {

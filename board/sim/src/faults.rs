@@ -30,7 +30,7 @@ impl SimPair {
         self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
     }
 
-    /// Lets the supply reset a system that is on; the system restarts after
+    /// Makes the supply reset a powered system; the system restarts after
     /// [`Config::reset_hold`](crate::Config::reset_hold).
     pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
         self.shared.lock().reset(system, cause);
@@ -136,7 +136,7 @@ impl SimPair {
         }
     }
 
-    /// Lets the clock of a system continue from its present value, faster than virtual time by
+    /// Makes the clock of a system continue from its present value, faster than virtual time by
     /// `drift_ppb` parts per billion.
     pub fn set_clock_rate(&mut self, system: SystemId, drift_ppb: i32) {
         let mut machine = self.shared.lock();

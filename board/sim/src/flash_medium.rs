@@ -47,7 +47,7 @@ impl Flash {
         self.under_way.is_some()
     }
 
-    /// Returns when the operation in progress ends.
+    /// Returns the time at which the operation in progress ends.
     pub(crate) fn ends_ns(&self) -> Option<u64> {
         let UnderWay {
             operation, begun, ..
@@ -55,7 +55,7 @@ impl Flash {
         Some(operation.ends(*begun).as_ns())
     }
 
-    /// Returns when the operation will have changed `count` bytes; `None` if it changes fewer.
+    /// Returns the time at which `count` bytes have changed; `None` if the operation changes fewer.
     pub(crate) fn changed_ns(&self, count: u64) -> Option<u64> {
         let UnderWay {
             operation, begun, ..

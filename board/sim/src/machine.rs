@@ -33,7 +33,7 @@ pub(crate) enum Attention {
 
 pub(crate) struct Core {
     pub(crate) alive: bool,
-    /// Core 0 has not yet released this core in this incarnation.
+    /// Whether core 0 has not yet released this core in this incarnation.
     pub(crate) held: bool,
     pub(crate) generation: u32,
     /// Unique for each incarnation. (The generation restarts at each power-on.)
@@ -47,7 +47,7 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
-    /// An interrupt caused the present poll.
+    /// Whether an interrupt caused the present poll.
     pub(crate) interrupted: bool,
     /// The job to which the core's outputs belong.
     pub(crate) job: Option<u8>,
@@ -89,7 +89,7 @@ impl Core {
         self.alive && now_ns >= self.frozen_until_ns && (interrupted || now_ns >= self.deadline_ns)
     }
 
-    /// Returns when the core is next due if nothing happens before.
+    /// Returns the time at which the core is next due if nothing happens before.
     pub(crate) fn next_ns(&self) -> u64 {
         let interrupted = self.pending && self.attention != Attention::Runs;
         match (self.alive, interrupted) {

@@ -153,7 +153,7 @@ impl Machine {
         }
     }
 
-    /// Returns when the flash of a system has changed so many bytes that power must fail.
+    /// Returns the time at which the flash has changed `flash_bytes_to_live` bytes, ns.
     fn flash_dies_ns(&self, system: SystemId) -> Option<u64> {
         let state = &self.systems[system.index()];
         state.flash.changed_ns(state.flash_bytes_to_live?)

@@ -31,7 +31,7 @@ fn frame(value: u8) -> CanFrame {
     CanFrame::new(CanId::Standard(0x123), false, &[value]).unwrap()
 }
 
-/// Lets core 0 release the other cores.
+/// Makes core 0 release the other cores.
 fn release_others(board: &SimBoard) {
     if board.identity().core == CoreId::CONTROL {
         board.release_core(CoreId::PERCEPTION);

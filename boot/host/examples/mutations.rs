@@ -26,7 +26,7 @@ struct Arguments {
     /// How many files
     #[arg(long, default_value_t = 100_000)]
     count: u64,
-    /// The first file's number; each is made from its number alone
+    /// Number of the first file. The same number always produces the same file
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Write {files, wrong} to this file

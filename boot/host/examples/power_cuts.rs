@@ -37,7 +37,7 @@ struct Arguments {
     /// Sweep a bootloader with a defect instead; bricks must appear
     #[arg(long, value_parser = ["one-slot", "one-bank"])]
     broken: Option<String>,
-    /// Run one life and exit; the sweep starts this
+    /// Run one life and exit; internal, started by the sweep
     #[arg(long, hide = true, num_args = 5, value_names = ["SCENARIO", "ACTS", "SEED", "TICK", "TEAR"])]
     life: Option<Vec<u64>>,
 }

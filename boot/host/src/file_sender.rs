@@ -96,8 +96,8 @@ impl FileSender {
         self
     }
 
-    /// Whether a loader has answered. With a window, the sender reconnects when the loader is
-    /// silent, and continues after the records that the loader has; after a loss of power it has
+    /// Returns whether a loader has answered. With a window, the sender reconnects when the loader
+    /// is silent, and continues after the records that the loader has; after a loss of power it has
     /// none.
     #[must_use]
     pub fn is_connected(&self) -> bool {

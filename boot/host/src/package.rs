@@ -20,7 +20,7 @@ pub struct SigningKey {
 }
 
 impl SigningKey {
-    /// The public key.
+    /// Returns the public key.
     #[must_use]
     pub fn public(&self) -> [u8; 32] {
         salty::Keypair::from(&self.seed).public.to_bytes()

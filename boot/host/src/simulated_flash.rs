@@ -149,7 +149,7 @@ impl SimulatedFlash {
         (self.cut, self.is_on, self.ticks) = (cut, true, 0);
     }
 
-    /// Whether power is on.
+    /// Returns whether power is on.
     #[must_use]
     pub const fn is_on(&self) -> bool {
         self.is_on

@@ -58,7 +58,7 @@ fn summary(content: &Content) -> String {
     }
 }
 
-/// 300 files: 150 good ones, and each with one changed, lost or added character.
+/// Returns 300 files: 150 valid ones, and each again with one changed, lost or added character.
 fn files() -> Vec<String> {
     let mut runner = TestRunner::deterministic();
     let mut files = Vec::new();

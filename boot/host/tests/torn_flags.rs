@@ -23,7 +23,7 @@ const FIRST: u32 = 0x04_0000;
 const SECOND: u32 = 0x04_8000;
 const RESTORED: u32 = 0x05_0000;
 
-/// The state after an update whose image crashes: the first slot holds it, not approved.
+/// Returns the flash after an update whose image crashes: the first slot holds it, not approved.
 fn crashed_update() -> SimulatedFlash {
     let mut flash = SimulatedFlash::new();
     flash.load(FIRST, &MAGIC);
@@ -37,7 +37,7 @@ fn page(flash: &mut SimulatedFlash, at: u32) -> Result<Page, ModelError> {
     Ok(page)
 }
 
-/// One start of the loader. Returns whether the old image runs.
+/// Runs one start of the loader. Returns whether the old image runs.
 fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
     let trailer = |flash: &mut SimulatedFlash, at| -> Result<[Page; 3], ModelError> {
         Ok([
@@ -63,7 +63,7 @@ fn start(flash: &mut SimulatedFlash) -> Result<bool, ModelError> {
     Ok(page(flash, RESTORED)? == SET)
 }
 
-/// Whether a controller that lost power at this tick never runs its old image again.
+/// Returns whether a controller that lost power at this tick never runs its old image again.
 fn bricks(tick: u64, tear: Tear) -> bool {
     let mut flash = crashed_update();
     flash.power_on(tick, Some((tick, tear)));

@@ -17,7 +17,7 @@ pub(crate) fn number(value: NumericValue) -> f64 {
     value.to_string().parse().unwrap()
 }
 
-/// The signals of a frame, without the end-to-end protection.
+/// Returns the signals of a frame, without the end-to-end protection.
 pub(crate) fn signals(id: u16) -> impl Iterator<Item = &'static Signal> {
     let messages = &dbc().messages;
     let message = messages.iter().find(|it| it.id == MessageId::Standard(id));
@@ -25,7 +25,7 @@ pub(crate) fn signals(id: u16) -> impl Iterator<Item = &'static Signal> {
     signals.filter(|signal| !["Crc", "Counter"].contains(&&*signal.name))
 }
 
-/// The raw value that `seed` chooses among those that the DBC allows.
+/// Returns the raw value that `seed` chooses among those that the DBC allows.
 fn raw(frame: &FrameInfo, signal: &Signal, seed: u64) -> i64 {
     if signal.name == "System" {
         return i64::from(frame.name.ends_with('B'));
@@ -44,7 +44,7 @@ fn raw(frame: &FrameInfo, signal: &Signal, seed: u64) -> i64 {
     }
 }
 
-/// A message and its bytes, packed bit by bit.
+/// Packs a message bit by bit, decodes it, and asserts that its values are unchanged.
 fn packed(frame: &FrameInfo, seeds: &[u64]) -> Message {
     let mut data = vec![0; frame.len];
     for (signal, seed) in signals(frame.id).zip(seeds) {
@@ -72,7 +72,7 @@ fn packed(frame: &FrameInfo, seeds: &[u64]) -> Message {
     message
 }
 
-/// Any message. Its signals have the values that another reader of the DBC gave them.
+/// Generates any message. Its values are packed by an independent reader of the DBC.
 pub(crate) fn message() -> impl Strategy<Value = Message> {
     let frame = prop::sample::select(FRAMES.as_slice());
     // No frame has more signals.
@@ -80,7 +80,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
     (frame, seeds).prop_map(|(frame, seeds)| packed(&frame, &seeds))
 }
 
-/// The physical values of a message by their DBC names; enums and flags as numbers.
+/// Returns a message's physical values by their DBC names; enums and flags as numbers.
 pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
     let mut values = Vec::new();
     message.values(|name, value| values.push((name, value)));

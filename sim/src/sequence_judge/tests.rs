@@ -1,4 +1,4 @@
-//! Each rule of the simulator's judge finds a machine, or a log of a machine, that breaks it.
+//! Tests that each rule of the simulator's judge finds a machine, or its log, that breaks the rule.
 
 use super::*;
 use crate::bench::{Around, Profile};
@@ -11,7 +11,7 @@ use tandem_vehicle::gate::Ruling;
 const A: SystemId = SystemId::A;
 const B: SystemId = SystemId::B;
 
-/// Both systems in step for a second; A drives.
+/// Returns a bench in which both systems have been in step for a second and A drives.
 fn dual(around: Around) -> Bench {
     let profile = Profile {
         around,
@@ -22,7 +22,7 @@ fn dual(around: Around) -> Bench {
     bench
 }
 
-/// The rules that the judge finds broken in the last 800 ms, in which there was no fault.
+/// Returns the rules that the judge finds broken in the last 800 ms, in which there was no fault.
 fn broken(bench: &Bench) -> Vec<Rule> {
     let now = bench.pair.now();
     let begin = Instant::from_ns(now.as_ns() - 800_000_000);
@@ -30,7 +30,7 @@ fn broken(bench: &Bench) -> Vec<Rule> {
     bench.judge(&[], [begin, now], bound).violations
 }
 
-/// The rules that are broken after this change.
+/// Returns the rules that are broken after this change.
 fn broken_by(around: Around, change: impl FnOnce(&mut Bench)) -> Vec<Rule> {
     let mut bench = dual(around);
     change(&mut bench);
@@ -41,7 +41,7 @@ fn ago_ns(bench: &Bench, ms: u64) -> u64 {
     bench.pair.now().as_ns() - ms * 1_000_000
 }
 
-/// A frame of the standby, in the term of the master.
+/// Returns a frame of the standby, in the term of the master.
 fn of_standby(bench: &Bench) -> Acceptance {
     Acceptance {
         system: 1,
@@ -89,14 +89,14 @@ fn a_flash_that_is_programmed_too_often_is_found() {
         bench.pair.edit_flash(B, |bytes| {
             let slots = bytes[..FLASH_SECTOR_BYTES as usize].chunks_mut(SystemState::BYTES);
             let unused = slots.filter(|slot| slot.iter().all(|byte| *byte == 0xFF));
-            // One byte each: a record that was torn.
+            // Write one byte of each slot: a torn record.
             unused.take(13).for_each(|slot| slot[0] = 0);
         });
     });
     assert_eq!(rules, [Rule::FlashWorn]);
 }
 
-/// The same control frame with a constant angle: a left curve with a radius of about 700 m.
+/// Returns the control frame with a constant angle: a left curve of about 700 m radius.
 fn steered_left(frame: &CanFrame) -> CanFrame {
     crate::outside::steered(frame, |_| 0.004)
 }
@@ -104,7 +104,7 @@ fn steered_left(frame: &CanFrame) -> CanFrame {
 #[test]
 fn a_vehicle_that_is_steered_out_of_its_lane_is_found() {
     let rules = broken_by(Around::ClosedLoop, |bench| {
-        // Both systems: neither can relieve the other.
+        // Change the frames of both systems, so that neither can take over and correct the error.
         for system in SystemId::ALL {
             bench.pair.tamper(system, Some(steered_left));
         }
@@ -207,7 +207,7 @@ fn a_stop_although_a_system_may_drive_is_found() {
 #[test]
 fn a_panic_is_a_finding() {
     let mut sequence = Group::Single.sequence(0);
-    // The simulator has no process of a supply.
+    // The simulator has no supply process, so it cannot apply this fault.
     sequence.faults[0].kind = Kind::SupplyHangs(just(1));
     let tried = Profile::from(Config::rt()).try_run(&sequence);
     assert_eq!(tried.violations, [Rule::Panic]);

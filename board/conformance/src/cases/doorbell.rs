@@ -119,7 +119,7 @@ pub(super) fn own<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFai
     Ok(())
 }
 
-/// The other cores of this system have never started.
+/// Rings the other cores of this system, which have never started: this must have no effect.
 pub(super) fn absent<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     for _ in 0..100 {
         board.ring(CoreId::PERCEPTION);

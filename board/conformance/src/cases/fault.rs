@@ -12,7 +12,7 @@ use tandem_board::{
 
 const HERE: &[CoreId] = &[CoreId::CONTROL, CoreId::PERCEPTION];
 
-/// The case that fails if a fault has no effect on a board.
+/// Returns the name of the case that fails if a fault has no effect on a board.
 #[must_use]
 pub const fn case_of(fault: HardwareFault) -> &'static str {
     match fault {

@@ -164,7 +164,7 @@ pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(
     asks(board, ResetRequest::CoreDead, ResetCause::Trap)
 }
 
-/// A core whose system is reset at the request of another core.
+/// Waits until another core of its system requests a reset, which also resets this core.
 pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
@@ -184,7 +184,7 @@ pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFa
     expect_reset(board, "a system that suspends is held in reset")
 }
 
-/// Waits for an interrupt by the level line of the other system.
+/// Waits for an interrupt caused by the level line of the other system.
 pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_peer(board, 1)?;
     let lines = board.lines();

@@ -455,7 +455,7 @@ impl Backplane {
         self.edges(by.peer(), line, edge).wrapping_sub(before)
     }
 
-    /// Restarts the count of edges to `by` from zero, at its power-on.
+    /// Resets the counts of edges that system `by` has received. Called at its power-on.
     pub(crate) fn clear_received_edges(self, by: SystemId) {
         for line in Line::ALL {
             for edge in [Edge::Rising, Edge::Falling] {

@@ -100,7 +100,7 @@ impl Way {
         }
     }
 
-    /// Lets a child try all steps and end; returns the step that the kernel refused.
+    /// Makes a child try all steps and end; returns the step that the kernel refused.
     fn rehearse(&self) -> io::Result<Option<Refused>> {
         let (mut reader, tells) = UnixStream::pair()?;
         // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.
@@ -147,7 +147,7 @@ impl Way {
         let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
         mount_change(c"/", private).map_err(refused(Step::Private))?;
         let flags = MountFlags::NOSUID | MountFlags::NODEV;
-        // The default size is half of the memory; the logs of a long run need some of it.
+        // No `size` option: the default, half of RAM, leaves enough space for long logs.
         mount(c"tmpfs", c"/dev/shm", c"tmpfs", flags, c"mode=1777").map_err(refused(Step::Mount))
     }
 }

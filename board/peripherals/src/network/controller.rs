@@ -10,20 +10,20 @@ pub const FRAMES_PER_MS: u32 = 8;
 /// How much of its bus share one core has used.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TransmitLimit {
-    /// Which millisecond.
+    /// The millisecond in which the frames are counted.
     ms: u64,
     /// Frames sent in it.
     sent: u32,
 }
 
 impl TransmitLimit {
-    /// Whether the core may send a frame at `now`.
+    /// Returns whether the core may send a frame at `now`.
     #[must_use]
     pub const fn allows(&self, now: Instant) -> bool {
         self.sent < FRAMES_PER_MS || self.ms != ms(now)
     }
 
-    /// The core has sent a frame at `now`.
+    /// Counts a frame that the core has sent at `now`.
     pub const fn count(&mut self, now: Instant) {
         if self.ms != ms(now) {
             *self = Self {
@@ -50,8 +50,8 @@ pub const RECOVERY: Duration = Duration::from_us(128 * 11);
 /// The fault confinement of one CAN controller: its error counters. ISO 11898-1
 ///
 /// A destroyed frame adds 8 to the transmit counter, a sent one subtracts 1. A frame received with
-/// an error adds 1 to the receive counter, one without subtracts 1. In this model a controller that
-/// is bus-off still hears, and missing acknowledgements are no errors.
+/// an error adds 1 to the receive counter, one without subtracts 1. In this model a bus-off
+/// controller still receives, and a missing acknowledgement is not an error.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Confinement {
     errors: CanErrors,
@@ -60,7 +60,7 @@ pub struct Confinement {
 }
 
 impl Confinement {
-    /// A controller after a reset.
+    /// Creates the fault confinement of a controller after a reset.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -73,7 +73,7 @@ impl Confinement {
         }
     }
 
-    /// The counters at `now`.
+    /// Returns the counters at `now`.
     pub fn errors(&mut self, now: Instant) -> CanErrors {
         if self.errors.state() == CanState::BusOff && now >= self.due {
             (self.errors.transmit, self.errors.receive) = (0, 0);
@@ -81,13 +81,13 @@ impl Confinement {
         self.errors
     }
 
-    /// The state at the last call.
+    /// Returns the state at the last call.
     #[must_use]
     pub const fn state(&self) -> CanState {
         self.errors.state()
     }
 
-    /// When a frame that could not be sent may be tried again.
+    /// Returns the time at which a frame that could not be sent may be tried again.
     #[must_use]
     pub const fn due(&self) -> Instant {
         self.due
@@ -118,7 +118,7 @@ impl Confinement {
         false
     }
 
-    /// The controller has received a frame, with an error if `fails`.
+    /// Counts a frame that the controller has received, with an error if `fails`.
     pub const fn hears(&mut self, fails: bool) {
         const PASSIVE: u8 = CanErrors::PASSIVE as u8;
         let count = &mut self.errors.receive;

@@ -158,7 +158,7 @@ impl Network {
         is_cut || controller.limit.allows(now) && controller.unsent.is_empty()
     }
 
-    /// Passes a core's frame to its controller. `sent`: when the core sent it, if that is known.
+    /// Passes a core's frame to its controller. `sent`: the time for [`Delivery::sent`].
     ///
     /// # Errors
     /// [`TransmitFull`] if the core has used up its share of this millisecond, or its transmit
@@ -360,7 +360,7 @@ impl Network {
         offered.min_by_key(|index| priority(self.waiting[*index].frame.id()))
     }
 
-    /// Returns when the network next acts by itself.
+    /// Returns the time at which the network next acts by itself.
     #[must_use]
     pub fn next(&self) -> Instant {
         let busy = self.controllers.iter().filter(|it| !it.unsent.is_empty());
