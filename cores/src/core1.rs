@@ -24,7 +24,7 @@ pub const PERIOD: Duration = CORE_1[0].period;
 /// The core polls this long after a round is expected: if the sensors are punctual, one poll is
 /// enough.
 const MARGIN: Duration = Duration::from_us(200);
-/// How long a cycle waits for a late list. The sensors' clocks and the bus delay it less.
+/// How long a cycle waits for a late list. The sensors' clocks and the bus cause shorter delays.
 const PATIENCE: Duration = Duration::from_ms(5);
 /// Shortest time between two cycles, whatever the sensors send.
 const SHORTEST: Duration = Duration::from_us(12_500);
@@ -41,7 +41,7 @@ struct Attached<'b> {
     knowledge: Reader<'b, Knowledge>,
 }
 
-/// A cycle between its two halves.
+/// A cycle that has begun and is not completed.
 #[derive(Clone, Copy)]
 struct Begun {
     released: Instant,
@@ -103,8 +103,8 @@ impl<'b, B: Board> Core1<'b, B> {
 
     /// Reads the frames that have arrived. If they release a cycle, the cycle begins, and the next
     /// [`Core::poll`] completes it. For an executor that simulates execution time: frames that
-    /// arrive during a cycle wait for the next one. Returns whether a cycle has begun. Context as
-    /// of `poll`.
+    /// arrive during a cycle wait for the next one. Returns whether a cycle has begun. Same context
+    /// as `poll`.
     pub fn begin(&mut self) -> bool {
         if self.attached.is_none() {
             self.attach();
@@ -164,7 +164,7 @@ impl<'b, B: Board> Core1<'b, B> {
         completed
     }
 
-    /// Returns the due release: the round is complete, or the time to wait for it is over.
+    /// Returns the release if it is due: the round is complete, or the wait for it has timed out.
     fn release(&mut self) -> Option<Release> {
         let completed = self.receive();
         let limit = self.expected + PATIENCE;
@@ -213,7 +213,7 @@ impl<B: Board> Core for Core1<'_, B> {
             if let Some(begun) = self.begun.take() {
                 self.complete(begun);
             }
-            // From the time at which a complete round is expected, each frame may complete it.
+            // Once a complete round is expected, each frame may complete it.
             let waits = self.board.now() >= self.expected + MARGIN;
             can.wake_on_receive(waits);
             if waits == woken {

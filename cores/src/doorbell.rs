@@ -14,9 +14,9 @@ pub const DOORBELL_DISTANCE: Duration = Duration::from_ms(5);
 pub enum RingOutcome {
     /// The tasks of the doorbell run now. A new distance begins.
     Passes,
-    /// It is the first one within the distance: they run at [`DoorbellThrottle::due`].
+    /// It is the first one within the distance: the tasks run at [`DoorbellThrottle::due`].
     HeldBack,
-    /// Another one is held back already: they run at the same time.
+    /// Another ring is already held back: the tasks run once for both.
     Merged,
 }
 
@@ -26,7 +26,7 @@ pub enum RingOutcome {
 /// task masks the interrupt during its calls.
 #[derive(Debug, Default)]
 pub struct DoorbellThrottle {
-    /// When the next ring passes, ns, in words: 32-bit targets have no 64-bit atomics.
+    /// When the next ring may pass, ns, as two words: 32-bit targets have no 64-bit atomics.
     opens: [AtomicU32; 2],
     pending: AtomicBool,
     held_back: AtomicU32,
@@ -47,8 +47,8 @@ impl DoorbellThrottle {
         RingOutcome::HeldBack
     }
 
-    /// Called when the doorbell may have rung. Returns whether its tasks run now. A call begins no
-    /// new distance, so it delays no ring.
+    /// Called when the doorbell may have rung. Returns whether its tasks run now. Only a ring that
+    /// was held back begins a new distance, so a call alone delays no ring.
     pub fn may_have_rung(&self, now: Instant) -> bool {
         if now < self.opens() {
             self.pending.store(true, Relaxed);

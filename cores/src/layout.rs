@@ -79,7 +79,7 @@ impl<'a> ControllerMap<'a> {
         else {
             panic!("this board's generation breaks its contract")
         };
-        // An incarnation that is announced as over cannot be this one: its supply assigns the
+        // This incarnation cannot be announced as over already, because its supply assigns the
         // generations.
         let _outdated = map.incarnations().announce(incarnation);
         let alive = ALIVE.attach(&map)?;
@@ -97,8 +97,8 @@ impl<'a> ControllerMap<'a> {
         word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
-    /// Stores whether core 2 found a step of core 0 right. Core 0 reads how many successive ones
-    /// were not.
+    /// Stores whether core 2 found a step of core 0 right. Core 0 reads the number of successive
+    /// wrong steps.
     pub fn judge_control(&self, right: bool) {
         let word = &self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1];
         let wrong = if right {

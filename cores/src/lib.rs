@@ -93,8 +93,8 @@ enum ReceivedFrame {
     Download(SystemId),
 }
 
-/// Returns the next received frame of the DBC whose CRC is right, or request of a host, with the
-/// time at which it was on the bus. Skips other frames.
+/// Returns the next received frame of the DBC whose CRC is right, or the next request of a host,
+/// with the time at which it was on the bus. Skips other frames.
 ///
 /// Takes at most `left` frames of any kind from the receiver, and counts `left` down; 0 means that
 /// more may wait.

@@ -74,7 +74,7 @@ pub struct TaskInfo {
     pub name: &'static str,
     /// The causes that release it.
     pub released_by: &'static [ReleasedBy],
-    /// Time between two releases. Control's is a tick less while its grid follows the trajectories.
+    /// Time between two releases. For control, a tick less while its grid follows the trajectories.
     pub period: Duration,
     /// The longest time from a release to the end of its job. `None` if the trace has no such
     /// release; the analysis then uses the period.
@@ -176,7 +176,7 @@ pub const CORE_0: [TaskInfo; 6] = [
 pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
     code: TaskCode::PERCEPTION,
     name: "perception",
-    // The sensors' round: polled for when it is expected, and then at each frame.
+    // The sensors' round: the task polls when it is expected, and then at each frame.
     released_by: &[OwnDeadline, Doorbell],
     period: Duration::from_ms(50),
     deadline: Some(Duration::from_ms(50)),
@@ -185,7 +185,7 @@ pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
     purpose: "acquires the sensors' lists and fuses them to a scene",
 }];
 
-/// The task of core 2. Core 1's signal releases it; the next one follows a period later.
+/// The task of core 2. Core 1's signal releases it; the next signal follows a period later.
 pub const CORE_2: [TaskInfo; 1] = [TaskInfo {
     code: TaskCode::PLANNING,
     name: "planning",

@@ -6,7 +6,7 @@
 //! The scheduler writes [`Event::TaskIn`] and [`Event::TaskOut`] around each use of the CPU. For a
 //! kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with [`Begin::Goes`],
 //! *switched out* is `TaskOut` with [`Leaves::Gives`], *moved to ready* is `Ready`, entry and exit
-//! of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from its release (`Ready`,
+//! of an interrupt are `IrqIn` and `IrqOut`. A job of a task extends from its release (`Ready`,
 //! [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut` that says
 //! [`Leaves::Done`].
 

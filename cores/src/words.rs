@@ -16,7 +16,7 @@ pub use tandem_shm::{Corrupt, Payload};
 /// that no product of three overflows.
 const LIMIT: f32 = 1e6;
 
-/// A part of a payload: the words that stand for a value of this type.
+/// A part of a payload: the words that represent a value of this type.
 trait Part<V = Self> {
     const WORDS: usize;
     fn put(value: &V, put: &mut impl FnMut(u32));

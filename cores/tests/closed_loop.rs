@@ -55,7 +55,7 @@ fn l3_drives_every_scenario() {
     }
 }
 
-/// A slower leader is overtaken, and a lane that ends is left without stopping.
+/// The vehicle overtakes a slower leader, and leaves a lane that ends without stopping.
 #[test]
 fn l3_changes_lanes_where_it_helps() {
     for (name, distance_m) in [("slow-leader", 1_800.0), ("lane-drop", 1_500.0)] {
@@ -102,8 +102,8 @@ fn degrades_amid_the_drive() {
         drive.systems[0].planning_is_dead = true;
         drive.run(SECONDS - EVENT_S, &mut |_, _, _| {});
         assert_eq!(drive.produced, Some(Function::L2));
-        // A change of lanes may have been under way: the vehicle keeps the lane that it is in, so
-        // its offset is not an error.
+        // A change of lanes may have been under way. The vehicle then keeps the lane that it is in,
+        // so its offset is not an error.
         let m = drive.metrics();
         let run = format!("{} seed {seed}: {m:?}", scenario.name());
         assert_eq!(m.collisions, 0, "{run}");
@@ -142,9 +142,9 @@ fn a_takeover_is_not_felt() {
 }
 
 /// T-CHIP-5: a system that joins as the vehicle ahead begins to brake detects this in its first
-/// cycle if it receives knowledge. False knowledge creates no object, whether or not the own
-/// sensors can contradict it at once. A second later, when commands begin to be compared, all
-/// systems have the same knowledge.
+/// cycle if it receives knowledge. False knowledge creates no object, even if the system's sensors
+/// cannot contradict it at once. A second later, when commands begin to be compared, all systems
+/// have the same knowledge.
 #[test]
 fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
     let mut drive = Drive::new(&Scenario::load("hard-braking").unwrap(), 3, 1);

@@ -521,7 +521,7 @@ fn control_refuses_old_and_broken_trajectories() {
     assert_eq!(control.last(), before);
 }
 
-/// T-RED-4: the system that takes over continues from the last command that acted.
+/// T-RED-4: the system that takes over continues from the last command that the vehicle obeyed.
 #[test]
 fn every_function_goes_on_from_the_last_command() {
     let last = Command {

@@ -30,14 +30,14 @@ use tandem_rtos::{
 
 /// A tick of the kernel.
 const TICK: Duration = Duration::from_ms(1);
-/// No wait is longer, so that sums of ticks cannot overflow.
+/// The longest wait, limited so that sums of ticks cannot overflow.
 const LONGEST: Ticks = Ticks::from_millis(1000);
 /// Time between two reports of a task on itself.
 const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 /// Priority of the doorbell's interrupt: above the tick's.
 const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 
-/// The task that waits for the end of the distance when the doorbell has rung too early. The
+/// When the doorbell has rung too early, this task waits until the least distance has passed. The
 /// doorbell's other task, the roles, runs at every tick.
 const DOORBELL_WAITER: Core0Task = Core0Task::TrajectoryInput;
 
@@ -270,7 +270,7 @@ fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'stati
     }
 }
 
-/// Waits until the ring that is held back passes, if one is.
+/// If a ring is held back, waits until it passes.
 fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid) {
     let (doorbell, board) = (&executor.runtime.doorbell, executor.runtime.board);
     loop {

@@ -11,11 +11,11 @@ use tandem_board::{Duration, Instant};
 pub(super) use tandem_bus::AgreementCode as Stage;
 use tandem_redundancy::Phase;
 
-/// Both systems have run the same functions for this long before they are compared: a system that
-/// has just joined does not yet track all that the other tracks.
+/// Two systems are compared after both have run the same functions for this long: a system that has
+/// just joined does not yet track all that the other tracks.
 const WARM_UP: Duration = Duration::from_ms(1000);
 /// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has a
-/// cause that no system can find in itself.
+/// cause that neither system can find in itself.
 const RESOLVE: Duration = Duration::from_ms(300);
 /// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
@@ -28,7 +28,7 @@ const PERIOD_S: f32 = 0.01;
 pub(super) struct Limits {
     /// Difference of the accelerations that is always tolerated, m/s².
     pub(super) tolerance: f32,
-    /// Limit of the sum of what exceeds the tolerance, m/s.
+    /// Limit of the accumulated excess over the tolerance, m/s.
     limit: f32,
 }
 
@@ -98,7 +98,7 @@ pub(super) struct Agreement {
     stage: Stage,
     lateral: Excess,
     longitudinal: Excess,
-    /// The phase of this system, and since when the systems can be compared in it.
+    /// The phase of this system, and the time from which the systems can be compared in it.
     phase: Option<Phase>,
     since: Option<Instant>,
     disagreed: Instant,
@@ -195,7 +195,7 @@ impl Agreement {
         Some((self.stage, 100))
     }
 
-    /// Called when there is no other system to compare with. A requested stop stays.
+    /// Called when there is no other system to compare with. A requested stop remains in force.
     fn forget(&mut self) -> Option<Change> {
         let ends = self.stage == Stage::Disagreed;
         *self = Self {
@@ -251,8 +251,8 @@ mod tests {
         stages
     }
 
-    /// T-RED-9: a tolerated difference never adds up. A larger one is reported, sooner if it is
-    /// larger, with either sign, and leads to a stop if no system leaves.
+    /// T-RED-9: a tolerated difference never adds up. A larger one, of either sign, is reported:
+    /// the larger, the sooner. It leads to a stop if no system leaves.
     #[test]
     fn a_difference_that_lasts_is_told_and_then_stops_the_vehicle() {
         use Stage::{Disagreed, Unresolved};
@@ -268,7 +268,7 @@ mod tests {
         assert_eq!(no_number, [(0, Disagreed), (30, Unresolved)]);
     }
 
-    /// T-RED-9: a disagreement ends when the systems agree again or one has left; a stop stays.
+    /// T-RED-9: a disagreement ends when the systems agree again or one has left; a stop remains.
     #[test]
     fn a_disagreement_ends_with_its_cause_and_a_stop_does_not() {
         use Stage::{Agreed, Disagreed, Unresolved};

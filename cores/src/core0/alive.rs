@@ -26,9 +26,9 @@ pub(crate) struct Alive {
 }
 
 impl Alive {
-    /// `limit`: without a new cycle for longer than this a core is silent. `first`: the same limit
-    /// for the first cycle after the start. `cycles`: the counters now, which an earlier
-    /// incarnation may have left.
+    /// `limit`: a core is silent if it completes no cycle for longer than this. `first`: the same
+    /// limit for the first cycle after the start. `cycles`: the present counters; they may be those
+    /// of an earlier incarnation.
     pub(crate) fn new(now: Instant, first: Duration, cycles: impl Fn(CoreId) -> u32) -> Self {
         let watch = |core| Watched {
             core,
@@ -45,7 +45,7 @@ impl Alive {
 
     /// Reads the counters; returns the first core that is silent.
     ///
-    /// Core 2 is woken by core 1, so with both silent the fault is core 1's.
+    /// Core 1 wakes core 2, so if both are silent, the fault is core 1's.
     pub(crate) fn silent(
         &mut self,
         now: Instant,

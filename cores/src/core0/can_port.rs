@@ -8,7 +8,7 @@ use heapless::Deque;
 use tandem_board::Instant;
 use tandem_bus::{DriverRequest, EgoMotion, FrameReceiver, FrameTransmitter, GateEcho};
 
-/// Motions of the chassis between two control cycles: usually three; twice as many fit.
+/// Capacity for motions of the chassis between two control cycles; usually one arrives.
 const MOTIONS: usize = 6;
 /// A slower vehicle counts as standing, m/s: the noise of the measured speed is smaller.
 const STANDSTILL: f32 = 0.1;
@@ -73,7 +73,7 @@ impl CanPort {
         self.inbox.driver = Some(frames::driver(request));
     }
 
-    /// Records the command in an echo: the vehicle obeys another system.
+    /// Records the command in an echo of a vehicle that obeys another system.
     pub(super) fn on_obeyed(&mut self, echo: &GateEcho) {
         self.inbox.obeyed = Some(frames::obeyed(echo));
     }

@@ -1,5 +1,5 @@
-//! The checks of this system's command: the other system's command, the vehicle's echo, and core 2,
-//! which computes the step again. T-RED-9
+//! Checks this system's command against the other system's command, against the vehicle's echo, and
+//! against the result of core 2, which computes the step again. T-RED-9
 //!
 //! Invariant: once this system has found its command wrong, it sends no control frame in this
 //! incarnation.
@@ -18,20 +18,20 @@ use tandem_shm::newest::Writer;
 /// The other system's command is valid for this long: five control cycles.
 const PEER_MAX_AGE: Duration = Duration::from_ms(50);
 
-/// The command of this system beside the evidence against it.
+/// This system's command and the evidence against it.
 pub(super) struct CommandCheck<'b> {
     agreement: Agreement,
     link: PeerCommandLink,
     /// The other system's command since the last control cycle, and the function that computed it.
     received: Option<(Command, ModeCode)>,
-    /// The last of these, and when it was compared.
+    /// The last of these commands, and when it was compared.
     compared: Option<(Instant, Command)>,
     /// What this system would have commanded in its last control cycle.
     last_output: Option<Output>,
     pub(super) read_back: ReadBack,
     /// This system's command was found wrong.
     is_wrong: bool,
-    /// Where core 2 finds the step to compute again; `None` until the LMU is there.
+    /// Where core 2 finds the step to compute again; `None` until the LMU is attached.
     pub(super) steps: Option<Writer<'b, ControlStep>>,
 }
 
@@ -81,7 +81,7 @@ impl CommandCheck<'_> {
 
     /// Takes the vehicle's echo. Returns whether this system's command is wrong.
     pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> bool {
-        // The vehicle's speed, if this system stops it because no reset has repaired its command.
+        // The speed of the vehicle, if this system stops it because no reset repaired the command.
         let stops = redundancy.stops_for_its_command();
         let speed = self.last_output.filter(|_| stops).map(|last| last.speed);
         let term = redundancy.term().bits();
@@ -98,8 +98,8 @@ impl CommandCheck<'_> {
         }
     }
 
-    /// Returns the other system's command, if both disagree without a known cause. `mode`: the
-    /// redundancy's.
+    /// Returns the other system's command, if both systems disagree without a known cause. `mode`:
+    /// the mode that the redundancy permits.
     pub(super) fn peer_command(&self, now: Instant, mode: Mode) -> Option<Command> {
         let unresolved = self.stage() == Stage::Unresolved && mode != Mode::SafeStop;
         let (at, command) = self.compared?;

@@ -5,7 +5,7 @@ use super::CONTROL_PERIOD;
 use crate::release::{Grid, Release, TickGrid};
 use tandem_board::{Duration, Instant};
 
-/// A trajectory waits no longer than this for the control task, once the grid has followed it.
+/// A trajectory waits no longer than this for the control task, once the grid has moved.
 const LONGEST_WAIT: Duration = Duration::from_us(1_500);
 /// The grid starts to move after this many trajectories in a row waited longer. A single one may be
 /// late because the machine is busy. Moving the grid for it would put the grid just before all
@@ -64,7 +64,7 @@ impl ControlGrid {
         self.grid.next()
     }
 
-    /// Passes a release on to the degraded task. One that this task has not used counts as missed.
+    /// Passes a release to the degraded task. If it has not used the last one, that is missed.
     pub(super) fn pass_on(&mut self, release: Release) {
         let unused = self.for_degraded.map_or(0, |before| before.missed + 1);
         let missed = release.missed.saturating_add(unused);

@@ -1,5 +1,5 @@
-//! Datagrams between the core 0 of both systems, beside the redundancy's report. They are protected
-//! end to end like a CAN frame. T-CHIP-5
+//! Datagrams from core 0 to core 0 of the other system, besides the redundancy's report. They are
+//! protected end to end like a CAN frame. T-CHIP-5
 //!
 //! Word 0 holds CRC-16, counter and version. Receivers decode the rest into a checked type or
 //! refuse it.

@@ -12,15 +12,15 @@ use tandem_redundancy::Mode;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Output {
     pub(crate) command: Command,
-    /// The function that produced it: below the mode asked for if its inputs were missing.
+    /// The function that produced it; a lower mode than requested if inputs were missing.
     pub(crate) mode: Mode,
     /// Age of the oldest measurement that it uses; `None` if it uses none.
     pub(crate) age: Option<Duration>,
-    /// The command that this system would give had it driven all the time.
+    /// The command that this system would give if it had driven all the time.
     pub(crate) standalone: Command,
     /// m/s
     pub(crate) speed: f32,
-    /// The step of the motion control, if that gave the command.
+    /// The step of the motion control, if the motion control gave the command.
     pub(crate) step: Option<ControlStep>,
     pub(crate) state: FunctionState,
 }
@@ -35,7 +35,7 @@ pub struct Driving {
     /// The last command of this system; while it does not drive, the command that the vehicle
     /// obeys.
     last: Command,
-    /// Limits the command that this system would have given had it driven all the time.
+    /// Limits the command that this system would give if it had driven all the time.
     standalone: Shaper,
     /// Remaining control cycles for which the vehicle counts as obeying the other system.
     follows: u8,
@@ -116,15 +116,15 @@ impl Driving {
                 permitted,
                 driver: self.driver,
                 sees: moves && lanes.is_some(),
-                // The loss of a sensor is outside the domain, too.
+                // The vehicle also leaves the domain if a sensor is lost.
                 in_domain: self.in_domain && self.scene.as_ref().is_none_or(|it| it.missing == 0),
             },
         )
     }
 
     /// Returns the command for `now` by the best function that `permitted`, the state of the
-    /// driving function and the inputs allow. `other`: the command of the other system, while both
-    /// disagree without a known cause.
+    /// driving function and the inputs allow. `other`: the command of the other system, while the
+    /// systems disagree without a known cause.
     pub(crate) fn cycle(
         &mut self,
         now: Instant,

@@ -37,7 +37,7 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
         acceleration: output.command.acceleration,
         // The largest number that the signal can carry stands for "rests on no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
-        // 0 stands for "not known".
+        // 0 means "not known".
         sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
     }
 }

@@ -1,8 +1,8 @@
 //! The knowledge that a driving system sends to one that has just joined, over the link. T-CHIP-5
 //!
 //! The joining system sends a *request* in each control cycle. The other one answers with a
-//! *transfer*, two *chunks* in a control cycle. A lost chunk costs its transfer; the next transfer
-//! begins with the next scene.
+//! *transfer*, two *chunks* in a control cycle. If a chunk is lost, its transfer fails; the next
+//! one begins with the next scene.
 //!
 //! | word | request | chunk |
 //! |---|---|---|
@@ -24,7 +24,7 @@ use tandem_shm::newest::Writer;
 
 /// Chunks that are sent in a control cycle.
 const CHUNKS_PER_CYCLE: usize = 2;
-/// A system asks in this many control cycles of its redundancy: for 300 ms.
+/// A system asks until its redundancy has run this many control cycles: for 300 ms.
 const ASKING_CYCLES: u32 = 30;
 
 /// Version of requests and chunks. Other versions are refused.
@@ -35,7 +35,7 @@ const HEAD: usize = 2;
 const CHUNK_CONTENT: usize = MAX_WORDS - HEAD;
 /// Incarnation, term, age.
 const FRONT: usize = 3;
-/// The words of the time, which is sent as an age.
+/// Words of the time in the knowledge; an age is sent instead.
 const TIME: usize = 2;
 const CONTENT: usize = FRONT + Knowledge::WORDS - TIME;
 const MAX_CHUNKS: usize = CONTENT.div_ceil(CHUNK_CONTENT);
@@ -49,9 +49,9 @@ const REQUEST_HOLDS: Duration = Duration::from_ms(35);
 pub(super) struct KnowledgeTransfer<'b> {
     sender: KnowledgeSender,
     receiver: KnowledgeReceiver,
-    /// Control cycles of the redundancy in which this system has asked.
+    /// Control cycles with a running redundancy in which this system has asked.
     asked: u32,
-    /// Where cores 1 and 2 find what was received; `None` until the LMU is there.
+    /// Where cores 1 and 2 find the received knowledge; `None` until the LMU is attached.
     pub(super) received: Option<Writer<'b, Knowledge>>,
 }
 
@@ -105,7 +105,7 @@ impl KnowledgeTransfer<'_> {
         knowledge: Option<&Knowledge>,
         link: &impl Link,
     ) {
-        // A full link drops the datagram. Requests repeat; a lost chunk costs its transfer.
+        // A full link drops the datagram. Requests repeat; without a chunk, a transfer fails.
         let Some(redundancy) = redundancy.filter(|it| it.phase().is_driving()) else {
             // Count only cycles after the redundancy has started: cores 1 and 2 may take long
             // before.
@@ -302,7 +302,7 @@ mod tests {
         Instant::from_ns(ms * 1_000_000)
     }
 
-    /// Returns a full road, at 1 s of the sender's clock.
+    /// Returns the knowledge of a road with this many objects, at 1 s of the sender's clock.
     fn knowledge(objects: usize) -> Knowledge {
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],
@@ -373,8 +373,8 @@ mod tests {
         }
     }
 
-    /// T-CHIP-5: a lost or damaged chunk costs its transfer and not the next one, a repeated one
-    /// costs nothing. Old transfers and those for another incarnation are refused.
+    /// T-CHIP-5: a lost or damaged chunk makes its own transfer fail but not the next one; a
+    /// repeated chunk does no harm. Old transfers and those for another incarnation are refused.
     #[test]
     fn incomplete_and_old_transfers_are_refused() {
         let fresh = || {
@@ -434,7 +434,7 @@ mod tests {
         assert_eq!(fed(&mut KnowledgeReceiver::new(77), &newer), []);
     }
 
-    /// T-CHIP-5: values that no road has are refused, even with a valid protection.
+    /// T-CHIP-5: values that no road has are refused, even if the protection is valid.
     #[test]
     fn implausible_knowledge_is_refused() {
         let wrong: [fn(&mut Knowledge); 6] = [

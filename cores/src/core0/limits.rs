@@ -27,7 +27,7 @@ pub const EDGES_PER_MS: u32 = 4;
 const WINDOW: Duration = Duration::from_ms(100);
 
 /// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
-/// stall of this core is not a flood. The distance permits 20 doorbells: half of them came early.
+/// stall of this core is not a flood. Of 20 doorbells that the distance permits, half came early.
 const EXCEEDED: u32 = 10;
 
 /// The activity of a source since the last report.
@@ -73,7 +73,7 @@ impl Floods {
         self.exceeded(FloodSource::Can, lost);
     }
 
-    /// Called when a poll has taken as many datagrams as it may; it used one of them.
+    /// Called when a poll has taken as many datagrams as it may, and has used one of them.
     pub(super) fn link(&mut self) {
         self.exceeded(FloodSource::Link, LINK_DATAGRAMS - 1);
     }
@@ -91,7 +91,7 @@ impl Floods {
         let Some((at, last)) = self.lines.replace((now, *counts)) else {
             return;
         };
-        // The polls may fall within a millisecond: the parts at both ends count as one each.
+        // Polls may fall within a millisecond: count the part at each end as a whole one.
         let ms = u32::try_from(now.since(at).as_us() / 1_000).unwrap_or(u32::MAX);
         let allowed = EDGES_PER_MS.saturating_mul(ms.saturating_add(2));
         let new = |now: u32, last: u32| now.wrapping_sub(last);

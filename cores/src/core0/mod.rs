@@ -60,7 +60,7 @@ pub enum Core0Task {
 }
 
 impl Core0Task {
-    /// All, in the order of the table: in falling order of priority.
+    /// All tasks in the order of the table: the highest priority first.
     pub const ALL: [Self; CORE_0.len()] = [
         Self::Roles,
         Self::Monitoring,

@@ -9,7 +9,7 @@ use tandem_bus::e2e::Checker;
 /// The command that a system would give, and whether it agrees with the other system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerCommand {
-    /// The function that computed it; none while the command is not to be compared yet.
+    /// The function that computed it; none while the command must not be compared yet.
     pub(super) mode: ModeCode,
     pub(super) stage: Stage,
     pub(super) command: Command,

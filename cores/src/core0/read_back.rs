@@ -17,8 +17,8 @@ const WRONG_ECHOES: u8 = 2;
 /// Half a step of the signals plus the rounding error, rad and m/s².
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
-/// Limits for a stop with a wrong command, beside the permanent tolerance of two systems: error of
-/// the wheel angle, rad, and the least share of the braking that was sent.
+/// Limits for a stop with a wrong command, besides the tolerance that applies to two systems: error
+/// of the wheel angle, rad, and the least share of the braking that was sent.
 const ASIDE: f32 = 5e-3;
 const LEAST_BRAKING: f32 = 0.5;
 
@@ -28,7 +28,7 @@ pub(super) struct ReadBack {
     term: u32,
     /// Indexed by the counter of the frame.
     sent: [Command; REMEMBERED],
-    /// How many of these are of this term, and the counter of the newest.
+    /// How many of these commands are of this term, and the counter of the newest.
     count: u8,
     newest: u8,
     wrong: u8,
@@ -65,9 +65,9 @@ impl ReadBack {
     }
 
     /// Takes the vehicle's echo; returns whether this system's command is wrong. `term`: the term
-    /// in which this system drives. `stops_at`: the vehicle's speed, m/s, if this system stops it
-    /// although its command is wrong. Then a difference does not count if the vehicle still stops
-    /// in its lane.
+    /// in which this system drives. `stops_at`: the vehicle's speed, m/s, if this system stops the
+    /// vehicle although the command is wrong. Then a difference does not count if the vehicle still
+    /// stops in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // If the echo has a lower term, the vehicle has not yet accepted a frame of this term: it
         // has refused every frame sent.
@@ -184,7 +184,7 @@ mod tests {
             ..it
         };
         assert_eq!(found(refused), Some(12));
-        // A system stops the vehicle with -1 m/s² because no reset has repaired its command.
+        // A system stops the vehicle with -1 m/s² because no reset repaired the command.
         let differs = |aside: f32, more: f32| {
             move |_, it: GateEcho| GateEcho {
                 steering_angle: it.steering_angle + aside,

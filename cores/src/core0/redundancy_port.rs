@@ -11,8 +11,8 @@ use tandem_redundancy::{
     Action, Actions, FailureMode, Input, LineSnapshot, Loaded, Mode, Phase, Redundancy, StateStore,
 };
 
-/// A flash that takes longer than this to store the state hangs: erasing a sector and programming a
-/// record take less.
+/// A flash hangs if it takes longer than this to store the state: erasing a sector and programming
+/// a record take less.
 const FLASH_HANGS: Duration = Duration::from_ms(100);
 /// Period of polls while the start protocol waits for cores 1 and 2.
 const BOOT_POLL: Duration = Duration::from_ms(1);
@@ -105,7 +105,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
     pub(super) fn report(&mut self) {
         if let Some(redundancy) = &mut self.running {
             let report = redundancy.link_report(self.board.now());
-            // A link is full when the other system does not read: it gets the next report.
+            // The link is full if the other system does not read it; the next report will do.
             let _full = self.board.link().try_send(&report.to_words());
         }
     }
@@ -153,7 +153,7 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
             lanes_seen,
         } = self.ready;
         let is_ready = cores_run && ego_seen && lanes_seen;
-        // A system must also start without lanes, and without any vehicle.
+        // A system must start even without lanes, and without any vehicle.
         if is_ready || now.since(self.started) > self.config.boot_limit {
             let cause = self.board.supply().reset_cause();
             let config = self.config.redundancy;

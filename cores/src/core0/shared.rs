@@ -104,7 +104,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// Returns the newest report that has arrived over the link. Other datagrams do not hide it.
+    /// Returns the newest report that has arrived over the link, even if other datagrams follow it.
     fn newest_report(&mut self) -> Option<LinkReport> {
         let mut newest = None;
         let mut words = [0; MAX_WORDS];
@@ -257,7 +257,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         released
     }
 
-    /// Called when its command is wrong: this system stops sending and leaves; the other one
+    /// Called when this system's command is wrong. It stops sending and leaves; the other system
     /// drives.
     pub(super) fn on_wrong_command(&mut self, witness: u8) -> TaskSet {
         if !self.check.on_wrong() {
@@ -273,7 +273,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::Deadline))
     }
 
-    /// Called when the driver of the outputs has a fault. `is_new`: it was not reported yet.
+    /// Called when the driver of the outputs has a fault. `is_new`: the fault was not reported yet.
     pub(super) fn on_output_fault(&mut self, found: OutputDiagnosis, is_new: bool) -> TaskSet {
         if is_new {
             let found = found as u8;
@@ -282,8 +282,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::IoModule))
     }
 
-    /// Called when the CAN controller was bus-off and not error-active since. `again`: bus-off
-    /// again. The vehicle receives nothing from this system, so the other one is notified at once.
+    /// Called while the CAN controller was bus-off and not error-active since. `again`: a new
+    /// bus-off. The vehicle receives nothing from this system, so the other is notified at once.
     pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
         let released = self.notify(Input::OwnFault(FailureMode::CanBusOff));
         if again {

@@ -3,7 +3,7 @@
 use tandem_board::DataFlash;
 use tandem_redundancy::{FlashOp, Geometry, Loaded, StateStore};
 
-/// Reads the state from the first two sectors. Takes as long as reading them.
+/// Reads the state from the first two sectors. Blocks until they have been read.
 pub(super) fn load<F: DataFlash>(flash: &F) -> (StateStore, Loaded) {
     let geometry = Geometry::first_sectors(F::SECTOR_BYTES);
     StateStore::load(geometry, |offset, into| flash.read(offset, into))

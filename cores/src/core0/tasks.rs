@@ -81,7 +81,7 @@ pub struct MonitoringTask<'b, B> {
     overruns: u32,
     /// The CAN controller was bus-off, and has not been error-active since.
     was_bus_off: bool,
-    /// The core that is silent: a system that continues to drive traces it once.
+    /// The silent core, so that a system that continues to drive traces it only once.
     silent: Option<CoreId>,
     control: Progress,
     /// Set when this system stops servicing the watchdog, which then resets it.
@@ -89,8 +89,8 @@ pub struct MonitoringTask<'b, B> {
     last_service: Option<Instant>,
 }
 
-/// Logical supervision of the control task: it must end cycles while time passes. The monitoring
-/// counts time in its own polls, so a core that was held up as a whole is not blamed.
+/// Logical supervision of the control task, which must complete cycles. The monitoring counts time
+/// in its own polls, so a control task does not count as hung if its whole core was held up.
 #[derive(Default)]
 struct Progress {
     cycles: u32,
@@ -98,7 +98,7 @@ struct Progress {
 }
 
 impl Progress {
-    /// Polls of the monitoring, 5 ms apart, without a control cycle: four periods of it.
+    /// Polls of the monitoring, 5 ms apart, without a control cycle: four control periods.
     const HUNG_POLLS: u8 = 8;
 
     /// `cycles`: running count of the control cycles that have ended.
@@ -168,7 +168,7 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
     }
 
     /// Reports a control task that hangs: such a standby cannot take over. While it hangs or the
-    /// command is wrong, the watchdog is not serviced. It then resets a system that has not left.
+    /// command is wrong, the watchdog is not serviced, so it resets a system that has not left.
     fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
             self.control.poll(shared.counters.control_cycles);
@@ -180,8 +180,8 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// Reports a fault of the output driver that [`OUTPUT_FAULT_POLLS`] polls in a row found: a
-    /// switch that is just opening or closing is sound.
+    /// Reports a fault of the output driver that [`OUTPUT_FAULT_POLLS`] polls in a row found. A
+    /// switch that is just opening or closing has no fault.
     fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
         let found = self.board.output_diagnosis();
         self.output_faults = match found {
@@ -434,7 +434,7 @@ impl<B: Board> SharedState<'_, B> {
         };
         let counters = &mut self.counters;
         let missed = core::mem::take(&mut counters.missed_polls);
-        // The mode is the redundancy's: a master that reported a safe stop there would resign.
+        // Sends the redundancy's mode: a master that reported a safe stop here would resign.
         let status = tandem_bus::Status {
             agreement: self.check.stage(),
             ..frames::status(redundancy, counters.tracks, counters.deadline_misses)

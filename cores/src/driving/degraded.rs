@@ -43,7 +43,7 @@ const DRIVER: Driver = Driver {
     comfortable_braking: 2.0,
 };
 
-/// Lane keeping and distance keeping with what one core can compute in its 10 ms.
+/// Lane keeping and distance keeping that one core can compute in its 10 ms.
 #[derive(Clone, Debug)]
 pub struct DegradedControl {
     slip: SlipFilter,
@@ -58,7 +58,7 @@ impl Default for DegradedControl {
 }
 
 impl DegradedControl {
-    /// At rest, wheels straight.
+    /// For a vehicle at rest, with straight wheels.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -98,7 +98,7 @@ impl DegradedControl {
 
     /// As [`Self::stop`], for two systems that disagree when neither knows which is wrong. Steers
     /// halfway between both commands, so an error of one system's lane has half its effect. Brakes
-    /// as hard as the harder of both.
+    /// like the harder command of the two.
     pub(crate) fn stop_between(
         &mut self,
         now: Instant,
@@ -114,7 +114,7 @@ impl DegradedControl {
             steering_angle: 0.5 * (own.steering_angle + other.steering_angle),
             acceleration: min(own.acceleration, other.acceleration),
         };
-        // The wish stays this system's own command.
+        // The stored wish remains this system's own command.
         self.shaper.shape(&wish(command), ego)
     }
 

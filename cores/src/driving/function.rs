@@ -69,7 +69,7 @@ pub enum FunctionState {
     /// Inputs are missing: no lanes, or no motion of the chassis.
     #[default]
     Off = 0,
-    /// Could drive; the driver does.
+    /// Could drive, but the driver drives.
     Ready = 1,
     /// Drives with both systems.
     Active = 2,
@@ -130,7 +130,7 @@ pub enum Signal {
     Leaves = 6,
     /// Both systems drive, within the domain.
     Whole = 7,
-    /// The state's time is over.
+    /// The time limit of the state has passed.
     Expired = 8,
 }
 
@@ -309,7 +309,7 @@ mod tests {
             for &signal in Signal::VARIANTS {
                 let begins = !state.is_driving() && next(signal).is_driving();
                 assert!(!begins || signal == Signal::Engage, "{state:?} {signal:?}");
-                // While it drives, only the driver makes it stop driving.
+                // While the function drives, only the driver makes it stop.
                 let ends = state.is_driving() && !next(signal).is_driving();
                 assert!(!ends || signal == Signal::Override, "{state:?} {signal:?}");
                 let aborts = state == FunctionState::MinimalRisk && next(signal) != state;
@@ -334,8 +334,8 @@ mod tests {
         }
     }
 
-    /// U-1: one system is lost, the driver does not answer: at the stated times the function asks
-    /// and stops.
+    /// U-1: if one system is lost and the driver does not answer, the function asks and stops at
+    /// the stated times.
     #[test]
     fn degraded_mode_ends_within_its_limit() {
         let mut function = Function::default();

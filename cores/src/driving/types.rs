@@ -112,7 +112,7 @@ pub struct Object {
 pub struct Scene {
     /// The time to which the scene is predicted, on this system's clock.
     pub at: Instant,
-    /// When the oldest measurement that arrived for this cycle was on the bus. If none arrived, the
+    /// The time at which the oldest measurement for this cycle was on the bus. If none arrived, the
     /// value of the previous cycle.
     pub measured: Instant,
     /// Counts the cycles of core 1, wraps around.

@@ -103,7 +103,7 @@ impl System {
         self.degraded.resume(last);
     }
 
-    /// The command of the requested function; one that cannot continue is replaced by the next.
+    /// The command of the requested function, or of the next one if that function cannot continue.
     pub(crate) fn command(
         &mut self,
         now: Instant,

@@ -15,7 +15,7 @@ use super::types::{
     TrajectoryPoint,
 };
 
-/// A trajectory is followed for this long: six cycles of core 1 and 2, after which the traffic may
+/// A trajectory is followed for this long: six cycles of cores 1 and 2. Afterwards the traffic may
 /// have changed too much.
 pub const TRAJECTORY_MAX_AGE: Duration = Duration::from_ms(300);
 
@@ -42,9 +42,9 @@ pub enum ControlError {
 /// Follows a trajectory by lateral and longitudinal feedback around its own feed-forward.
 ///
 /// Lateral: linear-quadratic feedback of offset and course, curvature feed-forward (see `steer`).
-/// Longitudinal: the trajectory's acceleration plus feedback of speed and way. Both are limited in
-/// rate, so that the command never jumps, not even when another system's last command was taken
-/// over.
+/// Longitudinal: the trajectory's acceleration plus feedback of speed and distance. Both are
+/// limited in rate, so that the command never jumps, not even when it continues another system's
+/// last command.
 #[derive(Clone, Debug)]
 pub struct MotionControl {
     odometry: Odometry,
@@ -61,7 +61,7 @@ impl Default for MotionControl {
 }
 
 impl MotionControl {
-    /// At rest, wheels straight.
+    /// For a vehicle at rest, with straight wheels.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -280,8 +280,8 @@ mod tests {
         }
     }
 
-    /// T-RED-9: another core that has the trajectory finds a step right, and finds it wrong if any
-    /// part is wrong: a stuck command, a wrong place, a wrong motion.
+    /// T-RED-9: another core that has the trajectory accepts a right step, and rejects one with any
+    /// wrong part: a stuck command, a wrong place, a wrong motion.
     #[test]
     fn a_step_is_computed_again_and_every_fault_in_it_is_found() {
         let (trajectory, at) = (trajectory(), trajectory().at);

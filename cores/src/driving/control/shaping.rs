@@ -19,15 +19,15 @@ const COMFORT_JERK: f32 = 6.0;
 const FIRM_JERK: f32 = 9.0;
 /// Jerk of an emergency, m/s³: full braking after 0.2 s.
 const EMERGENCY_JERK: f32 = 45.0;
-/// Beyond this braking is hard, m/s²: as in planning.
+/// Braking beyond this is hard, m/s², as in planning.
 pub(crate) const HARD_BRAKING: f32 = -4.0;
 /// A brake that is not released before standstill ends the stop with a jolt. So it is released with
 /// this jerk, m/s³, to the braking that holds the vehicle. This adds 5 cm from 2.5 m/s², 19 cm from
 /// 4 m/s².
 const SOFT_STOP_JERK: f32 = 4.0;
-/// The release delay of the brake, s: twice its lag of 0.14 s, after which a twentieth is left.
+/// The release delay of the brake, s: twice its lag of 0.14 s, after which a tenth is left.
 const BRAKE_DELAY_S: f32 = 0.3;
-/// From this speed on the wheels may be turned as fast as they can, m/s.
+/// At this speed and above, the wheels may turn as fast as they can, m/s.
 const ROLLING_SPEED: f32 = 4.0;
 /// Lateral jerk that a change of steering may cause, m/s³.
 const LATERAL_JERK: f32 = 12.0;

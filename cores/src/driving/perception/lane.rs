@@ -26,8 +26,8 @@ const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
 
 /// Standard deviations of a filter that has settled.
 const SETTLED: [f32; 4] = [0.015, 0.001, 2e-5, 3e-7];
-/// A received line differs by no more than this from the first lines that the camera sees:
-/// 5 sigma.
+/// A received line must not differ by more than this from the first lines that the camera sees: 5
+/// sigma.
 const GATE: [f32; 4] = [0.12, 0.008, 2e-4, 2.5e-6];
 
 /// The filter.

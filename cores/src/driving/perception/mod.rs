@@ -289,7 +289,7 @@ impl Perception {
         }
     }
 
-    /// Ends lost tracks and merges doubles.
+    /// Ends lost tracks and merges duplicates.
     fn tidy(&mut self) {
         self.tracks.retain(|track| !track.is_lost());
         let mut first = 0;

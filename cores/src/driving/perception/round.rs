@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_round_ends_where_the_longest_pause_begins_wherever_the_cycle_began() {
-        // Phases 0, 3 .. 15 and 16 ms, cut anywhere.
+        // Phases of 0, 3 .. 15 and 16 ms; the observed round may begin at any of them.
         for cut in 0..50 {
             let arrivals =
                 [0, 3, 6, 9, 12, 15, 16].map(|ms| if ms > cut { ms + 100 } else { ms + 150 });

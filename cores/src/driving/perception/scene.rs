@@ -8,7 +8,7 @@ use super::track::Track;
 
 /// A cut-in is foreseen up to this time ahead, s.
 const CUT_IN_HORIZON_S: f32 = 2.0;
-/// Slower than this across the lane is wandering, not changing lanes, m/s.
+/// An object that moves across the lane more slowly than this, m/s, is not changing lanes.
 const CUT_IN_SPEED: f32 = 0.5;
 /// An object must move in for this many cycles in a row to count as a cut-in.
 const CUT_IN_CYCLES: u8 = 5;
@@ -63,15 +63,15 @@ impl RoadView {
         }
     }
 
-    /// Places a track; counts in it for how long it has been approaching the ego lane.
+    /// Places a track, and counts in the track for how long it has approached the ego lane.
     pub(crate) fn place(&self, track: &mut Track) -> Place {
         let (foot, offset) = self.line.project(track.x.position(), track.y.position());
         let heading = self.line.heading(foot);
         let across = track.y.velocity() * cos(heading) - track.x.velocity() * sin(heading);
         let lane = self.lane_of(offset);
 
-        // Moving in means: towards the centre, its near side still outside or just over the line,
-        // and its centre inside the ego lane before the horizon.
+        // An object moves in if it moves towards the centre, its near side is outside or just over
+        // the line, and its centre will be inside the ego lane before the horizon.
         let inwards = if offset > 0.0 { -across } else { across };
         let reach = abs(offset) - inwards * CUT_IN_HORIZON_S;
         let overlaps = abs(offset) - 0.5 * track.width < 0.5 * self.own - 0.2;

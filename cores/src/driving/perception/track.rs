@@ -164,7 +164,7 @@ pub(crate) struct Track {
     hits: u16,
     sensors: u8,
     unseen_s: f32,
-    /// Another system has tracked it: the first own detection confirms it.
+    /// Another system has tracked it: this system's first detection confirms it.
     received: bool,
 }
 

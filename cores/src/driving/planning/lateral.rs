@@ -86,7 +86,7 @@ pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> Traj
     }
 }
 
-/// Returns the cost of a path at this speed: comfort against the time off the centre.
+/// Returns the cost of a path at this speed: weighs comfort against the time off the centre.
 pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
     let mut cost = 0.0;
     for step in 0..16 {

@@ -13,8 +13,8 @@ use crate::driving::math::{abs, clamp, max, min, sqrt};
 pub(crate) const STEPS: usize = 32;
 /// Seconds between two of them: the evaluation looks 8 s ahead.
 pub(crate) const STEP_S: f32 = 0.25;
-/// The first steps of eight passes through the evaluation: each pass takes every eighth step, the
-/// first pass ends with the last step.
+/// The first step of each of eight passes through the evaluation. A pass takes every eighth step;
+/// the first pass includes the last step.
 const COARSE_TO_FINE: [usize; 8] = [7, 3, 5, 1, 6, 4, 2, 0];
 
 /// Time gap to the leader at low speed and at 60 km/h and above, s, and its change by speed, s²/m:
@@ -316,7 +316,7 @@ impl Ramp {
 }
 
 impl Profile {
-    /// Way in m, speed, acceleration and jerk after `t` seconds.
+    /// Distance in m, speed, acceleration and jerk after `t` seconds.
     #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
         match self {
@@ -356,12 +356,12 @@ impl Profile {
         }
     }
 
-    /// Cost of this motion in the corridor, and the part of it that is for danger; `None` if the
-    /// vehicle cannot or must not, or if it costs more than `best`.
+    /// Cost of this motion in the corridor, and its part for danger; `None` if the vehicle cannot
+    /// or must not move like this, or if the cost exceeds `best`.
     fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
         let mut steps = [(0.0, 0.0); STEPS];
-        // No cost is negative, so a few steps, far apart, show that most candidates cost too much.
-        // The factor allows for rounding, which differs from that of the sum below.
+        // No cost is negative, so a few steps that are far apart show that most candidates cost too
+        // much. The factor allows for rounding, which differs from that of the sum below.
         let mut so_far = 0.0;
         for first in COARSE_TO_FINE {
             for step in (first..STEPS).step_by(COARSE_TO_FINE.len()).rev() {
@@ -451,7 +451,7 @@ fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> 
     keep.chain(brake.map(Profile::Brake))
 }
 
-/// Returns the cheapest profile from this start (way 0) and how rough it is: a comfortable one if
+/// Returns the cheapest profile from this start (at 0 m) and how rough it is: a comfortable one if
 /// it is not dangerous, else one without a jerk if it keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
@@ -546,8 +546,8 @@ mod tests {
         assert!(end.value < 60.0, "{end:?}");
     }
 
-    /// A standing object ahead may need hard braking, but no jerk while there is room to build it
-    /// up. It is an emergency only when it is too near for that.
+    /// A standing object ahead may need hard braking, but no jerk while there is room to build
+    /// braking up. It is an emergency only when it is too near for that.
     #[test]
     fn braking_jerks_only_where_a_ramp_comes_too_late() {
         let start = Jet {
@@ -566,8 +566,8 @@ mod tests {
         assert_eq!(manner(30.0), Manner::Emergency);
     }
 
-    /// The vehicle waits for one that turns across the lane ahead. The prediction that it then hits
-    /// the standing vehicle does not cause harder braking.
+    /// The vehicle waits for another that turns across the lane ahead. The prediction that the
+    /// other then hits the standing vehicle does not cause harder braking.
     #[test]
     fn who_drives_towards_a_standing_vehicle_is_no_emergency() {
         let start = Jet {

@@ -3,7 +3,7 @@
 //! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
 //! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one
 //! after the other: a path towards the goal of the behaviour decision, then the cheapest motion
-//! along it. Every plan begins at the last plan's present state, not at the measured one, so that
+//! along it. Every plan begins where the last plan is now, not at the measured state, so that
 //! consecutive plans join smoothly. The plan moves towards the measured state slowly.
 
 mod behaviour;
@@ -350,7 +350,7 @@ impl Planner {
 }
 
 /// Returns the speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a
-/// request of the driver, the present speed is the driver's.
+/// request of the driver, the present speed counts as requested.
 fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     let Some(lanes) = &scene.lanes else {
         return 0.0;
@@ -362,7 +362,7 @@ fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     max(min(known, unseen_speed(lanes.view_range)), 0.0)
 }
 
-/// Returns the speed that is safe for the unseen road, m/s: where the camera sees only part of its
+/// Returns the speed that is safe for the unseen road, m/s: if the camera sees only part of its
 /// range, the lane bends, and beyond the view it may bend as sharply as the domain permits.
 fn unseen_speed(view_range_m: f32) -> f32 {
     if view_range_m >= FULL_VIEW_M {
@@ -402,7 +402,7 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
 }
 
 /// Returns the cheapest motion along the path among all road users, from this place and motion.
-/// `before`: the motion that determines when the vehicle is aside; `None` for the present speed.
+/// `before`: the motion that determines how far aside the vehicle is; `None`: the present speed.
 fn choose_profile(
     view: &View,
     (station, start): (&Station, &Jet),

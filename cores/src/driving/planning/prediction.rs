@@ -12,7 +12,7 @@ const ONCOMING: f32 = 1.0;
 /// an angle with a larger tangent than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
-/// A road user slower than this against the ego's direction has just stopped, m/s: it is noise.
+/// A speed below this against the ego's direction, m/s, is noise: the road user has just stopped.
 const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
 const SWERVE_S: f32 = 1.2;
@@ -104,7 +104,7 @@ impl Predicted {
         self.speed < -ONCOMING
     }
 
-    /// Returns whether it crosses the road or comes towards the vehicle, so that both pass.
+    /// Returns whether it crosses the road or comes towards the vehicle: the two then pass.
     pub(crate) fn passes(&self) -> bool {
         self.is_oncoming() || self.sideways == Sideways::Crosses
     }
