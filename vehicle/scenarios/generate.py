@@ -221,14 +221,14 @@ def main():
         Vehicle(at(480), 0, 22.0, "truck"),
     ])
     write("cut-in", 3, GENTLE, three, 30.56, (EGO_S, 1, 30.0), [
-        # Behind a truck, it pulls out 13 m before the ego, 7 m/s slower.
+        # Pulls out from behind a truck, 13 m ahead of the ego and 7 m/s slower.
         Vehicle(at(57), 0, 23.0, script=[(4, 0, None), (7.5, 0, 1), (14, 0, None), (20, 1.0, None)]),
         Vehicle(at(110), 0, 21.0, "truck"),
-        # A column on the left keeps the ego from passing by.
+        # A column of cars on the left prevents the ego from overtaking.
         Vehicle(at(-12), 2, 31.0),
         Vehicle(at(28), 2, 31.0),
         Vehicle(at(-55), 2, 31.0),
-        # From the left, into the gap behind the first one.
+        # Changes from the left into the gap behind the vehicle that cuts in first.
         Vehicle(at(65), 2, 27.5, script=[(22, -0.02, None), (26, 0, 1), (30, 0, None)]),
         Vehicle(at(-60), 1, 29.0),
         Vehicle(at(-90), 0, 24.0),

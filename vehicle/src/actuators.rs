@@ -25,7 +25,7 @@ const ACCELERATION_MAX: f64 = 4.0;
 /// Largest deceleration by the brake, m/s², on a dry road.
 const DECELERATION_MAX: f64 = 9.5;
 
-/// After this long without an accepted control frame, ns, the steering holds its angle and the
+/// Time without an accepted control frame, ns, after which the steering holds its angle and the
 /// brake slows the vehicle down gently.
 pub const FALLBACK_AFTER_NS: u64 = 100_000_000;
 /// Deceleration without a controller, m/s²: gentle enough for the follower.
@@ -43,7 +43,7 @@ pub struct Request {
 /// The state of both actuators.
 #[derive(Debug)]
 pub struct Actuators {
-    /// Requests of the last milliseconds, newest at `next`, a ring.
+    /// Ring of the requests of the last milliseconds, newest at `next`.
     past: [Request; Self::RING],
     next: usize,
     /// Acceleration before the plant's limits apply, m/s².

@@ -1,12 +1,12 @@
 //! Reads CommonRoad XML, versions 2018b and 2020a, into plain data.
 //!
 //! Format: <https://commonroad.in.tum.de>. In a state, an interval is read as its midpoint and an
-//! area as its centre. Not read: intersections, traffic lights, occupancy sets, phantom and
-//! environment obstacles (they are not traffic).
+//! area as its centre. Not read: intersections, traffic lights and occupancy sets; phantom and
+//! environment obstacles, because they are not traffic.
 //!
-//! **Limits.** A file is an input, and no input may cost more than seconds and a few hundred MB:
-//! each limit below is far above every published scenario. A part whose absence does not falsify
-//! the rest is left out with a warning ([`RoadMap::warnings`]); the rest of the file is used.
+//! **Limits.** No input file may cost more than seconds and a few hundred MB; each limit below is
+//! far above every published scenario. A part that cannot be used is left out with a warning
+//! ([`RoadMap::warnings`]) if the rest of the file is right without it; the rest is then used.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -22,33 +22,33 @@ pub use goal::{Area, Goal, Nearest};
 /// Kind of an obstacle.
 pub use tandem_bus::ClassCode as Class;
 
-/// A larger file is refused, bytes: the largest published scenarios have 10 MB.
+/// Largest accepted file, bytes: the largest published scenarios have 10 MB.
 pub const FILE_MAX: usize = 32 << 20;
-/// A file with more XML nodes is refused: they take about 100 bytes each.
+/// Largest accepted number of XML nodes: each takes about 100 bytes.
 const NODES_MAX: u32 = 2_000_000;
-/// An XML element with more attributes is refused: the parser compares all pairs.
+/// Largest accepted number of attributes of an XML element: the parser compares all pairs.
 const ATTRIBUTES_MAX: usize = 100;
-/// A file with more lanelets is refused.
+/// Largest accepted number of lanelets in a file.
 const LANELETS_MAX: usize = 5_000;
-/// A lanelet with more predecessors or more successors is refused.
+/// Largest accepted number of predecessors, or of successors, of a lanelet.
 const BRANCHES_MAX: usize = 50;
-/// A file with more obstacles is refused: every step checks all pairs of vehicles.
+/// Largest accepted number of obstacles: every step checks all pairs of vehicles.
 const OBSTACLES_MAX: usize = 1_000;
-/// Only the first places of a goal are used if it has more.
+/// Number of places of a goal that are used: the first ones.
 const PLACES_MAX: usize = 30;
-/// Larger numbers, including coordinates (m), are refused: no map is farther from its origin.
+/// Largest accepted number, also for coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
-/// A longer lanelet is refused, m: it is a typing error, and would fill the memory.
+/// Longest accepted lanelet, m: a longer one is a typing error and would fill the memory.
 const LANELET_MAX: f64 = 1e5;
-/// A higher speed of a vehicle is refused, m/s.
+/// Highest accepted speed of a vehicle, m/s.
 const SPEED_MAX: f64 = 150.0;
 /// Limits of the time step, s.
 const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
-/// Times beyond this are refused, s: a day.
+/// Latest accepted time, s: a day.
 const TIME_MAX: f64 = 86_400.0;
-/// States of an obstacle that are closer in time than this are one state, s.
+/// States of an obstacle that are closer in time than this count as one state, s.
 const STATE_APART: f64 = 1e-3;
-/// This many warnings are kept; a further one gives the total number.
+/// Number of warnings that are kept; one more warning gives the total number.
 const WARNINGS_MAX: usize = 20;
 
 /// A piece of lane between two bounds.
@@ -62,7 +62,7 @@ pub struct Lanelet {
     pub right: Vec<Vec2>,
     /// Ids of the lanelets that lead into this one.
     pub predecessors: Vec<i64>,
-    /// Ids of the lanelets that it leads to.
+    /// Ids of the lanelets that follow this one.
     pub successors: Vec<i64>,
     /// The neighbour to the left if it has the same driving direction.
     pub left_neighbour: Option<i64>,
@@ -92,13 +92,13 @@ pub struct Obstacle {
     pub id: i64,
     /// Kind.
     pub class: Class,
-    /// It never moves.
+    /// Whether it never moves.
     pub is_static: bool,
     /// m, along its heading.
     pub length: f64,
     /// m, across its heading.
     pub width: f64,
-    /// At least one, with ascending times.
+    /// At least one state, with ascending times.
     pub states: Vec<TimedState>,
 }
 
@@ -130,10 +130,10 @@ struct Shape {
     centre: Vec2,
 }
 
-/// Reads the text of a CommonRoad file; `file` is named in errors.
+/// Reads the text of a CommonRoad file; errors name `file`.
 ///
 /// # Errors
-/// Names the file, the line, the element, and what to do.
+/// The error names the file, the line, the element, and what to do.
 pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
     let refused = |line, problem: String| ScenarioError::Xml {
         file: file.to_owned(),
@@ -188,7 +188,7 @@ fn tag_with_many_attributes(text: &str) -> Option<u32> {
     None
 }
 
-/// A document with the name for its errors.
+/// A document with the file name for its errors.
 struct Reader<'a, 'input> {
     document: &'a Document<'input>,
     file: &'a str,
@@ -299,7 +299,7 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// # Errors
-    /// `node` has more than `most` children of this name.
+    /// If `node` has more than `most` children of this name.
     fn at_most(&self, node: Element<'_, '_>, name: &str, most: usize) -> Result<()> {
         if elements(node, name).count() > most {
             let problem = format!("has more than {most} <{name}>");
@@ -482,7 +482,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         Ok(extent)
     }
 
-    /// Reads a state; `default_yaw` is for things that may lack an orientation.
+    /// Reads a state; `default_yaw` is used for things that may lack an orientation.
     fn state(
         &self,
         node: Element<'_, '_>,

@@ -9,7 +9,7 @@ use crate::route::Advice;
 use crate::traffic::{self, Leader};
 use tandem_bus::DriverRequest;
 
-/// The driver aims this far ahead: m, plus s of driving.
+/// How far ahead the driver aims: a fixed distance, m, plus the distance driven in this time, s.
 const AIM: (f64, f64) = (8.0, 1.0);
 
 /// The driver's actions in a run. The default engages the function and then never acts again.
@@ -17,7 +17,7 @@ const AIM: (f64, f64) = (8.0, 1.0);
 pub struct Habit {
     /// Overrides the function between these two scenario times, s.
     pub overrides_s: Option<(f64, f64)>,
-    /// Takes over this long after the function has asked for it, s.
+    /// Time from the function's request to the driver's takeover, s.
     pub answers_after_s: Option<f64>,
 }
 
@@ -25,7 +25,7 @@ pub struct Habit {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Driver {
     habit: Habit,
-    /// Scenario time since which the function asks without a pause, s.
+    /// Scenario time at which the function's present request to take over began, s.
     asked_s: Option<f64>,
     has_taken_over: bool,
 }
@@ -60,7 +60,7 @@ impl Driver {
     }
 }
 
-/// The view of the driver.
+/// The situation that the driver sees.
 pub(crate) struct View {
     pub(crate) pose: Pose,
     /// m/s
@@ -68,7 +68,7 @@ pub(crate) struct View {
     pub(crate) lane: LaneId,
     /// Arc length in that lane, m.
     pub(crate) station: f64,
-    /// The next object ahead in it.
+    /// The next object ahead in that lane.
     pub(crate) leader: Leader,
 }
 

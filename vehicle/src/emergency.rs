@@ -4,15 +4,15 @@ use crate::geometry::{Footprint, Pose, wrap_angle};
 use crate::plant::BMW_320I;
 use crate::traffic::Participant;
 
-/// A situation that needs more than this is an emergency, m/s². It is below the 3.5 m/s² that ISO
-/// 15622 permits a cruise control.
+/// A situation that needs a larger deceleration than this is an emergency, m/s². It is below the
+/// 3.5 m/s² that ISO 15622 permits a cruise control.
 pub(crate) const EMERGENCY_BRAKING: f64 = 3.0;
-/// The distance that must remain, m.
+/// The distance to an object that must remain, m.
 const ROOM_M: f64 = 1.0;
 /// Lower limit of the distance in the computation, m.
 const LEAST_M: f64 = 0.1;
-/// Another road user is in the way if it is in the ego's path within this time, s, with this
-/// lateral room, m.
+/// Another road user is in the way if, within this time, s, it is in the ego's path widened on each
+/// side by this lateral room, m.
 const SOON_S: f64 = 2.0;
 const ASIDE_M: f64 = 0.35;
 
@@ -29,7 +29,7 @@ pub(crate) struct Ego {
 }
 
 /// Returns the constant deceleration, m/s², that the ego needs for everything ahead. `leader`:
-/// distance to the vehicle ahead in its lane, m (the lane may bend before it), and its speed, m/s.
+/// distance to the vehicle ahead in the lane, m (the lane may bend before it), and its speed, m/s.
 pub(crate) fn needed<'a>(
     ego: &Ego,
     leader: (f64, f64),
@@ -41,7 +41,7 @@ pub(crate) fn needed<'a>(
     others.fold(end.max(leader), f64::max)
 }
 
-/// Returns the same for one other road user; 0 if it is not in the way.
+/// Returns this deceleration for one other road user; 0 if it is not in the way.
 fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     let Footprint {
         pose,
@@ -65,8 +65,8 @@ fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     behind(ego.speed, gap, other.speed * cosine, other.acceleration)
 }
 
-/// Returns the constant deceleration, m/s², that keeps [`ROOM_M`] behind a leader that keeps its
-/// braking. Either the leader stands before the ego reaches it, or both are equally fast there: A.
+/// Returns the constant deceleration, m/s², that keeps [`ROOM_M`] behind a leader of constant
+/// braking. Either the leader stops before the ego reaches it, or both have equal speed there: A.
 /// Kesting, M. Treiber, D. Helbing, Phil. Trans. R. Soc. A 368 (2010), equation 2.
 fn behind(speed: f64, gap: f64, leader: f64, acceleration: f64) -> f64 {
     let gap = (gap - ROOM_M).max(LEAST_M);
@@ -115,7 +115,7 @@ mod tests {
             ("stands 40 m ahead", stands, 5.0),
             ("as fast", other(at(5.0), 0.0, 0.0, 20.0, 0.0), 0.0),
             ("10 m/s slower", other(at(10.0), 0.0, 0.0, 10.0, 0.0), 5.0),
-            // It stands after 50 m: 400 / (2 * (50 + 10)).
+            // The leader stops after 50 m: 400 / (2 * (50 + 10)).
             ("brakes", other(at(10.0), 0.0, 0.0, 20.0, -4.0), 3.333),
             (
                 "slower, and brakes",
@@ -134,7 +134,7 @@ mod tests {
             let needed = needed(&ego, FREE, &[other]);
             assert!((needed - expected).abs() < 0.01, "{name}: {needed}");
         }
-        // It enters from the side within two seconds.
+        // The other vehicle enters from the side within two seconds.
         let comes_in = |yaw: f64| needed(&ego, FREE, &[other(at(10.0), 3.5, yaw, 10.0, 0.0)]);
         assert!(comes_in(-0.2) > 4.0, "{}", comes_in(-0.2));
         assert_eq!(comes_in(0.2), 0.0, "it turns away");

@@ -1,4 +1,4 @@
-//! Errors in getting a scenario.
+//! Errors when a scenario is loaded.
 
 use thiserror::Error;
 
@@ -13,7 +13,7 @@ pub enum ScenarioError {
         .names.join(", ")
     )]
     Unknown {
-        /// The name that was asked for.
+        /// The requested name.
         name: String,
         /// An embedded scenario with a similar name.
         nearest: Option<&'static str>,

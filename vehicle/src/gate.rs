@@ -2,8 +2,8 @@
 //! highest term, fresh and plausible.
 //!
 //! The term is a fencing token: a frame with a lower term than one seen before never acts, even if
-//! its sender is still a master. The caller receives a ruling on every control frame, and
-//! records it, so that "two masters" and "no master" are facts.
+//! its sender is still a master. The caller receives and records a ruling on every control frame,
+//! so that the record shows whether there were "two masters" or "no master".
 //!
 //! | frame | ruling | acts |
 //! |---|---|---|
@@ -11,12 +11,12 @@
 //! | role other than master | `NotMaster` | no |
 //! | term lower than the highest seen | `Fenced` | no |
 //! | was on its way for too long, or rests on data that are too old | `Stale` | no |
-//! | asks for more than the vehicle can do, or changes too fast | `Implausible` | no |
+//! | requests more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
 //!
 //! Freshness needs no common clock: each frame carries its creation time on its sender's clock. The
-//! smallest difference to the time of arrival is the clocks' offset; a frame that differs by more
-//! was delayed, even if it is valid otherwise. A frame without a time is not checked.
+//! smallest difference between this time and the arrival is the clocks' offset; a frame with a
+//! larger one was delayed, even if it is valid otherwise. A frame without a time is not checked.
 
 use tandem_bus::e2e::{Check, Checker};
 use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
@@ -27,23 +27,23 @@ use crate::mastership::Mastership;
 /// not a fault.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
-/// A control frame is overdue this long after the last one, ns: the shortest limit of any standby.
+/// Time after the last control frame when the next is overdue, ns: a standby's shortest limit.
 const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for an early echo, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
-/// A frame that took longer than the fastest one by more than this is refused, ms: four
+/// A frame whose delay exceeds that of the fastest one by more than this is refused, ms: four
 /// control periods.
 pub const MAX_DELAY_MS: u16 = 40;
-/// The clocks may drift apart: the smallest known offset grows by 1 ms in this time, ns. So the
-/// clocks may differ by 0.1 %, and a queue that grows more slowly is not detected.
+/// The clocks may drift apart, so the smallest known offset is raised by 1 ms in this time, ns.
+/// This allows for a drift of 0.1 %; a queue that grows more slowly is not detected.
 const DRIFT_NS: u64 = 1_000_000_000;
 /// A difference beyond this means that a clock was set, ms: the offset is measured anew.
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
-/// The greatest age of the data that a command uses, ms. The functions stop using data earlier;
-/// this limit catches a function that does not. A safe stop uses no data, and neither does a frame
-/// of a function that does not drive.
+/// The greatest age of the data that a command uses, ms. The functions stop using data before this
+/// age; this limit catches a function that does not. A safe stop uses no data, and neither does a
+/// frame of a function that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
 /// The limits of the actuators: rad, m/s².
@@ -69,7 +69,7 @@ pub enum Ruling {
     NotMaster,
     /// It is damaged, repeated, out of sequence, or contradicts itself.
     Invalid,
-    /// It was made too long ago, or rests on data that are too old.
+    /// It was made too long ago, or the data behind it are too old.
     Stale,
     /// It demands more than a vehicle can do, or it jumps.
     Implausible,
@@ -105,11 +105,11 @@ pub struct FrameCounts {
     pub implausible: u64,
 }
 
-/// The smallest difference between arrival and sender's clock, modulo 2^16 ms.
+/// The smallest difference between the arrival and the sender's time, modulo 2^16 ms.
 #[derive(Clone, Copy, Debug)]
 struct Offset {
     smallest_ms: u16,
-    /// When it was measured or last raised for the drift, ns.
+    /// When it was measured or last raised to allow for drift, ns.
     at_ns: u64,
 }
 
@@ -323,9 +323,9 @@ impl Gate {
         })
     }
 
-    /// Tests whether a control frame is overdue: then an echo follows each millisecond, so that the
-    /// standby need not wait for the next echo. Such an echo takes about 0.13 ms of a bus of 500
-    /// kbit/s and 2 Mbit/s: 13 % of it, while the frames of the master are missing.
+    /// Tests whether a control frame is overdue. While it is, an echo follows each millisecond, so
+    /// that the standby need not wait for the next periodic one. Each takes about 0.13 ms of a bus
+    /// of 500 kbit/s and 2 Mbit/s: 13 % of its time, while the master's frames are missing.
     #[must_use]
     pub fn is_overdue(&self, now_ns: u64) -> bool {
         let silence = |last: Acceptance| now_ns.saturating_sub(last.at_ns);
@@ -340,7 +340,7 @@ impl Gate {
         self.counts
     }
 
-    /// Returns gaps, changes and two masters, from the frames that acted.
+    /// Returns the gaps, the changes and the time with two masters, from the frames that acted.
     #[must_use]
     pub const fn mastership(&self) -> &Mastership {
         &self.mastership
@@ -436,7 +436,7 @@ mod tests {
         assert_eq!(gate.echo(33 * MS).term, 3);
     }
 
-    /// Returns the ruling on a frame of A that asks for this at this time, ms.
+    /// Returns the ruling on a frame of A that requests this at this time, ms.
     fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Ruling {
         let control = Control {
             role: RoleCode::Master,

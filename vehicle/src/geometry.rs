@@ -38,7 +38,7 @@ impl Vec2 {
         self.x * other.y - self.y * other.x
     }
 
-    /// Returns length.
+    /// Returns the length.
     #[must_use]
     pub fn norm(self) -> f64 {
         self.x.hypot(self.y)
@@ -141,26 +141,26 @@ impl Pose {
         }
     }
 
-    /// Returns the point `local` of this pose's frame (x forward, y left) in the world.
+    /// Converts the point `local` in this pose's frame (x forward, y left) to world coordinates.
     #[must_use]
     pub fn to_world(self, local: Vec2) -> Vec2 {
         self.position + self.rotate(local)
     }
 
-    /// Returns the world's point in this pose's frame.
+    /// Converts a point in the world to this pose's frame.
     #[must_use]
     pub fn to_local(self, world: Vec2) -> Vec2 {
         self.unrotate(world - self.position)
     }
 
-    /// Returns the direction `local` of this pose's frame in the world.
+    /// Converts the direction `local` in this pose's frame to world coordinates.
     #[must_use]
     pub fn rotate(self, local: Vec2) -> Vec2 {
         let forward = Vec2::from_angle(self.yaw);
         forward * local.x + forward.left() * local.y
     }
 
-    /// Returns the world's direction in this pose's frame.
+    /// Converts a direction in the world to this pose's frame.
     #[must_use]
     pub fn unrotate(self, world: Vec2) -> Vec2 {
         let forward = Vec2::from_angle(self.yaw);
@@ -176,7 +176,7 @@ pub struct LocalFrame {
 }
 
 impl LocalFrame {
-    /// A frame with the same heading at another place.
+    /// The same frame, moved to another place.
     pub(crate) const fn moved(self, position: Vec2) -> Self {
         Self { position, ..self }
     }
@@ -186,7 +186,7 @@ impl LocalFrame {
         self.forward
     }
 
-    /// Returns the world's point in this frame; bit-identical to [`Pose::to_local`].
+    /// Converts a point in the world to this frame; bit-identical to [`Pose::to_local`].
     #[must_use]
     pub fn to_local(&self, world: Vec2) -> Vec2 {
         let apart = world - self.position;

@@ -1,8 +1,8 @@
-//! Which system drives, from the control frames that were obeyed: gaps, changes, and two masters.
+//! Which system drives, according to the obeyed control frames: gaps, changes, and two masters.
 //!
 //! This does not rely on the fence: it counts the frames that were obeyed.
 
-/// This many masterships are kept apart. The oldest is dropped first.
+/// Number of masterships that are stored. The oldest is dropped first.
 const MASTERSHIPS: usize = 64;
 
 /// One system with one term. It lasts from its first to its last obeyed frame.
@@ -14,7 +14,7 @@ struct Span {
     other_ns: Option<u64>,
 }
 
-/// Which system drives, by the obeyed frames.
+/// Which system drives, according to the obeyed frames.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Mastership {
     spans: Vec<Span>,
@@ -49,7 +49,7 @@ impl Mastership {
             Some(span) => {
                 if let Some(other_ns) = span.other_ns.take() {
                     let from_ns = other_ns.max(self.counted_ns);
-                    // The other system's last frame counts until the next frame.
+                    // The other system counts as a master until the frame after its last one.
                     self.two_masters_ns += self.changed_ns.saturating_sub(from_ns);
                     self.counted_ns = self.counted_ns.max(self.changed_ns);
                 }
@@ -83,8 +83,8 @@ impl Mastership {
         self.changes
     }
 
-    /// Time in which masterships of both systems overlapped, ns: from the first frame of the one to
-    /// the last frame of the other. Two successive takeovers, each with a new term, do not overlap.
+    /// Time in which masterships of both systems overlapped, ns: from the first frame of one to the
+    /// frame after the last of the other. Successive takeovers with new terms do not overlap.
     #[must_use]
     pub const fn two_masters_ns(&self) -> u64 {
         self.two_masters_ns
@@ -142,7 +142,7 @@ mod tests {
     fn a_single_frame_of_another_master_counts_until_the_next_frame() {
         let frames = [(0, A, 2), (5, B, 3), (10, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 5);
-        // The time is not counted twice if another term lies between.
+        // The time is not counted twice if a mastership with another term lies between.
         let frames = [(0, A, 2), (10, B, 3), (15, B, 5), (20, A, 2)];
         assert_eq!(of(&frames).two_masters_ns(), 10);
         let frames = [(0, A, 2), (1, A, 4), (10, B, 3), (20, A, 2), (25, A, 4)];

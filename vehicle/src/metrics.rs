@@ -26,10 +26,10 @@ const SWERVING: f64 = 0.3;
 pub(crate) const HARD_BRAKING: f64 = 4.0;
 /// Braking harder than this is checked against the need of the situation, m/s².
 pub(crate) const NOTED_BRAKING: f64 = 0.5;
-/// An emergency lasts this much longer than its situation, s: until the vehicle has released its
-/// brake, or stands.
+/// An emergency ends this long after its situation, s: by then the vehicle has released its brake,
+/// or stands.
 const EMERGENCY_ENDS_S: f64 = 1.0;
-/// A stop counts after this time, s, if nothing within this distance ahead explains it, m.
+/// A stop counts after this time, s, unless something within this distance ahead, m, explains it.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
 /// Milliseconds between two checks of the distance to a goal.
@@ -37,7 +37,7 @@ const NEAREST_STEPS: usize = 20;
 /// Width and number of the jerk histogram's bins, m/s³; larger values count in the last bin.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;
-/// Time over which the jerk is taken, in milliseconds.
+/// Time over which the jerk is computed, in milliseconds.
 const JERK_SPAN_MS: usize = 20;
 /// Window of the largest jerk, in milliseconds: passengers do not feel a shorter one.
 const JERK_MAX_SPAN_MS: usize = 100;
@@ -63,10 +63,10 @@ pub struct WorldMetrics {
     pub standing_s: f64,
     /// When the first of the scenario's goals was reached, s; `None` if none was.
     pub goal_reached_s: Option<f64>,
-    /// The nearest approach to the place of a goal within its time; `None` before that time, or if
-    /// no goal has a place.
+    /// The nearest approach to the place of a goal within the goal's time; `None` before that time,
+    /// or if no goal has a place.
     pub goal_nearest: Option<Nearest>,
-    /// Time that the ego drove beyond the end of the operational design domain, s.
+    /// Time for which the ego drove beyond the end of the operational design domain, s.
     pub outside_domain_s: f64,
     /// When the function first asked the driver to take over, s.
     pub takeover_asked_s: Option<f64>,
@@ -75,12 +75,12 @@ pub struct WorldMetrics {
     /// Largest distance to the centre of the ego's lane, m, while no lane change was under way.
     ///
     /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
-    /// ends in the middle of another lane. One that leads back counts in full, as does one that
-    /// lasts longer than 10 s, one that is still open in another lane, and one that leaves the
+    /// ends in the middle of another lane. An excursion that leads back counts in full, as does one
+    /// that lasts longer than 10 s, one that is still open in another lane, and one that leaves the
     /// road. The path from the start to the centre of the first lane does not count while it is on
     /// the road.
     pub lateral_error_max_m: f64,
-    /// The same within lane changes, to the nearest lane's centre, m: about half a lane's width.
+    /// The same during lane changes, to the nearest lane's centre, m: about half a lane's width.
     pub lane_change_offset_max_m: f64,
     /// How often the ego went to another lane.
     pub lane_changes: u32,
@@ -153,15 +153,15 @@ impl Default for WorldMetrics {
 pub struct HardBraking {
     /// s
     pub at_s: f64,
-    /// Time to collision with the leader then, s; infinite if the ego was not closing in.
+    /// Time to collision with the leader at that time, s; infinite if the ego was not closing in.
     pub ttc_s: f64,
-    /// Distance to the leader then, m; infinite without one.
+    /// Distance to the leader at that time, m; infinite without one.
     pub gap_m: f64,
-    /// Distance to the end of the lane or of the domain then, m; infinite without one.
+    /// Distance to the end of the lane or domain at that time, m; infinite without one.
     pub end_m: f64,
     /// Distance to the nearest other road user in front, in any lane, m; infinite without one.
     pub beside_m: f64,
-    /// Constant deceleration that the situation needed then or within the second before, m/s².
+    /// Constant deceleration that the situation needed at that time or up to a second before, m/s².
     pub needed: f64,
 }
 
@@ -196,7 +196,7 @@ pub(crate) struct Sample {
     pub(crate) lat_acceleration: f64,
     pub(crate) lane: LaneId,
     pub(crate) offset: f64,
-    /// Width of the lane there, m; 0 where it does not exist or runs the other way.
+    /// Width of the lane at the ego, m; 0 where it does not exist or runs the other way.
     pub(crate) width: f64,
     /// Whether the ego is on a lane of the other direction and not on one of its direction.
     pub(crate) wrong_way: bool,
@@ -223,7 +223,7 @@ pub(crate) struct Meter {
     stopped_since: Option<f64>,
     /// Time of the last emergency, s.
     emergency_s: Option<f64>,
-    /// The newest deceleration that was needed, m/s², and when, s.
+    /// The last deceleration that was needed, m/s², and its time, s.
     needed: (f64, f64),
     accelerations: [f64; JERK_SPAN_MS],
     /// Accelerations of the last 100 ms, for the largest jerk.
@@ -232,7 +232,7 @@ pub(crate) struct Meter {
     jerks: Vec<u32>,
 }
 
-/// The time since the ego left the centre of a lane.
+/// The ego's path since it left the centre of a lane.
 #[derive(Clone, Copy, Debug)]
 struct Excursion {
     since: f64,
@@ -263,7 +263,7 @@ impl Meter {
         }
     }
 
-    /// One millisecond of the running world.
+    /// Adds one millisecond of the running world.
     pub(crate) fn step(&mut self, sample: &Sample) {
         self.lateral(sample);
         self.largest_jerk(sample);
@@ -322,7 +322,7 @@ impl Meter {
         self.metrics.goal_reached_s
     }
 
-    /// Records from the control frame whether the function asks the driver, and whether it stops.
+    /// Records whether the function asks the driver to take over, and whether it stops.
     pub(crate) fn function(&mut self, time_s: f64, asks: bool, stops: bool) {
         let m = &mut self.metrics;
         m.takeover_asked_s = m.takeover_asked_s.or(asks.then_some(time_s));
@@ -479,11 +479,11 @@ fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
         .footprint
         .pose
         .unrotate(Vec2::from_angle(other.footprint.pose.yaw) * other.speed);
-    // From behind: only its front reaches the ego's rear, and it is faster.
+    // From behind: only the other's front reaches the ego's rear, and the other is faster.
     if apart.x < 0.0 && foremost < own_half && velocity.x > ego.speed {
         return false;
     }
-    // Into the ego's side: the other is beside, or its front meets the flank, and it closes in.
+    // Into the ego's side: the other closes in from beside, or with its front at the flank.
     let beside = rearmost < own_half - 0.5;
     let closes_in = velocity.y * apart.y < 0.0 && velocity.y.abs() > SWERVING;
     !(beside && keeps_lane && closes_in)
@@ -514,7 +514,7 @@ mod tests {
         domain_end: f64::INFINITY,
     };
 
-    /// The brake jerks with 20 m/s³ to 6 m/s² at 1 s, and again at 5 s. Only the first time is an
+    /// The brake builds up at 20 m/s³ to 6 m/s² at 1 s, and again at 5 s. Only the first time is an
     /// emergency.
     #[test]
     fn braking_in_an_emergency_is_told_apart() {

@@ -93,7 +93,7 @@ pub struct PlantInput {
 }
 
 impl PlantInput {
-    /// The nearest input that the vehicle can follow in this state.
+    /// Returns the nearest input that the vehicle can follow in this state.
     #[must_use]
     pub fn limited(self, state: &PlantState, p: &Parameters) -> Self {
         let at_stop = |angle: f64| angle >= p.steering_max;
@@ -120,7 +120,7 @@ impl PlantInput {
     }
 }
 
-/// Returns the state's derivative by time.
+/// Returns the time derivative of the state.
 fn derivative(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantState {
     let u = input.limited(state, p);
     if state.speed.abs() < KINEMATIC_BELOW {
@@ -202,7 +202,7 @@ impl PlantState {
         self.yaw_rate = self.speed * self.slip_angle.cos() * tan / wheelbase;
     }
 
-    /// The state `dt` seconds later under a constant input: classic Runge-Kutta of fourth order.
+    /// Returns the state `dt` seconds later, for constant input: classic fourth-order Runge-Kutta.
     ///
     /// At 1 ms it is stable down to [`KINEMATIC_BELOW`], where the tyres' time constant is 0.46 ms.
     #[must_use]

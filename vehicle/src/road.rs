@@ -1,12 +1,12 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
-//! Lanelets are chained into lanes: each continues with the successor that bends least and is not a
-//! dead end. Centre lines are smoothed, because maps have corners where roads have curves (US-101
-//! has points every few metres with noise, A9 one every hundred with corners of 0.02 rad).
+//! Lanelets are chained into lanes: each lanelet continues with the successor that bends least and
+//! is not a dead end. Centre lines are smoothed, because maps have corners where roads have curves
+//! (US-101 has noisy points every few metres, A9 one every hundred with corners of 0.02 rad).
 //!
-//! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
-//! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a
-//! real end.
+//! **Beyond the map.** A lane that ends because the map ends is continued straight without end,
+//! parallel to its neighbours. If a lane ends while a neighbour continues, the end is real: a lane
+//! drop.
 
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};
@@ -25,15 +25,15 @@ pub(crate) use line::{Foot, Point, Rough};
 const STEP: f64 = 2.0;
 /// Length of the straight pieces before and after the mapped lane, smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
-/// Longest sum of all lanes, m: each metre takes 90 bytes, and each search of the whole road a few
-/// nanoseconds.
+/// Largest total length of all lanes, m: each metre takes 90 bytes and adds a few nanoseconds to
+/// each search of the whole road.
 pub const ROAD_MAX: f64 = 1e6;
-/// An end of the domain is passed when it is this far behind the vehicle's centre, m.
+/// An end of the domain is passed when it is farther than this behind the vehicle's centre, m.
 const EXIT_PASSED: f64 = 4.0;
 /// Weight of a difference of direction when the start lane is chosen, m/rad.
 const HEADING_WEIGHT: f64 = 8.0;
 
-/// Which lane of a road.
+/// Identifies a lane of a road.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct LaneId(pub usize);
 
@@ -74,7 +74,7 @@ pub struct RoadLane {
     pub begin: Option<f64>,
     /// Where it ends, if other lanes continue.
     pub end: Option<f64>,
-    /// Every [`STEP`] metres; beyond them it continues straight.
+    /// One every [`STEP`] metres; beyond them the lane continues straight.
     sections: Vec<Section>,
     /// The centre line.
     pub(crate) line: Line,
@@ -99,7 +99,7 @@ impl RoadLane {
         }
     }
 
-    /// Returns the neighbours to the left and to the right at `s`, as [`RoadLane::at`] has them.
+    /// Returns the neighbours to the left and to the right at `s`, as in [`RoadLane::at`].
     pub(crate) fn beside(&self, s: f64) -> [Option<LaneId>; 2] {
         let (a, b, t, _) = self.around(s);
         let section = nearer(a, b, t);
@@ -114,13 +114,13 @@ impl RoadLane {
         (&self.sections[index], &self.sections[next], t, beyond)
     }
 
-    /// Returns the width at `s`, as [`RoadLane::at`] has it, m.
+    /// Returns the width at `s`, as in [`RoadLane::at`], m.
     pub(crate) fn width_at(&self, s: f64) -> f64 {
         let (a, b, t, _) = self.around(s);
         width(a, b, t)
     }
 
-    /// Returns the curvature at `s`, as [`RoadLane::at`] has it, 1/m.
+    /// Returns the curvature at `s`, as in [`RoadLane::at`], 1/m.
     pub(crate) fn curvature_at(&self, s: f64) -> f64 {
         let (a, b, t, beyond) = self.around(s);
         curvature(a, b, t, beyond)
@@ -143,7 +143,7 @@ impl RoadLane {
     }
 
     /// Returns the foot of the perpendicular from `point`, by a descent that starts at `near`: on
-    /// curved roads `near` should be within a few tens of metres of it.
+    /// curved roads `near` should be within a few tens of metres of the foot.
     #[must_use]
     pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
         let sample = self.line.sample_near(point, self.line.sample_at(near));
@@ -174,11 +174,11 @@ pub struct Road {
 }
 
 impl Road {
-    /// Chains lanelets to lanes. References to missing lanelets are ignored: excerpts of maps have
-    /// them at their edges.
+    /// Chains lanelets into lanes. References to missing lanelets are ignored: excerpts of maps
+    /// have them at their edges.
     ///
     /// # Errors
-    /// The lanes would be longer than [`ROAD_MAX`] together: their length so far, m.
+    /// If the lanes together are longer than [`ROAD_MAX`]: their length so far, m.
     ///
     /// # Panics
     /// If `lanelets` is empty or a bound has fewer than two points; the parser refuses both.
@@ -282,8 +282,8 @@ impl Road {
             .map_or(end, |(exit, _)| end.min(exit))
     }
 
-    /// Returns the lane in which a drive starts: as [`Road::locate`], but where lanes overlap, as
-    /// after a fork, the lane along `yaw`.
+    /// Returns the lane in which a drive starts: the result of [`Road::locate`], except that the
+    /// lane along `yaw` is chosen where lanes overlap, as after a fork.
     #[must_use]
     pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
         let (nearest, place) = self.locate(point, yaw);
@@ -456,7 +456,7 @@ mod tests {
         }
     }
 
-    /// A lane whose neighbours continue ends; all others have no end and stay side by side.
+    /// A lane ends if its neighbours continue; all other lanes have no end and stay side by side.
     #[test]
     fn a_lane_drop_ends_and_the_map_does_not() {
         let scenario = Scenario::load("lane-drop").unwrap();

@@ -11,10 +11,10 @@ use crate::road::{Frenet, LaneId, Road};
 
 /// A goal is in a lane if its distance to the lane's centre is at most this fraction of the width.
 const IN_LANE: f64 = 0.55;
-/// Number of lanes searched on each side, here and this far ahead, m: lanes open on the way.
+/// Number of lanes searched on each side, and how far ahead, m: new lanes begin on the way.
 const LANES_ASIDE: usize = 6;
 const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
-/// The speed for the goal exceeds the driver's by no more than this factor.
+/// The speed for the goal is at most the driver's speed times this factor.
 const HURRY: f64 = 1.3;
 /// The ego should reach a spot when this fraction of the goal's time has passed.
 const EARLY: f64 = 0.2;
@@ -25,13 +25,13 @@ const STOPS_S: f64 = 2.0;
 const NEAR_S: f64 = 0.5;
 /// Margin to the limits of the goal's range of speeds, m/s.
 const SPEED_MARGIN: f64 = 0.7;
-/// Time before the goal at which the ego enters its range of speeds from below, and from above, s:
-/// slowing down takes less time.
+/// Time before the goal at which the ego enters the goal's range of speeds from below, and from
+/// above, s: slowing down takes less time.
 const SPEED_BEFORE_S: (f64, f64) = (4.0, 1.5);
-/// A goal that is farther behind is passed, m.
+/// A goal that is farther than this behind the ego counts as passed, m.
 const PASSED: f64 = 2.0;
 
-/// The driver's request on the way.
+/// The driver's request on the way to the goal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Advice {
     pub(crate) route: RouteCode,
@@ -105,12 +105,12 @@ impl Navigation {
         })
     }
 
-    /// Returns the speed at which the ego drives between `from` and `to` metres within the goal's
-    /// time. `in_lane`: the goal is ahead in the ego's lane.
+    /// Returns the speed that brings the ego to between `from` and `to` metres ahead within the
+    /// goal's time. `in_lane`: the goal is ahead in the ego's lane.
     fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
         let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));
         let (opens, ends) = ((opens - time_s).max(0.0), (ends - time_s).max(NEAR_S));
-        // The ego must arrive by the end of the time, and must not pass the goal before it begins.
+        // The ego must arrive before the goal's time ends, and pass the goal after it begins.
         let slowest = from.max(0.0) / ends;
         let fastest = to.max(0.0) / opens.max(1e-3);
         let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {
@@ -247,7 +247,7 @@ mod tests {
         ] {
             assert_eq!(given, free, "{what}");
         }
-        // In time at the driver's own speed.
+        // The ego arrives in time at the driver's own speed.
         let early = advice(goal(200.0, 0.0, Some((0.0, 12.0))), 0.0, false);
         assert_eq!((early.route, early.set_speed), (RouteCode::Keep, 30.0));
     }

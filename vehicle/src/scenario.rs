@@ -11,11 +11,11 @@ use crate::plant::BMW_320I;
 use crate::road::{Frenet, ROAD_MAX, Road, RoadLane, domain};
 use crate::traffic::recording::Track;
 
-/// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
+/// The driver's requested speed without a speed limit and without faster traffic, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
 
 /// An object ahead in the lane at the start must be avoidable by this deceleration, m/s², after
-/// this time, s. It is in the way if it leaves less room aside than this, m.
+/// this time, s. It is in the way if it leaves less lateral room than this, m.
 const START_BRAKING: f64 = 8.0;
 const START_DELAY_S: f64 = 0.3;
 const START_ASIDE: f64 = 0.35;
@@ -222,7 +222,7 @@ impl Scenario {
         &self.road
     }
 
-    /// Returns the speed that the driver asks for, m/s: the speed limit where the ego starts;
+    /// Returns the speed that the driver requests, m/s: the speed limit where the ego starts;
     /// without one, the highest speed in the file.
     #[must_use]
     pub fn set_speed(&self) -> f64 {
@@ -243,7 +243,7 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
     Ok(text)
 }
 
-/// Why no braking prevents a collision of the ego, at this place and speed, with the obstacle.
+/// Returns why the ego, at this place and speed, cannot avoid the obstacle by braking.
 fn too_near(lane: &RoadLane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Option<String> {
     let footprint = footprint_at_start(obstacle);
     if footprint.length <= 0.0 {

@@ -35,10 +35,10 @@ const MOTION_TICKS: u64 = 10;
 const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
 const DRIVER_PHASE: u64 = 3;
-/// If the caller is later than this, ns, the world pauses for that time: otherwise a frozen world
+/// If the caller is later than this, ns, the world pauses for that delay: otherwise a frozen world
 /// process would look like a vehicle without control.
 const STALL_NS: u64 = 200_000_000;
-/// The ego counts as being in the other lane when it is this far over the line, m.
+/// The ego counts as being in the other lane when it is farther than this over the line, m.
 const LANE_HYSTERESIS: f64 = 0.1;
 
 /// A lane whose direction differs from the ego's by more than this is not its lane, rad.
@@ -107,7 +107,7 @@ pub struct WorldSnapshot {
     pub steering_angle: f64,
     /// The request to the actuators, from the controller or, without one, from the vehicle itself.
     pub request: Request,
-    /// No control frame was accepted for 100 ms: steering held, brake gently on.
+    /// No control frame was accepted for 100 ms: the steering is held and the brake is gently on.
     pub fallback: bool,
     /// The ego's lane.
     pub lane: LaneId,
@@ -148,7 +148,7 @@ pub struct World {
     gate: Gate,
     /// Width of the lane that the ego is in or nearest to; 0 if that lane runs the other way.
     lane_width: f64,
-    /// Whether it is on a lane of the other direction.
+    /// Whether the ego is on a lane of the other direction.
     wrong_way: bool,
     meter: Meter,
     transmitter: FrameTransmitter,
@@ -222,13 +222,13 @@ impl World {
         self.driver = Driver::new(habit);
     }
 
-    /// Sets the sensors that fail in this run.
+    /// Sets which sensors fail in this run.
     pub fn set_sensor_faults(&mut self, faults: Vec<SensorFault>) {
         self.sensor_faults = Faults::new(faults);
     }
 
-    /// Receives a controller's frame at `now_ns` on the caller's clock. Returns its ruling; `None`
-    /// for a frame that is not a control frame, which changes nothing. The first control frame that
+    /// Receives a controller's frame at `now_ns` on the caller's clock. Returns the ruling on a
+    /// control frame; `None` for other frames, which change nothing. The first control frame that
     /// is accepted and comes from a function that drives starts the world.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
         self.gate.set_speed(self.state.speed);
@@ -311,8 +311,8 @@ impl World {
         self.ticks += 1;
     }
 
-    /// Selects the request: the driver's if the driver drives, the emergency brake's without
-    /// control frames.
+    /// Selects the request: the driver's if the driver drives; gentle braking without control
+    /// frames.
     fn choose_request(&mut self, now_ns: u64) {
         let silence = self
             .gate
@@ -357,7 +357,7 @@ impl World {
         self.follow_plant();
     }
 
-    /// One millisecond of the running world.
+    /// Runs one millisecond of the running world.
     fn advance(&mut self, now_ns: u64) {
         self.choose_request(now_ns);
         self.move_ego();
@@ -409,7 +409,7 @@ impl World {
         });
     }
 
-    /// Distance to the nearest other road user in front of the ego, m; infinite without one.
+    /// Returns the distance to the nearest road user in front of the ego, m; infinite without one.
     fn nearest_in_front(&self) -> f64 {
         let frame = self.ego.pose.frame();
         let vehicles = self.snapshot.vehicles.iter();
@@ -452,7 +452,7 @@ impl World {
         }
     }
 
-    /// Brings the snapshot up to date.
+    /// Updates the snapshot.
     fn observe(&mut self, traffic_moved: bool) {
         let ego = participant(&self.ego);
         self.snapshot.time_s = self.world_ticks as f64 * TICK_S;
@@ -578,7 +578,7 @@ impl World {
         &self.road
     }
 
-    /// Returns the speed that the driver asks for, m/s.
+    /// Returns the speed that the driver requests, m/s.
     #[must_use]
     pub fn set_speed(&self) -> f64 {
         self.set_speed

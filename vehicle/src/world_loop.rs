@@ -61,7 +61,7 @@ impl World {
         bus.ring_receivers();
     }
 
-    /// Runs a period before [`World::next_frame`]: the world up to `due`. It sends nothing.
+    /// Runs the world up to `due`, for a period before [`World::next_frame`]. Sends nothing.
     pub fn run_quiet_period(&mut self, due: Instant) {
         self.step(due.as_ns(), &mut |_, _| {});
     }
@@ -98,7 +98,7 @@ fn send(
     id: u16,
     data: &[u8],
 ) {
-    // The world sends only messages of the DBC, and each of them fits a frame.
+    // The world sends only messages of the DBC, and each of them fits in a frame.
     if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
         let at = bus.broadcast(&frame);
         seen(LoggedFrame {

@@ -52,7 +52,7 @@ fn oracle(arguments: &[&str], input: String) -> Vec<String> {
     text.lines().map(str::to_owned).collect()
 }
 
-/// Uniform numbers between limits.
+/// Uniformly distributed numbers between limits.
 struct Draw(ChaCha8Rng);
 
 impl Draw {

@@ -57,7 +57,7 @@ impl Run {
                 received.push((now, receiver.receive(u32::from(id), data).unwrap()));
             });
             let sends = self.received.len() > before;
-            // The first one may be late.
+            // The first frame may be late.
             assert!(
                 period == 0 || sends == (foreseen_ns == now_ns),
                 "at {} ms",
@@ -67,7 +67,7 @@ impl Run {
         }
     }
 
-    /// Sends every 10 ms for this long.
+    /// Sends a frame every 10 ms for this long.
     fn control(&mut self, ms: u64, acceleration: f32) {
         for _ in 0..ms / 10 {
             self.send(0, 2, acceleration, 0.0);

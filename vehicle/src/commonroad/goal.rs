@@ -17,7 +17,7 @@ pub enum Area {
         /// m
         radius: f64,
     },
-    /// The area inside these corners, in either direction of rotation.
+    /// The area inside these corners, which are in clockwise or counter-clockwise order.
     Polygon(Vec<Vec2>),
 }
 
@@ -88,13 +88,13 @@ pub struct Nearest {
 pub struct Goal {
     /// The ego's centre must be in one of these; if empty, it may be anywhere.
     pub areas: Vec<Area>,
-    /// Points on the way through these areas: the centre of a small one, three of a lanelet.
+    /// Points on the way through these areas: a small area's centre, three points of a lanelet.
     pub places: Vec<Vec2>,
-    /// From and to, s since the ego's start.
+    /// Earliest and latest time, s since the ego's start.
     pub time: Option<(f64, f64)>,
-    /// From and to, rad, counter-clockwise.
+    /// First and last direction, rad, counter-clockwise.
     pub yaw: Option<(f64, f64)>,
-    /// From and to, m/s.
+    /// Lowest and highest speed, m/s.
     pub speed: Option<(f64, f64)>,
 }
 

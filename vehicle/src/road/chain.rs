@@ -9,8 +9,8 @@ use super::{ROAD_MAX, RUN_OUT};
 
 /// A successor that begins farther than this from the end of its lanelet is ignored, m.
 const JOINT_MAX: f64 = 10.0;
-/// A lanelet without a successor that is shorter than this is a dead end, m: it is chosen at a fork
-/// only if there is no other. A longer one may be cut by the edge of the map.
+/// A lanelet that is shorter than this and has no successor is a dead end, m: it is chosen at a
+/// fork only if there is no other. A longer one may be cut by the edge of the map.
 const DEAD_END: f64 = 50.0;
 /// Largest number of lanes side by side.
 const BESIDE_MAX: usize = 64;
@@ -20,9 +20,9 @@ const END_PIECE: f64 = 40.0;
 /// A lane as indices into the lanelets of a file.
 pub(super) struct Chain {
     pub(super) pieces: Vec<usize>,
-    /// It begins beside or from an existing lane: at a fork, or as an added lane.
+    /// Whether it begins beside or from an existing lane: at a fork, or as an added lane.
     pub(super) opens: bool,
-    /// It ends while a neighbour continues.
+    /// Whether it ends while a neighbour continues.
     pub(super) drops: bool,
 }
 
@@ -68,7 +68,7 @@ impl Piece {
 /// Every lanelet is in at least one chain; after a merge several chains share lanelets.
 ///
 /// # Errors
-/// The chains with their run-outs are longer than [`ROAD_MAX`] together: their length so far, m.
+/// If the chains with their run-outs are longer than [`ROAD_MAX`] together: their length so far, m.
 pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain>, f64> {
     let places: HashMap<i64, usize> = lanelets
         .iter()

@@ -1,5 +1,5 @@
-//! The operational design domain: the roads that the driving functions are made for. The whole
-//! statement is `docs/domain.md`.
+//! The operational design domain: the roads for which the driving functions are made.
+//! `docs/domain.md` defines it in full.
 //!
 //! It is checked twice. Before the start, [`crate::Scenario::outside_domain`] says why a scenario
 //! cannot start. While driving, the camera reports where the domain ends on a lane like the end of
@@ -24,10 +24,10 @@ const START_SPEED_MAX: f64 = 60.0;
 const STOP_BRAKING: f64 = 3.0;
 const STOP_DELAY_S: f64 = 0.7;
 const STOP_MARGIN: f64 = 8.0;
-/// Lanes cross if their centre lines are this near, m, at an angle between these, rad.
+/// Lanes cross if their centre lines are nearer than this, m, at an angle in this range, rad.
 const CROSSING_NEAR: f64 = 2.0;
 const CROSSING_ANGLE: std::ops::Range<f64> = 0.35..PI - 0.35;
-/// Opposite lanes that are this near are one lane for both directions, m.
+/// Opposite lanes that are nearer than this are one lane for both directions, m.
 const SHARED_NEAR: f64 = 1.0;
 
 /// The causes that end the domain on a lane.
@@ -56,7 +56,7 @@ impl fmt::Display for Exit {
 
 /// Returns the ends of the domain on each lane, by arc length.
 pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
-    // Sections by squares of the plane, so that only near ones are compared.
+    // Group sections by squares of the plane, so that only near ones are compared.
     let square = |x: f64| (x / CROSSING_NEAR).floor() as i64;
     let mut squares: HashMap<(i64, i64), Vec<(usize, f64)>> = HashMap::new();
     for (index, lane) in lanes.iter().enumerate() {
@@ -70,7 +70,7 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         let (x, y) = (square(section.centre.x), square(section.centre.y));
         let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (x + dx, y + dy)));
         let near = around.filter_map(|key| squares.get(&key)).flatten();
-        // More lanes at one place are not a real road: the first ones are enough.
+        // No real road has more lanes at one place, so the first ones are enough.
         near.take(256)
             .filter(|(lane, _)| *lane != own)
             .find_map(|(lane, other)| {

@@ -1,4 +1,4 @@
-//! A lane's centre line: its points by arc length, and its nearest point to a place.
+//! A lane's centre line: its points by arc length, and its nearest point to a position.
 //!
 //! Values that every query needs are computed once: the vector and the turn to the next sample, and
 //! boxes around pieces of the line, so that a search skips distant pieces.
@@ -6,11 +6,11 @@
 use super::{Frenet, STEP};
 use crate::geometry::{Vec2, wrap_angle};
 
-/// Samples in a piece with its own box.
+/// Number of samples in a piece; each piece has its own box.
 const PIECE: usize = 32;
 /// A search over the whole line tests every `COARSE`-th sample, then those between.
 const COARSE: usize = 4;
-/// Newton steps from the nearest sample.
+/// Number of Newton steps, which begin at the nearest sample.
 const NEWTON_STEPS: usize = 3;
 /// Samples on each side for which [`Bend`] holds, and the largest distance from the sample at which
 /// it is used, m.
@@ -19,7 +19,7 @@ const AROUND_M: f64 = 14.0;
 /// Largest rounding error of a bound, m.
 const ROUNDING: f64 = 1e-6;
 
-/// A point of the line every [`STEP`] metres.
+/// A sample: the line has one every [`STEP`] metres.
 #[derive(Clone, Debug)]
 struct Sample {
     centre: Vec2,
@@ -72,7 +72,7 @@ pub(crate) struct Rough {
     /// The foot's `d` differs from this one by at most `by`, m.
     pub(crate) d: f64,
     pub(crate) by: f64,
-    /// Direction of the line at the sample, and the limit of its difference at the foot, rad.
+    /// Direction of the line at the sample, and its largest change between sample and foot, rad.
     pub(crate) along: Vec2,
     pub(crate) turn: f64,
 }
@@ -91,7 +91,7 @@ pub(crate) struct Line {
     /// Box around all samples, and around each piece with the first sample of the next.
     whole: Bounds,
     pieces: Vec<Bounds>,
-    /// The first and the last point, and the directions in which it continues there.
+    /// The first and the last point, and the directions in which the line continues there.
     rays: [(Vec2, Vec2); 2],
 }
 
@@ -145,7 +145,7 @@ fn bend(samples: &[Sample], index: usize) -> Bend {
     around.iter().fold(Bend::STRAIGHT, |it, sample| {
         let length = sample.way.norm();
         if length == 0.0 {
-            // The last one.
+            // The last sample.
             let angle = it.angle.max(angle(sample.along, 1.0));
             return Bend { angle, ..it };
         }
@@ -239,8 +239,8 @@ impl Line {
         before as usize + usize::from(place - f64::from(before) >= 0.5)
     }
 
-    /// Walks from sample `start` to ever nearer samples and returns the last. From all samples
-    /// passed, the walk ends at the same one.
+    /// Walks from sample `start` to ever nearer samples and returns the last. A walk that starts at
+    /// any of the samples passed ends at the same one.
     pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
         let distance = |index: usize| distance_squared(point, self.samples[index].centre);
         let (mut index, mut least) = (start, distance(start));
@@ -272,12 +272,12 @@ impl Line {
                 }
             }
         };
-        // The piece with the nearest box first: most other boxes are farther than its samples.
+        // Begin with the piece of the nearest box: most other boxes are farther than its samples.
         let by_box = |piece: &usize| self.pieces[*piece].distance_squared(point);
         let first = (0..self.pieces.len()).min_by(|a, b| by_box(a).total_cmp(&by_box(b)));
         search(first.unwrap_or(0), &mut nearest);
         let bound = nearest.0;
-        // Of equally near samples the first counts.
+        // Among equally near samples, the first one counts.
         nearest = (f64::INFINITY, 0);
         for piece in 0..self.pieces.len() {
             let box_distance = by_box(&piece);

@@ -1,7 +1,7 @@
 //! The camera's lanes: a cubic polynomial through the ego lane's centre line, neighbours, ends.
 //!
 //! The cubic is valid only as far as it follows the lane: [`RANGES`] are tried from the longest. An
-//! end of a lane, or of the operational design domain on it, is known from the map.
+//! end of a lane, or of the operational design domain on it, is read from the map.
 
 use tandem_bus::CameraLanes;
 
@@ -9,14 +9,14 @@ use super::{EgoTruth, Noise};
 use crate::geometry::Vec2;
 use crate::road::{LaneId, Road};
 
-/// Longest reach of the polynomial, m: over more, a cubic misses curves of motorway junctions by
-/// decimetres.
+/// Longest reach of the polynomial, m: over a longer distance, a cubic deviates from curves of
+/// motorway junctions by decimetres.
 const VIEW_RANGE: f64 = 80.0;
 /// Ranges that are tried, m.
 const RANGES: [f64; 10] = [
     VIEW_RANGE, 64.0, 50.0, 40.0, 32.0, 25.0, 20.0, 16.0, 12.0, 8.0,
 ];
-/// The cubic follows the lane if it is nowhere farther from it than this, m.
+/// The cubic follows the lane if its distance to the lane never exceeds this, m.
 const RESIDUAL: f64 = 0.15;
 /// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
@@ -28,8 +28,8 @@ const NOISE: [f64; 4] = [0.02, 0.001_2, 2e-5, 3e-7];
 /// Standard deviations of width (m) and of the distance to an end (fraction of the distance).
 const WIDTH_NOISE: f64 = 0.05;
 const END_NOISE: f64 = 0.01;
-/// If the ego is farther from its lane's centre, m, it is off the road, and the camera sees no ego
-/// lane.
+/// If the ego is farther than this from its lane's centre, m, it is off the road, and the camera
+/// sees no ego lane.
 const OFF_ROAD: f64 = 4.0;
 
 pub(super) struct LaneCamera {

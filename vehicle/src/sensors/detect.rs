@@ -6,11 +6,11 @@ use super::{EgoTruth, Noise};
 use crate::geometry::{Pose, Vec2, wrap_angle};
 use crate::traffic::RoadUser;
 
-/// Largest number of objects in a list; the nearest ones stay.
+/// Largest number of objects in a list; the nearest ones are kept.
 const LIST_LEN: usize = 20;
 /// An object counts as hidden if nearer ones cover more than this share of its angular extent.
 const HIDDEN_SHARE: f64 = 0.75;
-/// Detection probability up to 80 percent of the range; from there it falls to half at the end.
+/// Probability of detection up to 80 percent of the range; at the full range it is half of this.
 const DETECTION: f64 = 0.985;
 
 /// Part of a field of view: up to `range` m within `half_angle` rad to either side.
@@ -21,7 +21,7 @@ struct Lobe {
 
 /// Standard deviations of a sensor's errors.
 struct Accuracy {
-    /// Distance, m, and its growth with distance.
+    /// Error of the distance, m, and its growth with distance.
     range: f64,
     range_growth: f64,
     /// rad
@@ -134,7 +134,7 @@ struct Sight {
     index: usize,
     centre: Vec2,
     corners: [Vec2; 4],
-    /// Its centre is in the field of view, or nearly.
+    /// Whether its centre is in the field of view, or nearly.
     in_view: bool,
     /// Square of the distance of the nearest corner, m².
     near: f64,
@@ -267,7 +267,7 @@ impl Detector {
         });
     }
 
-    /// Returns the share of the directions that is covered.
+    /// Returns the covered share of these directions.
     fn covered_share(&self, (low, high): (f64, f64)) -> f64 {
         let covered: f64 = self
             .covered

@@ -1,4 +1,4 @@
-//! A sensor that is lost or late for some time.
+//! A sensor whose messages are lost or late for some time.
 
 use std::collections::VecDeque;
 use std::str::FromStr;

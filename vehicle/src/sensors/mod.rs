@@ -25,7 +25,7 @@ pub const SENSOR_PERIOD_MS: u64 = 50;
 /// When each sensor measures within the period, ms, in the order of [`SensorId::ALL`]: sensors are
 /// not synchronised, and the bus could not carry all lists at once.
 pub const SENSOR_PHASE_MS: [u64; 6] = [0, 3, 6, 9, 12, 15];
-/// The camera's lanes follow its objects, ms.
+/// When the camera's lanes are measured within the period, ms: after its objects.
 pub const LANES_PHASE_MS: u64 = 16;
 
 /// True motion of the ego.
@@ -45,9 +45,9 @@ pub struct EgoTruth {
     pub long_acceleration: f64,
     /// m/s², left
     pub lat_acceleration: f64,
-    /// The lane that it is in.
+    /// The lane that the ego is in.
     pub lane: LaneId,
-    /// Its place there.
+    /// The ego's place in that lane.
     pub place: Frenet,
 }
 
@@ -76,7 +76,7 @@ impl Noise {
         unit * deviation
     }
 
-    /// True with this probability.
+    /// Returns true with this probability.
     fn chance(&mut self, probability: f64) -> bool {
         // 53 random bits: uniform in 0 .. 1.
         use chacha20::rand_core::Rng;
@@ -93,7 +93,7 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Sensors whose noise follows from `seed`.
+    /// Creates sensors whose noise is determined by `seed`.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {

@@ -31,7 +31,7 @@ impl Leader {
         acceleration: 0.0,
     };
 
-    /// Something that stands still at this distance, m.
+    /// A standing object at this distance, m.
     #[must_use]
     pub const fn standing(gap: f64) -> Self {
         Self { gap, ..Self::NONE }
@@ -108,7 +108,7 @@ impl IdmParameters {
         }
     }
 
-    /// Returns the acceleration that just avoids a collision if the leader keeps its own.
+    /// Returns the acceleration that just avoids a collision if the leader's does not change.
     fn constant_acceleration(&self, speed: f64, leader: &Leader) -> f64 {
         let gap = leader.gap.max(0.1);
         let ahead = leader.acceleration.min(self.acceleration);

@@ -4,9 +4,9 @@
 //! changes permanently from replay to driving by itself when
 //!
 //! - its recording ends;
-//! - it would have to brake with more than 1.5 m/s² for the ego, or for a vehicle that drives
-//!   by itself already, ahead of it; or it is about to come too close;
-//! - it would hit one of these from the side within a second by changing lanes: it stays in
+//! - it would have to brake with more than 1.5 m/s² for the ego or for a vehicle that already
+//!   drives by itself, if one of these is ahead; or it is about to come too close to it;
+//! - by changing lanes, it would hit one of these from the side within a second. It stays in
 //!   its lane, like a driver who checks before changing.
 //!
 //! Then it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
@@ -29,7 +29,7 @@ use sight::{Viewer, Views};
 
 /// A replayed vehicle that would have to brake harder than this leaves its recording, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
-/// A replayed lane change is checked this long in advance, and while it lasts, s.
+/// A replayed lane change is checked from this time before its start until its end, s.
 const LOOK_AHEAD_S: f64 = 1.0;
 const LOOK_AHEADS_S: [f64; 4] = [0.25, 0.5, 0.75, LOOK_AHEAD_S];
 /// Room around a replayed vehicle in that check, along and across it, m.
@@ -81,7 +81,7 @@ pub struct RoadUser {
     pub id: i64,
     /// Kind.
     pub class: Class,
-    /// Place, size, speed.
+    /// Place, size and speed.
     pub participant: Participant,
     /// How it moves.
     pub mode: Movement,
@@ -96,7 +96,7 @@ pub struct RoadUser {
     /// The offset from the lane's centre that the driver aims at, m.
     aim: f64,
     driver: IdmParameters,
-    /// Its time gap when it left its recording, s, and the time at which it left it, s.
+    /// Its time gap when it left its recording, s, and the time of that moment, s.
     begun: (f64, f64),
 }
 
@@ -117,7 +117,7 @@ impl RoadUser {
         };
     }
 
-    /// Returns the values that its views depend on.
+    /// Returns the values on which its views depend.
     const fn motion(&self) -> (Pose, f64) {
         (self.participant.footprint.pose, self.participant.speed)
     }
@@ -159,7 +159,7 @@ impl Deviating {
 
 /// Where a replayed vehicle will be.
 struct Ahead {
-    /// This far in the future, at scenario time `t`, s.
+    /// Time from now to scenario time `t`, s.
     dt: f64,
     t: f64,
     /// The vehicle is at most `by` from this point, m.
@@ -274,13 +274,13 @@ impl Traffic {
         }
     }
 
-    /// [`RoadLane::project_near`](crate::road::RoadLane::project_near) of the place of a vehicle.
+    /// Projects a vehicle: [`RoadLane::project_near`](crate::road::RoadLane::project_near).
     pub(crate) fn foot(&mut self, index: usize, lane: LaneId, near: f64) -> Foot {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].foot(&self.road, lane, pose.position, near)
     }
 
-    /// Returns bounds of that foot.
+    /// Returns bounds of the result of `foot`.
     pub(crate) fn rough(&mut self, index: usize, lane: LaneId, near: f64) -> Option<Rough> {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].rough(&self.road, lane, pose.position, near)
@@ -349,7 +349,7 @@ impl Traffic {
         let track = &self.tracks[index];
         let own = vehicle.participant.footprint.grown(ROOM.0, ROOM.1);
         let own_farthest = farthest(track.speed_max(), &own);
-        // Whether the two can touch within the look-ahead time; true if that is uncertain.
+        // Whether the two can touch within the look-ahead time; true if this is uncertain.
         let may_meet = |other: &&Deviating| {
             let apart = other.participant.footprint.pose.position - own.pose.position;
             let farthest = own_farthest + other.farthest;
@@ -416,7 +416,7 @@ impl Traffic {
         self.deviating.insert(place, own);
     }
 
-    /// The acceleration that the driver wants, and whether the way to the lane's middle is free.
+    /// Returns the acceleration that the driver wants, and whether the lane's middle is free.
     fn decision(&mut self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
@@ -472,7 +472,7 @@ impl Traffic {
         leader
     }
 
-    /// Returns the end of the lane as a leader that stands.
+    /// Returns the end of the lane as a standing leader.
     fn end_of_lane(&self, vehicle: &RoadUser) -> Leader {
         let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
         Leader::standing(end - vehicle.participant.footprint.length / 2.0)

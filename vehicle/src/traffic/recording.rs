@@ -35,9 +35,9 @@ struct Knot {
 #[derive(Clone, Debug)]
 pub(crate) struct Track {
     knots: Vec<Knot>,
-    /// States in a second, on average.
+    /// Average number of states in a second.
     rate: f64,
-    /// The vehicle moves no faster than this from position to position, m/s.
+    /// The vehicle's position never moves faster than this, m/s.
     speed_max: f64,
 }
 

@@ -18,7 +18,7 @@ pub(super) struct Seen {
     place: Frenet,
     /// Speed across the lane, m/s, left positive.
     drift: f64,
-    /// The vehicle as a leader; `gap` is negative if both are beside each other.
+    /// The vehicle as a leader; `gap` is negative if both are side by side.
     leader: Leader,
 }
 
@@ -26,8 +26,8 @@ pub(super) struct Seen {
 #[derive(Clone, Copy, Debug)]
 struct View {
     lane: LaneId,
-    /// The sample of the lane from which the place is computed, and the samples known to lead to
-    /// it. The place depends on no other value of the query.
+    /// The sample of the lane from which the place is computed, and the range of start samples
+    /// known to lead to it. The place depends on no other value of the query.
     sample: usize,
     from: (usize, usize),
     rough: Option<Rough>,
@@ -43,8 +43,8 @@ impl View {
     }
 }
 
-/// The coordinates of one vehicle in the lanes around it, kept until it moves: its observers are in
-/// few lanes.
+/// The coordinates of one vehicle in the lanes around it, kept until it moves. A few are enough
+/// because its observers are in few lanes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Views {
     /// Unit vector of the vehicle's heading.
@@ -64,7 +64,7 @@ impl Views {
         self.next = 0;
     }
 
-    /// The place in a lane of the vehicle that is at `position`: [`RoadLane::project_near`].
+    /// Returns the place in a lane of the vehicle at `position`, see [`RoadLane::project_near`].
     ///
     /// [`RoadLane::project_near`]: crate::road::RoadLane::project_near
     pub(super) fn foot(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> Foot {
@@ -151,8 +151,8 @@ impl<'a> Viewer<'a> {
         Self { road, vehicle }
     }
 
-    /// Returns `other` as seen; `None` if it is behind, far ahead, or far aside, or with `passes`
-    /// if neither [`ahead`] nor [`blocks_return`] would report it. `views`: those of `other`.
+    /// Returns the view of `other`; `None` if it is behind, far ahead or far aside. With `passes`,
+    /// also `None` if neither [`ahead`] nor [`blocks_return`] would report it. `views`: of `other`.
     #[inline]
     pub(super) fn see(&self, other: &Participant, views: &mut Views, passes: bool) -> Option<Seen> {
         let vehicle = self.vehicle;
@@ -225,7 +225,7 @@ fn clearance(vehicle: &RoadUser, other: &Participant) -> f64 {
     (vehicle.participant.footprint.width + other.footprint.width) / 2.0 + SIDE
 }
 
-/// `other` as a leader, if it is ahead and in the way now or within a second.
+/// Returns `other` as a leader, if it is ahead and in the way now or within a second.
 pub(super) fn ahead(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> Option<Leader> {
     let clearance = clearance(vehicle, other);
     let apart = seen.place.d - vehicle.place.d;
@@ -235,7 +235,7 @@ pub(super) fn ahead(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> Opt
     (in_the_way && seen.place.s > vehicle.place.s).then_some(seen.leader)
 }
 
-/// Whether `other` blocks the return to the middle of the lane: a driver then waits beside it.
+/// Whether `other` blocks the return to the lane's middle: if so, the driver stays beside it.
 pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen) -> bool {
     let clearance = clearance(vehicle, other);
     let between = seen.place.d > vehicle.place.d.min(0.0) - clearance
@@ -245,8 +245,8 @@ pub(super) fn blocks_return(vehicle: &RoadUser, other: &Participant, seen: &Seen
     between && near && on_that_side
 }
 
-/// `other` as a leader, if it is ahead in this adjacent lane, which ends soon: it has to merge, and
-/// German law requires drivers to let it in (StVO § 7 (4)).
+/// Returns `other` as a leader, if it is ahead in this adjacent lane, which ends soon: it has to
+/// merge, and German law requires drivers to let it in (StVO § 7 (4)).
 pub(super) fn merging(
     road: &Road,
     vehicle: &RoadUser,

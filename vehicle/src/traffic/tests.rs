@@ -5,7 +5,7 @@ use crate::commonroad::{Lanelet, TimedState};
 
 const STEP: f64 = 0.005;
 
-/// Lane 0 ends at `drop`, if that is given; lane 1 continues.
+/// Lane 0 ends at `drop`, if it is given; lane 1 continues.
 fn road(drop: Option<f64>) -> Arc<Road> {
     let lanelet = |id, y: f64, from: f64, to: f64| Lanelet {
         id,
@@ -70,7 +70,7 @@ fn ego(x: f64, y: f64, speed: f64) -> Participant {
     }
 }
 
-/// Runs for `seconds` with an ego that keeps its lane and speed; `look` sees each step.
+/// Runs for `seconds` with an ego that keeps its lane and speed; calls `look` at each step.
 fn run(
     drop: Option<f64>,
     recordings: Vec<Obstacle>,
@@ -208,7 +208,7 @@ fn who_has_to_leave_a_lane_that_ends_is_let_in() {
 
 #[test]
 fn who_is_off_the_middle_waits_beside_a_vehicle_that_is_in_the_way() {
-    // Beside each other, both half in lane 0: neither may move to its middle before they are apart.
+    // Side by side, half in lane 0: neither may move to the lane's middle before they are apart.
     let gain = |speed: f64| {
         let right = car(1, 0.5, |t| (20.0 * t, -1.0));
         let left = car(2, 0.5, |t| (1.0 + speed * t, 1.4));

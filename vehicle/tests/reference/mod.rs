@@ -5,7 +5,7 @@ use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::traffic::{IdmParameters, Leader};
 use tandem_vehicle::{LaneId, World, WorldSnapshot};
 
-/// m, between the axles.
+/// Distance between the axles, m.
 const WHEELBASE: f64 = 2.579;
 
 /// How the driver drives.
