@@ -69,7 +69,7 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
         build.flag(flag);
     }
     for flag in [
-        // Without its default flags, the `cc` crate does not pass the level of optimisation either.
+        // Without its default flags, the `cc` crate omits the optimisation level too.
         "-O2",
         "-g",
         "-mcmodel=medany",
@@ -80,7 +80,7 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     ] {
         build.flag(flag);
     }
-    // Stand-ins for a C library that may be missing: the kernel needs four of its functions.
+    // Headers for a C library that may be missing: the kernel needs four of its functions.
     build
         .include("kernel/riscv32/libc")
         .include("kernel/riscv32");

@@ -12,8 +12,8 @@ mod sealed {
 }
 pub(crate) use sealed::Sealed;
 
-/// A caller of functions that never block: a task, a handler, or the owner of a kernel that is not
-/// running yet.
+/// The context of a call that never blocks: a task, a handler, or the owner of a kernel that is
+/// not running yet.
 pub trait Context: Sealed {}
 
 /// A caller that may make objects: a task, or the owner of a kernel that is not running yet.
@@ -25,7 +25,7 @@ pub struct TaskContext {
     _of_one_task: PhantomData<*mut ()>,
 }
 
-/// Proof that the caller is a handler of an interrupt. It cannot block.
+/// Proof that the caller is a handler of an interrupt. A handler cannot block.
 #[derive(Debug)]
 pub struct InterruptContext {
     woken: core::cell::Cell<bool>,
@@ -70,7 +70,7 @@ impl InterruptContext {
         }
     }
 
-    /// Returns whether the handler woke a task, which runs after the last interrupt (T-RTOS-2).
+    /// Returns whether the handler woke a task. That task runs after the last interrupt (T-RTOS-2).
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
     }

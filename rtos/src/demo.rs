@@ -24,7 +24,7 @@ pub struct Output {
     pub priority: u8,
     /// Period of the task, ms.
     pub period_ms: u32,
-    /// How long it works in each period, with its output high, ms; if `None`, it toggles once.
+    /// Work in each period, with the output high, ms. If `None`, the output toggles once a period.
     pub burn_ms: Option<u32>,
 }
 
@@ -54,7 +54,7 @@ pub fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl 
 pub struct Test {
     /// The id of the requirement.
     pub id: &'static str,
-    /// The expected picture.
+    /// The expected behaviour.
     pub title: &'static str,
     /// The tasks.
     pub outputs: [Output; 3],

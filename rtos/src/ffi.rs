@@ -16,7 +16,7 @@ pub(crate) const PASS: Base = 1;
 /// A value of `eNotifyAction`.
 pub(crate) const NOTIFY_INCREMENT: core::ffi::c_uint = 2;
 
-/// The first field of a task control block is the stack pointer of a task that does not run.
+/// A task control block. Its first field is the task's stack pointer while the task does not run.
 #[repr(C)]
 pub(crate) struct Tcb {
     #[cfg(target_os = "linux")]
@@ -45,7 +45,7 @@ unsafe extern "C" {
     pub(crate) fn tandem_yield_from_interrupt(woken: Base);
     pub(crate) fn tandem_task_info(task: *mut Tcb, info: *mut TaskInfo);
 
-    /// Only on riscv32.
+    /// Exists only on riscv32.
     pub(crate) fn tandem_port_reset();
     pub(crate) fn vTaskStartScheduler();
     pub(crate) fn vTaskResetState();
@@ -193,8 +193,8 @@ pub(crate) fn current_name() -> &'static str {
 
 /// Returns the name of a live task.
 pub(crate) fn name_of(tcb: *mut Tcb) -> &'static str {
-    // SAFETY: a live task's control block holds its name, which ends with a zero; the name is read
-    // at once and not kept.
+    // SAFETY: a live task's control block holds its name, which ends with a zero. The name is read
+    // here and not kept.
     let name = unsafe { CStr::from_ptr(pcTaskGetName(tcb)) };
     name.to_str().unwrap_or("not UTF-8")
 }

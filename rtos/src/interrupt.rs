@@ -12,10 +12,10 @@ impl Interrupt {
     /// The highest number of a source. The tick has the next number.
     pub const LAST: Self = Self(62);
 
-    /// Returns source `number`, 0 to 62. On the target: [`Self::DOORBELL`] and [`Self::EXTERNAL`].
+    /// Returns source `number`, 0 to 62. The target has [`Self::DOORBELL`] and [`Self::EXTERNAL`].
     ///
     /// # Panics
-    /// Above 62; in a constant that is a compile error.
+    /// If `number` is above 62; in a constant, this is a compile error.
     #[must_use]
     pub const fn new(number: u8) -> Self {
         assert!(number <= Self::LAST.0, "interrupts end at 62");
@@ -45,7 +45,7 @@ impl InterruptPriority {
     /// Returns the priority `level`, 3 to 255.
     ///
     /// # Panics
-    /// Below 3; in a constant that is a compile error.
+    /// If `level` is below 3; in a constant, this is a compile error.
     #[must_use]
     pub const fn new(level: u8) -> Self {
         assert!(
@@ -62,7 +62,7 @@ impl InterruptPriority {
     }
 }
 
-/// A handler cannot be registered.
+/// Why a handler cannot be registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HandlerError {
     /// The source already has a handler, which stays until the scheduler stops.

@@ -75,10 +75,10 @@ impl Kernel {
     /// Runs the tasks. On the host it returns when all have returned or one calls
     /// `TaskContext::stop`; on the target it returns only if the kernel could not start.
     ///
-    /// On the host all tasks share one thread. This call starts it with the caller's scheduling and
-    /// waits for it. Tasks must keep the crate's rule about thread-locals. After
-    /// `TaskContext::stop` that thread sleeps for ever, because another thread may still use memory
-    /// that an abandoned task lent to it.
+    /// On the host all tasks share one thread. This call starts that thread with the caller's
+    /// scheduling policy and priority, and waits until the scheduler ends. Tasks must obey the
+    /// crate's rule about thread-locals. After `TaskContext::stop` the thread sleeps for ever,
+    /// because another thread may still use memory that an abandoned task lent to it.
     ///
     /// # Errors
     /// [`StartError`]; the kernel can then be taken again.

@@ -10,8 +10,8 @@
 //! calls need a [`TaskContext`], so a handler cannot make them.
 //!
 //! On the host this interface is sound under one rule that the compiler does not check. All tasks
-//! are one thread, so they share every thread-local (`thread_local!`), even one in a library. Two
-//! tasks that access it must do so within `host::deferred`, or there is a data race (see README).
+//! run in one thread and share every thread-local (`thread_local!`), even one in a library. Tasks
+//! that share one must access it within `host::deferred`, or there is a data race (see README).
 #![no_std]
 #![deny(unsafe_code)]
 

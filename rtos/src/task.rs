@@ -14,7 +14,7 @@ impl Priority {
     /// Returns the priority `level`, 1 to 30.
     ///
     /// # Panics
-    /// At 0, which is the idle task's, and above 30; in a constant that is a compile error.
+    /// If `level` is 0 (the idle task's) or above 30; in a constant, this is a compile error.
     #[must_use]
     pub const fn new(level: u8) -> Self {
         assert!(

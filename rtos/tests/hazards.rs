@@ -91,7 +91,7 @@ fn child(test: &str, kind: &str) -> Output {
     let watchdog = std::thread::spawn(move || {
         let over = Err(std::sync::mpsc::RecvTimeoutError::Timeout);
         if watch.recv_timeout(Duration::from_secs(60)) == over {
-            // SAFETY: a child that was not waited for keeps its number.
+            // SAFETY: a child that was not waited for keeps its process number.
             unsafe { libc::kill(id as i32, libc::SIGKILL) };
         }
     });
@@ -205,7 +205,7 @@ fn print_from_tasks(print: fn(&str)) {
 static DONE: AtomicU32 = AtomicU32::new(0);
 
 /// Lines that tasks print with pre-emption deferred are whole, in order, and complete. Without
-/// deferring, the same tasks collide in the lock of the output and the process ends.
+/// deferring, the same tasks collide at the lock of the output and the process ends.
 #[test]
 fn tasks_share_the_output() {
     const NAME: &str = "tasks_share_the_output";

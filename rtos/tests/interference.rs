@@ -51,15 +51,15 @@ fn a_task_is_seen_when_it_is_made() {
 }
 
 /// The tasks run with the real-time priority of the thread that starts the kernel, even if new
-/// threads do not inherit it (SCHED_RESET_ON_FORK). Needs the permission for real time.
+/// threads do not inherit it (SCHED_RESET_ON_FORK). Needs permission for real-time scheduling.
 #[test]
 fn tasks_have_the_priority_of_the_starting_thread() {
     static FOUND: AtomicU32 = AtomicU32::new(0);
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // Uses a separate thread, whose priority ends with it.
+    // Uses a separate thread, so that the changed priority ends with that thread.
     let starts = std::thread::spawn(move || {
         let param = libc::sched_param { sched_priority: 3 };
-        // SAFETY: 0 is the calling thread; the place is read during the call.
+        // SAFETY: 0 is the calling thread; the variable is read during the call.
         if unsafe { libc::sched_setscheduler(0, policy, &raw const param) } != 0 {
             let refused = std::io::Error::last_os_error();
             return eprintln!("not tested without the permission for real time: {refused}");
@@ -67,7 +67,7 @@ fn tasks_have_the_priority_of_the_starting_thread() {
         run(TickSource::Wall, |kernel| {
             let look = |_: &TaskContext| {
                 let mut param = libc::sched_param { sched_priority: 0 };
-                // SAFETY: 0 is the calling thread; the place is written during the call.
+                // SAFETY: 0 is the calling thread; the variable is written during the call.
                 let policy = unsafe {
                     libc::sched_getparam(0, &raw mut param);
                     libc::sched_getscheduler(0)

@@ -16,7 +16,7 @@ use tandem_rtos::{
 };
 
 /// T-RTOS-1: a queue keeps the order, blocks a sender while it is full and a receiver while it is
-/// empty, and returns values that do not fit in time.
+/// empty, and returns a value to its sender if there is no room in time.
 #[test]
 fn a_queue_passes_values_in_order_and_blocks() {
     let log = Log::new();

@@ -143,8 +143,8 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
     assert_eq!(log.take(), vec![1; 1000]);
 }
 
-/// Runs a test of the demonstration. Returns for each change the output, the tick, and the time in
-/// ns of a clock that the kernel does not count.
+/// Runs a test of the demonstration. For each change, returns the output, the tick, and the time in
+/// ns of a clock that is independent of the kernel.
 fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
     let log = Log::new();
     run(clock, |kernel| {
@@ -161,8 +161,8 @@ fn changes(test: &'static Test, clock: TickSource) -> Vec<(usize, u32, u64)> {
 }
 
 /// Returns whether the outputs of a run have the periods of their tasks, measured by the clock. On
-/// a busy machine, one change in each half of the run must be in time: a period that is 1 % wrong
-/// delays every change of the second half.
+/// a busy machine, one change in each half of the run must be on time: if a period were 1 % too
+/// long, every change of the second half would be late.
 fn has_its_periods(clock: TickSource) -> bool {
     const IN_TIME_NS: i64 = 600_000;
     let changes = changes(&TESTS[0], clock);
@@ -301,8 +301,8 @@ fn a_critical_section_holds_interrupts_back() {
     assert_eq!(log.take(), ["still masked", "interrupt", "task"]);
 }
 
-/// Returns by how many ticks the count and the clock differ: the minimum of many reads, because the
-/// tick that is due may be late. A count that has drifted differs in all reads.
+/// Returns by how many ticks the count and the clock differ: the minimum of many reads, because a
+/// tick that is due may be late. If the count has drifted, all reads differ.
 fn off_by(ctx: &TaskContext) -> u32 {
     let read = |_| {
         let mut wake = ctx.now();
@@ -485,7 +485,7 @@ mod control {
 
     pub(super) fn read() -> (u32, u16) {
         let (mut mxcsr, mut x87) = (0, 0);
-        // SAFETY: both store to a valid place.
+        // SAFETY: both store to a valid variable.
         unsafe {
             asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack));
             asm!("fnstcw [{}]", in(reg) &raw mut x87, options(nostack));
@@ -495,8 +495,8 @@ mod control {
     }
 
     pub(super) fn write((mxcsr, x87): (u32, u16)) {
-        // SAFETY: both load from a valid place; the caller computes no floating-point numbers until
-        // it has restored the default.
+        // SAFETY: both load from a valid variable; the caller computes no floating-point numbers
+        // until it has restored the default.
         unsafe {
             asm!("ldmxcsr [{}]", in(reg) &raw const mxcsr, options(nostack));
             asm!("fldcw [{}]", in(reg) &raw const x87, options(nostack));

@@ -8,7 +8,7 @@ use core::sync::atomic::{AtomicPtr, Ordering};
 /// The kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelEventKind {
-    /// The kernel chose a task, which starts or continues. It may be the one that ran before.
+    /// The kernel chose a task, possibly the one that ran before. The task starts or continues.
     SwitchedIn,
     /// The running task is switched out. The kernel may choose the same task again.
     SwitchedOut,
@@ -24,8 +24,7 @@ pub enum KernelEventKind {
 /// One event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KernelEvent {
-    /// The time, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on
-    /// the target.
+    /// Time in nanoseconds: CLOCK_MONOTONIC or virtual time on the host, `mtime` on the target.
     pub at_ns: u64,
     /// The kind.
     pub kind: KernelEventKind,
@@ -33,8 +32,8 @@ pub struct KernelEvent {
     pub subject: u32,
 }
 
-/// Receives the events. Tasks and handlers call it, and a handler may interrupt a call: it must not
-/// block, allocate or lock.
+/// Receives the events. Tasks and handlers call it, and a handler may interrupt a call, so it must
+/// not block, allocate or lock.
 pub trait TraceSink: Sync {
     /// Records an event.
     fn record(&self, event: KernelEvent);

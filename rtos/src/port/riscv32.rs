@@ -28,7 +28,7 @@ const MTIME: usize = 0x0200_BFF8;
 const MTIMECMP: usize = 0x0200_4000;
 const CAUSE_SOFTWARE: u32 = 3;
 const CAUSE_EXTERNAL: u32 = 11;
-/// The software interrupt's bit in `mie`; the kernel's port enables timer and external.
+/// The software interrupt's bit in `mie`. The kernel's port sets the timer and external bits.
 const MIE_SOFTWARE: usize = 1 << 3;
 
 type Handler = dyn FnMut(&InterruptContext) + Send;
@@ -107,7 +107,7 @@ impl Drop for Stack {
 /// The hart that runs the kernel.
 static KERNEL_HART: AtomicUsize = AtomicUsize::new(0);
 
-/// Makes the calling hart the kernel's. Called before the first task is made.
+/// Records the calling hart as the kernel's. Called before the first task is made.
 pub(crate) fn prepare() {
     KERNEL_HART.store(hart(), Ordering::Relaxed);
 }
@@ -126,7 +126,7 @@ pub(crate) fn start(_clock: TickSource, _none_left: fn() -> bool) -> Result<(), 
     Ok(())
 }
 
-/// Has nothing to release: the kernel was taken and not started.
+/// Does nothing: a kernel that was taken but not started has nothing to release.
 pub(crate) fn tear_down() {}
 
 /// Counts the lives of the kernel.
@@ -210,7 +210,7 @@ pub(crate) fn timestamp_ns() -> u64 {
 /// timer's register, which holds the time of the next tick.
 pub(crate) fn tick_origin_ns() -> u64 {
     let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
-    // Neither changes while interrupts are masked: the tick's interrupt changes both.
+    // Neither value changes while interrupts are masked: the tick's interrupt changes both.
     let (next, ticks) = ffi::critical(|| {
         // SAFETY: the two words of the CLINT's register of this hart.
         let (low, high) = unsafe { (register.read_volatile(), register.add(1).read_volatile()) };
@@ -277,7 +277,7 @@ pub fn on_fatal(report: fn(fmt::Arguments<'_>) -> !) {
     ON_FATAL.store(report as *mut (), Ordering::Relaxed);
 }
 
-/// Ends all work with a message.
+/// Masks interrupts, reports the message, and does not return.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
     // SAFETY: masks interrupts, so that nothing interrupts the last message.
     unsafe { core::arch::asm!("csrci mstatus, 8") };
@@ -299,13 +299,13 @@ fn hart() -> usize {
     hart
 }
 
-/// Runs a handler. The kernel's trap handler calls this on the interrupt stack, not for the timer.
+/// Runs a handler. The kernel's trap handler calls this on the interrupt stack, except at a tick.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_riscv_interrupt(cause: u32) {
     let number = match cause & 0x7FFF_FFFF {
         CAUSE_SOFTWARE => {
             let register = ptr::with_exposed_provenance_mut::<u32>(MSIP + 4 * hart());
-            // SAFETY: acknowledges before the handler runs, so a later ring interrupts again.
+            // SAFETY: this acknowledges before the handler runs, so a later ring interrupts again.
             unsafe {
                 register.write_volatile(0);
                 core::arch::asm!("fence iorw, iorw");
@@ -336,7 +336,7 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
     }
 }
 
-/// Ends all work at an exception. A call that yields does not reach this function.
+/// Reports an exception as a fatal error. A call that yields does not reach this function.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_riscv_exception(cause: u32) {
     let (place, value): (usize, usize);

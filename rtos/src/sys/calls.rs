@@ -66,7 +66,7 @@ impl TaskContext {
 
     /// Waits until this task's notification is not zero, and counts it down by one.
     ///
-    /// Returns whether there was one before the time-out.
+    /// Returns whether there was a notification before the time-out.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred.
@@ -100,11 +100,11 @@ impl TaskContext {
         let period = period.into();
         port::assert_may_block();
         assert!(period.0 > 0, "a period of zero ticks");
-        // SAFETY: called by a task that may block; the place is written during the call only.
+        // SAFETY: called by a task that may block; `last_wake` is written during the call only.
         unsafe { ffi::xTaskDelayUntil(&mut last_wake.0, period.0) != 0 }
     }
 
-    /// Works for `span` of this task's run time, in which other tasks' run time does not count. In
+    /// Works until this task has run for `span`; the run time of other tasks does not count. In
     /// virtual time the span passes at once. For tests and models.
     pub fn burn(&self, span: Duration) {
         if port::virtual_work(span) {

@@ -74,7 +74,7 @@ impl Life {
 /// Restores the kernel's state at power-on, after a reset of its hart that did not clear its
 /// memory: [`Kernel::take`](crate::Kernel::take) succeeds again. Tasks, handlers and objects of the
 /// earlier life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
-///
+/// # Safety
 /// The calling hart was the kernel's and has been reset. No code of the earlier life runs again,
 /// and no hart uses anything that the earlier life made (handles, objects, borrowed stacks).
 #[cfg(target_arch = "riscv32")]

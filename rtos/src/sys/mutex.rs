@@ -80,7 +80,7 @@ impl<T: Send> Mutex<T> {
     }
 }
 
-/// Access to the value until this is dropped. Belongs to the task that locked.
+/// Access to the value until this is dropped. Belongs to the task that locked the mutex.
 pub struct MutexGuard<'a, T> {
     inner: &'a Inner<T>,
     ctx: &'a TaskContext,
@@ -90,7 +90,7 @@ impl<T> Deref for MutexGuard<'_, T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        // SAFETY: this task holds the mutex as long as the guard exists.
+        // SAFETY: this task holds the mutex while the guard exists.
         unsafe { &*self.inner.value.get() }
     }
 }

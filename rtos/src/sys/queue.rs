@@ -115,7 +115,7 @@ impl Raw {
         // below keeps alive.
         let joined = unsafe { ffi::xQueueAddToSet(self.handle(), set.raw.handle()) == ffi::PASS };
         if joined {
-            // SAFETY: on the core's thread; there was no set, so no reference to this place exists.
+            // SAFETY: on the core's thread; there was no set, so no reference to this field exists.
             unsafe { *self.set.get() = Some(Arc::clone(set)) };
         }
         joined
@@ -168,7 +168,7 @@ impl<T> Items<T> {
 pub(super) struct Members {
     pub(super) raw: Raw,
     pub(super) items: Items<usize>,
-    /// How many of its places the members can fill together.
+    /// The number of items that the present members can hold in total.
     pub(super) promised: AtomicUsize,
 }
 

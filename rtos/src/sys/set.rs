@@ -61,7 +61,7 @@ impl QueueSet {
         if promised > self.set.items.count() {
             return Err(AddError::SetFull);
         }
-        // One critical section: the member must not fill between the check and the joining.
+        // One critical section: the member must not fill between the check and the moment it joins.
         if !ffi::critical(|| member.join(&self.set)) {
             return Err(AddError::NotFree);
         }

@@ -24,7 +24,7 @@ pub(crate) struct Record {
     tcb: UnsafeCell<[usize; ffi::TASK_WORDS]>,
     stack: UnsafeCell<Option<port::Stack>>,
     entry: UnsafeCell<Option<Entry>>,
-    /// Whether the kernel knows the task, which has neither returned nor been abandoned.
+    /// Whether the task has neither returned nor been abandoned.
     alive: AtomicBool,
     next: AtomicPtr<Record>,
     /// Mutexes that the task holds.
@@ -38,8 +38,8 @@ unsafe impl Send for Record {}
 // control block to the kernel, which accesses it only on the core's thread.
 unsafe impl Sync for Record {}
 
-/// All tasks that the kernel knows. Changed only with interrupts masked, because the handler of
-/// faults also reads it.
+/// All tasks of the kernel. Changed only with interrupts masked, because the handler of faults also
+/// reads it.
 static TASKS: AtomicPtr<Record> = AtomicPtr::new(ptr::null_mut());
 
 impl Record {
@@ -79,18 +79,18 @@ impl Record {
                     link.store(self.next.load(Ordering::Relaxed), Ordering::Relaxed);
                     return;
                 }
-                // SAFETY: the list holds a count of each of its records, so this one lives.
+                // SAFETY: the list holds a reference count of each record, so this record is alive.
                 link = unsafe { &(*at).next };
             }
         });
     }
 
-    /// Drops the count that the list holds.
+    /// Drops the list's reference count.
     ///
     /// # Safety
     /// Called once, after `unlink`; no reference to the record is used afterwards.
     unsafe fn release(record: *const Self) {
-        // SAFETY: `spawn` turned one count of this Arc into the list's.
+        // SAFETY: `spawn` gave one reference count of this Arc to the list.
         drop(unsafe { Arc::from_raw(record) });
     }
 }
@@ -149,7 +149,7 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
     record.stack = UnsafeCell::new(Some(stack));
     record.entry = UnsafeCell::new(Some(entry));
     let record = Arc::new(record);
-    // This count belongs to the list; `release` drops it.
+    // This reference count belongs to the list; `release` drops it.
     let parameters = Arc::into_raw(Arc::clone(&record)).cast_mut().cast();
     // A switch between these steps would show an incomplete task to others.
     let _no_switch = NoSwitch::begin();
@@ -177,13 +177,13 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
     Ok(TaskHandle { record })
 }
 
-/// While this exists, no other task runs; interrupts do. Nests. A switch may happen at its end.
+/// While this exists, interrupts run but no other task does. Nests. Dropping it may cause a switch.
 struct NoSwitch;
 
 impl NoSwitch {
-    /// Called by a task, or when no scheduler runs.
+    /// Called by a task, or while no scheduler runs.
     fn begin() -> Self {
-        // SAFETY: `drop` ends it. When no scheduler runs, this only counts.
+        // SAFETY: `drop` ends the suspension. While no scheduler runs, this only counts.
         unsafe { ffi::vTaskSuspendAll() };
         Self
     }
@@ -314,7 +314,7 @@ fn give(record: &'static Record, tcb: *mut *mut c_void, stack: *mut *mut usize, 
     // SAFETY: the kernel calls this before the task exists, on the core's thread.
     let slot = unsafe { &mut *record.stack.get() };
     let memory = slot.get_or_insert_with(port::Stack::for_service);
-    // SAFETY: the kernel passes three valid places.
+    // SAFETY: the kernel passes three valid pointers.
     unsafe {
         *tcb = record.tcb.get().cast();
         *stack = memory.low;
@@ -441,7 +441,7 @@ impl TaskHandle {
     pub fn notify<C: Context>(&self, ctx: &C) -> Result<(), TaskError> {
         let (none, mut woken) = (ptr::null_mut(), 0);
         self.with(C::IN_INTERRUPT, |handle| {
-            // SAFETY: the task is alive; only word 0 exists; the place is written during the call.
+            // SAFETY: the task is alive; only word 0 exists; `woken` is written during the call.
             unsafe {
                 if C::IN_INTERRUPT {
                     let increment = ffi::NOTIFY_INCREMENT;

@@ -118,7 +118,7 @@ impl Timer {
     }
 }
 
-/// Calls the callback. The service task found that the timer has expired.
+/// Calls the callback. The service task calls this function when the timer has expired.
 extern "C" fn expired(timer: *mut c_void) {
     // SAFETY: `new` set the block as the timer's id.
     let block = unsafe { &*ffi::pvTimerGetTimerID(timer).cast::<Block>() };

@@ -1,9 +1,9 @@
 //! Resources that the tasks share through their one thread: the allocator, locks of libraries.
 //!
-//! A lock of the standard library belongs to a thread, and all tasks are one thread. If a task were
-//! pre-empted while it holds a lock, the next task would wait for ever (a dead-lock) or, if the
-//! lock is re-entrant, see half-changed data. So such a task is not pre-empted: an allocation is a
-//! critical section, and a longer operation defers the switch but lets interrupts run.
+//! A lock of the standard library belongs to a thread, and all tasks run in one thread. If a task
+//! were pre-empted while it holds a lock, the next task would wait for ever (a dead-lock) or, if
+//! the lock is re-entrant, see half-changed data. So such a task is not pre-empted: an allocation
+//! is a critical section, and a longer operation defers the switch but lets interrupts run.
 
 use super::{interrupts, state};
 use core::alloc::{GlobalAlloc, Layout};
@@ -19,7 +19,7 @@ use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
 /// static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 /// ```
 ///
-/// Costs a critical section on the core's thread and one thread-local load on other threads.
+/// Each call costs a critical section on the core's thread, and one thread-local load elsewhere.
 pub struct TaskAllocator<A> {
     inner: A,
 }

@@ -9,7 +9,7 @@ use core::ptr;
 use std::boxed::Box;
 use std::sync::Once;
 
-/// The size of the fault handler's stack: an overflowed task stack has no room.
+/// Size of the fault handler's own stack: a task's stack that overflowed has no room for it.
 const HANDLER_BYTES: usize = 64 << 10;
 /// If the stack pointer is closer to the stack's end than this, a signal's frame did not fit.
 const FRAME_BYTES: usize = 16 << 10;
@@ -28,7 +28,7 @@ pub(super) fn begin() -> Result<Before, i32> {
     let handler: extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::c_void) = on_fault;
     let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_STACK;
     let access = libc::PROT_READ | libc::PROT_WRITE;
-    // SAFETY: a fresh mapping becomes the alternate stack; all places are valid. The handler only
+    // SAFETY: a fresh mapping becomes the alternate stack; all pointers are valid. The handler only
     // reads, writes and ends the process.
     unsafe {
         let memory = libc::mmap(ptr::null_mut(), HANDLER_BYTES, access, flags, -1, 0);
@@ -45,7 +45,7 @@ pub(super) fn begin() -> Result<Before, i32> {
         let mut action: libc::sigaction = core::mem::zeroed();
         action.sa_sigaction = handler as *const () as usize;
         action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
-        // Blocks all other signals: a switch of tasks must not happen on the alternate stack.
+        // Block all other signals: tasks must not be switched on the alternate stack.
         libc::sigfillset(&mut action.sa_mask);
         let actions = [libc::SIGSEGV, libc::SIGBUS].map(|signal| {
             let mut old: libc::sigaction = core::mem::zeroed();
@@ -65,7 +65,7 @@ pub(super) fn begin() -> Result<Before, i32> {
 
 /// Restores the previous state.
 pub(super) fn end(before: &Before) {
-    // SAFETY: the values that `begin` got; the alternate stack is not in use.
+    // SAFETY: these are the values that `begin` read; the alternate stack is not in use.
     unsafe {
         for (signal, action) in &before.actions {
             libc::sigaction(*signal, action, ptr::null_mut());
@@ -79,7 +79,7 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     if state::on_core()
         && let Some(low) = current_stack()
     {
-        // SAFETY: the operating system passes both to a handler with SA_SIGINFO.
+        // SAFETY: for SA_SIGINFO the operating system passes valid pointers to a handler.
         let (address, pointer) =
             unsafe { ((*info).si_addr() as usize, stack_pointer(context.cast())) };
         let guard = low - page()..low;
@@ -94,7 +94,7 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     // This is not a task's fault: restore the previous handler. The instruction then faults again;
     // a signal that another process sent is lost.
     let place = usize::from(signal == libc::SIGBUS);
-    // SAFETY: `begin` wrote it when it installed this handler.
+    // SAFETY: `begin` wrote this element when it installed this handler.
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
 }
 
@@ -105,12 +105,12 @@ fn current_stack() -> Option<usize> {
         return None;
     }
     let (mut low, mut tcb) = (ptr::null_mut(), ptr::null_mut());
-    // SAFETY: the running task lives; the call writes its stack and control block to our places.
+    // SAFETY: the running task lives; the call writes its stack and control block to our variables.
     let known = unsafe { ffi::xTaskGetStaticBuffers(task, &mut low, &mut tcb) } == ffi::PASS;
     known.then_some(low as usize)
 }
 
-/// Returns whether a fault's address is in the accessible stack: then it is not an overflow.
+/// Returns whether an address is in the accessible part of the stack; if so, this is no overflow.
 fn on_stack(address: usize, low: usize) -> bool {
     (low..low + FRAME_BYTES).contains(&address)
 }

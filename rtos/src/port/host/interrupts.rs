@@ -1,11 +1,11 @@
 //! Sources of interrupts, their handlers, and the signals that carry them.
 //!
-//! To raise a source, a caller sets its bit in `PENDING`; another thread then sends the core's
-//! thread a signal, and at most one is under way. The handler runs on the stack of the task that it
-//! interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask). So
-//! a task that is left inside a handler has the same mask as any other, and the switch need not
-//! handle it. Signals that arrive while interrupts are masked return at once, so at most a few
-//! frames are on a stack.
+//! To raise a source, a caller sets its bit in `PENDING`. A caller on another thread also sends the
+//! core's thread a signal; at most one is under way. The handler runs on the stack of the task that
+//! it interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask).
+//! So a task that is switched out inside a handler has the same mask as any other, and the switch
+//! need not change it. Signals that arrive while interrupts are masked return at once, so at most a
+//! few frames are on a stack.
 
 use super::process::{fatal, keeping_errno};
 use super::state::{self, DEFERRED, DEPTH, LEVEL, PENDING, YIELD, on_core};
@@ -42,8 +42,8 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// Address of a context: the last handler that ended with signals unblocked returns to it. The
-/// handler's variables are below this address, and those of the interrupted code above.
+/// Address of the context to which the last handler that ended with signals unblocked returns. That
+/// handler's variables are below this address; those of the interrupted code are above it.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
 /// If a stack pointer is less than this many bytes below [`LEAVING`], the interrupted code may be
 /// the end of that handler.
@@ -104,7 +104,7 @@ pub(super) fn unmask() {
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_attend() {
     state::set_masked(1);
-    // The code that unmasks (to free memory, say) may not have read errno of a failed call yet.
+    // Keep errno: code that unmasks (to free memory, say) may still read it after a failed call.
     keeping_errno(serve_and_unmask);
 }
 
@@ -168,7 +168,7 @@ fn run(number: u32) {
         tick::timestamp_ns,
     );
     match SOURCES.get(number as usize) {
-        // The tick works on the kernel's lists, so nothing may interrupt it.
+        // The tick changes the kernel's lists, so nothing may interrupt it.
         None => tick::interrupt(),
         Some(source) => {
             // SAFETY: only one source of a level runs at a time; `attach` never replaces one.
@@ -301,13 +301,13 @@ fn interrupt(context: usize, interrupted: usize) {
     }
 }
 
-/// Makes this thread the core. Reads the size of the operating system's frames before the first
-/// signal.
+/// Makes this thread the core. First reads the size of the operating system's signal frames.
 ///
-/// The doorbell's signal and those of both timers may arrive together. The last of them interrupts
-/// the first instruction of the previous one, so two more frames lie between it and that end.
+/// The doorbell's signal and those of both timers may arrive together at the end of a handler. Each
+/// interrupts the previous one at its first instruction, so two more frames lie between the code
+/// that the last one interrupts and that end.
 pub(super) fn begin() -> Result<(), i32> {
-    /// Bytes that a handler has on the stack below its frame.
+    /// Bytes of stack that a handler uses below its frame.
     const BELOW: usize = 4 << 10;
     // SAFETY: reads a number; zero if it is not known.
     let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
@@ -360,8 +360,8 @@ mod tests {
     /// first one is handled, so none arrives at a handler that has blocked them.
     fn signals_arrive() {
         let mut before = MaybeUninit::<libc::sigset_t>::uninit();
-        // SAFETY: the set is a valid place, which the first call fills; the signals are handled
-        // when the last one unblocks them, if they were not blocked before.
+        // SAFETY: the first call fills the set. If the signals were not blocked before, the last
+        // call unblocks them, and they are handled then.
         unsafe {
             libc::pthread_sigmask(libc::SIG_BLOCK, ptr::null(), before.as_mut_ptr());
             let blocked = libc::sigismember(before.as_ptr(), signals::tick_signal()) == 1;

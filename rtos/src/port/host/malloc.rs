@@ -65,7 +65,7 @@ unsafe extern "C" fn posix_memalign(to: *mut *mut c_void, align: usize, bytes: u
     if place.is_null() {
         return libc::ENOMEM;
     }
-    // SAFETY: the caller's place.
+    // SAFETY: the caller passes a valid pointer.
     unsafe { *to = place };
     0
 }

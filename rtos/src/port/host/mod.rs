@@ -36,8 +36,8 @@ pub(crate) fn prepare() {}
 /// Bytes of the stack of the kernel's thread, which only starts and ends the scheduler.
 const THREAD_STACK_BYTES: usize = 64 << 10;
 
-/// Runs the scheduler on a separate thread, until all tasks have returned or one stops it;
-/// `none_left` returns whether all have returned.
+/// Runs the scheduler on a separate thread until all tasks have returned or one stops the
+/// scheduler; `none_left` returns whether all have returned.
 ///
 /// An abandoned task may have lent a thread-local of that thread to another thread. The loan ends
 /// when the lending call returns, which it never does. Therefore the thread never ends after a
@@ -88,7 +88,7 @@ struct Scheduling {
 impl Scheduling {
     fn of_this_thread() -> Self {
         let mut param = libc::sched_param { sched_priority: 0 };
-        // SAFETY: 0 is the calling thread; the place is written during the call.
+        // SAFETY: 0 is the calling thread; the variable is written during the call.
         let policy = unsafe {
             libc::sched_getparam(0, &mut param);
             libc::sched_getscheduler(0)
@@ -98,7 +98,7 @@ impl Scheduling {
 
     /// Applies this scheduling to the calling thread, if it is a real-time one.
     fn apply(self) -> Result<(), i32> {
-        // SAFETY: 0 is the calling thread; the place is read during the call.
+        // SAFETY: 0 is the calling thread; the variable is read during the call.
         let refused = self.param.sched_priority > 0
             && unsafe { libc::sched_setscheduler(0, self.policy, &self.param) } != 0;
         if refused { Err(errno()) } else { Ok(()) }

@@ -1,4 +1,4 @@
-//! The process of the port: `errno`, and the message at its end.
+//! Functions for the whole process: saving `errno`, and ending the process with a message.
 
 use super::state;
 use core::fmt::{self, Write};
@@ -21,7 +21,7 @@ pub(super) fn errno() -> i32 {
 /// The largest message in bytes, with its line end; longer text is cut.
 const LAST_WORDS: usize = 512;
 
-/// The text of the last message of a process, without an allocator.
+/// The text of a process's last message, built without an allocator.
 struct LastWords {
     text: [u8; LAST_WORDS],
     length: usize,

@@ -70,7 +70,7 @@ pub(crate) fn idle(none_left: fn() -> bool) {
     }
 }
 
-/// Restores the state before the first task: interrupts masked, none pending, no task known.
+/// Restores the state before the first task: interrupts masked, none pending, and no current task.
 pub(super) fn reset() {
     state::reset();
     // SAFETY: no scheduler runs, and no task will run again.
@@ -80,6 +80,6 @@ pub(super) fn reset() {
     }
 }
 
-/// The kernel requires this function; this port stops by `leave`.
+/// The kernel requires this function, but this port stops in `leave`.
 #[unsafe(no_mangle)]
 extern "C" fn vPortEndScheduler() {}

@@ -12,10 +12,10 @@ pub(super) type Action = extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::uco
 /// The number of the tick among the interrupts.
 const TICK: u32 = 63;
 
-/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. Both are in
-/// one word, so that a thread that sets the bit knows to which core it belongs.
+/// The number of the thread to signal (zero while no scheduler runs), and [`SIGNALLED`]. Both are
+/// in one word, so that one access sets the bit and reads the thread's number.
 static CORE: AtomicU64 = AtomicU64::new(0);
-/// Set while a signal to that thread is under way, or `PENDING` was not read since it arrived.
+/// Set while a signal to that thread is under way, and until `PENDING` is read after its arrival.
 const SIGNALLED: u64 = 1 << 32;
 
 /// Whether the signal has arrived and `PENDING` was not read since. Only the core's thread uses it.
@@ -42,7 +42,7 @@ pub(super) fn send() {
         let sent =
             unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), thread, raise_signal()) };
         if sent != 0 {
-            // Clear the bit, so that the next call tries again, unless the core has changed.
+            // Clear the bit unless another thread is the core now; the next call then tries again.
             let _ =
                 CORE.compare_exchange(core | SIGNALLED, core, Ordering::Release, Ordering::Relaxed);
         }
@@ -75,7 +75,7 @@ pub(super) fn arrived(signal: i32) {
 /// Called before the core reads `PENDING`: later interrupts send a signal again. It is not called
 /// earlier, so that no signals pile up on the stack while interrupts are masked.
 pub(super) fn acknowledge() {
-    // Allow one signal at a time: a signal still under way would add a frame to the next one's.
+    // Allow one signal at a time: a signal still under way would add a frame to that of the next.
     if ARRIVED.load(Ordering::Relaxed) {
         ARRIVED.store(false, Ordering::Relaxed);
         // AcqRel pairs with the exchange in `send`.
@@ -97,7 +97,7 @@ pub(super) fn block(on: bool) {
         libc::SIG_UNBLOCK
     };
     let mut signals = MaybeUninit::<libc::sigset_t>::uninit();
-    // SAFETY: the set is a valid place; async-signal-safe.
+    // SAFETY: the set is a valid variable; async-signal-safe.
     unsafe {
         libc::sigemptyset(signals.as_mut_ptr());
         libc::sigaddset(signals.as_mut_ptr(), raise_signal());
@@ -112,8 +112,8 @@ pub(super) fn begin(handler: Action) -> Result<(), i32> {
     // Set this before the first signal can arrive. Interrupts are masked until the first task runs.
     state::set_on_core(true);
     set_up(handler).inspect_err(|_| state::set_on_core(false))?;
-    // AcqRel pairs with the exchange in `send`: the first task always reads `PENDING` and sees a
-    // bit that was set before; a bit that is set later sends a signal.
+    // AcqRel pairs with the exchange in `send`. The first task always reads `PENDING` and sees a
+    // bit that was set before; a thread that sets a bit later sends a signal.
     CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
     Ok(())
 }
@@ -121,7 +121,7 @@ pub(super) fn begin(handler: Action) -> Result<(), i32> {
 /// Sets `handler` for both signals, on this thread.
 fn set_up(handler: Action) -> Result<(), i32> {
     let mut unblocked = MaybeUninit::<libc::sigset_t>::uninit();
-    // SAFETY: the set and the actions are valid places; the handler is async-signal-safe: it
+    // SAFETY: the set and the actions are valid variables; the handler is async-signal-safe: it
     // touches atomics, the core's own state, and the stacks of tasks.
     unsafe {
         libc::sigemptyset(unblocked.as_mut_ptr());
@@ -145,7 +145,7 @@ fn set_up(handler: Action) -> Result<(), i32> {
 
 /// Ends the core on this thread. The handler remains set and ignores signals still under way.
 pub(super) fn end() {
-    // Release pairs with the Acquire of a raising thread: the core has finished everything before.
+    // Release pairs with the Acquire of a raising thread, which then sees all that the core did.
     CORE.store(0, Ordering::Release);
     state::set_on_core(false);
 }

@@ -23,7 +23,7 @@ pub(super) fn page() -> usize {
     unsafe { libc::getauxval(libc::AT_PAGESZ) as usize }
 }
 
-/// Returns the bytes of a stack with room for `bytes`, and those of its mapping with the guard.
+/// Returns the sizes of a stack with room for `bytes` and of its mapping with the guard, in bytes.
 fn sizes(bytes: usize, page: usize) -> Option<(usize, usize)> {
     let stack = bytes.max(MIN_BYTES).checked_next_multiple_of(page)?;
     Some((stack, stack.checked_add(page)?))

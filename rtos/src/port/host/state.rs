@@ -5,10 +5,10 @@
 //! and a compiler fence keeps them in order. Other threads access only [`PENDING`].
 //!
 //! The one rule: code that finds `masked` at zero increments it, and then may run interrupts. A
-//! signal that arrives while it is above zero leaves its bit in [`PENDING`] and sets `attention`.
-//! When `masked` returns to zero, `attention` is read *after* that. This read sees any earlier
-//! signal; a later signal finds `masked` at zero and is served at once. So no signal is lost, and
-//! no system call is needed.
+//! signal that arrives while `masked` is above zero leaves its bit in [`PENDING`] and sets
+//! `attention`. After `masked` has returned to zero, `attention` is read. This read sees any
+//! earlier signal; a later signal finds `masked` at zero and is served at once. So no signal is
+//! lost, and no system call is needed.
 
 use core::sync::atomic::Ordering::{Relaxed, SeqCst};
 use core::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, compiler_fence};
@@ -68,8 +68,8 @@ pub(super) fn mask() {
     compiler_fence(SeqCst);
 }
 
-/// Ends one masking. Returns true if interrupts are now unmasked and `attention` is set: the caller
-/// must then serve them.
+/// Ends one level of masking. Returns true if interrupts are now unmasked and `attention` is set:
+/// the caller must then serve them.
 #[must_use]
 pub(super) fn unmask_once() -> bool {
     compiler_fence(SeqCst);

@@ -1,16 +1,16 @@
 //! The switch between two tasks. It saves the registers that a C function must preserve, and the
 //! stack pointer.
 //!
-//! The remaining registers of a pre-empted task, including the vector unit, are in the frame of a
-//! signal; the task continues when the handler returns. A task that yielded called a function,
-//! which need not preserve more than is saved here. No data is below the stack pointer: callers are
-//! functions, and the operating system preserves the red zone of interrupted code.
+//! The remaining registers of a pre-empted task, including those of the vector unit, are in the
+//! frame of a signal; the task continues when the handler returns. A task that yielded called a
+//! function, which must preserve only the registers saved here. No data is below the stack pointer:
+//! callers are functions, and the operating system preserves the red zone of interrupted code.
 
 use core::ffi::c_void;
 
 unsafe extern "C" {
-    /// Saves the caller's context on its stack and the stack pointer at `save`, and continues where
-    /// the context at `resume` was saved.
+    /// Saves the caller's context on its stack and the stack pointer at `save`. Then continues at
+    /// the place where the context at `resume` was saved.
     pub(super) fn tandem_switch(save: *mut *mut usize, resume: *mut usize);
     fn tandem_first();
 }

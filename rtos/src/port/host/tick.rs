@@ -15,7 +15,7 @@ use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64};
 use core::time::Duration;
 
-/// Nanoseconds of a tick.
+/// Length of a tick, ns.
 pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
 
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
@@ -69,7 +69,7 @@ pub(crate) fn tick_origin_ns() -> u64 {
 #[must_use]
 pub fn now_ns() -> u64 {
     let mut now = MaybeUninit::<libc::timespec>::uninit();
-    // SAFETY: writes the time to a valid place; this clock always exists.
+    // SAFETY: writes the time to a valid variable; this clock always exists.
     let now = unsafe {
         libc::clock_gettime(libc::CLOCK_MONOTONIC, now.as_mut_ptr());
         now.assume_init()
@@ -169,7 +169,7 @@ pub(super) fn interrupt() {
     }
 }
 
-/// Advances virtual time by `span_ns`, as the caller's work; ticks interrupt it at their times.
+/// Advances virtual time by `span_ns` of the caller's work, which each tick interrupts when due.
 pub(super) fn consume_virtual(mut span_ns: u64) {
     while span_ns > 0 {
         let now = VIRTUAL_NS.load(Relaxed);
