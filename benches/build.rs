@@ -1,5 +1,5 @@
-//! Builds the only peer that is a C program, FreeRTOS with its own POSIX port. Records commit,
-//! compiler and flags, which a result must name.
+//! Builds the only peer that is a C program, FreeRTOS with its own POSIX port. Records the commit,
+//! the compiler and the flags, because a result must name them.
 
 use std::env;
 use std::error::Error;

@@ -200,7 +200,7 @@ exit
             places = [f"--vty_socket={sockets}", "-z", str(sockets / "zserv"), "-i"]
             zebra = spaces.start(number, "/usr/lib/frr/zebra", *places, str(folder / f"z{number}"))
             time.sleep(1.0)
-            # Real time, as Tandem has it: without, a busy machine makes false alarms.
+            # Real-time priority, like Tandem's: without it, a busy machine causes false alarms.
             daemon = spaces.start(
                 number, "chrt", "-f", "50", "/usr/lib/frr/bfdd", *places, str(folder / f"b{number}"),
                 "-f", str(config), "--bfdctl", str(folder / f"bfdctl{number}"),

@@ -21,7 +21,7 @@ pub enum Comparison {
     Sleep,
     /// 4 bytes one way; both ends share one CPU.
     OneCpu,
-    /// One way by payload, in place: 4 bytes to 16 MiB.
+    /// One way for each payload from 4 bytes to 16 MiB, written and read in place.
     Size,
     /// Messages in a row, as fast as possible.
     Throughput,
@@ -56,8 +56,8 @@ pub struct Candidate {
     pub name: &'static str,
     /// Description for the table.
     pub what: &'static str,
-    /// Rounds of one batch, which takes about 10 to 50 ms: another case runs before the machine's
-    /// state changes.
+    /// Rounds of one batch. It takes only 10 to 50 ms, so that another case runs before the
+    /// machine's state changes.
     pub rounds: usize,
     /// Runs one batch; the CPUs of the plan must fit the group.
     run: Run,

@@ -16,7 +16,7 @@ pub(crate) struct Column {
     pub(crate) title: &'static str,
     /// 0 is always shown, 1 to 4 if the terminal is wide enough, [`PAGE`] only on the page.
     rank: u8,
-    /// Share of the samples that lie beyond this figure; 1 if it is no percentile.
+    /// Share of the samples that lie beyond this figure; 1 if it is not a percentile.
     beyond: f64,
     figure: Figure,
 }

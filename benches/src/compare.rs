@@ -49,7 +49,7 @@ pub(crate) struct Change {
     pub(crate) new_ns: f64,
     /// New over old minus 1: of the ratio to the floor, or of the time where there is no floor.
     pub(crate) change: f64,
-    /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
+    /// Probability of a difference this large by chance, after Holm's correction; 1 for a floor.
     pub(crate) p: f64,
     pub(crate) verdict: Trend,
 }
@@ -78,7 +78,7 @@ pub(crate) struct Comparison {
     pub(crate) slower: Vec<String>,
     /// Cases of Tandem that are faster in the new build.
     pub(crate) faster: Vec<String>,
-    /// Peers that are slower or faster, although their code is the same.
+    /// Peers that are slower or faster although their code has not changed.
     pub(crate) peers_changed: Vec<String>,
     /// The cases that all runs have.
     pub(crate) cases: Vec<Compared>,

@@ -55,7 +55,7 @@ pub(crate) fn futex(plan: &BatchPlan) -> io::Result<Batch> {
     between_processes(plan, futex_ends)
 }
 
-/// The same at a fixed rate.
+/// The time of a futex wake at a fixed rate.
 pub(crate) fn futex_at_rate(plan: &BatchPlan) -> io::Result<Batch> {
     at_fixed_rate(plan, futex_ends)
 }

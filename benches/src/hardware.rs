@@ -171,7 +171,7 @@ fn chosen(text: &str) -> String {
 }
 
 fn scheduling() -> &'static str {
-    // SAFETY: asks for the policy of the calling thread and touches no memory.
+    // SAFETY: reads the policy of the calling thread and touches no memory.
     match unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK {
         libc::SCHED_FIFO => "SCHED_FIFO",
         libc::SCHED_RR => "SCHED_RR",

@@ -177,7 +177,7 @@ impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
     }
 }
 
-/// The near end's note for the duration of a send, in ticks, after the two notes of
+/// Index of the near end's note of the duration of a send, in ticks, after the two notes of
 /// [`count_calls`].
 const SEND_AT: usize = 2;
 /// The number of last sends whose median counts.
@@ -273,7 +273,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
     Ok(batch)
 }
 
-/// Collects the records of both ends of a ping-pong, the sender's own cost and each direction.
+/// Collects the records of both ends of a ping-pong: each direction, and the sender's own cost.
 fn there_and_back(plan: &BatchPlan, shared: &SharedPage) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
@@ -292,8 +292,8 @@ const COUNTED: u32 = 4;
 /// A waiting far end that has run for this long does not go to sleep, ns.
 const STAYS_AWAKE_NS: u64 = 1_000_000;
 
-/// Waits until the process sleeps, or has run for [`STAYS_AWAKE_NS`] and thus polls. Counts the CPU
-/// time of the process, because the machine may keep it from running.
+/// Waits until the process sleeps, or has run for [`STAYS_AWAKE_NS`] and so must be polling. Counts
+/// its CPU time, because the machine may keep the process from running.
 fn let_wait(pid: u32) {
     let read = |name| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap_or_default();
     // proc(5): the state follows the name in brackets; the first number is the time on a CPU, ns.

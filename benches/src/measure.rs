@@ -15,7 +15,7 @@ pub(crate) struct Measurement {
     pub(crate) case: Candidate,
     /// All samples, in picoseconds.
     pub(crate) times: Histogram<u64>,
-    /// All round trips, in picoseconds; empty if the case is no ping-pong.
+    /// All round trips, in picoseconds; empty if the case is not a ping-pong.
     pub(crate) round_trips: Histogram<u64>,
     /// All latencies from when a message left; empty if messages were not due at fixed times.
     pub(crate) naive: Histogram<u64>,
@@ -70,12 +70,12 @@ pub(crate) struct Span {
     pub(crate) at_least: Duration,
     /// Turns continue at least until each case has had this number of turns.
     pub(crate) turns: usize,
-    /// Turns end after this time in any case, once each case has had one.
+    /// The last turn is cut short after this time, once each case has had a turn.
     pub(crate) at_most: Duration,
 }
 
 impl Span {
-    /// `tandem bench --seconds`: at least a turn of all cases.
+    /// `tandem bench --seconds`: at least one turn of each case.
     pub(crate) fn of_seconds(seconds: u16) -> Self {
         let at_least = Duration::from_secs(seconds.into());
         Self {
@@ -91,7 +91,7 @@ impl Span {
     }
 }
 
-/// `tandem bench --quick`: under 40 seconds in all cases.
+/// `tandem bench --quick`: always under 40 seconds.
 pub(crate) const QUICK: Span = Span {
     at_least: Duration::from_secs(28),
     turns: 3,

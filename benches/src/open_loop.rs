@@ -1,6 +1,6 @@
 //! Messages at a fixed rate: an *open loop*, which no stall of the machine slows down. Message `k`
 //! is due at `begin + k * period`, and its latency counts from that time; `naive` counts from when
-//! it left. A ping-pong measures only the latter: G. Tene calls this error *coordinated omission*
+//! it left. A ping-pong measures only the latter. G. Tene calls this error *coordinated omission*
 //! ("How NOT to measure latency", 2013): docs/performance.md.
 //!
 //! A newer message may overtake an older one (a signal, a newest value): a message counts as
@@ -91,8 +91,8 @@ fn latencies([begin, period]: [u32; 2], left: &[u32], arrived: &[u32]) -> [Vec<u
 mod tests {
     use super::*;
 
-    /// Due at -100, 0, 100, 200 (the clock wraps); each takes 7 from when it leaves. A sender that
-    /// stalls until 195 sends all overdue messages at once: only the true latencies show it.
+    /// Due at -100, 0, 100, 200 (the clock wraps); each arrives 7 after it leaves. A sender that
+    /// stalls until 195 sends all overdue messages at once: only the true latencies show this.
     #[test]
     fn a_stall_counts_for_every_message_that_was_due_in_it() {
         const BEGIN: u32 = u32::MAX - 99;

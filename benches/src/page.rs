@@ -165,7 +165,7 @@ fn percentile_label(nines: f64) -> String {
 
 /// Returns a round time: `200 ns`, `10 µs`.
 fn time_label(power: f64) -> String {
-    // A power of ten may come out a little too small.
+    // The computed power of ten may be slightly too small.
     let (value, unit) = format::scaled(10_f64.powf(power) * (1.0 + 1e-9));
     format!("{} {unit}", tandem_page::chart::plain(value))
 }

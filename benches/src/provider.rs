@@ -43,7 +43,7 @@ impl Provider {
     pub(crate) fn of(row: &Row) -> Self {
         let begins = |names: &[&str]| names.iter().any(|name| row.case().starts_with(name));
         match row.case() {
-            // Some cases have their own floor, those of `rtos` also a peer: `tick-posix-port`.
+            // Some cases have their own floor; those of `rtos` also have a peer: `tick-posix-port`.
             case if case == "floor" || case.ends_with("-floor") => Self::Floor,
             case if case.ends_with("-posix-port") || begins(&SYSTEM) => Self::System,
             _ if begins(&THREADS) => Self::Threads,

@@ -48,8 +48,8 @@ fn pour(
     role.end();
 }
 
-/// Receives all messages of the plan; when a source is empty, polls the next one. A single place
-/// receives, so that the compiler inlines it: a call took as long as a message.
+/// Receives all messages of the plan; when a source is empty, polls the next one. Only one place
+/// receives, so that the compiler inlines the call, which took as long as a message.
 fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     plan: &BatchPlan,
     chunk: usize,

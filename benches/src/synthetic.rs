@@ -3,7 +3,7 @@
 use crate::hardware::Machine;
 use crate::result::{Results, Row, SCHEMA};
 
-/// Returns a row with this median; the tail rises by a half per nine.
+/// Returns a row with this median; each further nine of a percentile adds half the median.
 pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
     let group = name.split('/').next().unwrap_or(name);
     let at = |nines: f64| (p50_ns * (1.0 + 0.5 * (nines - 0.3)) * 10.0).round() / 10.0;

@@ -112,7 +112,7 @@ fn run(case: &Candidate) {
         assert!(range.contains(&value), "{name}: {fact} is {value}");
     }
     for (_, waiting, awake) in CALLS.into_iter().filter(|(case, ..)| *case == name) {
-        // Some kernels cannot count system calls.
+        // Not every kernel can count system calls.
         if let Some(calls) = facts.get("syscalls per send") {
             assert!(waiting.contains(calls), "{name}: {calls} calls to wake");
             assert_eq!(facts.get("syscalls per send to one awake"), Some(&awake));
@@ -178,7 +178,7 @@ impl Exclusion for Absent {
     fn inside(&mut self, _stay: impl FnOnce()) {}
 }
 
-/// The guarded word shows that a lock does not work.
+/// The guarded word reveals a lock that does not work.
 fn stays_that_get_lost_are_noticed() {
     let plan = BatchPlan {
         rounds: 100,

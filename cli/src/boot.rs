@@ -24,13 +24,13 @@ pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// Name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
-/// An application on trial approves its image when it has had a role for this long.
+/// Interval at which an application on trial checks whether it has a role. It then approves itself.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes receive them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgramFlashes {
-    /// By [`SystemId::index`].
+    /// One file for each system, by [`SystemId::index`].
     pub files: [PathBuf; 2],
     /// The public key that the bootloaders trust.
     public: [u8; 32],
@@ -88,7 +88,7 @@ impl ProgramFlashes {
         Ok(records(CONTROLLER, &[&image]))
     }
 
-    /// Waits until the application has had a role for long enough, then approves its image. U-3
+    /// Polls once a second until the application has a role, then approves its image. U-3
     fn approve_in_time(&self, backplane: Backplane, system: SystemId) -> anyhow::Result<()> {
         let has_role = || {
             let role = backplane.role(system);
@@ -222,7 +222,7 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     Ok(program)
 }
 
-/// Spawns a thread that approves the running image after it has had a role for long enough.
+/// Spawns a thread that approves the running image when the application has a role.
 ///
 /// # Errors
 /// If the thread cannot be started.

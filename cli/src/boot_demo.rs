@@ -34,7 +34,7 @@ pub struct Downloaded {
     pub records: usize,
     /// Time from the ignition to the acknowledgement of the last record, ms on the board's clock.
     pub download_ms: f64,
-    /// By [`CoreId::index`].
+    /// The first frame of each core, by [`CoreId::index`].
     pub frames: [FirstFrame; CoreId::COUNT],
 }
 

@@ -18,12 +18,12 @@ const STACK_BYTES: usize = 64 << 10;
 /// Number of times the doorbell's thread has merged several rings into one.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
-/// Sleep time of the thread that watches this CPU for stalls. It is two ticks of core 0: the timer
-/// that core 0 postpones is then never the CPU's next timer, which the kernel would have to
-/// reprogram at each tick.
+/// Sleep time of the thread that watches this CPU for stalls. It is two ticks of core 0, so the
+/// timer that core 0 postpones is never the next timer of the CPU. If it were the next one, the
+/// kernel would have to reprogram the hardware at each tick.
 pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
-/// Postpones the end of that sleep at each tick from now on. Only the first call has an effect.
+/// Makes each tick postpone the end of that sleep from now on. Only the first call has an effect.
 pub(crate) fn postpone_at_ticks(alarm: Alarm) {
     static ALARM: OnceLock<Alarm> = OnceLock::new();
     if ALARM.set(alarm).is_ok() {
@@ -56,11 +56,11 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
 /// Raises the core's interrupt when its doorbell rings, at most once in
 /// [`DOORBELL_DISTANCE`](tandem_cores::doorbell::DOORBELL_DISTANCE).
 ///
-/// This thread has a higher priority than the core. If a ring follows the last one too early, the
-/// thread sleeps until the distance has passed, so a doorbell that rings without pause cannot take
-/// the CPU from the core. Rings in that time are merged into one.
+/// This thread has a higher priority than the core. If a ring follows the previous one too early,
+/// the thread sleeps until the distance has passed, so a doorbell that rings without a pause cannot
+/// take the CPU from the core. Rings in that time are merged into one.
 fn listen(board: &HostBoard, grant: Grant) -> ! {
-    // A higher priority than the core, because this thread interrupts it. The CPU is inherited.
+    // This thread interrupts the core, so it needs a higher priority. It inherits its CPU.
     let _ = realtime::claim(Claim {
         priority: grant.fifo.map(|priority| priority.saturating_add(1)),
         cpu: None,

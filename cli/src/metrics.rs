@@ -12,7 +12,7 @@ use tandem_vehicle::Ruling;
 use crate::percentiles::Spans;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
-/// Value of [`Metrics::schema`], by which a report folder is recognised.
+/// Value of [`Metrics::schema`]. It identifies a folder as a report.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
 /// Jerk is the change of acceleration over this span, s. A shorter span adds quantisation noise.
 const JERK_SPAN_S: f64 = 0.1;
@@ -35,7 +35,7 @@ pub struct Surroundings {
 /// Contents of `metrics.json`. Scripts rely on the names.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
-    /// [`SCHEMA`]
+    /// Always [`SCHEMA`].
     pub(crate) schema: String,
     /// Name of the scenario.
     pub(crate) scenario: String,
@@ -102,7 +102,7 @@ pub struct Metrics {
     pub(crate) gap_bound_ms: Option<f64>,
     /// Time between the ends of the start protocol in both systems, µs, if they left it together.
     pub(crate) start_skew_us: Option<f64>,
-    /// Number of control cycles that a core reported as late.
+    /// Number of control cycles that a core reported as missed.
     pub(crate) deadline_misses: u64,
     /// Number, duration and punctuality of the jobs of each task of each core.
     pub(crate) tasks: Vec<TaskMetrics>,

@@ -1,4 +1,4 @@
-//! The folder of a report. It is replaced as a whole, and only if it contains just a report.
+//! The folder of a report. It is replaced as a whole, and only if it contains only a report.
 
 use std::fs;
 use std::io;
@@ -78,14 +78,14 @@ impl ReportFolder {
         &self.path
     }
 
-    /// Creates a temporary folder in the same parent, to be filled and passed to `put`.
+    /// Creates a temporary folder in the same parent. The caller fills it and passes it to `put`.
     ///
     /// # Errors
     /// If the temporary folder cannot be created.
     pub fn stage(&self) -> anyhow::Result<TempDir> {
         tempfile::Builder::new()
             .prefix(".tandem-report-")
-            // Use the mode of an ordinary new folder: the umask applies.
+            // Request the mode of an ordinary new folder. The umask restricts it.
             .permissions(fs::Permissions::from_mode(0o777))
             .tempdir_in(&self.parent)
             .with_context(|| format!("cannot write in {}", self.parent.display()))
@@ -96,7 +96,7 @@ impl ReportFolder {
     /// # Errors
     /// If the old folder is no longer a report, or cannot be replaced.
     pub fn put(&self, stage: TempDir) -> anyhow::Result<()> {
-        // Another run may write its report here at the same time. The later one then replaces it.
+        // Another run may write its report here at the same time. The later report then remains.
         for _ in 0..10 {
             if self.path.exists() {
                 check_replaceable(&self.path)?;
@@ -111,7 +111,7 @@ impl ReportFolder {
             }
             match fs::rename(stage.path(), &self.path) {
                 Ok(()) => {
-                    // The folder has been moved, so its guard must not delete it.
+                    // The folder has been moved, so `TempDir` must not delete it.
                     let _ = stage.keep();
                     return Ok(());
                 }

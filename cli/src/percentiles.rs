@@ -35,7 +35,7 @@ impl Spans {
     }
 
     /// Returns the points of the curve over percentiles: (1 / (1 − p), ms). The last point is the
-    /// maximum, drawn at the percentile of one span among all.
+    /// maximum. Its percentile is that of one span among all spans.
     pub fn curve(&self) -> Vec<(f64, f64)> {
         if self.count() == 0 {
             return Vec::new();

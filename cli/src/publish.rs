@@ -1,9 +1,9 @@
 //! Publishes a run. A thread of `tandem run` reads the recording as it grows, and a separate
 //! process publishes the entries.
 //!
-//! The run does not depend on either. The thread never waits: entries that do not fit into the
-//! socket are lost. The process shares `/dev/shm` with observers, so it starts before the run gets
-//! its own.
+//! The run does not depend on the thread or the process. The thread never waits: entries that do
+//! not fit into the socket are lost. The process shares `/dev/shm` with observers, so it starts
+//! before the run gets a `/dev/shm` of its own.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -64,8 +64,8 @@ pub(crate) struct Publishing {
 }
 
 impl Publishing {
-    /// Starts the publisher before the run gets its own `/dev/shm`. Returns `None` if it does not
-    /// start; the run is then not published.
+    /// Starts the publisher before the run gets its own `/dev/shm`. Returns `None` if the publisher
+    /// does not start. The run is then not published.
     pub(crate) fn prepare() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
         to.set_nonblocking(true).ok()?;
@@ -113,7 +113,7 @@ impl Publishing {
         }
         let begin = Instant::now();
         while matches!(self.process.try_wait(), Ok(None)) {
-            // An empty message means the end. It cannot be sent if the socket is full.
+            // An empty message ends the publisher. It cannot be sent if the socket is full.
             let _ = self.to.send(&[]);
             if begin.elapsed() > ENDS_WITHIN {
                 let _ = self.process.kill();
@@ -148,7 +148,7 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
     }
 }
 
-/// Runs the publisher's process: publishes the entries from `tandem run` until it ends.
+/// Runs the publisher's process: publishes the entries from `tandem run` until the run ends.
 ///
 /// # Errors
 /// If `tandem run` did not start this process, or iceoryx2 fails.

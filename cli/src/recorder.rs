@@ -16,8 +16,8 @@ use tandem_record::file::TRACE_BYTES;
 use crate::files::RunFiles;
 use crate::live::Live;
 
-/// The recording is in shared memory. After this many bytes of trace records, the events of the
-/// schedulers are omitted. A run reaches it after about six minutes.
+/// The recording is in shared memory. When its trace records reach this size, further events of the
+/// schedulers are omitted. A run reaches the limit after about six minutes.
 const TRACE_LIMIT_BYTES: u64 = 64 << 20;
 
 /// Returns the largest size of the trace records in a recording, bytes: at most half of the free
@@ -40,7 +40,7 @@ pub struct Recorder {
     batch: Batch,
     /// Bytes of trace records in the recording.
     trace_bytes: u64,
-    /// The largest such number. Records that the analysis needs are also written beyond it.
+    /// The limit of `trace_bytes`. Records that the analysis needs are written even beyond it.
     trace_limit_bytes: u64,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
@@ -75,7 +75,7 @@ impl Recorder {
         self.batch.entries.push(entry.into());
     }
 
-    /// Adds a record of a core's trace. Returns `false` if the recording has no room for it.
+    /// Adds a record of a core's trace. Returns `false` if the recording omits this record.
     pub fn trace(&mut self, traced: Traced) -> bool {
         let is_full = self.trace_bytes >= self.trace_limit_bytes;
         if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {

@@ -125,8 +125,8 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// Like [`run`], with a controller on another board. `drive` drives it, and returns a line about
-/// its time. That time is virtual, so timers are never late.
+/// Like [`run`], with a controller on another board. `drive` runs the controller, and returns a
+/// line about its time. That time is virtual, so timers are never late.
 ///
 /// # Errors
 /// Returns the [`Failure`] whose exit status the command documents.
@@ -209,7 +209,7 @@ pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
 }
 
 impl Surroundings {
-    /// Adds the facts that are known after a run of processes.
+    /// Adds the facts that are known only after a run of processes.
     fn after(self, machine: Seen, left: &Leftovers) -> Self {
         Self {
             beside: Beside {

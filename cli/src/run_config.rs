@@ -65,7 +65,7 @@ pub struct RunConfig {
     pub update: Option<UpdateFiles>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
-    /// The CPU of each core, in the order A0, A1, … B2; empty on other boards.
+    /// The CPU of each core, in the order A0, A1, … B2; empty if the cores are not processes.
     pub cpus: Vec<usize>,
     /// Timers of the threads that watch for stalls. Each core 0 postpones the timer of its CPU.
     pub stall_timers: Vec<StallTimer>,

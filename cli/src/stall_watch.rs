@@ -61,7 +61,7 @@ pub struct StallWatch {
 struct Watcher {
     cpu: usize,
     alarm: Arc<Alarm>,
-    /// Its granted real-time priority, if any.
+    /// The real-time priority that the thread was granted, if any.
     fifo: Option<u8>,
     thread: JoinHandle<Vec<Stall>>,
 }
@@ -93,7 +93,7 @@ impl StallWatch {
     }
 
     /// Returns the timers that each core 0 may postpone, for processes that are started from now
-    /// on. A thread without priority over core 0 has none: after a stall core 0 would run first.
+    /// on. A thread without priority over core 0 has none, because core 0 would run before it.
     pub(crate) fn timers(&self) -> Vec<StallTimer> {
         let urgent = self.threads.iter().filter(|watcher| watcher.fifo.is_some());
         urgent
@@ -111,7 +111,7 @@ impl StallWatch {
         let priorities = self.threads.iter().map(|watcher| watcher.fifo);
         let least = priorities.min().flatten();
         for Watcher { alarm, thread, .. } in self.threads {
-            // Repeat, because a core 0 that still runs may postpone the timer again.
+            // Repeat this, because a core 0 that still runs may postpone the timer again.
             while !thread.is_finished() {
                 alarm.postpone(Duration::ZERO);
                 clock::sleep_until(clock::now() + FINE_PERIOD);
@@ -139,7 +139,7 @@ impl StallWatch {
     }
 }
 
-/// Blocks for `span`; returns the longest stall of these CPUs, or [`LATE`] if there was none.
+/// Blocks for `span`. Returns the longest stall of these CPUs, or [`LATE`] if there was none.
 pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
     let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
@@ -208,7 +208,7 @@ fn look(
         if over.load(Ordering::Relaxed) {
             return stalls;
         }
-        // A stop of this process is not a stall: remove one recorded just before the signal.
+        // A stop of this process is not a stall. Remove a stall recorded just before the signal.
         if continued.read(&mut [0; 16]).is_ok() {
             let since_ns = clock::now()
                 .as_ns()

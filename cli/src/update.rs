@@ -11,9 +11,9 @@ use tandem_boot_host::{FileSender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
-/// How long the roles must be stable before an update begins. A system that was just updated has
-/// then approved its image: it approves one to two seconds after it has a role, and dual operation
-/// resumes only after two seconds.
+/// How long the roles must be stable before an update begins. By then a system that was just
+/// updated has approved its image: it does so within a second after it has a role, and dual
+/// operation resumes only after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
 /// Frames of a download per millisecond on a bus of 500 kbit/s.
 const FRAMES_PER_MS: usize = 3;
@@ -24,10 +24,10 @@ const WINDOW: u8 = 8;
 pub(crate) struct Update {
     /// The file for the results.
     ended: PathBuf,
-    /// The records for each system. They are taken when its update begins.
+    /// The records for each system. They are removed from here when its update begins.
     lines: [Option<Vec<String>>; 2],
     under_way: Option<(SystemId, FileSender)>,
-    /// Time since which each system could be updated.
+    /// The time since which each system has been ready for an update.
     ready_since: [Option<Instant>; 2],
 }
 
@@ -89,8 +89,8 @@ impl Update {
         }
     }
 
-    /// Begins an update if one is due: first that of the standby; then, in dual operation with the
-    /// updated system, that of the master, which hands over when it receives the request.
+    /// Begins an update if one is due: first that of the standby, then that of the master, after
+    /// dual operation has resumed. The master hands over when it receives the request.
     fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
             let peer = system.peer();

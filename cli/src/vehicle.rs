@@ -25,7 +25,7 @@ const ROAD_TICKS: u64 = 5_000;
 const HAND_OVER_TICKS: u64 = 100;
 /// A period that begins later than this counts as delayed, ns.
 const HELD_UP_NS: u64 = 2_000_000;
-/// The run ends if no control frame was accepted within this many ticks of 1 ms.
+/// The run ends if no control frame was accepted within this number of ticks of 1 ms.
 const GIVE_UP_TICKS: u64 = 15_000;
 
 /// Drives the scenario to its end.
@@ -35,7 +35,7 @@ const GIVE_UP_TICKS: u64 = 15_000;
 pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
-    // Start the recorder first: its thread must not inherit this thread's priority.
+    // Start the recorder first, because its thread must not inherit this thread's priority.
     let _ = args.claim();
     let mut port =
         HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
@@ -192,11 +192,11 @@ where
         }
     }
 
-    /// Records a delay of the bus if this period begins late. No frame moved in that time.
+    /// Records a delay of the bus if this period or frame was late. No frame moved in that time.
     fn note_lateness(&mut self, due_ns: u64) {
         let to_ns = self.port.now().as_ns();
         let from_ns = due_ns.max(self.held_up_ns);
-        // Periods without a pause between them, which catch up, belong to the same delay.
+        // Late periods that follow without a pause are part of the same delay.
         if to_ns.saturating_sub(from_ns) > HELD_UP_NS {
             self.held_up_ns = to_ns;
             self.recorder
@@ -342,8 +342,8 @@ where
         self.port.set_ignition(false);
         self.drain_traces();
         if ended == DriveEnd::Stopped {
-            // The drive ends here, not at its last regular sample: even one accepted control frame
-            // counts as a drive.
+            // The drive ends here, not at its last regular sample, because even one accepted
+            // control frame counts as a drive.
             self.note_start(at_ns);
             if self.running {
                 let last = self.state(at_ns, self.world.snapshot());

@@ -84,17 +84,17 @@ fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
 }
 
 /// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other system drives, and approves its
-/// new image: first the standby, then the master, which hands over.
+/// new image. The standby is updated first, and then the master, which hands over.
 #[test]
 fn both_systems_are_updated_while_they_drive() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = tandem();
     command
         .args(["run", "--scenario", "free-lane", "--reintegrate", "--quiet"])
-        // As long as the test waits, because a stalled machine delays dual operation.
+        // The run lasts as long as the test waits: a stalled machine delays dual operation.
         .args(["--duration", &WATCHDOG.as_secs().to_string()])
         .args(["--update", "2", "--program-flash"])
-        // A folder that does not exist yet.
+        // This folder does not exist yet.
         .arg(folder.path().join("flash"))
         .arg("--out")
         .arg(folder.path().join("report"))
@@ -106,7 +106,7 @@ fn both_systems_are_updated_while_they_drive() {
         let flash = folder.path().join(format!("flash/{system}.pflash"));
         boots(&flash) == Some((Some(Slot::B), 2, false))
     };
-    // From then on the files of the flashes are complete.
+    // The files of the flashes are complete when core 0 of A has started.
     run.until("core 0 of A starts", || core_0("A", launcher));
     // The standby is updated first. On a busy machine either system may be the standby.
     let first = run.until("the standby approves its image", || {

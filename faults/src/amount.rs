@@ -4,7 +4,7 @@ use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 use std::fmt;
 use tandem_board::{CoreId, Duration};
 
-/// A number from `LEAST` to `MOST`: the key `amount`.
+/// A number from `LEAST` to `MOST`, the value of the key `amount`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Amount<const LEAST: i32, const MOST: i32> {
     amount: i32,
@@ -52,13 +52,13 @@ impl<const LEAST: i32, const MOST: i32> Amount<LEAST, MOST> {
         self.amount
     }
 
-    /// Returns this many milliseconds.
+    /// Returns a duration of this number of milliseconds.
     #[must_use]
     pub const fn ms(self) -> Duration {
         Duration::from_ms(self.amount.unsigned_abs() as u64)
     }
 
-    /// Returns this many microseconds.
+    /// Returns a duration of this number of microseconds.
     #[must_use]
     pub const fn us(self) -> Duration {
         Duration::from_us(self.amount.unsigned_abs() as u64)

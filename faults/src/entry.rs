@@ -8,7 +8,7 @@ use std::fmt;
 use tandem_board::{Duration, Edge, Line, SystemId};
 use tandem_peripherals::network::{BusFault, Wire};
 
-/// The direction in which a wire fails. For a fault of a system it names that system.
+/// The direction in which a wire fails, or the system in which a fault occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Way {
@@ -30,14 +30,14 @@ impl From<SystemId> for Way {
 }
 
 impl Way {
-    /// Returns the one system, or both.
+    /// Returns this one system, or both systems.
     pub fn systems(self) -> impl Iterator<Item = SystemId> {
         let of = move |system: &SystemId| self == Self::Both || self == Self::from(*system);
         SystemId::ALL.into_iter().filter(of)
     }
 }
 
-/// Something that fails at a given time, and for how long. An entry of a fault file.
+/// One fault: what fails, when it fails, and for how long. It is one entry of a fault file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub struct Fault {
@@ -50,7 +50,7 @@ pub struct Fault {
     /// When it begins, counted from the start of the faults.
     #[serde(rename = "at-ms", with = "ms")]
     pub at: Duration,
-    /// How long it lasts, unless the kind determines this; `None`: until everything is restored.
+    /// How long it lasts, unless the kind determines this. `None`: until everything is restored.
     #[serde(rename = "lasts-ms", with = "ms_or_none")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lasts: Option<Duration>,
@@ -69,7 +69,7 @@ impl fmt::Display for Fault {
 /// One change of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// A fault of this system begins (`true`) or ends. The kind is not composed of other kinds.
+    /// A fault of this system begins (`true`) or ends. Composite kinds such as `Flap` do not occur.
     Fault(Kind, SystemId, bool),
     /// An edge of this system's line arrives at its peer. The system has not sent it.
     Edge(SystemId, Line, Edge),
@@ -136,7 +136,7 @@ impl BusFaults {
 }
 
 /// Returns the changes that these faults cause, in order, each with its time since the faults
-/// began. At `end` everything is restored. `driver`: the system that the faults call A.
+/// began. At `end` everything is restored. `driver` is the system that the faults call A.
 #[must_use]
 pub fn effects(faults: &[Fault], end: Duration, driver: SystemId) -> Vec<(Duration, Effect)> {
     let mut changes = Vec::new();
@@ -195,8 +195,8 @@ impl Fault {
     }
 }
 
-/// A loose contact: an edge line has an edge each time the contact opens or closes, a level line
-/// falls, and any other wire is cut while the contact is open.
+/// Adds the changes of a loose contact. While it is open, the level line is low and any other wire
+/// is cut. An edge line also has an edge each time the contact opens or closes.
 fn flap(
     wire: Wire,
     of: SystemId,

@@ -76,7 +76,7 @@ fn keys(kind: Kind) -> String {
 }
 
 impl Sequence {
-    /// Returns the faults of a file; `number` is the seed of everything that the machine draws.
+    /// Returns the faults of a file. `number` is the seed of all random numbers of the machine.
     ///
     /// # Errors
     /// If the text is not TOML, or has an unknown word or a value out of range. The message names

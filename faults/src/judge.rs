@@ -6,7 +6,7 @@ use tandem_record::verdict::{Finding, Rule};
 use tandem_vehicle::gate::Acceptance;
 use tandem_vehicle::mastership::Mastership;
 
-/// Changes of the driver that one fault explains: to the other system, and later back.
+/// The number of changes of the driver that one fault explains: to the other system and back.
 const CHANGES_OF_A_FAULT: usize = 2;
 
 /// What a campaign observed during a sequence of faults.
@@ -14,11 +14,11 @@ const CHANGES_OF_A_FAULT: usize = 2;
 pub struct Observed<'e> {
     /// The faults.
     pub faults: &'e [Fault],
-    /// The control frames that acted, in order.
+    /// The control frames that took effect, in order.
     pub acted: &'e [Acceptance],
-    /// Changes of the driver that only the faults can explain.
+    /// The number of changes of the driver that only the faults can explain.
     pub changes: usize,
-    /// Collisions that the vehicle caused.
+    /// The number of collisions that the vehicle caused.
     pub collisions: usize,
 }
 
@@ -36,7 +36,7 @@ impl Observed<'_> {
         };
         let old_terms = self.acted.windows(2).filter(is_old).count();
         let most_changes = CHANGES_OF_A_FAULT * self.faults.len() + 1;
-        // Two faults may together end a mastership that neither would end alone.
+        // Two faults together may end a mastership that neither fault alone would end.
         let spared = matches!(self.faults, [one] if one.spares_the_master());
         let needless = if spared { self.changes } else { 0 };
         let figures = [
@@ -58,7 +58,7 @@ impl Observed<'_> {
     }
 }
 
-/// Why these faults are known to break this rule (`docs/redundancy.md`); `None` if they must not.
+/// Returns why these faults may break this rule (`docs/redundancy.md`); `None` if they must not.
 #[must_use]
 pub fn known(sequence: &Sequence, rule: Rule) -> Option<&'static str> {
     (rule == Rule::Changes && sequence.spoils_frames_of_both())

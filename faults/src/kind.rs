@@ -1,7 +1,7 @@
 //! The kinds of faults, and their properties.
 //!
-//! A variant of [`Kind`] is a kind of the file: its name is the value of `what`, its fields are
-//! further keys.
+//! Each variant of [`Kind`] is a kind of fault in a fault file. Its name is the value of `what`,
+//! and its fields are further keys.
 
 use crate::amount::{Amount, Given, just};
 use crate::loss::Loss;
@@ -117,13 +117,13 @@ pub enum Scope {
 /// The properties of a kind.
 #[derive(Clone, Copy, Debug)]
 pub struct Facts {
-    /// The boards on which it can be injected.
+    /// The boards on which the fault can be injected.
     pub sites: &'static [Site],
-    /// The part in which it occurs.
+    /// The part in which the fault occurs.
     pub scope: Scope,
-    /// When it ends.
+    /// When the fault ends.
     pub ends: Ends,
-    /// How the vehicle loses its master, if it hits the master.
+    /// How the vehicle loses its master if the fault hits the master.
     pub loss: Loss,
 }
 
@@ -145,7 +145,7 @@ const RUN: &[Site] = &[Site::Processes];
 const SIM: &[Site] = &[Site::Simulator];
 
 impl Kind {
-    /// Returns its properties.
+    /// Returns the properties of this kind.
     #[must_use]
     pub const fn facts(self) -> Facts {
         use Ends::{After, AsGiven, AtOnce};
@@ -160,11 +160,11 @@ impl Kind {
             Self::LevelGlitch(amount) => row(SIM_RUN, Scope::Wire, After(amount.us()), Loss::None),
             Self::StrayBeats(_) => row(EVERY, Scope::Wire, AtOnce, Loss::None),
             Self::StraySync => row(EVERY, Scope::Wire, AtOnce, Loss::None),
-            // The master reads back what the vehicle obeys, and then stops sending.
+            // The vehicle's echo shows the master that it is not obeyed. The master stops sending.
             Self::Mute => row(EVERY, System, AsGiven, Mute),
             Self::LosesSent(_) => row(EVERY, System, AsGiven, Mute),
             Self::Late(_) => row(EVERY, System, AsGiven, Mute),
-            // Its frames continue. If it is suspended, its level falls.
+            // A deaf master continues to send. If it is suspended, its power level falls.
             Self::Deaf => row(EVERY, System, AsGiven, Power),
             Self::LosesHeard(_) => row(EVERY, System, AsGiven, Power),
             Self::PowerLoss => row(EVERY, System, AsGiven, Power),
@@ -174,10 +174,10 @@ impl Kind {
             Self::ResetByTrap => row(EVERY, System, AtOnce, Power),
             // The level is high until the watchdog resets the system.
             Self::Hang(amount) => row(SIM_RUN, System, After(amount.ms()), Silence),
-            // An emulated machine can stop core 0 alone.
+            // Of its cores, an emulated machine can stop only core 0.
             Self::CoreDies(CORE_0) => row(EVERY, System, AtOnce, Silence),
             Self::CoreHangs(CORE_0) => row(EVERY, System, AsGiven, Silence),
-            // Core 0 detects this, and resets its system.
+            // Core 0 detects that core 1 or 2 has stopped, and resets its system.
             Self::CoreDies(_) => row(SIM_RUN, System, AtOnce, Power),
             Self::CoreHangs(_) => row(SIM_RUN, System, AsGiven, Power),
             Self::SupplyHangs(amount) => row(RUN, System, After(amount.ms()), Loss::None),
@@ -187,7 +187,7 @@ impl Kind {
             Self::Scribble => row(EVERY, System, AtOnce, Silence),
             Self::Slow(_) => row(SIM, System, AsGiven, Silence),
             Self::Clock(amount) => row(SIM, System, AsGiven, Loss::of_clock(amount.get())),
-            // Its timers stop, or its own clock reports a stall.
+            // The timers of the system stop, or its own clock shows a stall.
             Self::ClockJumps(_) => row(SIM, System, AtOnce, Silence),
             Self::WrongResults => row(SIM, System, AsGiven, Mute),
             Self::FlashHangs => row(SIM, System, AsGiven, Loss::None),
@@ -197,7 +197,7 @@ impl Kind {
         }
     }
 
-    /// Returns the number in the file, with its range and unit.
+    /// Returns the value of the key `amount`, with its range and unit; `None` without this key.
     #[must_use]
     pub const fn amount(self) -> Option<Given> {
         Some(match self {
@@ -219,7 +219,7 @@ impl Kind {
         })
     }
 
-    /// Returns whether it can be injected there.
+    /// Returns whether this kind of fault can be injected on this board.
     #[must_use]
     pub fn is_for(self, site: Site) -> bool {
         self.facts().sites.contains(&site)
@@ -233,7 +233,7 @@ impl Kind {
         word.unwrap_or_default().to_owned()
     }
 
-    /// Returns the word, with the wire or the core: `core-dies 0`, `cut can`.
+    /// Returns the value of `what` with the wire or the core, such as `core-dies 0` or `cut can`.
     #[must_use]
     pub fn label(self) -> String {
         match (self, self.amount()) {
@@ -289,8 +289,8 @@ const BEAT_2: Wire = Wire::Line(Line::Heartbeat2);
 const START: Wire = Wire::Line(Line::Start);
 
 /// The lists from which campaigns draw. A sequence number must always give the same faults, so no
-/// list may change. Only [`Kind::FURTHER`] may grow at its end: this changes only the numbers of
-/// the group swarm.
+/// list may change. The exception is [`Kind::FURTHER`], to which kinds may be appended: this
+/// changes only the sequences of the group swarm.
 impl Kind {
     /// All faults of one system or of a wire, with the parameters that the simulator uses.
     pub const OF_ONE_SYSTEM: [Self; 50] = {
@@ -400,7 +400,7 @@ impl Kind {
         ]
     };
 
-    /// Returns the kind with this time in place of the placeholder, if it has a time.
+    /// Returns the kind with its placeholder replaced by this time, if the kind has a time.
     #[must_use]
     pub(crate) const fn with_time(self, ms: i32) -> Self {
         let amount = just(ms);

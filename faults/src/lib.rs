@@ -1,9 +1,9 @@
 //! Faults as data: what can fail, when and for how long; which faults a campaign injects; how long
-//! the vehicle may be without control under each; and the judge of a campaign.
+//! the vehicle may be without control under each fault; and the judge of a campaign.
 //!
 //! The simulator, the processes of a run and emulated machines suffer the same faults: each
-//! implements [`Suffer`]. A further kind of fault needs a variant and its [`Facts`] in `kind.rs`,
-//! and its effect in each board that can suffer it.
+//! implements [`Suffer`]. A new kind of fault needs a variant and its [`Facts`] in `kind.rs`, and
+//! code for its effect in each board that can suffer it.
 #![forbid(unsafe_code)]
 
 mod amount;

@@ -4,7 +4,7 @@ use tandem_board::Duration;
 use tandem_record::verdict::Limits;
 use tandem_record::verdict::required_limits::{CONTROL_PERIOD, POLL};
 
-/// How the vehicle loses its master. Each has a bound.
+/// How the vehicle loses its master. Each variant has its own bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Loss {
     /// No loss: the fault does not affect the master's frames.
@@ -17,21 +17,21 @@ pub enum Loss {
     Silence,
     /// The master runs, but its frames do not arrive.
     Mute,
-    /// Its clock is wrong: its control period is really this long, at least 10 ms.
+    /// The master's clock is wrong. Its control period really has this length, at least 10 ms.
     Clock(Duration),
-    /// Its clock is wrong, and without the link it cannot detect this. The gate refuses its frames
-    /// as late; after two of them it falls silent, and then it counts as mute.
+    /// Like [`Self::Clock`], but without the link the master cannot detect it. The gate refuses its
+    /// frames as late. After two refused frames the master stops sending, and then counts as mute.
     Refused(Duration),
 }
 
 impl Loss {
-    /// Returns the longest time between two control frames that act.
+    /// Returns the longest permitted time between two control frames that take effect.
     #[must_use]
     pub fn bound(self, limits: &Limits) -> Duration {
         match self {
-            // A cycle begins at a poll.
+            // A control cycle can begin only at a poll.
             Self::None => CONTROL_PERIOD + POLL,
-            // The master receives the echo, polls, and sends.
+            // After the stall the master receives the echo, polls, and sends.
             Self::Stall(span) => CONTROL_PERIOD + span + POLL.times(3),
             Self::Power => limits.power(),
             Self::Silence => limits.silent(),
@@ -41,8 +41,8 @@ impl Loss {
         }
     }
 
-    /// Returns the loss caused by a clock error of `permille` (below 0: slow): until the system
-    /// detects it, the control period is wrong too.
+    /// Returns the loss caused by a clock error of `permille` (negative if the clock is slow). The
+    /// control period is wrong until the system detects the error.
     #[must_use]
     pub const fn of_clock(permille: i32) -> Self {
         Self::Clock(period_of(permille))
@@ -54,7 +54,7 @@ impl Loss {
     }
 }
 
-/// Returns the real length of the control period under this clock error; 10 ms if it is not slow.
+/// Returns the real length of the control period under this clock error: 10 ms unless it is slow.
 const fn period_of(permille: i32) -> Duration {
     let slow = if permille < 0 {
         permille.unsigned_abs()

@@ -1,5 +1,5 @@
-//! The faults that a campaign injects: each sequence has a number, which always means the same
-//! faults.
+//! The faults that a campaign injects. Each sequence has a number. The same number always gives the
+//! same faults.
 
 use crate::amount::just;
 use crate::entry::{Fault, Way};
@@ -8,18 +8,18 @@ use crate::sequence::{Group, Sequence};
 use crate::site::Site;
 use tandem_board::{Duration, SystemId};
 
-/// Moments of the control cycle at which a single fault begins.
+/// The number of moments of the control cycle at which a single fault can begin.
 pub const PHASES: u64 = 20;
-/// Time between two of these moments, µs: they divide a 10 ms cycle.
+/// Time between two of these moments, µs. They divide a cycle of 10 ms into equal parts.
 const PHASE_US: u64 = 10_000 / PHASES;
-/// Time between two faults, µs.
+/// Possible times between the two faults of a pair, µs.
 pub const DISTANCES: [u64; 6] = [0, 1_700, 7_300, 13_100, 41_900, 260_300];
 /// For processes and emulated machines: how long a sequence continues after its longest possible
 /// fault has ended, ms.
 const AFTERWARDS_MS: u64 = 300;
 
-/// Returns all faults of systems and wires, each with its direction: first those from which random
-/// sequences are drawn, then the further ones.
+/// Returns all faults of the numbered sequences, each with its direction: first those from which
+/// random sequences are drawn, then [`Kind::FURTHER`].
 fn all_faults() -> Vec<(Kind, Way)> {
     let mut faults = single_faults();
     for kind in Kind::FURTHER {
@@ -42,7 +42,7 @@ fn single_faults() -> Vec<(Kind, Way)> {
     faults
 }
 
-/// Returns the faults within this system: of its own parts, and of both ends of its wires.
+/// Returns the faults of this system's own parts, and of its wires in both directions.
 fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
     let within = |(kind, way): &(Kind, Way)| match kind.facts().scope {
         Scope::Shared => false,
@@ -56,7 +56,7 @@ impl Group {
     /// All groups whose sequences have numbers.
     pub const ALL: [Self; 4] = [Self::Single, Self::Pair, Self::Random, Self::Swarm];
 
-    /// Returns its name on a command line.
+    /// Returns the name of the group on a command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -74,7 +74,7 @@ impl Group {
         Self::ALL.into_iter().find(|group| group.name() == name)
     }
 
-    /// Returns how many sequences there are; `None` if every number gives one, or for a file.
+    /// Returns the number of sequences; `None` for a file, or if every number gives a sequence.
     #[must_use]
     pub fn count(self) -> Option<u64> {
         match self {
@@ -91,7 +91,7 @@ impl Group {
     /// Returns a sequence by its number.
     ///
     /// # Panics
-    /// If there is no sequence with this number; those of a file have none.
+    /// If no sequence has this number. The sequences of a file have no numbers.
     #[must_use]
     pub fn sequence(self, number: u64) -> Sequence {
         match self {
@@ -116,7 +116,7 @@ const fn lasting((kind, way): (Kind, Way), at_us: u64) -> Fault {
 
 fn single(number: u64) -> Sequence {
     let fault = all_faults()[(number / PHASES) as usize];
-    // Not exactly at a poll: the time between two polls matters too.
+    // The fault does not begin exactly at a poll, because the time between polls matters too.
     let at_us = number % PHASES * PHASE_US + 137;
     Sequence {
         group: Group::Single,
@@ -138,7 +138,7 @@ fn pair(number: u64) -> Sequence {
     }
     let within = faults_within(of);
     let count = within.len() as u64;
-    // Each pair begins at another moment of the control cycle.
+    // Different pairs begin at different moments of the control cycle.
     let at_us = (number * 7_919) % 10_000;
     let first = lasting(within[(index / count) as usize], at_us);
     let second = lasting(within[(index % count) as usize], at_us + distance);
@@ -151,8 +151,8 @@ fn pair(number: u64) -> Sequence {
     }
 }
 
-/// Draws numbers: SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number Generators,
-/// 2014).
+/// The random number generator SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number
+/// Generators, 2014).
 struct Draw(u64);
 
 impl Draw {
@@ -173,7 +173,7 @@ fn random(number: u64) -> Sequence {
 /// kinds show the faults that those kinds would mask.
 fn swarm(number: u64) -> Sequence {
     let mut draw = Draw(!number);
-    // On average one of 2, 4, 8 or 16 kinds is used.
+    // On average one kind in 2, 4, 8 or 16 is used.
     let one_of = 2 << draw.below(4);
     let mut kinds = all_faults();
     let last = kinds[draw.below(kinds.len() as u64) as usize];
@@ -182,7 +182,7 @@ fn swarm(number: u64) -> Sequence {
 }
 
 fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> Sequence {
-    // Dense: many faults at a time. Sparse: every limit elapses between two faults.
+    // Dense: many faults at the same time. Sparse: every time limit can elapse between two faults.
     let distance_us = [15_000, 60_000, 400_000][draw.below(3) as usize];
     let (mut at_us, count) = (0, 1 + draw.below(8));
     let mut faults = Vec::new();
@@ -224,20 +224,20 @@ impl Site {
         self.kinds().len() as u64 * 2 * PHASES
     }
 
-    /// Returns the `number`-th sequence of this seed: one fault at time 0, in the master, which is
-    /// A here, or in the standby.
+    /// Returns the `number`-th sequence of this seed: one fault at time 0, in the master (here A)
+    /// or in the standby.
     #[must_use]
     pub fn drawn(self, seed: u64, number: u64) -> Sequence {
         let mut draw = Draw(seed ^ number.wrapping_mul(0xD1B5_4A32_D192_ED03));
         let kinds = self.kinds();
         let kind = kinds[draw.below(kinds.len() as u64) as usize];
-        // Two of three faults hit the master, which can fail in more ways.
+        // On average two of three faults hit the master, because it can fail in more ways.
         let way = if draw.below(3) < 2 { Way::A } else { Way::B };
         at_the_beginning(number, kind, way, &mut draw)
     }
 
-    /// Returns a cell of the matrix, and the time in the control cycle at which its fault begins;
-    /// `None` if `number` is not below [`Site::cells`].
+    /// Returns a cell of the matrix, and the time in the control cycle at which its fault begins.
+    /// Returns `None` if `number` is not below [`Site::cells`].
     #[must_use]
     pub fn cell(self, number: u64) -> Option<(Sequence, Duration)> {
         let (fault, phase) = (number / PHASES, number % PHASES);
@@ -253,7 +253,7 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
     let short_ms = 5 + draw.below(195);
     let short = Duration::from_ms(short_ms);
     let lasts = match kind {
-        // The core stays stopped until the watchdog resets it, or continues after `short`.
+        // The core either stays stopped until the watchdog resets it, or continues after `short`.
         Kind::CoreHangs(_) if draw.below(2) == 0 => None,
         Kind::CoreHangs(_) => Some(short),
         _ => Some(Duration::from_ms(20 + draw.below(600))),
@@ -275,8 +275,8 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
 mod tests {
     use super::*;
 
-    /// The generator draws every fault of the matrix for both systems, the same faults in each
-    /// run, and only faults that the site can suffer and a file can contain.
+    /// Every fault of the matrix is drawn for both systems. The same seed always gives the same
+    /// faults. Each drawn fault is one that the site can suffer and a file can contain.
     #[test]
     fn drawn_sequences_repeat_and_cover_the_matrix() {
         for site in [Site::Processes, Site::Machines] {

@@ -13,12 +13,12 @@ use tandem_record::verdict::Limits;
 pub enum Group {
     /// One fault at one of [`PHASES`](crate::PHASES) moments of the control cycle.
     Single,
-    /// Two faults within one system, one of [`DISTANCES`](crate::DISTANCES) apart.
+    /// Two faults within one system. One of [`DISTANCES`](crate::DISTANCES) separates them.
     Pair,
-    /// Several faults in both systems, drawn from the number.
+    /// Several faults in both systems, drawn with the number as the seed.
     Random,
-    /// Like [`Group::Random`], but the number also selects the kinds: some sequences have many
-    /// faults of few kinds.
+    /// Like [`Group::Random`], but the number also selects which kinds occur, so that some
+    /// sequences have many faults of few kinds.
     Swarm,
     /// The faults of a file, or of [`Site::drawn`] or [`Site::cell`].
     File,
@@ -27,13 +27,13 @@ pub enum Group {
 /// One sequence of faults.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// Its group.
+    /// The group of the sequence.
     pub group: Group,
-    /// Its number in the group.
+    /// The number of the sequence in its group.
     pub number: u64,
     /// The faults.
     pub faults: Vec<Fault>,
-    /// Whether the faults begin at power-on. Otherwise they begin in dual operation; A drives.
+    /// Whether the faults begin at power-on. Otherwise they begin in dual operation while A drives.
     pub from_power_on: bool,
     /// The time from the start of the faults until everything is restored.
     pub span: Duration,
@@ -51,9 +51,9 @@ impl Fault {
         }
     }
 
-    /// Returns whether the frames of the driving system are unaffected, which means that it must
-    /// keep its role. A stalled bus delivers frames too late: the vehicle refuses them, and their
-    /// sender may lose its role.
+    /// Returns whether the frames of the driving system are unaffected. If so, the system must keep
+    /// its role. Returns false for a stalled bus, because it delivers frames too late: the vehicle
+    /// refuses them, and their sender may lose its role.
     #[must_use]
     pub fn spares_the_master(&self) -> bool {
         let is_bus = matches!(self.kind, Kind::VehicleHangs(_));
@@ -68,8 +68,8 @@ impl Sequence {
         self.faults.iter().all(Fault::spares_the_master)
     }
 
-    /// Returns the longest gap that its faults may cause, and the loss from which it follows;
-    /// `None` if the faults are not within one system.
+    /// Returns the longest gap that the faults may cause, and the loss from which this bound
+    /// follows. Returns `None` if the sequence has no bound.
     #[must_use]
     pub fn bound(&self, limits: &Limits) -> Option<(Loss, Duration)> {
         let of_one = |fault: &Fault| {
@@ -135,8 +135,8 @@ impl Sequence {
 }
 
 impl Fault {
-    /// Returns whether its kind alone determines the loss. A fault of both systems has a bound only
-    /// if it affects a wire or a shared part, or if it stops both.
+    /// Returns whether the kind alone determines the loss. For a fault of both systems this holds
+    /// only if the fault affects a wire or a shared part, or stops both systems.
     fn has_loss(&self) -> bool {
         let stands_still = matches!(self.kind, Kind::Hang(_));
         self.way != Way::Both || self.kind.facts().scope != Scope::System || stands_still

@@ -1,6 +1,6 @@
-//! The words with which a fault file names the types of the board.
+//! The words that a fault file uses for the types of the board.
 
-/// A wire, by its name.
+/// A wire, written as its name.
 pub(crate) mod wire {
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
     use tandem_peripherals::network::Wire;

@@ -86,7 +86,7 @@ fn table() -> String {
     text
 }
 
-/// The table in the docs agrees with the kinds; `UPDATE_DOCS=1` writes it. Each kind has a sample.
+/// The table in the docs agrees with the kinds; `UPDATE_DOCS=1` updates it. Each kind has a sample.
 #[test]
 fn the_table_of_the_docs_is_that_of_the_kinds() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/faults.md");

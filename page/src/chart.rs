@@ -1,6 +1,6 @@
 //! Charts: two axes, and lines, dots and shapes between them.
 //!
-//! A logarithmic axis is a linear one over powers of ten: its values are logarithms.
+//! A logarithmic axis is a linear axis whose values are base-10 logarithms.
 
 use maud::Markup;
 
@@ -55,7 +55,7 @@ impl Axis {
     /// Scenario time from 0 to `end_s`.
     #[must_use]
     pub fn time(end_s: f64) -> Self {
-        // The last tick of a run is a few milliseconds before the whole second.
+        // The last step of a run is a few milliseconds before a whole second.
         let end_s = (end_s * 10.0).round() / 10.0;
         Self::linear("", (0.0, end_s.max(0.1)), 12)
     }
@@ -71,8 +71,8 @@ impl Axis {
         }
     }
 
-    /// A logarithmic axis that covers these powers of ten, with a margin; `None` without powers.
-    /// A short range is labelled at 1, 2 and 5 of each power.
+    /// A logarithmic axis that covers these powers of ten, with a margin; `None` without powers. A
+    /// short range has labels at 1, 2 and 5 times each power.
     pub fn powers(
         name: &'static str,
         powers: impl Iterator<Item = f64>,
@@ -97,7 +97,7 @@ impl Axis {
         })
     }
 
-    /// Position of a value between two positions; a value outside the range is at the nearer end.
+    /// Position of a value between two ends; a value outside the range is at the nearer end.
     #[must_use]
     pub fn at(&self, value: f64, (from, to): (f64, f64)) -> f64 {
         let (low, high) = self.range;
@@ -114,7 +114,7 @@ fn bounds(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
         })
 }
 
-/// Returns values at 1, 2 or 5 times a power of ten within the range, about `count` of them.
+/// Returns about `count` values in the range: the multiples of 1, 2 or 5 times a power of ten.
 #[must_use]
 pub fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
     let rough = (high - low) / count.max(1) as f64;
@@ -202,7 +202,7 @@ pub struct Chart {
     pub shapes: Vec<Polygon>,
     /// The series.
     pub series: Vec<Series>,
-    /// Vertical marks over the whole height: takeovers.
+    /// Positions of vertical marks over the whole height, for takeovers.
     pub marks: Vec<f64>,
     /// Whether grid lines are drawn.
     pub grid: bool,

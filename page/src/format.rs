@@ -43,7 +43,7 @@ impl TimeUnit {
     }
 
     /// Returns a time in this unit, without the symbol. A time with more than five digits before
-    /// the point is shown in the unit that suits it, with its symbol.
+    /// the point is shown in the unit that suits it, with that unit's symbol.
     #[must_use]
     pub fn show(self, ns: f64) -> String {
         let value = match self {
@@ -123,7 +123,7 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// Formats a further figure by its name: a name that ends in `, ns` means a time.
+/// Formats an additional figure: if its name ends in `, ns`, it is a time.
 #[must_use]
 pub fn fact(name: &str, value: f64) -> String {
     // Avoids "-0".

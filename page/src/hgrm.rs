@@ -83,7 +83,7 @@ mod tests {
             let [value, quantile, count, rarity] = line[..] else {
                 panic!("{line:?}");
             };
-            // Precision: three digits and the step of the grid.
+            // The tolerance: a precision of three digits, and the step of the grid.
             assert!(
                 (value - 10_000.0 * quantile).abs() <= 0.002 * value + 1.0,
                 "{line:?}"

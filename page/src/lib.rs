@@ -1,6 +1,6 @@
-//! Self-contained pages (no scripts, no fonts, no other files), and the files that results go to.
+//! Self-contained pages (no scripts, no fonts, no other files), and the files for results.
 //!
-//! One template, one style and one set of charts for the report of a run and for the benchmark.
+//! The report of a run and the benchmark share one template, one style and one set of charts.
 #![forbid(unsafe_code)]
 
 pub mod chart;

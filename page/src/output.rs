@@ -1,8 +1,8 @@
-//! Where results go. A place is checked before anything is measured, and nothing is created before
+//! Files for results. A path is checked before anything is measured, and nothing is created before
 //! there are results to write.
 //!
-//! A run may get a private `/dev/shm`, where the caller's paths would name other files. So a place
-//! is opened at the check and stays open until the results are written.
+//! A run may get a private `/dev/shm`, where the caller's paths would name other files. So the
+//! place is opened at the check and stays open until the results are written.
 
 use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
 use std::ffi::OsString;
@@ -11,7 +11,7 @@ use std::io::{self, Write as _};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 
-/// Why results cannot go there.
+/// The reason why results cannot be written to a place.
 #[derive(Debug, thiserror::Error)]
 #[error("{option} {path}: {why}")]
 pub struct OutputError {
@@ -20,11 +20,11 @@ pub struct OutputError {
     why: String,
 }
 
-/// A file to be written.
+/// A file that will be written.
 #[derive(Debug)]
 pub struct OutputFile(Place);
 
-/// A folder to be filled.
+/// A folder that will receive files.
 #[derive(Debug)]
 pub struct OutputFolder(Place);
 
@@ -61,13 +61,13 @@ impl Place {
 
 #[derive(Debug)]
 enum Target {
-    /// It exists and is open for writing: a file, or a device such as a terminal.
+    /// The place exists and is open: a file, a folder, or a device such as a terminal.
     Present(File),
-    /// It does not exist; the folder is open.
+    /// The place does not exist; the folder that will contain it is open.
     Absent(File, OsString),
 }
 
-/// A checked target, or the reason why results cannot go there.
+/// A checked target, or the reason why results cannot be written to it.
 type Why = Result<Target, String>;
 
 impl OutputFile {
@@ -198,8 +198,8 @@ fn absent(path: &Path) -> Why {
     Ok(Target::Absent(open_folder(folder)?, name.to_owned()))
 }
 
-/// Opens a folder that can be written to. Only an attempt shows permissions, read-only file systems
-/// and full disks, so this creates a file without a name, which vanishes at once.
+/// Opens a folder that can be written to. Only an attempt reveals missing permissions, read-only
+/// file systems and full disks, so this creates an unnamed file, which vanishes at once.
 fn open_folder(path: &Path) -> Result<File, String> {
     let tried = tempfile::tempfile_in(path).and_then(|_| File::open(path));
     tried.map_err(|error| format!("cannot write in {}: {}", path.display(), error))
@@ -218,7 +218,7 @@ fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
     let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
     let written = File::from(file).write_all(text.as_bytes());
     written.inspect_err(|_| {
-        // The caller gets the write error. An error of the removal would add nothing.
+        // The caller gets the write error. A further error of the removal would not help.
         let _ = unlinkat(folder, name, AtFlags::empty());
     })
 }

@@ -1,10 +1,10 @@
-//! Inline SVG: lines, text, shapes. Colours are variables of the page's style, with other values on
-//! a dark page.
+//! Inline SVG: lines, text, shapes. Colours are variables of the page's style, with different
+//! values on a dark page.
 
 use maud::{Markup, PreEscaped};
 use std::fmt::Write as _;
 
-/// A place in the picture's own units, from its upper left corner.
+/// A place in the picture's own units, relative to its upper left corner.
 pub type Place = (f64, f64);
 
 /// A colour, by the name of its variable in `style.css`.
@@ -82,7 +82,7 @@ impl Stroke {
     }
 }
 
-/// Which point of a text is at the given place.
+/// The point of a text that is at the given place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Its start.

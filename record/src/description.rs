@@ -1,4 +1,4 @@
-//! Events in words, for people.
+//! Describes events in words, for readers of a report.
 
 use tandem_board::{CanErrors, CanState, ResetCause, SupplyEvent};
 use tandem_bus::{ModeCode, SensorId};
@@ -9,7 +9,7 @@ use tandem_redundancy::{Evidence, Phase};
 use crate::roles::RoleState;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
-/// Tests whether a core or its scheduler writes this event in every cycle. Lists of events omit it.
+/// Tests whether a core or its scheduler writes this event in every cycle. Lists omit such events.
 #[must_use]
 pub const fn is_routine(event: &Event) -> bool {
     matches!(
@@ -24,7 +24,7 @@ pub const fn is_routine(event: &Event) -> bool {
     )
 }
 
-/// Returns a core's event in words; `None` for those of every cycle and those of a scheduler.
+/// Returns a core's event in words; `None` for events of every cycle and events of a scheduler.
 #[must_use]
 pub fn core_event(event: Event) -> Option<String> {
     Some(match event {

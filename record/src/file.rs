@@ -1,7 +1,7 @@
 //! The file of a run: a sequence of entries, in the order in which the vehicle's process sees them.
 //!
 //! An entry is its length (4 bytes), its kind (1 byte) and its content. Numbers are little-endian.
-//! Trace records and frames are binary, because there are thousands in a second; the vehicle's own
+//! Trace records and frames are binary, because there are thousands per second. The vehicle's own
 //! records are JSON. A recording whose writer was killed can be read up to its last whole entry.
 
 use std::fs;
@@ -63,7 +63,7 @@ const TRACE: u8 = 1;
 const SUPPLY: u8 = 2;
 const FRAME: u8 = 3;
 const VEHICLE: u8 = 4;
-/// Bytes of an [`Entry::Trace`] in the file.
+/// Size of an [`Entry::Trace`] in the file, bytes.
 pub const TRACE_BYTES: u64 = 4 + 1 + 1 + 8 + 16;
 
 impl From<VehicleRecord> for Entry {
@@ -76,7 +76,7 @@ impl Entry {
     /// Appends the entry.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Returns the errors of the writer.
     pub fn write(&self, into: &mut impl Write) -> io::Result<()> {
         let (kind, content) = match self {
             Self::Trace(traced) => (TRACE, trace_bytes(traced)),
@@ -198,7 +198,7 @@ pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> a
     let bytes = fs::read(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
     let mut rest = &bytes[..];
-    // A killed writer leaves a partial entry. The recording ends before it.
+    // A writer that is killed may leave a partial entry. The recording ends before this entry.
     while let Some((length, content)) = rest.split_first_chunk() {
         let at = bytes.len() - rest.len();
         let foreign = || format!("{}: no entry at byte {at}", path.display());
@@ -245,7 +245,7 @@ pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()
     Ok(())
 }
 
-/// Returns the number of a verdict in a recording, from 1; 0 for none.
+/// Returns the number of this verdict in a recording. Numbers begin at 1; 0 means no verdict.
 #[must_use]
 pub fn verdict_code(verdict: Option<Ruling>) -> u8 {
     let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);

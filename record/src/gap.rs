@@ -1,5 +1,5 @@
-//! Times without control, each compared with the bound of its cause, and the stalls that excuse a
-//! part of them; and the times in which both systems transmitted.
+//! Times without control, each compared with the bound of its cause; the stalls that excuse a part
+//! of a time without control; and the times in which both systems transmitted.
 
 use tandem_board::{CoreId, Duration, ResetCause, SupplyEvent, SystemId};
 use tandem_bus::RoleCode;
@@ -14,36 +14,36 @@ use crate::run_log::{ControlFrame, CoreEvent, Stall, Stood};
 use crate::takeover::report_of;
 use crate::{RunLog, Takeover, ms_between};
 
-/// A system that sends no control frame for longer than this does not transmit, ns: one and a half
+/// A system that sends no control frame for longer than this counts as silent, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
-/// A longer stall of a standby may have delayed a poll by more than its jitter (3 ms): the observed
-/// length is up to 2 ms too short, ns.
+/// A longer stall of a standby may have delayed a poll by more than its jitter (3 ms), because the
+/// observed length of a stall is up to 2 ms too short, ns.
 const HELD_UP_NS: u64 = 1_000_000;
 /// A system whose last status frame is older than this is not standby, ns: two and a half status
 /// periods, as in `roles`.
 const STATUS_NS: u64 = 250_000_000;
-/// A refused frame belongs to a takeover that was at most this long ago, ns: after this time no
-/// earlier frame is still on its way.
+/// A refused frame belongs to a takeover that was at most this long ago, ns. After this time no
+/// frame from before the takeover can still arrive.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
-/// A control frame that nothing delays arrives within this time after it was made, ms: one control
-/// period.
+/// If nothing delays a control frame, it arrives within this time after it was made, ms: one
+/// control period.
 const USUAL_WAY_MS: f64 = 10.0;
-/// A new master is heard by its running predecessor within a control period and one bus step, ms.
+/// A running predecessor hears the new master within this time, ms: a control period and 1 ms.
 pub const HAND_OVER_MS: f64 = 11.0;
 
 /// How long the vehicle may be without control, ms, for each evidence of a takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// The old master fell silent: any evidence except the two below. Also the bound without a
-    /// takeover, because a master that is late for longer is replaced.
+    /// The old master fell silent: any evidence except the two below. This bound also applies to a
+    /// gap without a takeover, because a master that is late for longer must be replaced.
     pub silent_ms: f64,
     /// The power level of the old master fell.
     pub power_ms: f64,
     /// The old master was running, but its frames did not reach the vehicle.
     pub mute_ms: f64,
     /// The limits of the profile from which the bounds follow. In the hold-down a standby waits for
-    /// the vehicle, so every takeover in it has the bound of a mute master.
+    /// the vehicle's echo, so every takeover in the hold-down has the bound of a mute master.
     pub limits: Limits,
 }
 
@@ -60,8 +60,8 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// Returns the bounds as the vehicle sees them. `on_bus`: the delay of a frame on the bus.
-    /// `timers`: the additional lateness of the timers, which only the bound for power lacks.
+    /// Returns the bounds as the vehicle sees them. `on_bus` is the delay of a frame on the bus.
+    /// `timers` is the extra lateness of the timers. Only the limit for power does not include it.
     #[must_use]
     pub fn new(limits: Limits, on_bus: Duration, timers: Duration) -> Self {
         let ms = |bound: Duration| (bound + on_bus).as_ms_f64();
@@ -73,7 +73,7 @@ impl Bounds {
         }
     }
 
-    /// Returns all bounds, so that the delay of a board can be added.
+    /// Returns all bounds, so that the caller can add the delay of a board.
     pub const fn all_mut(&mut self) -> [&mut f64; 3] {
         [&mut self.silent_ms, &mut self.power_ms, &mut self.mute_ms]
     }
@@ -97,8 +97,8 @@ impl Bounds {
         }
     }
 
-    /// Tests whether the heartbeats were already silent when the power level fell. No heartbeat can
-    /// confirm the fall then, so the level must be low for the third witness's limit.
+    /// Tests whether the heartbeats were already silent when the power level fell. If they were,
+    /// they cannot confirm the fall, so the level must be low for the third witness's limit.
     fn was_silent(&self, log: &RunLog, takeover: &Takeover) -> bool {
         let before_ns = self.limits.silent_before().as_ns();
         let report = report_of(log, takeover.to, takeover.at_ns);
@@ -110,8 +110,8 @@ impl Bounds {
 }
 
 /// Tests whether core 0 of the old master died in the gap, while its supply had power. The level
-/// falls only when the supply has noticed the death. This may take longer than the silence of the
-/// heartbeats, so the bound of silence applies.
+/// falls only after the supply has detected the death. The standby may detect the silence of the
+/// heartbeats earlier, so the bound of silence applies.
 fn core_died(log: &RunLog, takeover: &Takeover) -> bool {
     let gap_ns = takeover.from_ns..takeover.at_ns;
     log.supplies.iter().any(|(at_ns, system, event)| {
@@ -121,7 +121,7 @@ fn core_died(log: &RunLog, takeover: &Takeover) -> bool {
     })
 }
 
-/// Tests whether the new master was in its hold-down when the old one's last frame was accepted.
+/// Tests whether the new master was in its hold-down at the old master's last accepted frame.
 fn is_held(log: &RunLog, takeover: &Takeover) -> bool {
     let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
     let of_core_0 = |event: &&CoreEvent| {
@@ -172,26 +172,26 @@ pub enum EndedBy {
 pub struct Gap {
     /// Time of the last accepted frame before it, ns.
     pub from_ns: u64,
-    /// Time of the first one after it, or of the end of the run, ns.
+    /// Time of the first accepted frame after it, or of the end of the run, ns.
     pub to_ns: u64,
     /// What ended the gap.
     pub ended_by: EndedBy,
     /// The longest permitted gap, ms.
     pub bound_ms: f64,
-    /// How much of it is excused by stalls, ms; 0 if it is within its bound.
+    /// How much of the gap is excused by stalls, ms; 0 if the gap is within its bound.
     pub stalled_ms: f64,
-    /// The stalls that excuse it.
+    /// The stalls that excuse this part of the gap.
     pub stalls: Vec<Stall>,
 }
 
 impl Gap {
-    /// Returns its length.
+    /// Returns the length of the gap.
     #[must_use]
     pub fn ms(&self) -> f64 {
         ms_between(self.from_ns, self.to_ns)
     }
 
-    /// Returns its length without the part that stalls excuse.
+    /// Returns the length of the gap without the part that stalls excuse.
     #[must_use]
     pub fn net_ms(&self) -> f64 {
         self.ms() - self.stalled_ms
@@ -212,8 +212,8 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
     all
 }
 
-/// Returns all gaps between two accepted frames that overlap this span, ns, and the gap from the
-/// last frame to the end of the run, in order. Stalls excuse only gaps that exceed their bound.
+/// Returns all gaps that overlap this span, ns, in order: those between two accepted frames, and
+/// that from the last frame to the end of the run. Stalls excuse only gaps beyond their bound.
 #[must_use]
 pub fn periods(
     log: &RunLog,
@@ -275,7 +275,7 @@ fn stands_by(log: &RunLog, system: SystemId, at_ns: u64) -> bool {
 
 /// The systems that must drive in a gap.
 struct Responsible {
-    /// The master. It is responsible until `until_ns`, or to the end if there is no successor.
+    /// The master. It is responsible until `until_ns`; without a successor, until the gap ends.
     driver: SystemId,
     /// The standby. It must have replaced the master by `until_ns`, even if the master was held up.
     successor: Option<SystemId>,
@@ -285,12 +285,12 @@ struct Responsible {
 }
 
 impl Responsible {
-    /// Returns how much of this gap stalls excuse, ns, and these stalls. Only stalls of the bus and
-    /// of the CPUs of the systems that must drive count; overlapping ones count once.
+    /// Returns how much of this gap is excused by stalls, ns, and these stalls. A stall counts if
+    /// it is on the bus or on the CPU of a system that must drive. Overlapping stalls count once.
     ///
-    /// A standby that was held up restarts its limits once, because its own stall is not evidence.
-    /// So the time that it had already waited is excused too, but at most the longest time that a
-    /// correct standby waits.
+    /// A standby that was held up restarts its limits once, because its own stall is not evidence
+    /// against the master. So the time that the standby had already waited is excused too, but at
+    /// most the longest time that a correct standby waits.
     fn excused(
         &self,
         log: &RunLog,
@@ -339,8 +339,8 @@ fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
 }
 
 /// Returns the time in which both systems transmitted control frames as master, ms, whether the
-/// vehicle obeyed or refused them. It lasts from the first frame of one system to the frame after
-/// the last of the other system, measured at sending.
+/// vehicle obeyed or refused them. Such a time begins when the second system sends its first frame.
+/// It ends when one system sends its next frame after the last frame of the other system.
 #[must_use]
 pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     let claims =
@@ -370,8 +370,8 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     both.two_masters_ns() as f64 * 1e-6
 }
 
-/// Returns how long both systems may have transmitted, ms. A master that resigns, or whose frames
-/// were lost, sends until it hears the new one. A held-up master may still send one frame.
+/// Returns for how long both systems may have transmitted, ms. A master that resigns, or whose
+/// frames are lost, sends until it hears the new master. A held-up master may send one more frame.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     hand_overs(takeovers) as f64 * HAND_OVER_MS
@@ -385,8 +385,8 @@ pub fn hand_overs(takeovers: &[Takeover]) -> usize {
     takeovers.iter().filter(lived).count()
 }
 
-/// Counts the control frames that arrived within a second after a takeover and were too old to act,
-/// or were based on data that was too old, although no stall explains their delay.
+/// Counts the control frames that arrived within a second after a takeover and were refused as too
+/// old or as based on data that was too old. Frames whose delay a stall explains do not count.
 #[must_use]
 pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> usize {
     let follows = |frame: &&ControlFrame| {
@@ -576,7 +576,7 @@ mod tests {
         let gap = &found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
         assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
         assert!(!gap.is_explained());
-        // A person ended the run early: the last state of the world is the end.
+        // A person ended the run early. The last recorded state of the world is then the end.
         let mut early = log(&[(0, A), (10, A)], 4_010);
         early.end_ns = None;
         early.samples = vec![Sample {
@@ -664,7 +664,7 @@ mod tests {
     }
 
     /// A standby that was held up restarts its limits once. The gap may be longer by the stall
-    /// and by the time already waited, which is at most the wait before a takeover.
+    /// and by the time that the standby had already waited: at most the wait before a takeover.
     #[test]
     fn a_stall_of_the_standby_costs_its_length_and_what_was_waited() {
         for (to_ms, stalls, is_explained) in [
@@ -766,7 +766,7 @@ mod tests {
         assert_eq!(stale_frames(&log, &takeovers(&log), &[]), 2);
     }
 
-    /// A frame made before a stall that arrives after it does not count against its sender.
+    /// A frame that was made before a stall and arrives after it does not count as stale.
     #[test]
     fn a_stale_frame_is_explained_by_a_stall_of_its_delay() {
         let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);

@@ -1,6 +1,6 @@
 //! The recording of a run, and its analysis: drivers, takeovers with their causes, and roles.
 //!
-//! All events have one vocabulary: [`tandem_cores::trace::Event`] for a core,
+//! All runs use the same events: [`tandem_cores::trace::Event`] for a core, and
 //! [`tandem_board::SupplyEvent`] for a supply. The vehicle adds its view of the bus and of the
 //! world. A run on processes, in emulated machines or in virtual time fills the same [`RunLog`].
 #![forbid(unsafe_code)]

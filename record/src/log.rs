@@ -162,7 +162,7 @@ pub enum VehicleRecord {
     Header(Header),
     /// The world began to move: the first control frame was accepted.
     Start {
-        /// ns
+        /// Time, ns.
         at_ns: u64,
     },
     /// The state of the world.
@@ -180,25 +180,25 @@ pub enum VehicleRecord {
     },
     /// The vehicle's process, which is the bus, did not run.
     HeldUp {
-        /// When its period was due, ns.
+        /// When the process was due to run, ns.
         from_ns: u64,
-        /// When it ran, ns.
+        /// When the process ran, ns.
         to_ns: u64,
     },
-    /// The ego vehicle touched another one.
+    /// The ego vehicle touched another vehicle.
     Collision {
-        /// ns
+        /// Time, ns.
         at_ns: u64,
     },
     /// The figures of the drive up to now; the last such record counts.
     Figures(DriveFigures),
     /// The last record of a run that reached its end.
     End {
-        /// ns
+        /// Time, ns.
         at_ns: u64,
         /// Trace records that were lost because the trace was full.
         lost_trace: u64,
-        /// How long the vehicle's process was stopped, and with it the world, ms.
+        /// How long the vehicle's process, and therefore the world, was stopped, ms.
         stalled_ms: f64,
     },
 }

@@ -10,25 +10,25 @@ const EARLY_NS: u64 = 1_100_000;
 /// The two distributions, ms.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reaction {
-    /// From each measurement to the first acting control frame that reflects it.
+    /// Time from each measurement until a control frame that reflects it first takes effect.
     pub reaction_ms: Vec<f64>,
-    /// Age of the oldest measurement behind each control frame at the moment when the frame acts.
+    /// Age of the oldest measurement behind each control frame when the frame takes effect.
     pub age_ms: Vec<f64>,
 }
 
 /// Returns the reaction to each measurement, and the age of the data behind each control frame.
 ///
 /// A control frame contains the age of its oldest measurement. This age omits the shortest delay of
-/// the bus, but includes any longer wait for it. So the oldest measurement is the last one taken,
-/// not the last one on the bus, at the time of sending minus the age. A measurement belongs to the
-/// last command whose oldest measurement is not newer. The reaction ends when that command first
-/// acts.
+/// the bus, but includes any longer wait for the bus. So the oldest measurement is the last one
+/// that was taken, not the last one that was sent, by the time of sending minus the age. A
+/// measurement belongs to the last command whose oldest measurement is not newer than it. The
+/// reaction ends when that command first takes effect.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
     let measured_ns = &log.measured_ns;
-    // The commands in the order in which they acted: the time of the oldest measurement, and when
-    // the first frame with this command acted.
+    // The commands in the order in which they took effect. Each has the time of its oldest
+    // measurement, and the time at which its first frame took effect.
     let mut commands: Vec<(u64, u64)> = Vec::new();
     for frame in log.accepted() {
         let Some(age_ns) = frame.age_ns else { continue };
@@ -88,7 +88,7 @@ mod tests {
                 system: SystemId::A,
                 term: 2,
                 mode: ModeCode::L3,
-                // Rounded as in the frame.
+                // The age is rounded as in a real frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
                 verdict: Ruling::Accepted,
             });

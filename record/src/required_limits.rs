@@ -10,7 +10,7 @@ use tandem_redundancy::Config;
 const MS: Duration = Duration::from_ms(1);
 /// Time between two control frames.
 pub const CONTROL_PERIOD: Duration = Duration::from_ms(10);
-/// The gap at a takeover is shorter than this: two control periods.
+/// The gap at a takeover must be shorter than this: two control periods.
 const TAKEOVER_GOAL: Duration = Duration::from_ms(20);
 /// Longest time between two polls of a system.
 pub const POLL: Duration = MS;
@@ -19,7 +19,7 @@ pub const POLL: Duration = MS;
 const LINE_MOST: Duration = Duration::from_ms(8);
 /// The longest permitted wait of the third witness: the goal, minus an echo, a poll and 1 ms.
 const THIRD_MOST: Duration = Duration::from_ms(17);
-/// The third witness waits for a control period and 1 ms on the bus, plus the stall.
+/// The third witness waits for this time, a control period and 1 ms on the bus, plus the stall.
 const THIRD_LEAST: Duration = Duration::from_ms(11);
 
 /// The needs of a profile. All limits follow from them and from the goal.
@@ -33,7 +33,7 @@ pub struct Limits {
     level: Duration,
     /// How long a master that hears nothing on CAN may transmit after it was replaced.
     pub deaf_hand_over: Duration,
-    /// The longest time for which a core that is due does not run although nothing has failed.
+    /// The longest time for which a core that is due is kept from running when nothing has failed.
     stall: Duration,
 }
 
@@ -65,7 +65,7 @@ impl Limits {
     /// All profiles.
     pub const ALL: [Self; 3] = [Self::CHIP, Self::RT, Self::DESKTOP];
 
-    /// Returns the profile of a product: that with the periods at which its systems communicate.
+    /// Returns the profile of a product. The periods at which its systems communicate determine it.
     #[must_use]
     pub fn of_profile(product: &Config) -> Self {
         match (product.heartbeat_period, product.report_period) {
@@ -75,11 +75,11 @@ impl Limits {
         }
     }
 
-    /// A change of the driver counts as the first if none preceded it for this time.
+    /// A change of the driver counts as the first in a row if none preceded it within this time.
     pub const HEALTHY_AFTER: Duration = Duration::from_ms(60_000);
 
-    /// Returns how long a new standby waits for the vehicle's echo after this many changes of the
-    /// driver in a row: 100 ms after the first, doubled by each further one up to 32 times.
+    /// Returns how long a new standby waits for the vehicle's echo after this number of changes of
+    /// the driver in a row: 100 ms after the first, doubled by each further change, at most 3.2 s.
     #[must_use]
     pub fn hold_down(changes: u32) -> Duration {
         match changes.min(6) {
@@ -122,8 +122,8 @@ impl Limits {
         CONTROL_PERIOD + self.level + POLL
     }
 
-    /// Returns the longest gap when the master runs but its frames do not reach the vehicle, which
-    /// repeats its echo each millisecond.
+    /// Returns the longest gap when the master runs but its frames do not reach the vehicle. In
+    /// such a gap the vehicle repeats its echo each millisecond.
     #[must_use]
     pub fn mute(&self) -> Duration {
         self.third() + MS + POLL
@@ -136,14 +136,14 @@ impl Limits {
     }
 
     /// If the heartbeats were silent for this long when the level fell, the bound for silence
-    /// applies: no heartbeat can confirm the fall.
+    /// applies, because the heartbeats cannot confirm the fall.
     #[must_use]
     pub fn silent_before(&self) -> Duration {
         self.line() + self.third()
     }
 
-    /// Returns each limit of the product that permits more than this one: its name, what the
-    /// product permits, and what this one permits.
+    /// Returns each limit of the product that permits a longer time than the limit here: its name,
+    /// the limit of the product, and the limit here.
     pub fn exceeded_by(
         &self,
         product: &Config,
@@ -197,7 +197,7 @@ mod tests {
         );
     }
 
-    /// The product's own limits stay within the judge's, for any stall that is measured.
+    /// The product's own limits stay within those of the judge, for every measured stall.
     #[test]
     fn the_limits_of_the_product_are_within_those_of_the_judge() {
         let budgets = [Budget::CHIP, Budget::RT, Budget::DESKTOP];

@@ -7,13 +7,13 @@ use tandem_vehicle::Ruling;
 
 use crate::RunLog;
 
-/// A system that shows no sign for this time is off, ns: two and a half status periods.
+/// A system without a sign of life for this time counts as off, ns: two and a half status periods.
 const SILENT_NS: u64 = 250_000_000;
 
 /// The state of a system as a report shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoleState {
-    /// No sign of it: without power, in reset, or dead.
+    /// Shows no sign of life, because it is without power, in reset, or dead.
     Off,
     /// Has no role yet.
     Starting,
@@ -21,7 +21,7 @@ pub enum RoleState {
     Standby,
     /// Drives with the full function.
     Master,
-    /// Drives alone, degraded.
+    /// Drives alone, in degraded mode.
     Degraded,
     /// Stops the vehicle.
     SafeStop,
@@ -55,7 +55,7 @@ impl RoleState {
         }
     }
 
-    /// Like [`RoleState::of`], from the codes of a trace record; `None` if there is no such code.
+    /// Like [`RoleState::of`], from the codes of a trace record; `None` if a code is unknown.
     #[must_use]
     pub fn of_codes(role: u8, mode: u8) -> Option<Self> {
         let role = RoleCode::ALL.get(usize::from(role))?;
@@ -76,7 +76,7 @@ impl RoleState {
     }
 }
 
-/// A time in which a system was in one state: scenario time in s.
+/// A span of scenario time in which a system was in one state, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// Start of the span.
@@ -115,9 +115,9 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
         let next_s = seen
             .get(index + 1)
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
-        // A suspended system stays suspended without reporting again.
+        // A suspended system does not report again, but stays suspended.
         if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != RoleState::Suspended {
-            // Shown for 10 ms, so that a single report is visible.
+            // Show the state for 10 ms, so that a single report is visible.
             let until_s = (from_s + 0.01).min(next_s);
             push(from_s, until_s, *state);
             push(until_s, next_s, RoleState::Off);

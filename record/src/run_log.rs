@@ -12,9 +12,9 @@ use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 /// A part of the run that stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
-    /// A CPU of the machine: it did not run a waiting thread with a higher priority than the run.
+    /// A CPU of the machine. It did not run a waiting thread of higher priority than the run.
     Cpu(usize),
-    /// The vehicle's process, and with it the bus: it was stopped, or had no CPU.
+    /// The vehicle's process, and therefore the bus. The process was stopped, or had no CPU.
     Bus,
 }
 
@@ -38,9 +38,9 @@ pub struct ControlFrame {
     pub sent_ns: u64,
     /// Its sender, by its CAN id.
     pub system: SystemId,
-    /// The mastership that the sender claims; 0 if the frame is invalid.
+    /// The term that the sender claims; 0 if the frame is invalid.
     pub term: u32,
-    /// The function that made it.
+    /// The mode of the driving function that made it.
     pub mode: ModeCode,
     /// Age of the oldest measurement behind it at sending, ns; `None` if there is none.
     pub age_ns: Option<u64>,
@@ -64,7 +64,7 @@ pub struct StatusFrame {
 /// An event of a core. The events of its scheduler are only in [`RunLog::trace`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoreEvent {
-    /// When, ns.
+    /// The time of the event, ns.
     pub at_ns: u64,
     /// The core's system.
     pub system: SystemId,
@@ -138,7 +138,7 @@ impl RunLog {
         }
     }
 
-    /// Sorts by time: the entries reached the recording through the buffers of several writers.
+    /// Sorts by time, because the entries reached the recording through buffers of several writers.
     pub fn sort(&mut self) {
         self.events.sort_by_key(|event| event.at_ns);
         self.supplies.sort_by_key(|(at_ns, ..)| *at_ns);
@@ -180,7 +180,7 @@ impl RunLog {
                     verdict,
                 }));
         } else if let Some(Message::SensorHeader(_, header)) = message {
-            // The sensor uses the bus's clock, in µs; it wraps around.
+            // The sensor's time stamp is on the bus's clock, in µs, and wraps around.
             let on_the_way = ((at_ns / 1_000) as u32).wrapping_sub(header.measured_at);
             self.measured_ns
                 .push(at_ns.saturating_sub(u64::from(on_the_way) * 1_000));
@@ -240,7 +240,7 @@ impl RunLog {
         self.header.cpus.get(core).copied()
     }
 
-    /// Returns the end of the run, ns; for a run that was ended early, the last state of the world.
+    /// Returns the end of the run, ns; if it was ended early, the time of the last recorded sample.
     #[must_use]
     pub fn until_ns(&self) -> Option<u64> {
         self.end_ns.or_else(|| self.samples.last().map(|s| s.at_ns))
@@ -262,7 +262,7 @@ impl RunLog {
             .filter(|frame| frame.verdict == Ruling::Accepted)
     }
 
-    /// Returns gaps, changes and times with two masters, from the frames that the vehicle obeyed.
+    /// Returns gaps, changes of the driver and times with two masters, from the accepted frames.
     #[must_use]
     pub fn mastership(&self) -> Mastership {
         let mut mastership = Mastership::default();
@@ -272,7 +272,7 @@ impl RunLog {
         mastership
     }
 
-    /// Returns the systems in the order in which they drove, without repetition.
+    /// Returns the systems in the order in which they drove. Successive entries are different.
     #[must_use]
     pub fn masters(&self) -> Vec<SystemId> {
         let mut masters: Vec<_> = self.accepted().map(|frame| frame.system).collect();

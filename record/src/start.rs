@@ -7,7 +7,7 @@ use tandem_redundancy::Phase;
 use crate::RunLog;
 
 /// Returns the time between the moments at which the two systems left the start protocol, ns.
-/// `None` unless one left it as master and the other as standby, within `TOGETHER_NS`.
+/// Returns `None` unless they left it as master and standby, within `TOGETHER_NS`.
 #[must_use]
 pub fn skew_ns(log: &RunLog) -> Option<u64> {
     let left = |system: SystemId| {
@@ -29,7 +29,7 @@ pub fn skew_ns(log: &RunLog) -> Option<u64> {
     (a != b && skew_ns <= TOGETHER_NS).then_some(skew_ns)
 }
 
-/// Two systems that leave the protocol on one sync edge do so within this time, ns.
+/// Two systems that leave the protocol on the same sync edge do so within this time, ns.
 const TOGETHER_NS: u64 = 100_000_000;
 
 #[cfg(test)]

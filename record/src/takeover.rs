@@ -36,13 +36,13 @@ pub struct Takeover {
     pub at_ns: u64,
     /// The evidence of the old master's failure that the new master reported.
     pub cause: Option<Evidence>,
-    /// From the old master's last sign of life to the decision, ms, as reported by the new master.
+    /// Time from the old master's last sign of life to the decision, ms, as the new master reports.
     pub detected_ms: Option<f64>,
-    /// From the old master's last accepted frame to the new one's first, ms.
+    /// Time from the old master's last accepted frame to the new master's first, ms.
     pub gap_ms: f64,
     /// Whether the takeover was false: the old master had not failed.
     pub is_false: bool,
-    /// Whether the old master found later that it had been held up.
+    /// Whether the old master later detected that it had been held up.
     pub held_up: bool,
 }
 
@@ -61,7 +61,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
                 Event::TookOver { cause, .. } => Some(cause),
                 _ => None,
             });
-            // A master that has a fault drives until it is relieved: the takeover is not false.
+            // A master that resigns has a fault, so the takeover is not false.
             let resigned = cause == Some(Evidence::MasterResigns);
             Takeover {
                 from: last.system,
@@ -88,7 +88,7 @@ pub fn detected_ms(report: Event) -> Option<f64> {
             since_control_us,
             ..
         } => Some(f64::from(since_control_us) * 1e-3),
-        // The lines may have been cut earlier: then only the control frames count.
+        // If the heartbeat lines were cut earlier, only the control frames count.
         Event::TookOver {
             since_heartbeat_us,
             since_control_us,
@@ -114,8 +114,8 @@ pub(crate) fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<
         .map(|event| event.event)
 }
 
-/// Tests whether the old master found, before it gave up its role, that it had been held up or had
-/// skipped cycles. It was then as silent as a dead master, and the takeover was right.
+/// Tests whether the old master detected, before it gave up its role, that it had been held up or
+/// had skipped cycles. If so, it was as silent as a dead master, and the takeover was correct.
 fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     let since = || {
         let of_core_0 =
@@ -137,8 +137,8 @@ fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     })
 }
 
-/// Tests whether the old master continued undisturbed: it sent a further control frame in time, or
-/// its status frames continued without a break and without a restart, as master or standby.
+/// Tests whether the old master continued undisturbed. It did if it sent a further control frame in
+/// time, or continued to send status frames as master or standby, without a break or a restart.
 fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> bool {
     let restarted = |until_ns: u64| {
         log.events.iter().any(|event| {

@@ -24,7 +24,7 @@ pub enum InRun {
     Fails,
     /// The verdict reports it.
     Reported,
-    /// Only campaigns look for it, because they know the faults. A finding fails the campaign.
+    /// Only campaigns apply the rule, because they know the faults. A finding fails the campaign.
     Campaign,
 }
 
@@ -33,7 +33,7 @@ pub enum InRun {
 pub enum Bound {
     /// The largest permitted figure, with its unit.
     AtMost(f64, &'static str),
-    /// A bound in words: it follows from the run.
+    /// A bound in words. Its value follows from the run.
     Given(&'static str),
 }
 
@@ -52,10 +52,10 @@ pub struct Row {
     pub in_run: InRun,
 }
 
-/// At this distance from the centre of its lane a side of the vehicle reaches the line, m, for a
-/// lane of 3.5 m and a vehicle of 1.8 m.
+/// If the vehicle is this far from the centre of its lane, m, one of its sides reaches the line.
+/// This holds for a lane of 3.5 m and a vehicle of 1.8 m.
 pub const LATERAL_ERROR_MAX_M: f64 = 0.85;
-/// The longest median of the control period, ms: 10 ms, and a tenth for clocks and timers.
+/// The longest permitted median control period, ms: 10 ms, plus a tenth for clocks and timers.
 pub const CONTROL_PERIOD_MAX_MS: f64 = 11.0;
 /// A wrong mode may last this long, s: the master detects a standby that falls silent on CAN after
 /// 0.35 s, and a standby that has returned counts again after 1 s.
@@ -170,7 +170,7 @@ impl Rule {
     }
 }
 
-/// Writes the name of the rule as in files, for example `two-masters`.
+/// Writes the name of the rule as it appears in files, for example `two-masters`.
 impl fmt::Display for Rule {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.serialize(f)
@@ -190,9 +190,9 @@ pub struct Finding {
     pub bound: f64,
     /// What was found, in words.
     pub words: String,
-    /// What stalled at that time, in words; empty if nothing did.
+    /// What stalled at that time, in words; empty if nothing stalled.
     pub evidence: String,
-    /// The stall explains everything beyond the bound.
+    /// Whether the stall explains the whole excess over the bound.
     pub excused: bool,
 }
 
@@ -238,7 +238,7 @@ impl Finding {
         }
     }
 
-    /// Adds to the finding the stall at that time, and whether the stall excuses it.
+    /// Adds to the finding the stall at that time, and whether this stall excuses the finding.
     #[must_use]
     pub fn beside(self, evidence: String, excused: bool) -> Self {
         Self {
@@ -271,12 +271,12 @@ impl fmt::Display for Finding {
 /// How stalls of the machine were observed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Watch {
-    /// Not at all: time is virtual, and nothing stalls.
+    /// Not at all, because time is virtual and nothing stalls.
     #[default]
     Virtual,
-    /// By threads with a higher priority than the run: their lateness is evidence.
+    /// By threads with a higher priority than the run. Their lateness is evidence.
     Urgent,
-    /// By threads of ordinary priority: their lateness is not evidence.
+    /// By threads of ordinary priority. Their lateness is not evidence.
     Ordinary,
 }
 
@@ -435,7 +435,7 @@ mod tests {
         assert_eq!(Rule::TwoMasters.to_string(), "two-masters");
     }
 
-    /// The table in the docs agrees with the rules; `UPDATE_DOCS=1` writes it.
+    /// The table in the docs agrees with the rules; `UPDATE_DOCS=1` updates it.
     #[test]
     fn the_table_of_the_docs_is_that_of_the_rules() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/verdict.md");

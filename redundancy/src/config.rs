@@ -9,7 +9,7 @@ pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 /// The hold-down stops growing after this many changes of the driver, at 32 times the first.
 const MAX_CHANGES: u8 = 6;
 
-/// Periods and limits of the redundancy. Both systems must use the same.
+/// Periods and limits of the redundancy. Both systems must use the same values.
 ///
 /// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`]
 /// checks whether changed values fit together.
@@ -39,14 +39,14 @@ pub struct Config {
     pub handshake_period: Duration,
     /// How long a system waits at power-on for the other system's handshake.
     pub start_limit: Duration,
-    /// How much longer B waits than A wherever both might act at the same time. Long enough for B
-    /// to hear A.
+    /// How much longer B waits than A wherever both might act at the same time. This is long enough
+    /// for B to hear A.
     pub stagger: Duration,
     /// How much longer B waits before its sync edge, so that A's comes first if both claim to be
     /// master.
     pub sync_stagger: Duration,
-    /// How long a standby that has heard a handshake waits for the sync edge before it leads
-    /// itself. B waits twice as long.
+    /// How long a standby that has heard a handshake waits for the sync edge before it takes the
+    /// lead. B waits twice as long.
     pub promote_limit: Duration,
     /// How long heartbeats must have arrived again before the other system counts as recovered.
     pub recover_after: Duration,
@@ -87,7 +87,7 @@ impl Config {
     }
 
     /// A link without a report for longer than this is silent. If both heartbeat lines fell silent
-    /// with it, this shows that the master has failed. Used where it is shorter than the third
+    /// with it, the master has failed. This limit is used only if it is shorter than the third
     /// witness's limit.
     #[must_use]
     pub fn link_limit(&self) -> Duration {
@@ -108,8 +108,8 @@ impl Config {
     }
 
     /// How long a master that hears nothing on CAN may transmit after the other system has taken
-    /// over. It hears that claim only over the link, and accepts it after [`Config::mute_limit`].
-    /// The vehicle refuses the frames that it sends until then.
+    /// over. It learns of the takeover only over the link, and accepts the report after
+    /// [`Config::mute_limit`]. Until then the vehicle refuses its frames.
     #[must_use]
     pub fn deaf_hand_over(&self) -> Duration {
         let reports = self
@@ -119,8 +119,8 @@ impl Config {
         self.report_period.times(1 + reports) + self.control_period + self.poll_interval
     }
 
-    /// Returns the number of changes of the driver with which a system starts. A reset may follow a
-    /// change that the system no longer remembers.
+    /// Returns the number of changes of the driver that a starting system assumes. Before a reset
+    /// the driver may have changed, and the system no longer has a record of that.
     #[must_use]
     pub fn changes_at_start(cause: ResetCause) -> u8 {
         u8::from(cause != ResetCause::PowerOn)
@@ -139,9 +139,9 @@ impl Config {
         }
     }
 
-    /// Returns how long a new standby takes over only if the vehicle's echo demands it. `changes`
-    /// is the result of [`Config::changes_after`]. The time doubles with each further change, up to
-    /// 32 times the first; without a change there is no hold-down.
+    /// Returns the time for which a new standby takes over only if the vehicle's echo demands it.
+    /// `changes` is the result of [`Config::changes_after`]. The time doubles with each further
+    /// change, up to 32 times the first; without a change there is no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {
         match changes.min(MAX_CHANGES) {
@@ -166,14 +166,14 @@ impl Config {
     /// The time after a poll for which a master may transmit without the next poll.
     ///
     /// The other system takes over no earlier than [`Config::silent_limit`] after the last
-    /// heartbeat, and the master sent that at most one period before the last poll.
+    /// heartbeat. The master sent that heartbeat at most one period before its last poll.
     #[must_use]
     pub fn lease(&self) -> Duration {
         self.silent_limit() - self.heartbeat_period
     }
 
-    /// The longest time between two polls of a running system. After a longer time it was held up,
-    /// and the silence that it saw is not evidence against the other system.
+    /// The longest time between two polls of a running system. If the time is longer, the system
+    /// was held up, and silence in that time is not evidence against the other system.
     #[must_use]
     pub fn stall_limit(&self) -> Duration {
         self.poll_interval + self.heartbeat_jitter
@@ -186,16 +186,16 @@ impl Config {
         self.silent_limit() + self.poll_interval
     }
 
-    /// Time from the failure of a master to the takeover, if its heartbeats fall silent, and its
-    /// control frames or the link too.
+    /// Time from the failure of a master to the takeover, if its heartbeats end, and its control
+    /// frames or its link reports end too.
     #[must_use]
     pub fn takeover_bound(&self) -> Duration {
         let third = self.witness_limit().min(self.link_limit());
         self.silent_limit().max(third) + self.poll_interval
     }
 
-    /// Time from the last control frame of a failed master to the first one of the new master, each
-    /// when it leaves its system, if the power level did not show the failure. In the worst case
+    /// Time from the last control frame of a failed master to the first one of the new master, if
+    /// the power level did not show the failure. Both times are those of sending. In the worst case
     /// the master fails just before a frame is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
@@ -211,9 +211,9 @@ impl Config {
         self.control_period + self.level_limit() + self.poll_interval
     }
 
-    /// The bound of the gap if the master runs but cannot transmit. The first echo that reports no
-    /// frame for the third witness's limit decides. While a frame is overdue, an echo is sent every
-    /// millisecond.
+    /// The bound of the gap if the master runs but cannot transmit. The standby takes over at the
+    /// first echo that reports no frame for the third witness's limit. While a frame is overdue, an
+    /// echo is sent every millisecond.
     #[must_use]
     pub fn gap_bound_mute(&self) -> Duration {
         self.witness_limit() + OVERDUE_ECHO + self.poll_interval
@@ -246,7 +246,7 @@ impl Config {
 mod tests {
     use super::*;
 
-    /// T-RED-8: if nothing stalls, the times of the thesis hold without the level line too. They
+    /// T-RED-8: if nothing stalls, the times of the thesis also hold without the level line. They
     /// include the execution up to the first control frame.
     #[test]
     fn a_chip_keeps_the_times_of_the_thesis() {
@@ -275,8 +275,8 @@ mod tests {
         }
     }
 
-    /// T-RED-2: two systems never act at once: B waits longer than A, by the stagger. The slower of
-    /// two witnesses determines how long they listen.
+    /// T-RED-2: two systems never act at the same time: B waits longer than A, by the stagger. The
+    /// slower of two witnesses determines how long they listen.
     #[test]
     fn b_waits_longer_than_a_by_the_stagger() {
         let (rt, ms) = (Config::rt(), Duration::from_ms);
@@ -292,8 +292,8 @@ mod tests {
         }
     }
 
-    /// T-RED-8: after a master falls silent, the gap ends when both lines are silent and either the
-    /// control frames are overdue or the link is silent.
+    /// T-RED-8: after the failure of a master, the gap ends when both lines are silent and either
+    /// the control frames are overdue or the link is silent.
     #[test]
     fn the_slowest_witness_that_is_needed_bounds_the_gap() {
         let (rt, ms) = (Config::rt(), Duration::from_ms);

@@ -72,7 +72,7 @@ impl Driving {
     }
 
     /// Returns whether the other system may have taken over since this master was last permitted to
-    /// transmit. It cannot before the third witness's limit has passed, or if it is off.
+    /// transmit. It cannot do so within the third witness's limit, or if it is off.
     pub(crate) fn may_be_deposed(
         &self,
         config: &Config,
@@ -130,11 +130,11 @@ impl Driving {
     }
 }
 
-/// The phase `Thawed`: this master was held up, and listens whether the other system drives.
+/// The phase `Thawed`: this master was held up, and listens for another driver.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thawed {
-    /// The mastership to resume. After a stall no new term is taken, because it would depose the
-    /// other system if that one had taken over unheard.
+    /// The mastership to resume. After a stall this master takes no new term: if the other system
+    /// had taken over unheard, a new term would depose it.
     pub(crate) driving: Driving,
     /// This master was in dual operation.
     pub(crate) dual: bool,
@@ -143,9 +143,9 @@ pub(crate) struct Thawed {
 }
 
 impl Thawed {
-    /// Returns true if no takeover has happened or is in progress. `age`: time since the vehicle
-    /// accepted the last frame of this mastership. It is too short for a takeover, or so long that
-    /// the vehicle would obey the other system by now.
+    /// Returns whether no takeover has happened or is in progress. `age`: time since the vehicle
+    /// accepted the last frame of this mastership. A takeover is excluded if `age` is too short for
+    /// one, or so long that the vehicle would obey the other system by now.
     pub(crate) fn is_kept(&self, config: &Config, age: Duration) -> bool {
         let under_way = config.poll_interval.times(2);
         age + under_way < config.witness_limit() || age > config.gap_bound() + under_way

@@ -60,14 +60,14 @@ pub struct ObeyedTerm {
     /// Time since then.
     pub age: Duration,
     /// The last eight bits of the time of sending, ms on the vehicle's clock, and the time from
-    /// then to this call; `None` if unknown.
+    /// sending to this call; `None` if unknown.
     pub sent: Option<(u8, Duration)>,
 }
 
 /// One input of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
-    /// The lines at a poll: periodic, and at once when an edge or the power level interrupts.
+    /// The lines. Poll periodically, and at once if an edge or the level raises an interrupt.
     Poll(LineSnapshot),
     /// A control frame was received on CAN.
     ControlFrame(ControlHeader),
@@ -75,15 +75,14 @@ pub enum Input {
     StatusFrame(PeerReport),
     /// A report of the other system was received over the link.
     LinkReport(LinkReport),
-    /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
-    /// were lost, or its sender has restarted. The vehicle may have accepted it, so only its term
-    /// is used.
+    /// A control frame with a right CRC and a wrong counter was received on CAN: frames were lost,
+    /// or its sender has restarted. The vehicle may have accepted it, so only its term is used.
     StaleFrame(ControlHeader),
     /// The vehicle reported which term it obeys, as it does every control period.
     VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
-    /// This system is requested to let the other one drive. In dual operation it resigns for
+    /// This system is asked to let the other one drive. In dual operation it resigns for
     /// [`Config::report_limit`](crate::Config::report_limit), without a fault and without stopping
     /// the vehicle; in every other phase the request has no effect. Repeat it while the request
     /// lasts.

@@ -31,7 +31,7 @@ const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
 /// Tells the other system to begin now, as standby.
 const SYNC: Action = Action::SendEdge(Line::Start, Edge::Falling);
 
-/// The phase, with the data of this phase.
+/// The phase and its data.
 #[derive(Clone, Debug)]
 enum PhaseState {
     Starting(Starting),
@@ -76,7 +76,7 @@ impl PhaseState {
 
 /// The redundancy of one system.
 ///
-/// May be called in any context; never blocks; no input makes it panic. Times must not go back.
+/// May be called in any context; never blocks; no input makes it panic. Times must not decrease.
 #[derive(Clone, Debug)]
 pub struct Redundancy {
     config: Config,
@@ -90,11 +90,11 @@ pub struct Redundancy {
     /// The number of consecutive changes of the driver, and the time of the last one.
     changes: u8,
     changed_at: Instant,
-    /// An edge arrived on the start line, or its absence was reported.
+    /// An edge has arrived on the start line, or the missing edge has been reported.
     start_line_tested: bool,
     /// The last state passed to the store.
     persisted: Option<SystemState>,
-    /// The record in flash was lost, and this is not yet reported.
+    /// The record in flash was lost, and the loss has not been reported yet.
     unreported_loss: bool,
     /// The highest term is known well enough: the vehicle or a running system has reported it since
     /// the start, or this system was not off before and its record is whole.
@@ -255,8 +255,8 @@ impl Redundancy {
         self.state.term
     }
 
-    /// Returns whether resets have not cured a wrong command, so that this system drives only to
-    /// stop the vehicle. It then sends commands even if they differ a little from what the vehicle
+    /// Returns whether this system drives only to stop the vehicle, because resets have not cured a
+    /// wrong command. It then sends commands even if they differ a little from what the vehicle
     /// obeys: a stop with steering is better than one without.
     #[must_use]
     pub fn stops_for_its_command(&self) -> bool {
@@ -291,8 +291,8 @@ impl Redundancy {
     }
 
     /// Returns the report to send to the other system over the link now, every control cycle. Call
-    /// it after [`Redundancy::may_transmit`]: a master whose frame was refused does not report that
-    /// it drives.
+    /// this after [`Redundancy::may_transmit`]: a master whose frame was refused does not report
+    /// that it drives.
     #[must_use]
     pub fn link_report(&mut self, now: Instant) -> LinkReport {
         let now_us = (now.as_ns() / 1_000) as u32;
@@ -319,7 +319,7 @@ impl Redundancy {
         };
         let hands_over = self.hands_over_until.is_some();
         let mode = match &self.phase {
-            // This makes the standby take over. On CAN nothing changes.
+            // This report makes the standby take over; the control frames on CAN do not change.
             PhaseState::Master(_) if hands_over => Mode::SafeStop,
             _ => self.mode(),
         };
@@ -373,7 +373,7 @@ impl Redundancy {
             }
             if seen.handshakes > 0 {
                 // The other system starts while this system drives: the sync edge makes it follow.
-                // Send no handshake: another driving system would answer it with one, without end.
+                // Send no handshake: another driving system would answer it, and so on without end.
                 actions.push(SYNC);
             }
         }
@@ -410,8 +410,8 @@ impl Redundancy {
     }
 
     /// Returns whether this system's CAN connection is open: it hears no third party, but the other
-    /// system does. If no system hears any, the whole bus may be dead, and both would suspend. Each
-    /// reset without success doubles the limit. T-RED-6
+    /// system does. If neither hears any, the whole bus may be dead, and both would suspend
+    /// needlessly. Each reset without success doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
         let attempts = u32::from(self.state.abn_in_a_row.min(3));
         let limit = self.config.can_open_limit.times(1 << attempts);
@@ -441,8 +441,8 @@ impl Redundancy {
         self.obey_fault(now, actions);
     }
 
-    /// Reacts to a fault of this system. It leaves only when the other system drives; until then it
-    /// stops the vehicle, or stays ready to do so.
+    /// Reacts to a fault of this system. The system leaves only when the other one drives; until
+    /// then it stops the vehicle, or stays ready to do so.
     fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
         let Some(fault) = self.fault else {
             return;
@@ -624,8 +624,8 @@ impl Redundancy {
         }
     }
 
-    /// Tests the start line: an edge of the other must have arrived since the start. A missing edge
-    /// is reported once, when both systems have run for long enough.
+    /// Tests the start line: an edge of the other system must have arrived since the start. A
+    /// missing edge is reported once, when both systems have run for long enough.
     fn note_start_line(&mut self, now: Instant, seen: &Seen, actions: &mut Actions) {
         self.start_line_tested |= seen.handshakes > 0 || seen.syncs > 0;
         let alive_for = self.witnesses.beats.alive_for(now);

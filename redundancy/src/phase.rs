@@ -102,7 +102,7 @@ impl Phase {
 pub enum Evidence {
     /// A sync edge arrived: the other system leads.
     SyncHeard = 0,
-    /// Heartbeats or control frames of the other arrived while starting: it is running.
+    /// Heartbeats or control frames of the other system arrived while starting: it is running.
     PeerRuns = 1,
     /// Handshakes were exchanged in both directions, or both systems are standby, and this system
     /// leads.
@@ -111,23 +111,23 @@ pub enum Evidence {
     NoAnswer = 3,
     /// The other system's power level is low and its heartbeats have ended: it cannot transmit.
     PeerOff = 4,
-    /// Both heartbeat lines are silent, or have been since the master's last control frame, and no
+    /// Since the master's last control frame, both heartbeat lines were silent at some time, and no
     /// control frame has arrived for the third witness's limit.
     PeerSilent = 5,
     /// Both heartbeat lines are silent; control frames are not considered.
     BeatsSilent = 6,
     /// The vehicle says that no control frame reaches it.
     MasterMute = 7,
-    /// A control frame of the other in a higher term arrived: it drives.
+    /// A control frame of the other system in a higher term arrived: it drives.
     HigherTerm = 8,
     /// Heartbeats of a failed system have arrived again for long enough.
     BeatsBack = 9,
     /// The recovered system is also heard on CAN, and the configuration permits dual operation
     /// again. Or the vehicle still obeys this master, which was held up in dual operation.
     PeerStable = 10,
-    /// This master was held up; the other system may have taken over in this time.
+    /// This master was held up; the other system may have taken over during the stall.
     Stalled = 11,
-    /// The time for listening after a stall is over: the other did not take over.
+    /// The time for listening after a stall is over: the other system has not taken over.
     ListenOver = 12,
     /// This system has a fault that a reset may cure; it does not drive, and the other system does.
     FaultReset = 13,
@@ -140,7 +140,7 @@ pub enum Evidence {
     StandbyMute = 16,
     /// The master resigns: it has a fault and stops the vehicle, or was asked to hand over.
     MasterResigns = 17,
-    /// Nothing was heard of the system whose sync edge this one followed: the edge was a
+    /// After the sync edge that this system followed, no other system was heard: the edge was a
     /// disturbance, and the start continues.
     SyncStray = 18,
 }

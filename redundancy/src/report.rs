@@ -11,7 +11,7 @@ pub struct PeerReport {
     pub role: Role,
     /// The function that it runs.
     pub mode: Mode,
-    /// The highest term that it knows.
+    /// The highest term that it has seen.
     pub term: Term,
     /// Whether it hears frames on CAN.
     pub can_alive: bool,
@@ -24,7 +24,7 @@ pub struct PeerReport {
 pub struct LinkReport {
     /// The content.
     pub report: PeerReport,
-    /// Identifies the start of its sender: the last eleven bits of the count of starts.
+    /// Identifies its sender's last start: the lowest eleven bits of the count of starts.
     pub start: u16,
     /// When it was sent, µs on the sender's clock; wraps around. Of two reports of one start the
     /// later one has the larger time.

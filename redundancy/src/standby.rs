@@ -18,8 +18,8 @@ pub(crate) struct Standby {
     suspected: bool,
     /// The lines were silent at the last poll.
     silent: bool,
-    /// The start that a sync edge has ended. Kept until there is another sign of a master: the edge
-    /// may have been a disturbance.
+    /// The start protocol that a sync edge has ended. Kept until there is another sign of a master,
+    /// because the edge may have been a disturbance.
     start: Option<Starting>,
     /// The function that this system computes: the master's, as far as a standby can follow it.
     mode: Mode,
@@ -56,7 +56,7 @@ impl Standby {
         self.last_control
     }
 
-    /// Returns the start that a stray sync edge interrupted, so that it continues.
+    /// Returns the start protocol that a stray sync edge interrupted, so that it can continue.
     pub(crate) fn interrupted_start(&self) -> Option<Starting> {
         self.start.clone()
     }
@@ -73,11 +73,11 @@ impl Standby {
         };
     }
 
-    /// Handles an echo: the vehicle accepted a frame of the master `age` ago. If this system's last
-    /// frame is older by more than the margin, it has lost frames, and the master drives.
+    /// Handles an echo: the vehicle accepted a frame of the master `age` ago. If the last frame
+    /// received here is older by more than the margin, frames were lost, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
         self.start = None;
-        // Also if this system began to listen only just before that frame.
+        // This also holds if this system began to listen just before that frame.
         self.control_known = true;
         let unheard = now.since(self.last_control);
         if unheard > age + config.control_margin {
@@ -92,7 +92,7 @@ impl Standby {
     }
 
     /// Returns whether the master drove within the third witness's limit: this system or the
-    /// vehicle received its frame, or it reported so over the link. A new standby does not know: a
+    /// vehicle received its frame, or its link report says so. A new standby cannot assume it: a
     /// disturbance, or a system that has failed too, may have made it standby.
     pub(crate) fn master_drives(
         &self,
@@ -171,7 +171,7 @@ impl Standby {
     ) -> Option<Evidence> {
         let silent = witnesses.beats.both_silent();
         let was_silent = core::mem::replace(&mut self.silent, silent);
-        // A handshake alone: the other has just started. A system that leads sends a sync edge too.
+        // A handshake alone: the other has just started. A leading system sends a sync edge too.
         let starts = seen.handshakes > 0 && seen.syncs == 0;
         // Remembered until control frames arrive again: a master that was reset may send heartbeats
         // again, as a standby, before the absence of its control frames is detected.
@@ -198,8 +198,8 @@ impl Standby {
                 return Some(Evidence::MasterMute);
             }
         }
-        // Only a recent report counts. The master sent it in a control cycle, so it is deposed
-        // before its next one.
+        // Only a recent report counts. The master sent it in a control cycle, so the master is
+        // deposed before its next cycle.
         let resigns = witnesses.reports.resigns(now, config.stall_limit());
         if resigns && sound && now >= self.hold_until && !witnesses.is_deaf(config, now) {
             return Some(Evidence::MasterResigns);
@@ -217,7 +217,7 @@ impl Standby {
     ) -> Instant {
         let control = self.last_control + config.witness_limit();
         let limits = witnesses.limits(config).into_iter().chain([control]);
-        // A limit has ended when it is exceeded.
+        // A limit ends when it is exceeded, not when it is reached.
         let ends = limits.map(|limit| limit + Duration::from_ns(1));
         ends.filter(|end| *end > now)
             .min()
@@ -233,7 +233,7 @@ impl Standby {
     }
 
     /// Returns whether the evidence of the lines is enough: the driver has not changed for long
-    /// enough, or the vehicle does not contradict.
+    /// enough, or the vehicle's echo does not contradict it.
     fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         now >= self.hold_until
             || matches!(
@@ -253,12 +253,12 @@ impl Standby {
             _ => config.mute_limit(),
         };
         let no_system_drives = match verdict {
-            // After an outage of the whole bus the master needs a control period to be heard.
+            // After an outage of the whole bus it takes up to a control period to hear the master.
             GateVerdict::Uncontrolled => {
                 witnesses.can.alive_for(now) > config.control_period + config.poll_interval
             }
-            // The vehicle sends no echo. After an outage of the whole bus the master needs a
-            // control period to be heard again.
+            // The vehicle sends no echo. After an outage of the whole bus it takes up to a control
+            // period to hear the master.
             GateVerdict::Unknown => {
                 witnesses.can.alive_for(now) > config.witness_limit()
                     || witnesses

@@ -5,7 +5,7 @@ use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
 /// At this count of incarnations that found their command wrong, a further reset does not cure the
-/// system. It starts in the safe stop, or suspends beside a system that drives.
+/// system. It starts in the safe stop, or suspends if the other system drives.
 pub(crate) const WRONG_COMMANDS: u8 = 2;
 
 /// The result of the checks: how to begin the start protocol.
@@ -32,7 +32,7 @@ pub(crate) fn check(
     };
     state.total_resets = state.total_resets.saturating_add(1);
 
-    // A power cycle gives one more attempt: the next abnormal reset, or wrong command, suspends
+    // A power cycle gives one more attempt: the next abnormal reset or wrong command suspends it
     // again.
     if cause == ResetCause::PowerOn {
         state.wrong_in_a_row = state.wrong_in_a_row.min(WRONG_COMMANDS - 1);

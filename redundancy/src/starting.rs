@@ -98,8 +98,8 @@ impl Starting {
         self.control_frame || self.beats >= BEATS_OF_A_RUNNING_SYSTEM
     }
 
-    /// Returns whether the time limit for an answer of the other system has passed. A first
-    /// handshake extends it until the second is due.
+    /// Returns whether the time limit for an answer of the other system has passed. The first
+    /// handshake extends the limit until the second one is due.
     pub(crate) fn is_over(&self, config: &Config, now: Instant) -> bool {
         let more = config.handshake_period.times(self.handshakes.min(1));
         now.since(self.since) >= self.alone_after(config) + more
@@ -117,7 +117,7 @@ impl Starting {
     }
 
     /// Returns how long this system waits for the other one. The times are staggered: if the start
-    /// line is cut, the first to stop waiting is heard on other lines before the second stops.
+    /// line is cut, the system that stops first is heard on other lines before the other stops.
     fn alone_after(&self, config: &Config) -> Duration {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),

@@ -100,7 +100,7 @@ pub struct SystemState {
     pub term: Term,
 }
 
-/// Why bytes from the flash are not a valid state.
+/// The reason why bytes from the flash are not a valid state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StateDecodeError {
     /// All ones: erased flash.

@@ -1,4 +1,4 @@
-//! The one budget of time from which the limits of each profile follow.
+//! The time budget from which all limits of a profile follow.
 //!
 //! A limit is as long as the machine needs, and no longer than the goal permits: a takeover on
 //! silence within two control periods.
@@ -10,7 +10,7 @@ const MS: Duration = Duration::from_ms(1);
 const CONTROL_PERIOD: Duration = Duration::from_ms(10);
 /// The gap after a failed master's last control frame is shorter than this.
 const GOAL: Duration = CONTROL_PERIOD.times(2);
-/// The least standby limit. Losing the standby is not urgent, because control frames continue.
+/// The smallest standby limit. Losing the standby is not urgent, because control frames continue.
 const STANDBY_LIMIT: Duration = Duration::from_ms(8);
 /// The smallest stagger. A shorter difference in time must not decide which system drives.
 const STAGGER: Duration = Duration::from_ms(20);
@@ -67,7 +67,7 @@ impl Budget {
 
     /// Ordinary processes on a desktop.
     pub const DESKTOP: Self = Self {
-        // The same limits of silence as in real time, at half the cost.
+        // The same limits of silence as in `RT`, at half the cost.
         heartbeat_period: Duration::from_ms(2),
         handshake_period: Duration::from_ms(10),
         boot_limit: Duration::from_ms(4_000),
@@ -76,8 +76,8 @@ impl Budget {
         ..Self::RT
     };
 
-    /// Returns this budget with a measured stall, in whole milliseconds. Stalls longer than in a
-    /// short measurement occur later, so the measured one counts four times, plus a millisecond.
+    /// Returns this budget with a measured stall, in whole milliseconds. A short measurement misses
+    /// the longest stalls, so the measured one counts four times, plus a millisecond.
     #[must_use]
     pub const fn measured(self, longest: Duration) -> Self {
         let ms = longest.as_us().div_ceil(250) + 1;
@@ -93,8 +93,8 @@ impl Budget {
         Duration::from_ns(self.heartbeat_period.as_ns() * 2 + late)
     }
 
-    /// Returns the limit of silence that the goal permits: two control periods, minus the one since
-    /// the last frame, the poll, and 1 ms of margin.
+    /// Returns the limit of silence that the goal permits: two control periods, minus the control
+    /// period since the last frame, the poll, and 1 ms of margin.
     const fn silence_permitted(&self) -> Duration {
         let rest = GOAL.as_ns() - CONTROL_PERIOD.as_ns() - MS.as_ns();
         Duration::from_ns(rest - self.poll_interval.as_ns())
@@ -136,13 +136,13 @@ impl Budget {
     ///
     /// # Panics
     /// If no limits fit: polls are rarer than heartbeats, or even without a stall a takeover on
-    /// silence takes longer than two control periods. For a constant, the compiler reports it.
+    /// silence takes longer than two control periods. For a constant, the compiler reports this.
     #[must_use]
     pub const fn config(self) -> Config {
         self.refuse_impossible();
         let silence = shorter(self.silence_needed(), self.silence_permitted());
-        // Lateness and a short stall are not a missing heartbeat. The rest of the silence is a
-        // whole number of heartbeats, at least two.
+        // Lateness and a short stall must not count as a missing heartbeat. The rest of the silence
+        // is a whole number of heartbeats, at least two.
         let jitter = Duration::from_ns(self.lateness.as_ns() + shorter(self.stall, MS).as_ns());
         let beyond_two = Duration::from_ns(silence.as_ns() - self.heartbeat_period.as_ns() * 2);
         let beats = silence.as_ns() - shorter(jitter, beyond_two).as_ns();
@@ -178,7 +178,7 @@ impl Budget {
             mute_periods: 2,
             handshake_period: self.handshake_period,
             // The longest time the other system may take to start and to send its first handshake.
-            // The level line shows a system without power at once.
+            // The level line immediately shows a system without power.
             start_limit: Duration::from_ns(self.boot_limit.as_ns() + AFTER_BOOT.as_ns()),
             stagger,
             // In this time the other system polls at least three times.
@@ -190,7 +190,7 @@ impl Budget {
             // A system that crashes once a minute should be repaired, not suspended.
             healthy_after: Duration::from_ms(60_000),
             // The vehicle's frames arrive every 10 ms; a pause of 25 of them is not normal. Every
-            // failed attempt doubles it: a loose connector gets seconds to recover.
+            // failed attempt doubles this limit: a loose connector gets seconds to recover.
             can_open_limit: Duration::from_ms(250),
             report_period: self.report_period,
             // Valid until the link counts as silent.
@@ -222,9 +222,9 @@ impl Config {
 
     /// The limits of [`Budget::DESKTOP`].
     ///
-    /// They do not grow with the stalls of a desktop, because a takeover within two control periods
-    /// permits no longer limits. This is safe, because a takeover on silence also needs the control
-    /// frames to be missing.
+    /// They do not grow with the stalls of a desktop: longer limits would not permit a takeover
+    /// within two control periods. This is safe, because a takeover on silence also requires that
+    /// the control frames are missing.
     #[must_use]
     pub const fn desktop() -> Self {
         Budget::DESKTOP.config()

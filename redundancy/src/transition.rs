@@ -7,7 +7,7 @@ use crate::{Evidence, Phase};
 pub(crate) struct Rule {
     /// The effect that is applied before the phase changes.
     pub(crate) effect: Option<Effect>,
-    /// The phase that the system enters; `None` leaves it in its phase.
+    /// The phase that the system enters; `None` if the phase does not change.
     pub(crate) enter: Option<Phase>,
 }
 

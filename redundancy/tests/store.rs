@@ -83,7 +83,7 @@ impl Flash {
             let is_new = match torn {
                 Torn::Front => i < n,
                 Torn::Back => i >= len - n,
-                // 7 is coprime to all lengths here: the first n of a walk over all bytes.
+                // 7 is coprime to all lengths: `i * 7` visits each byte once; take the first n.
                 Torn::Scattered => (i * 7 + n * 3) % len < n,
             };
             if is_new {
@@ -326,7 +326,7 @@ enum RedundancyEvent {
     Refuse,
     /// The running operation ends.
     Finish,
-    /// It fails, and leaves its range torn.
+    /// The running operation fails, and leaves its range torn.
     Fail(usize, Torn),
     /// Power is lost, while an operation runs or not, and the system starts again.
     Lose(usize, Torn),
@@ -390,10 +390,10 @@ struct Machine {
     store: StateStore,
     flash: Flash,
     running: Option<FlashOp>,
-    /// The result of the last operation.
+    /// The result of the last operation of the flash.
     status: FlashStatus,
-    /// The states that the next start may find: the durable one, and those begun since. A write
-    /// that failed may have written its whole record.
+    /// The states that the next start may find: the durable one, and those begun since. A failed
+    /// write may have written its whole record.
     readable: Vec<Option<SystemState>>,
 }
 
@@ -403,7 +403,7 @@ impl Machine {
         self.status = FlashStatus::Idle;
         if let Some(&durable) = self.store.durable() {
             let known = self.readable.iter().rposition(|it| *it == Some(durable));
-            // The states begun before it are out of date.
+            // The states whose writing began before this one are out of date.
             self.readable.drain(..known.unwrap());
         }
         if let Some(FlashOp::Program { data, .. }) = &op {

@@ -1,5 +1,5 @@
-//! Ends over plain words whose place and shape are known only at run time: for C, for words outside
-//! an LMU (a board's own rings), and for models.
+//! Attaches ends to plain words whose place and shape are known only at run time: for C, for words
+//! outside an LMU (a board's own rings), and for models.
 //!
 //! Only size and alignment are checked. The caller must pass the same words, shape and payload to
 //! each end of an object, and attach a unique end only once. Rust code with a map uses
@@ -20,7 +20,7 @@ use crate::shape::{FitError, Shape};
 use crate::sync::AtomicU32;
 use crate::{broadcast, newest};
 
-/// Attaches an end of the lock in these words. `incarnation` was announced in `incarnations`.
+/// Attaches an end of the lock in these words. `incarnation` must be announced in `incarnations`.
 pub fn lock<'a>(
     words: &'a [AtomicU32],
     incarnation: Incarnation,
@@ -29,7 +29,7 @@ pub fn lock<'a>(
     Lock::attach(words, incarnation, incarnations)
 }
 
-/// Attaches to the pool of `blocks` blocks in these words. `incarnation` was announced in
+/// Attaches to the pool of `blocks` blocks in these words. `incarnation` must be announced in
 /// `incarnations`.
 ///
 /// # Panics

@@ -43,7 +43,7 @@ pub struct Receiver<'a, T = ()> {
     ring: Ring<'a>,
     /// The number of the next value to receive.
     cursor: u32,
-    /// The head at its last load. To receive values below it, the head need not be loaded again.
+    /// The head when it was last loaded. Values below it can be received without another load.
     head: u32,
     payload: PhantomData<fn() -> T>,
 }

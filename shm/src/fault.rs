@@ -19,7 +19,7 @@ type Event = Box<dyn FnOnce()>;
 enum Mode {
     /// Every access is performed.
     Free,
-    /// This many accesses are performed, then the action runs.
+    /// After this many accesses the action runs.
     Armed(usize, Event),
     /// The operation was killed: the destructors that run while it unwinds do not access memory.
     Dead,
@@ -33,7 +33,7 @@ std::thread_local! {
 std::thread_local! {
     static SWITCHING: core::cell::Cell<bool> = const { core::cell::Cell::new(false) };
 }
-// Each thread of the model has its own.
+// Each thread of the model has its own mode.
 #[cfg(loom)]
 loom::thread_local! {
     static MODE: RefCell<Mode> = RefCell::new(Mode::Free);
@@ -46,7 +46,7 @@ fn set_mode(mode: Mode) -> Mode {
 /// Counts one access and runs the armed action. Returns whether the access reaches the memory.
 fn step() -> bool {
     let mode = set_mode(Mode::Free);
-    // Another core of a random schedule can run only here. This core keeps its mode on its stack.
+    // Other cores of a random schedule run only here; `mode` keeps this core's mode.
     #[cfg(all(test, not(any(loom, miri))))]
     if SWITCHING.get() && !matches!(mode, Mode::Dead) {
         shuttle::thread::yield_now();

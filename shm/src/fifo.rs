@@ -7,18 +7,18 @@
 //! many values it has released. The producer keeps a copy of that index and reads it again only
 //! when the queue is full according to the copy.
 //!
-//! In a queue of 64 or more slots, the consumer publishes releases in groups of 8, and when it
-//! finds the queue empty: so a busy queue moves fewer lines. Until then up to 7 free slots look
-//! full to the producer; a protocol must not rely on the last 7 slots if its consumer never polls
-//! an empty queue. In smaller queues the consumer publishes every release.
+//! A queue of 64 or more slots moves fewer cache lines: its consumer publishes releases in groups
+//! of 8, and the rest when it finds the queue empty. Until then up to 7 free slots look full to the
+//! producer, so a protocol must not rely on the last 7 slots if its consumer never polls an empty
+//! queue. In smaller queues the consumer publishes every release.
 //!
 //! Each end trusts only its private copy of its own index, not the other end's words: if the
 //! distance between both indices is impossible (greater than the number of slots), the producer
 //! returns full. If words were overwritten with garbage, the ends repair them. A consumer that
-//! polls an empty queue publishes its index again, and after every [`LOOKS_PER_DOUBT`] empty polls
-//! checks one more slot, each in turn. If that slot holds a complete value that is not the last one
-//! received from it, the consumer continues with the nearest such value. The producer of a full
-//! queue stamps its oldest value again.
+//! polls an empty queue publishes its index again. After every [`LOOKS_PER_DOUBT`] empty polls it
+//! also checks one slot, each slot in turn. If that slot holds a complete value that is not the
+//! last one received from it, the consumer continues with the nearest such value. The producer of a
+//! full queue stamps its oldest value again.
 //!
 //! If the producer dies, only its unsent values are lost. If the consumer dies, its successor
 //! receives the values that were not released, or not yet published as released: each value is
@@ -51,7 +51,7 @@ pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * stride(shape)
 }
 
-/// Returns the words from one slot to the next. Only a slot longer than a line crosses a boundary.
+/// Returns the distance between slots, in words. Only a slot longer than a line crosses a boundary.
 #[inline]
 const fn stride(shape: Shape) -> usize {
     let slot = shape.slot_words() + 1;
@@ -136,8 +136,8 @@ impl<'a> Queue<'a> {
         }
     }
 
-    /// Returns how far the complete value in this slot is ahead of `head`; `None` if its value is
-    /// not complete or was received: the slots of an empty queue still hold received values.
+    /// Returns how far the value in this slot is ahead of `head`. Returns `None` if the value is
+    /// not complete or was received: received values stay in the slots of an empty queue.
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
         // Acquire pairs with the Release in `complete`: a core that sees a value sees all earlier
         // values.
@@ -160,8 +160,8 @@ impl<'a> Queue<'a> {
     }
 }
 
-/// Converts a value's number to its stamp, and back. The stamp is not k + 1: the compiler would
-/// derive the next index from it, and each poll would wait for the line of the previous value.
+/// Converts a value's number to its stamp, and back. The stamp is not k + 1, because the compiler
+/// would derive the next index from it, and each poll would wait for the previous value's line.
 #[inline]
 const fn complete(k: u32) -> u32 {
     !k

@@ -16,7 +16,7 @@ use crate::sync::{AtomicU32, Ordering};
 /// Number of cores that share an LMU.
 pub const CORES: usize = 3;
 
-/// The largest generation: 30 bits. At one reset a second that is 34 years.
+/// The largest generation: 30 bits. With one reset a second, it is reached after 34 years.
 pub const MAX_GENERATION: u32 = (1 << 30) - 1;
 
 const DEAD: u32 = 1;
@@ -96,7 +96,7 @@ impl<'a> Incarnations<'a> {
     /// earlier incarnations of this core owned. A second announcement changes nothing.
     ///
     /// A word whose generation is more than 7 ahead of this one is garbage and is overwritten.
-    /// Garbage that is less far ahead costs the core at most 8 resets.
+    /// Garbage that is at most 7 ahead costs the core at most 8 resets.
     ///
     /// # Errors
     /// [`Outdated`] if this incarnation is not the latest, or was marked dead: it must stop.
@@ -166,7 +166,7 @@ impl<'a> Incarnations<'a> {
     }
 }
 
-/// The incarnations that use one object: the generation of each core that attached last.
+/// The incarnations that use one object: for each core, the generation that attached last.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Attached<'a> {
     generations: &'a [AtomicU32; CORES],

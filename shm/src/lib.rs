@@ -41,8 +41,8 @@
 //! # Example
 //!
 //! Core 0 passes a value to core 1: core 0 publishes and signals, core 1 reads when it is
-//! signalled. The map is a chain of constants; a region defines its shape and its payload, and has
-//! one sender, receiver or writer. See also [`region`].
+//! signalled. The map is a chain of constants. A region defines its shape and its payload, and
+//! refuses a second claim of a unique end, for example of a writer. See also [`region`].
 //!
 //! ```
 //! use tandem_shm::incarnation::Incarnation;

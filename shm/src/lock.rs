@@ -46,12 +46,12 @@ pub const PATIENCE: u32 = 32;
 
 /// The longest pause between two polls, in spins.
 const MAX_PAUSE: u32 = 64;
-/// Attempts of an attachment to replace a token that an earlier incarnation of its core left. After
-/// this many failures, other cores have changed the token: it is no longer the old one.
+/// Attempts to replace, when attaching, a token that an earlier incarnation of the core left. If
+/// all fail, other cores have changed the token, so it is no longer the old one.
 const DISOWN_ATTEMPTS: u32 = 16;
 
 const TOKEN_AT: usize = 0;
-/// Released words of each core, one for each of this many consecutive incarnations.
+/// Number of released words of each core: one for each of this many consecutive incarnations.
 const RELEASED_LIVES: usize = 4;
 const ATTACHED_AT: usize = 1 + CORES * RELEASED_LIVES;
 
@@ -255,7 +255,7 @@ impl<'a> Lock<'a> {
     /// lock was never taken).
     #[inline]
     fn retake(&mut self) -> bool {
-        // 2^23 turns later, another task of this core may hold the lock with the same token.
+        // Check: 2^23 turns later, another task of this core may hold the lock with this token.
         if self.own_released.load(Ordering::Relaxed) != self.mine {
             return false;
         }
@@ -272,8 +272,8 @@ impl<'a> Lock<'a> {
         (token & !(ONE_TURN - 1)).wrapping_add(ONE_TURN) | self.identity
     }
 
-    /// Waits for the lock and takes it. Returns whether its last owner died with it, and how many
-    /// turns others took during the wait.
+    /// Waits for the lock and takes it. Returns whether its last owner died while holding it, and
+    /// how many turns others took during the wait.
     #[cold]
     fn wait(
         &mut self,
@@ -309,7 +309,7 @@ impl<'a> Lock<'a> {
     }
 
     /// Polls once and takes the lock if it is free; `impatient` also takes it out of turn. Returns
-    /// whether its last owner died with it.
+    /// whether its last owner died while holding it.
     fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
         let token = self.token().load(Ordering::Relaxed);
         let mut free = self.is_released(token);
@@ -364,7 +364,7 @@ impl<'a> Lock<'a> {
         if token & WAITING & !waiting_bit(self.core) == 0 {
             return 0;
         }
-        // Acquire pairs with the Release of the bit in `lock`.
+        // Acquire pairs with the Release of the bit in `wait`.
         fence(Ordering::Acquire);
         let last = core_of(token);
         (last + 1..=last + CORES)

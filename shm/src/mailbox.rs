@@ -25,9 +25,9 @@
 //!
 //! The doorbell is rung only when the receiver may be asleep. Sender: post, fence, read `asleep`.
 //! Receiver: set `asleep`, fence, read what is posted. With sequentially consistent fences at least
-//! one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes", 1965, section
-//! 2.1). While the receiver is awake its flag does not change, so the sender's read stays in its
-//! own cache.
+//! one of them sees the other's write (E. W. Dijkstra, "Cooperating sequential processes", 1965,
+//! section 2.1). While the receiver is awake its flag does not change, so the sender reads it from
+//! its own cache.
 //!
 //! A successor of either end continues with the counters: if the receiver dies before a handler has
 //! returned, its successor handles that signal, so a handler runs at least once for each signal.
@@ -35,7 +35,7 @@
 //! Limit: a sender keeps private copies of its counters and only stores. If an incarnation that was
 //! declared dead still runs and signals beside its successor, it stores an old count: a signal of
 //! the successor may be handled only after the next signal to that task, or a handler gets a wrong
-//! count. A board must end an incarnation (kill it on the host, reset the chip) before the next.
+//! count. A board must end an incarnation (host: kill it, chip: reset) before the next one starts.
 
 use crate::shape::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
@@ -46,9 +46,9 @@ pub const WORDS: usize = 4 * LINE_WORDS;
 /// The largest task id.
 pub const MAX_TASK: u8 = 15;
 
-/// Number of tasks. The index of a task is its id - 1, so it is below this.
+/// Number of tasks. The index of a task is its id - 1, so it is below this number.
 const TASKS: usize = MAX_TASK as usize;
-/// Length of the tables by index: a power of two, so that a mask keeps an index in range.
+/// Length of tables by task index: a power of two, so that a mask keeps an index in range.
 const SLOTS: usize = TASKS + 1;
 
 /// The sender writes lines 0 and 1: the posted word, the claim of the sending end, and for each
@@ -104,9 +104,9 @@ fn post_of(counts: &[u32; SLOTS]) -> u32 {
     sum << NUMBER_SHIFT
 }
 
-/// Every 65,536 polls the receiver compares all counts: the 27-bit number may have wrapped. If the
-/// receiver was stopped for n × 2^27 signals, the posted word shows no new signal; one more signal
-/// looks like the only one.
+/// Every 65,536 polls the receiver compares all counts, because the 27-bit number may have wrapped.
+/// If the receiver was stopped for n × 2^27 signals, the posted word shows no new signal, and one
+/// more signal looks like the only one.
 #[cfg(not(loom))]
 const POLLS_UNTIL_SURE: u32 = 1 << 16;
 /// Disabled under loom, so that comparing all counts cannot hide a lost post.
@@ -207,7 +207,7 @@ impl<'a> Sender<'a> {
     /// gets the newest. Never blocks; task or handler context.
     #[inline]
     pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
-        // Before the count: a core that sees this count sees this value or a newer one.
+        // Store it before the count: a core that sees this count sees this value or a newer one.
         self.words[value_at(task.at())].store(value, Ordering::Relaxed);
         self.count(task.at());
         self.look_for_sleeper()
@@ -308,8 +308,8 @@ impl<'a> Receiver<'a> {
     }
 
     /// Passes the open signals of each task to `handle`, the lowest id first, and counts them as
-    /// handled when it returns. Returns the number of signals (wrapping). Bounded: a signal that
-    /// arrives after its task was handled is left to the next call. Never blocks.
+    /// handled when `handle` returns. Returns the number of signals (wrapping). Bounded: a signal
+    /// that arrives after its task was handled is left to the next call. Never blocks.
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         let words = self.words;
@@ -381,7 +381,7 @@ impl<'a> Receiver<'a> {
         }
     }
 
-    /// Compares all counts, in this poll or in the next one.
+    /// Makes this poll or the next one compare all counts.
     #[cold]
     #[inline(never)]
     fn compare_all(&mut self) {
@@ -595,8 +595,8 @@ mod tests {
         assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
     }
 
-    /// T-SYNC-3: after a stop of exactly 2^27 signals the posted word is unchanged, but the
-    /// receiver finds the signals.
+    /// T-SYNC-3: if the receiver is stopped for exactly 2^27 signals, the posted word is unchanged,
+    /// but the receiver finds the signals.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_polling() {

@@ -158,7 +158,7 @@ impl<'a> Map<'a> {
     }
 
     /// Returns the words of a region of `count` words that begins at word `begin`, rounded up to
-    /// whole cache lines. For a layout that was made at run time: a
+    /// whole cache lines. Needed only for a layout that was made at run time, because a
     /// [`Region`](crate::region::Region) holds both numbers.
     ///
     /// # Errors
@@ -256,7 +256,7 @@ mod tests {
 
     #[test]
     fn killed_at_every_step_of_format_no_core_attaches_and_the_successor_formats() {
-        // Miri takes long for each step: it runs only some of those that zero the memory.
+        // Miri takes long for each step, so it runs only some of those that zero the memory.
         for at in (0..).step_by(if cfg!(miri) { 17 } else { 1 }) {
             let words = zeroed(WORDS);
             for word in words {

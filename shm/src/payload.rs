@@ -8,7 +8,7 @@ pub struct Corrupt;
 
 /// A type that crosses the LMU as a fixed number of words: the codec of a payload.
 pub trait Payload: Sized {
-    /// Words of a value; at least 1.
+    /// Number of words of a value; at least 1.
     const WORDS: usize;
 
     /// Writes the value: calls `put` with each word, in order.

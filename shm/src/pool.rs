@@ -39,11 +39,11 @@ use crate::sync::{AtomicU32, Ordering};
 /// Words of a block, the unit of allocation: a cache line.
 pub const BLOCK_WORDS: usize = LINE_WORDS;
 
-/// The largest number of blocks: the count has 9 bits. It is one less than the LMU of a TC297 has.
+/// The largest number of blocks, because the count has 9 bits. The LMU of a TC297 has one more.
 pub const MAX_BLOCKS: usize = 511;
 
-/// Attempts of [`Pool::get`], which fail if another core takes a block that was found free, and of
-/// [`Pool::attach`], which fail if another incarnation attaches.
+/// Attempts of [`Pool::get`] and [`Pool::attach`]. An attempt of `get` fails if another core takes
+/// a block that was found free, one of `attach` if another incarnation attaches.
 const ATTEMPTS: u32 = 4;
 
 /// The word that counts the allocations that were started.
@@ -122,7 +122,7 @@ pub struct Handle {
 
 #[allow(clippy::len_without_is_empty, reason = "an allocation is never empty")]
 impl Handle {
-    /// Returns how many words were requested (1 or more); may be wrong in a handle from elsewhere.
+    /// Returns how many words were requested (1 or more). In a forged handle it may be wrong.
     #[must_use]
     pub const fn len(self) -> usize {
         self.words as usize
@@ -253,7 +253,7 @@ impl<'a> Pool<'a> {
     }
 
     /// Borrows `n_words` words (`shdmem_get`). They hold the values of an earlier owner. Never
-    /// blocks; any context. Bounded: at most four walks over the blocks.
+    /// blocks; any context. Bounded: at most four passes over the blocks.
     ///
     /// # Errors
     /// [`GetError`]
@@ -391,8 +391,8 @@ impl<'a> Pool<'a> {
             .is_ok()
     }
 
-    /// Returns the first of `need` free blocks in a row, and its state. Frees blocks of dead owners
-    /// on the way.
+    /// Returns the first of `need` free blocks in a row, and its state. During the search, frees
+    /// blocks of dead owners.
     fn find_free(&self, need: usize) -> Result<(usize, u32), GetError> {
         let mut error = GetError::Full;
         let mut block = 0;

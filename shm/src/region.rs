@@ -213,7 +213,7 @@ fn claim(
 ) -> Result<(), EndError> {
     // Core + 1 in the low bits: a zeroed region has no claims.
     let own = incarnation.generation() << 2 | (incarnation.core() as u32 + 1);
-    // Another core that claims at the same time causes a retry: there are three cores.
+    // A retry is needed only if another core claims at the same time, and there are three cores.
     for _ in 0..4 {
         // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
         let seen = word.load(Ordering::Acquire);

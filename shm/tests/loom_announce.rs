@@ -56,7 +56,7 @@ fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
     });
 }
 
-/// T-LOCK-1: as above, if another core had the lock before: `look` takes the lock, not `retake`.
+/// T-LOCK-1: as above, after another core had the lock: `look` takes it, not `retake`.
 #[test]
 fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
     model(3, || {

@@ -205,7 +205,7 @@ fn fifo_values_arrive_in_order() {
 }
 
 /// The producer refills no slot before the consumer has read it. In loom a load never sees a later
-/// store, so a cell that both ends access replaces the words of each slot.
+/// store, so a cell that both ends access represents the words of each slot.
 #[test]
 fn fifo_slots_are_refilled_after_they_were_read() {
     model(3, || {

@@ -44,7 +44,7 @@ fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
         let guarded = Arc::new(UnsafeCell::new(0u32));
         let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
             let mut lock = bare::lock(&words, incarnation(core), incarnations(&words)).unwrap();
-            // The bound holds for cores that poll in time: the patience exceeds a model's polls.
+            // The bound holds only if cores poll in time, so the patience exceeds a model's polls.
             lock.set_patience(u32::MAX);
             for _ in 0..times[core] {
                 if let Ok(acquired) = lock.lock(LOOKS, spin) {

@@ -240,7 +240,7 @@ impl Bench {
     }
 
     /// Runs for `span`. The faults, whose times count from now, begin and end during that time.
-    /// Then everything is restored and has power.
+    /// Then everything is restored, and both systems have power.
     ///
     /// # Panics
     /// If the simulator cannot apply one of the faults.
@@ -285,7 +285,7 @@ impl Bench {
         }
     }
 
-    /// Returns the limit from restoring everything until a system drives; covers a start of both.
+    /// Returns the time limit from the restoration until a system drives; covers a start of both.
     #[must_use]
     pub fn settles_within(&self) -> Duration {
         let limits = &self.config.redundancy;

@@ -94,7 +94,7 @@ impl Drive {
         Self::with(scenario, seed, move |board| poller(board, config))
     }
 
-    /// As [`Drive::new`]; `core` creates each incarnation of a core.
+    /// Like [`Drive::new`]; `core` creates each incarnation of a core.
     ///
     /// # Panics
     /// If there is no embedded scenario of this name.
@@ -183,7 +183,7 @@ impl Drive {
         }
     }
 
-    /// Returns the gaps longer than their causes permit on a board whose timers are never late.
+    /// Returns the gaps that are longer than their causes permit if timers are never late.
     #[must_use]
     pub fn gaps_beyond(&self) -> Vec<Gap> {
         // The vehicle receives frames once a millisecond.

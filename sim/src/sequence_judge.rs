@@ -143,8 +143,8 @@ impl Bench {
         }
     }
 
-    /// Returns the rules that the roles violate after the end: one system drives and none stands
-    /// by, or the vehicle stops although `may_drive`: the faults leave a system that can drive.
+    /// Returns the rules that the roles violate after the end: no system is standby and none is
+    /// suspended, or the vehicle stops although `may_drive` (a system that can drive is left).
     pub(crate) fn judge_roles(&mut self, may_drive: bool) -> Vec<Rule> {
         let is_alone = |bench: &Self| {
             let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);

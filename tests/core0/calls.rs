@@ -41,7 +41,7 @@ struct Stated(i64, &'static str, u32, &'static str);
 
 /// No limit: the number of ticks determines how often a tick and the idle time make this call.
 const EACH_TICK: u32 = u32::MAX;
-/// Limit for interrupts after which core 0 did not sleep: two calls for each, and ten more.
+/// Limit of two calls for each interrupt after which core 0 did not sleep, and ten more.
 const EACH_PILED: u32 = u32::MAX - 1;
 
 /// Limit for showing the role: one call for each role that the trace contains.
@@ -136,7 +136,7 @@ fn run_traced(_: &CoreArgs, board: HostBoard, grant: Grant, spoil: Option<fn(u64
     control_core::go(board, config(), grant).expect("core 0");
 }
 
-/// T-CHIP-2: core 0 of A is killed, and B takes over. `added` is the call of a negative test.
+/// T-CHIP-2: core 0 of A is killed, and B takes over. A negative test adds the call `added`.
 fn take_over(script: &mut Script, added: Option<i64>) {
     script.until("A drives and B stands by", |script| {
         script.port().role(SystemId::B) == RoleLamp::Standby && !script.accepted.is_empty()
@@ -175,7 +175,7 @@ fn count(line: &str) -> (i64, u32) {
     (number, times.parse().expect("a number"))
 }
 
-/// Returns the calls in words, and the numbers of those not permitted. Core 0 has shown `roles`.
+/// Returns a table of the calls, and those not permitted. Core 0 has shown its role `roles` times.
 fn judge(counted: &[(i64, u32)], roles: u32) -> (String, Vec<i64>) {
     let (mut table, mut unstated) = (String::new(), vec![]);
     let times = |of| counted.iter().find(|it| it.0 == of).map_or(0, |it| it.1);

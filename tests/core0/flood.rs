@@ -42,7 +42,7 @@ fn babble(_: &CoreArgs, board: HostBoard, _: Grant) {
                 }
             }
         }
-        // Pause, because this process shares its CPU with A. A second processor would not.
+        // Pause, because this process shares a CPU with A, unlike a second processor.
         thread::sleep(Span::from_micros(200));
     }
 }

@@ -32,7 +32,7 @@ fn mark(number: i64) {
     }
 }
 
-/// Marks the begin of the window in which calls are counted. `mark_end` marks its end.
+/// Marks the beginning of the window in which calls are counted. `mark_end` marks its end.
 pub(crate) fn mark_begin() {
     mark(BEGIN);
 }
@@ -112,7 +112,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     let urgent = libc::sched_param {
         sched_priority: PRIORITY,
     };
-    // This fails without permission, which core 0 then lacks too.
+    // This fails without permission; core 0 then has no permission either.
     // SAFETY: the parameter is read during the call.
     unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &urgent) };
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE;

@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 
-use crate::fixture::{Fixture, Run, kill, send, takeovers};
+use crate::fixture::{Fixture, Run, kill, send};
 use crate::observers::{until_driven, until_obeyed};
 
 pub(crate) const POWER: &str = "power level fell and heartbeats ended";
@@ -28,18 +28,16 @@ pub(crate) const fn peer(system: &str) -> &'static str {
     }
 }
 
-/// Waits until the vehicle obeys the other system, and ends the run. The cause of the takeover
-/// must be one of these signs. The bounds of the gap are checked in virtual time.
+/// Waits until the vehicle obeys the other system, and ends the run. The cause of the takeover from
+/// `master` must be one of these signs. The bounds of the gap are checked in virtual time.
 fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     until_obeyed(run, peer(master));
     let metrics = run.interrupt();
-    let all = metrics["takeovers"].as_array().unwrap();
-    assert!(all.iter().any(|it| it["from"] == master), "{metrics:#}");
-    for takeover in takeovers(&metrics) {
-        assert_eq!(takeover["from"], master, "{metrics:#}");
-        let sign = takeover["cause"].as_str().unwrap();
-        assert!(signs.contains(&sign), "{metrics:#}");
-    }
+    // A machine that holds the new master up adds a later takeover, which is not judged here.
+    let mut all = metrics["takeovers"].as_array().unwrap().iter();
+    let takeover = all.find(|it| it["from"] == master).expect("a takeover");
+    let sign = takeover["cause"].as_str().unwrap();
+    assert!(signs.contains(&sign), "{metrics:#}");
 }
 
 /// T-CHIP-5, T-RED-4, T-RED-9: a power loss of the master causes a takeover.

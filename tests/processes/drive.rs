@@ -18,7 +18,7 @@ fn a_short_drive_ends_with_a_report() {
     assert_eq!(metrics["complete"], true);
     let at_least = |name: &str, least: f64| metrics[name].as_f64().unwrap() >= least;
     assert!(at_least("control_frames", 1.0), "{metrics:#}");
-    // From the first accepted frame to the last sample; samples are 20 ms apart.
+    // The duration is from the first accepted frame to the last sample. Samples are 20 ms apart.
     assert!(at_least("duration_s", 1.9), "{metrics:#}");
 
     // Core 0 runs on the kernel, so the metrics contain its tick and its tasks.

@@ -182,7 +182,7 @@ fn row_holds(fixture: &Fixture, row: &Row, off: Option<usize>) {
     for (wire, _) in WIRES.iter().zip(row.cut).rev().filter(|(_, cut)| *cut) {
         inject(fixture, &run, &[&["cut"], *wire].concat());
     }
-    // Wait until the systems have detected the cuts: before, the old roles could match.
+    // Wait until the systems have detected the cuts: until then, the old roles could match.
     std::thread::sleep(SETTLED);
     run.until(&format!("{:?} cut: {:?}", row.cut, row.roles), |_| {
         let shown = shown_roles(fixture, &run);

@@ -11,7 +11,7 @@ use crate::observers::until_driven;
 const UNSEEN_MS: f64 = 2.0;
 
 /// Takes a CPU from the whole run for `ms`, and returns the measured time, ms. `None` if that is
-/// not permitted. `place` selects the CPU as for a core.
+/// not permitted. `place` selects the CPU in the same way as for a core.
 fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
     let spin = move || {
         let claimed = claim(Claim {

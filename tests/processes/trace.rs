@@ -143,7 +143,7 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
         .collect();
     let obeyed = |e: &&Moment| e.name.ends_with(" obeyed");
     let ms = |e: &Moment| e.at_ns as f64 * 1e-6;
-    // The log contains the time of day, the trace the machine's clock.
+    // The log contains the time of day; the trace contains the machine's clock.
     let first_control = frames
         .iter()
         .find(|(_, id, _)| CONTROL.contains(id))
@@ -191,8 +191,8 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
     ages
 }
 
-/// A killed core leaves its trace up to the kill, and the whole trace is well-formed. The ages of
-/// sensor data in the metrics match the trace and the bus log.
+/// The trace of a killed core is kept up to the kill, and the whole trace is well-formed. The ages
+/// of sensor data in the metrics match the trace and the bus log.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let fixture = Fixture::new();

@@ -1,4 +1,4 @@
-//! Shared by the tests of the whole product.
+//! Code that the tests of the whole product share.
 #![forbid(unsafe_code)]
 #![allow(clippy::expect_used, reason = "a test may panic")]
 

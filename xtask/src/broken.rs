@@ -1,8 +1,8 @@
 //! Broken variants of the product, kept as patches: each must be caught by the test that it names.
 //!
 //! A patch begins with two lines: `Broken: what is wrong`, and `Caught by: arguments of cargo
-//! nextest run`, or `Caught by: simulator GROUP`: one of 1,000 sequences of faults of that group
-//! breaks a rule, and at most three faults remain when it is shrunk. A person starts the tests,
+//! nextest run` or `Caught by: simulator GROUP`. With the latter, one of 1,000 sequences of faults
+//! of that group must break a rule, and shrink to at most three faults. A person starts the tests,
 //! because each variant is a separate build. The gate only checks that each patch still applies.
 
 use crate::{PRESENT, git_files, read};
@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// In place of a test: the simulator catches the variant.
+/// This word in place of a test means that the simulator catches the variant.
 const SIMULATOR: &str = "simulator";
 
 /// One variant.
@@ -55,8 +55,8 @@ impl Variant {
     }
 }
 
-/// Tests the variants whose name contains `filter`, or all that the simulator catches if it is
-/// `simulator`; or only checks that all patches apply.
+/// Tests the variants whose name contains `filter`, or with `simulator` all that the simulator
+/// catches. With `only_check` it only checks that their patches apply.
 pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
     let patches = git_files(root, &[&PRESENT[..], &["tests/broken/*.patch"]].concat())?;
     let variants = patches.iter().map(|patch| Variant::read(root.join(patch)));
@@ -104,7 +104,7 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
             .arg(what)
             .current_dir(&copy)
             // Not the developer's folder: cargo distinguishes the crates of two copies only by the
-            // times of their files, and would build broken crates into the developer's command.
+            // times of their files, so broken crates could get into the developer's `tandem`.
             .env("CARGO_TARGET_DIR", root.join("target/broken/build"));
         command
     };
@@ -140,8 +140,8 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
     Ok(!passed.success())
 }
 
-/// Copies all files of the repository as they are now. A file with unchanged content keeps its time
-/// of change, so that cargo builds only the differences.
+/// Copies all files of the repository as they are now. A file with unchanged content keeps its
+/// modification time, so that cargo builds only the differences.
 fn copy_tree(root: &Path, copy: &Path) -> Result<()> {
     for name in git_files(root, &PRESENT)? {
         let content = fs::read(root.join(&name)).with_context(|| name.clone())?;

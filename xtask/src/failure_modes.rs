@@ -4,7 +4,7 @@
 const MODES: &str = "redundancy/src/state.rs";
 /// The folders that produce them.
 const PRODUCERS: [&str; 2] = ["redundancy/src/", "cores/src/"];
-/// These are not faults that a system finds in itself.
+/// Modes that do not describe a fault that a system finds in itself.
 const NO_FAULTS: [&str; 2] = ["None", "Unknown"];
 
 /// Returns the modes that no code produces. `files`: all sources, with their texts.

@@ -19,7 +19,7 @@ const RUN: &str = "docs/figures/run.json";
 /// `tandem thesis --board BOARD --json FILE`
 const THESIS: &str = "docs/figures/thesis-";
 const BOARDS: [&str; 3] = ["host", "sim", "qemu"];
-/// A percentile with fewer samples beyond it depends on chance.
+/// A percentile with fewer samples beyond it depends on chance; the page puts it in brackets.
 const FEW: f64 = 10.0;
 
 /// The paths, in words.
@@ -61,7 +61,7 @@ pub(crate) fn run(
             "{}: figures of a debug build mean nothing",
             bench.display()
         );
-        // Only the version: the rest belongs to the distribution.
+        // Only the version: the rest describes the distribution's package.
         let kernel = results["machine"]["kernel"].as_str().unwrap_or_default();
         let version = kernel.split('-').next().unwrap_or_default().to_owned();
         results["machine"]["kernel"] = version.into();
@@ -291,7 +291,7 @@ fn time(ns: f64) -> String {
 mod tests {
     use super::*;
 
-    /// The page agrees with its files; `cargo xtask figures` writes it.
+    /// The page agrees with its source files; `cargo xtask figures` writes it.
     #[test]
     fn the_page_is_current() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const TARGET: &str = "riscv32imac-unknown-none-elf";
 const QEMU: &str = "qemu-system-riscv32";
-/// Longer than any image here takes on a busy machine. An image that takes longer is killed.
+/// An image is killed after this time; none here takes as long, even on a busy machine.
 const LIMIT: Duration = Duration::from_secs(300);
 /// How much worse than the baseline a measurement may be, in percent.
 const TOLERANCE_PERCENT: u64 = 5;
@@ -189,8 +189,8 @@ fn released(root: &Path, name: &str) -> PathBuf {
     build_dir(root).join(TARGET).join("release").join(name)
 }
 
-/// Returns the command for an emulated machine with this image, and these words at an address.
-/// Deterministic: one instruction takes 2^`shift` ns, and time jumps when all harts sleep.
+/// Returns the command for an emulated machine with this image, and these words at an address. The
+/// machine is deterministic: an instruction takes 2^`shift` ns, and time jumps when all sleep.
 fn machine(qemu: &str, machine: &[&str], elf: &Path, shift: u32, words: (u32, &[u32])) -> Command {
     let mut command = Command::new(qemu);
     command.arg("-machine").args(machine);
@@ -217,7 +217,7 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    // The whole workspace, as in all other tests: for one package cargo would rebuild much more.
+    // The whole workspace, as in all other tests: with one package cargo would rebuild much more.
     let mut command = cargo(root, &["test", "--workspace"]);
     for file in ["identical", "feeds", "outputs", "tasks", "chip", "emulated"] {
         command.args(["--test", file]);

@@ -24,8 +24,8 @@ const CASES: [&str; 10] = [
 ];
 /// The repetitions in two runs of a case. Their difference excludes the program's start and end.
 const TIMES: [u64; 2] = [1_000, 5_000];
-/// The permitted difference, in percent, if the compiler is not the table's. With the same compiler
-/// a case takes the same number of instructions in each run.
+/// The permitted difference, in percent, if the table is from another compiler. With the same
+/// compiler a case takes the same number of instructions in each run.
 const OTHER_COMPILER_PERCENT: f64 = 5.0;
 /// Permitted difference in instructions per repetition: the environment affects the start of a run.
 const NOISE: f64 = 0.3;
@@ -120,7 +120,7 @@ mod tests {
             (40.0, 0.0, &[][..]),
             (41.0, 0.0, &["lock 40.0 -> 41.0"]),
             (39.0, 0.0, &["lock 40.0 -> 39.0"]),
-            // The compiler is not the table's.
+            // The table is from another compiler.
             (42.0, 5.0, &[]),
             (43.0, 5.0, &["lock 40.0 -> 43.0"]),
         ] {

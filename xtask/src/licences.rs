@@ -6,8 +6,8 @@ use std::path::Path;
 
 const CRATES_IO: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
-/// Checks every package of the lock file against `deny.toml`, using only cargo: nothing is
-/// installed and nothing is fetched.
+/// Checks every package of the lock file against `deny.toml`, with cargo alone: nothing is
+/// installed or fetched.
 pub(crate) fn run(root: &Path) -> Result<()> {
     let deny = std::fs::read_to_string(root.join("deny.toml")).context("deny.toml")?;
     let deny: toml::Table = deny.parse().context("deny.toml")?;

@@ -38,7 +38,7 @@ const PORTABLE: [&str; 8] = [
     "tandem-cores",
     "tandem-capi",
 ];
-/// The crates that contain the RTOS, and the only bare-metal target with a port for it.
+/// The crates that contain the RTOS, each with the only bare-metal target that has its port.
 const RTOS: [(&str, &str); 2] = [
     ("tandem-rtos", "riscv32imac-unknown-none-elf"),
     ("tandem-runtime", "riscv32imac-unknown-none-elf"),
@@ -187,7 +187,7 @@ enum Campaign {
         seed: u64,
     },
     /// Cut the power at every byte of every flash operation of an update, and again while the
-    /// controller recovers; each incarnation is a separate process. Fails on a brick
+    /// controller recovers; each incarnation is a separate process. Fails if it is bricked
     PowerCuts {
         /// Write {points, bricks} to this file
         #[arg(long, value_name = "FILE")]
@@ -199,7 +199,7 @@ enum Campaign {
         #[arg(long, value_name = "one-slot|one-bank")]
         broken: Option<String>,
     },
-    /// Change good download files in many ways and count what the bootloader accepts wrongly
+    /// Change good download files in many ways and count those that the bootloader wrongly accepts
     Mutations {
         /// How many files
         #[arg(long, default_value_t = 100_000)]
@@ -417,8 +417,8 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
     })
 }
 
-/// Returns the cargo that runs this program, or rustup's. Only rustup's cargo tells rustc which
-/// toolchain builds all crates, including those with a toolchain file of their own.
+/// Returns the cargo that runs this program, or rustup's. Only rustup's cargo selects one toolchain
+/// for all crates, including those with a separate toolchain file.
 fn cargo_program() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }
@@ -505,7 +505,7 @@ fn bare_metal(root: &Path) -> Result<()> {
         let mut command = cargo(root, &["build", "--quiet", "--profile", "bare-metal"]);
         command.args(["--target", target]);
         command.args(packages.iter().flat_map(|package| ["-p", package]));
-        // Not the default folder: cargo locks it during a build, and the tests are built there.
+        // Not the default folder: cargo locks that during a build, and the tests are built there.
         command.env("CARGO_TARGET_DIR", firmware::build_dir(root));
         run(command)?;
         println!("{} build for {target}", packages.join(", "));
@@ -513,7 +513,7 @@ fn bare_metal(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs a test that generates a file: it writes it if the variable is set, else it compares.
+/// Runs a test that writes a generated file if the variable is set, and otherwise compares it.
 fn generated(root: &Path, package: &str, test: &str, write: &str, check: bool) -> Result<()> {
     let mut command = cargo(root, &["test", "--quiet", "-p", package, "--test", test]);
     if !check {
@@ -531,8 +531,8 @@ fn loom(root: &Path, long: bool) -> Result<()> {
     run(with_cfg(root, command, "loom"))
 }
 
-/// Adds this `--cfg` and a separate target folder: the flag would rebuild everything in the shared
-/// one.
+/// Adds this `--cfg`, and a separate target folder: in the shared one the flag would cause a full
+/// rebuild.
 fn with_cfg(root: &Path, mut command: Command, cfg: &str) -> Command {
     command
         .env("RUSTFLAGS", format!("--cfg {cfg}"))
@@ -565,7 +565,7 @@ fn miri(root: &Path, quick: bool) -> Result<()> {
 
 /// Builds an example in this profile; its paths are relative to the caller's folder. Builds the
 /// whole workspace, as the tests do: for one package cargo would choose other features of
-/// dependencies, and rebuild much.
+/// dependencies, and rebuild many of them.
 fn example(root: &Path, profile: &str, name: &str) -> Result<Command> {
     let mut build = cargo(root, &["build", "--quiet", "--workspace"]);
     build.args(["--profile", profile, "--example", name]);

@@ -11,12 +11,12 @@ use std::path::Path;
 const PACKAGES: [&str; 3] = ["tandem-bus", "tandem-redundancy", "tandem-shm"];
 /// The tests must notice at least this share of a crate's mutants that compile.
 const CAUGHT_PERCENT: usize = 95;
-/// Longer than the tests of a crate take on a loaded machine.
+/// The tests of a crate take less time than this, even on a loaded machine.
 const TIMEOUT_SECONDS: &str = "120";
-/// The exit status of cargo-mutants says what it found: 2 missed, 3 time-outs. Others are errors.
+/// The exit status of cargo-mutants: 0 all caught, 2 some missed, 3 time-outs. Others are errors.
 const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];
 
-/// Tests each `every`-th mutant of these packages, by default of all three, beginning with number
+/// Tests each `every`-th mutant of these packages (by default of all three), starting with number
 /// `from`; another number selects other mutants.
 pub(crate) fn run(root: &Path, packages: &[String], every: u32, from: u32) -> Result<()> {
     let version = cargo(root, &["mutants", "--version"]).output();

@@ -9,7 +9,7 @@ use std::path::Path;
 const ACCEPTED: &str = "xtask/shared-names.txt";
 /// Files that cargo or the language names.
 const NAMED_BY_RULE: [&str; 4] = ["build", "lib", "main", "mod"];
-/// A file of cases has the name of the trait that they test.
+/// A file of test cases has the name of the trait that they test.
 const CASES: &str = "board/conformance/src/cases/";
 /// At most this many files of product code may share a name: a trait, its model and one user of it.
 const MOST_FILES: usize = 3;

@@ -84,7 +84,7 @@ fn cases(text: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for begin in CASES {
         for piece in text.split(begin).skip(1) {
-            // A case begins with its name and ends where the next one begins.
+            // A case begins with its name and ends where the next case begins.
             let piece = CASES
                 .iter()
                 .fold(piece, |rest, next| rest.split(next).next().unwrap_or(rest));
@@ -103,8 +103,8 @@ fn cases(text: &str) -> Vec<(String, String)> {
     found
 }
 
-/// Returns the tests of a file with the requirement ids in their documentation comments. `cases`
-/// are those of the tables in its folder.
+/// Returns the tests of a file with the requirement ids in their documentation comments. `cases`:
+/// the cases of the tables in its folder.
 fn named_tests(text: &str, cases: &BTreeMap<String, String>) -> Vec<(Vec<String>, String)> {
     let mut found = Vec::new();
     let mut ids = Vec::new();

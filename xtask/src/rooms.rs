@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// The second workspace: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
-/// The kinds of targets whose modules are product code.
+/// The kinds of cargo targets whose modules are product code.
 const PRODUCT: [&str; 4] = ["lib", "bin", "staticlib", "proc-macro"];
 
 /// The product code of both workspaces.
@@ -360,7 +360,7 @@ fn paths(
     into.insert(path);
 }
 
-/// For each module of a folder: its siblings that it uses.
+/// For each module of a folder: the siblings that it uses.
 type Uses = BTreeMap<String, BTreeSet<String>>;
 
 /// Returns the modules that remain after repeatedly removing those that use no other, or that no

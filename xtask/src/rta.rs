@@ -14,7 +14,7 @@ use tandem_board::Duration;
 use tandem_cores::doorbell::DOORBELL_DISTANCE;
 use tandem_cores::task_table::{CORE_0, INTERRUPTS, ReleasedBy, SharedPart, TaskInfo};
 
-/// The page with the table, and the name of the table's marks.
+/// The page with the table, and the name of the marks around the table.
 const PAGE: &str = "docs/rtos-tasks.md";
 const MARKS: &str = "response times";
 
@@ -38,8 +38,8 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
     // limit.
     while response <= limit {
         let interference = |load: &Load| {
-            // A release at the exact end of the response does not count; sums of decimals are not
-            // exact.
+            // A release at the exact end of the response does not count. The margin is for inexact
+            // sums of decimals.
             let releases = ((response + load.jitter) / load.period - 1e-9).ceil();
             releases.max(0.0) * load.execution
         };
@@ -53,7 +53,7 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
 }
 
 /// Returns the shortest times between two releases of a task, µs: one for each source that releases
-/// it independently. A task that only another task releases counts by its own period.
+/// it independently. For a task that only another task releases, this is its own period.
 fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
     let own = info.released_by.iter().filter_map(|by| match by {
         ReleasedBy::Period | ReleasedBy::OwnDeadline => Some(us(info.period)),
@@ -110,7 +110,7 @@ fn measured(list: &Value, key: &str, name: &str) -> Measured {
     worst
 }
 
-/// The column of the analysis.
+/// The measurement on which a column of the analysis is based.
 #[derive(Clone, Copy)]
 enum By {
     P99,
@@ -255,7 +255,7 @@ mod tests {
         assert_eq!(set, [Some(3.0), Some(6.0), Some(20.0)]);
     }
 
-    /// Tasks of 50 %, 33 % and 24 % together exceed the processor: the third has no response.
+    /// Tasks of 50 %, 33 % and 24 % overload the processor: the third one has no bounded response.
     #[test]
     fn what_cannot_be_done_in_time_has_no_response() {
         let set = responses_of(&[(10.0, 20.0), (10.0, 30.0), (12.0, 50.0)]);

@@ -1,4 +1,4 @@
-//! The lines of each room, product and tests, beside the committed table.
+//! The numbers of lines of each room, product and tests, compared with the committed table.
 
 use crate::{git_files, read, write};
 use anyhow::{Context, Result};
@@ -35,7 +35,7 @@ struct Room {
     limit: String,
 }
 
-/// Rooms by their folders. A file belongs to the longest of these folders that contains it.
+/// Rooms by their folders. A file belongs to the innermost of these folders that contains it.
 type Rooms = BTreeMap<String, Room>;
 
 /// Prints each room beside the table, and returns those that grew. With `save` it first writes the
@@ -218,7 +218,7 @@ mod tests {
             text.starts_with("shm: 101 product lines, 100 in docs/rooms.md: growth"),
             "{text}"
         );
-        // A limit also holds for a size that the table permits.
+        // A limit also applies to a size that the table permits.
         assert_eq!(found(100, 50, "100"), None);
         assert!(found(100, 50, "99").is_some());
         assert_eq!(found(90, 50, "140 with tests"), None);

@@ -55,7 +55,7 @@ pub(crate) fn test(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Copies the lines as they arrive, and returns the names of tests, each with whether it passed.
+/// Copies the lines as they arrive. Returns the name of each test, and whether it passed.
 fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
     let mut results = Vec::new();
     let pipe = from

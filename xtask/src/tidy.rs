@@ -5,7 +5,7 @@ use crate::{PRESENT, git_files, names, read, sizes};
 use anyhow::{Result, bail};
 use std::path::Path;
 
-/// Our crates on which each crate may depend at run time; all without `tandem-`.
+/// Our crates on which each crate may depend at run time; names without `tandem-`.
 const MAY_DEPEND_ON: &str = "\
 shm:
 bus:
@@ -53,7 +53,7 @@ const MAY_BE_UNSAFE: &[&str] = &[
     "capi",
     "firmware-port",
 ];
-/// Folders with lock-free code: each memory order that is not relaxed names its partner there.
+/// Folders with lock-free code: comments name the partner of each order that is not relaxed.
 const NAMES_PARTNERS: &[&str] = &["shm/src/", "board/host/src/", "rtos/src/"];
 const ORDERS: [&str; 4] = ["Acquire", "Release", "AcqRel", "SeqCst"];
 /// The partner is named in a comment at most this many lines above.
@@ -162,9 +162,9 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Returns the memory orders outside of tests without a comment that pairs them with another one,
-/// within some lines above or above the item. A `compiler_fence` is exempt: it orders a thread and
-/// its own handlers.
+/// Returns the memory orders outside of tests that no comment pairs with another one. The comment
+/// is at most `PARTNER_WITHIN` lines above the order, or directly above its item. A
+/// `compiler_fence` is exempt: it orders a thread and its own handlers.
 fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     let mut findings = Vec::new();
     let mut named = None;

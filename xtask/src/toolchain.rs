@@ -1,14 +1,14 @@
-//! Installs the parts of the compiler that a bare-metal build needs, before it fails with E0463.
+//! Installs the parts of the compiler without which a bare-metal build fails with E0463.
 //!
-//! A toolchain file is not used: with one, rustup would update the whole toolchain to add a target,
-//! and a first drive on the host would wait for libraries that it does not need.
+//! There is no toolchain file, because rustup would then update the whole toolchain to add a
+//! target, and a first drive on the host would wait for libraries that it does not need.
 
 use anyhow::{Context as _, Result, ensure};
 use std::path::Path;
 use std::process::Command;
 
-/// Installs the standard library of a target by rustup if it is missing. Without rustup it fails
-/// and prints the command.
+/// Installs the standard library of a target with rustup if it is missing. Without rustup this
+/// fails and reports the command to run.
 pub(crate) fn demand(target: &str) -> Result<()> {
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).args(["--print", "sysroot"]).output();
@@ -42,7 +42,7 @@ mod tests {
     fn a_target_without_library_is_refused_with_the_command_that_installs_it() {
         let here = demand("none-such").unwrap_err().to_string();
         assert!(here.ends_with(": rustup target add none-such"), "{here}");
-        // The host's own library is always there.
+        // The host's own library is always installed.
         let host = Command::new("rustc")
             .args(["--print", "host-tuple"])
             .output();

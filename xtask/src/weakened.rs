@@ -40,7 +40,7 @@ const STRONG: [&str; 4] = [
 ];
 
 /// Weakens the orderings of the functions whose name contains `filter`, runs the models, and prints
-/// which model caught each. Fails if one is not caught and not listed, or listed and caught.
+/// which model caught each. Fails if an ordering is neither caught nor listed, or is both.
 pub(crate) fn run(root: &Path, filter: &str) -> Result<()> {
     let copy = root.join("target/weakened");
     copy_of_shm(root, &copy)?;

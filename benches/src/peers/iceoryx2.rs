@@ -93,7 +93,7 @@ pub(crate) fn event(plan: &BatchPlan) -> io::Result<Batch> {
     })
 }
 
-/// The same with the leanest settings, woken by the semaphore of iceoryx2-cal.
+/// An event to a sleeping listener with the leanest settings: iceoryx2-cal's semaphore wakes it.
 pub(crate) fn event_tuned(plan: &BatchPlan) -> io::Result<Batch> {
     let run = next_run();
     between_processes(plan, |shared, ways| {
@@ -217,7 +217,7 @@ pub(crate) fn publish_subscribe(
 }
 
 /// Payloads of `bytes`, a multiple of 4, with the leanest settings: each word is written into the
-/// lent sample, and read in place.
+/// loaned sample, and read in place.
 pub(crate) fn size(plan: &BatchPlan, bytes: usize) -> io::Result<Batch> {
     let batch = publish_subscribe(plan, Settings::Lean, bytes / 4)?;
     Ok(batch.carrying(bytes as u64).without_facts())

@@ -50,7 +50,7 @@ pub(crate) fn unix_socket(plan: &BatchPlan) -> io::Result<Batch> {
     by_bytes(plan, [(far, near), back])
 }
 
-/// A stream of messages of 8 bytes through a pipe, with a system call at each end of each.
+/// A stream of messages of 8 bytes through a pipe, with one system call per message at each end.
 pub(crate) fn pipe_stream(plan: &BatchPlan) -> io::Result<Batch> {
     let (inward, out) = io::pipe()?;
     let stream = Stream {

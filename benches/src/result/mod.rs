@@ -137,7 +137,7 @@ impl Results {
         }
     }
 
-    /// Returns the groups in the order of measuring, each with its rows, which follow each other.
+    /// Returns the groups in the order of measuring, each with its rows, which are adjacent.
     pub(crate) fn groups(&self) -> impl Iterator<Item = (&str, &[Row])> {
         let groups = self.results.chunk_by(|a, b| a.group == b.group);
         groups.map(|rows| (&rows[0].group[..], rows))
@@ -257,7 +257,7 @@ pub(crate) fn floor_of<'a, T>(
         let what = what.and_then(|what| what.strip_prefix('/'));
         what.is_some_and(|what| case.contains(what.trim_end_matches('-')))
     };
-    // The name of a case's own floor is longer.
+    // Prefer a case's own floor, whose name is longer.
     all.iter()
         .filter(is_floor)
         .max_by_key(|of| name_of(of).len())

@@ -1,4 +1,4 @@
-//! Pinned processes that share memory and a clock, for the benchmark and `tandem thesis`. A
+//! Pinned processes that share memory and a clock, for the benchmark and `tandem thesis`. This is a
 //! separate crate, because the experiments of the thesis do not need the benchmark's peers.
 #![allow(
     clippy::expect_used,

@@ -127,7 +127,7 @@ impl SharedPage {
     }
 
     /// Maps it, with an LMU of this layout, formatted, in the words of the case. The map is valid
-    /// as long as the first value exists.
+    /// while the first value exists.
     ///
     /// # Errors
     /// If there is not enough memory.
@@ -155,7 +155,7 @@ impl SharedPage {
         // AcqRel pairs with the Acquire below: the preparations of a part are visible to the
         // others.
         let before = met.fetch_add(1, Ordering::AcqRel);
-        // Rounded up: the parts may meet again.
+        // Rounded up to a multiple of `parts`, because the parts may meet several times.
         let all = (before / parts + 1) * parts;
         while met.load(Ordering::Acquire) < all {
             std::thread::yield_now();

@@ -155,9 +155,9 @@ pub trait Can {
 
     /// Discards the frames of this core that wait in the transmit buffer. One at a time.
     ///
-    /// A frame that is already on its way to the bus is still sent. So of the frames given to
-    /// `try_send` before this call, the first few may be sent, and the others never are. A frame
-    /// given to it after this call is sent as usual.
+    /// A frame that is already on its way to the bus is still sent. Of the frames passed to
+    /// `try_send` before this call, the first few may therefore still be sent; the others are never
+    /// sent. A frame passed to `try_send` after this call is sent as usual.
     fn discard_unsent(&self);
 
     /// Returns the next received frame. One at a time.

@@ -1,9 +1,9 @@
 //! The boundary between portable code and a machine: the interface between a board and a core.
 //!
 //! A board offers what a TC297 with its carrier offers: a monotonic clock, the LMU, doorbells to
-//! the other cores of the system, lines and a link to the other system, CAN, data flash, the supply
-//! with its watchdogs. Portable code is generic over one `B: Board` and uses nothing else of the
-//! machine.
+//! the other cores of the system, lines and a link to the other system, CAN, data flash, and the
+//! supply with its watchdogs. Portable code is generic over one `B: Board` and uses nothing else of
+//! the machine.
 //!
 //! A *task* runs in a core's main flow. A *handler* interrupts it, as a task of higher priority
 //! does. Each method says from which context it may be called:
@@ -98,7 +98,7 @@ pub trait Board {
     ///
     /// At each start of the system only core 0 runs; the others start when core 0 releases them.
     /// The core starts in the system's current incarnation and sees everything that core 0 wrote to
-    /// the LMU before the release. No effect on a core already released in this incarnation.
+    /// the LMU before the release. A core already released in this incarnation is not affected.
     fn release_core(&self, core: CoreId);
 
     /// Sleeps until an interrupt is pending or `deadline` has passed, and clears the pending

@@ -57,7 +57,7 @@ pub trait VehiclePort: VehicleBus {
 
     /// Like [`VehiclePort::tick`], but a board may sleep until a core sends a frame or until
     /// `event` (the period in which the vehicle itself sends one), and then return all periods
-    /// before it together. Blocks.
+    /// before that time together. Blocks.
     ///
     /// # Errors
     /// If the board fails.
@@ -75,8 +75,8 @@ pub trait VehiclePort: VehicleBus {
     /// many were lost.
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32;
 
-    /// Takes the records that follow a record whose writer was killed before completing it. Only at
-    /// the end of the run.
+    /// Takes the records that follow a record whose writer was killed before completing it. Called
+    /// only at the end of the run.
     fn salvage_trace(&mut self, _into: &mut dyn FnMut(Traced)) {}
 
     /// Takes the events of the supplies since the last call. A board may report none.

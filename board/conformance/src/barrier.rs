@@ -9,7 +9,7 @@ use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
 /// First polling interval of a role that sleeps between polls.
 const LOOK: Duration = Duration::from_ms(1);
-/// A fault that must *not* happen would have happened within this time.
+/// How long to wait for an event that must *not* happen: within this time it would have happened.
 pub(crate) const SETTLE: Duration = Duration::from_ms(20);
 /// How many interrupts without a cause are allowed in one wait.
 const SPURIOUS: u32 = 1_000;
@@ -70,7 +70,7 @@ pub(crate) fn woken_until<B: Board>(
     Ok(())
 }
 
-/// Sleeps for the whole span, whatever interrupts arrive.
+/// Sleeps for the whole span, regardless of interrupts.
 #[track_caller]
 pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), CaseFailure> {
     let end = board.now() + span;

@@ -42,7 +42,7 @@ impl Setting {
         matches!(self, Self::Watchdog | Self::Restarts | Self::Releases)
     }
 
-    /// Returns whether a system with a role may be reset and its roles then run again.
+    /// Returns whether a system with a role may be reset, after which its roles run again.
     #[must_use]
     pub const fn restarts(self) -> bool {
         matches!(self, Self::Restarts | Self::Releases)
@@ -52,7 +52,7 @@ impl Setting {
 /// One case of the suite.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<B: 'static> {
-    /// Unique name of words joined by hyphens; the first word is the part of the board.
+    /// Unique name of words joined by hyphens; the first word names the part of the board.
     pub name: &'static str,
     /// What the case needs.
     pub setting: Setting,

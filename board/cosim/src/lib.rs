@@ -255,7 +255,7 @@ impl Report {
     /// The inverse of [`Report::encode`].
     ///
     /// # Errors
-    /// [`Malformed`] if it is not a report's header.
+    /// [`Malformed`] if the words are not a report's header.
     pub fn decode(words: &[u32]) -> Result<Self, Malformed> {
         let (head, _) = words.split_first_chunk::<REPORT_WORDS>().ok_or(Malformed)?;
         let [magic, _, low, high, lamps, powered, lost] = *head;

@@ -13,8 +13,8 @@ use tandem_board::{Duration, Instant};
 
 use crate::clock::{self, timespec};
 
-/// A period longer than any run. For a timer without a period the kernel forgets when it was due;
-/// with a period, the due time follows from the time of the next expiry.
+/// A period longer than any run. After a timer without a period has expired, the kernel no longer
+/// reports when it was due; with a period, the due time is one period before the next expiry.
 const AGAIN: Duration = Duration::from_ms(1_000_000_000);
 
 /// A timer of CLOCK_MONOTONIC; processes share it by inheriting its descriptor.
@@ -27,7 +27,7 @@ pub struct Alarm(OwnedFd);
 /// The end of a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expired {
-    /// When the timer was due; may be late, but never early.
+    /// When the timer was due. The value may be too late, but never too early.
     pub due: Instant,
     /// When the wait ended.
     pub woken: Instant,
@@ -64,8 +64,8 @@ impl Alarm {
         Ok(Self(timer))
     }
 
-    /// Sets the timer to expire after this time from now, whatever its state. The kernel reads the
-    /// clock, so a delayed caller cannot set a time that has already passed.
+    /// Sets the timer to expire at now + `by`, whether or not it was already set. The kernel reads
+    /// the clock, so a delayed caller cannot set a time that has already passed.
     pub fn postpone(&self, by: Duration) {
         let setting = Itimerspec {
             it_interval: timespec(AGAIN.as_ns()),
@@ -76,7 +76,7 @@ impl Alarm {
     }
 
     /// Sleeps until the timer expires or `beside` is readable. Returns `None` if `beside` is
-    /// readable, or if the timer was set again before its expiry was read: that time is then lost.
+    /// readable, or if the timer was set again before its expiry was read (that expiry is lost).
     ///
     /// # Errors
     /// If the sleep was interrupted by a signal.
@@ -92,13 +92,13 @@ impl Alarm {
         }
         let left = timerfd_gettime(&self.0)?.it_value;
         let left = Duration::from_ns(left.tv_sec as u64 * 1_000_000_000 + left.tv_nsec as u64);
-        // Read the clock again: `due` may be late by the time in between, but never early.
+        // Read the clock after the timer, so that `due` can be too late but never too early.
         Ok(last_due(clock::now(), left).map(|due| Expired { due, woken }))
     }
 }
 
-/// Returns the time at which a timer was last due, given that its next expiry is in `left`; `None`
-/// if it was set again and has not expired since.
+/// Returns the time at which a timer was last due; `left` is the time until its next expiry.
+/// Returns `None` if the timer was set again and has not expired since.
 fn last_due(now: Instant, left: Duration) -> Option<Instant> {
     let since = Duration::from_ns(AGAIN.as_ns().saturating_sub(left.as_ns()));
     (left.as_ns() > AGAIN.as_ns() / 2)
@@ -113,7 +113,7 @@ mod tests {
 
     const SPAN: Duration = Duration::from_ms(5);
 
-    /// A wait ends when the timer is due, and returns the due time even if it returns late.
+    /// A wait ends when the timer is due, and returns the due time even if the wait ends late.
     #[test]
     fn a_wait_knows_when_it_was_due() {
         let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());
@@ -130,14 +130,14 @@ mod tests {
         for _ in 0..3 {
             due_and_woken(Duration::ZERO);
         }
-        // Fails only if the machine stalls in each attempt.
+        // Fails only if the machine stalls in every attempt.
         assert!((0..10).any(|_| {
             let (due, woken) = due_and_woken(late);
             due + SPAN < woken
         }));
     }
 
-    /// Another owner postpones the same timer; a wait ends only after the last postponement.
+    /// If another owner postpones the same timer, a wait ends only after the last postponement.
     #[test]
     fn a_timer_that_is_postponed_does_not_expire() {
         let (alarm, (never, _kept)) = (Alarm::new().unwrap(), UnixStream::pair().unwrap());

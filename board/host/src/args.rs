@@ -11,13 +11,13 @@ use crate::realtime::{self, Claim, Grant};
 /// The CPUs to which the six cores are pinned.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Pinning {
-    /// Core i of both systems together (A0 is 0, B2 is 5) runs on CPU i modulo the number of CPUs.
+    /// Core i, counted over both systems (A0 is 0, B2 is 5), runs on CPU i modulo the CPU count.
     #[default]
     Auto,
     /// The kernel chooses the CPUs.
     Off,
-    /// Core i runs on the CPU with this index among those that the process may use, modulo the
-    /// length of the list.
+    /// Core i runs on the CPU whose index is entry i of this list, modulo the length of the list.
+    /// The index counts only the CPUs that the process may use.
     Cpus(Vec<usize>),
 }
 
@@ -40,10 +40,10 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// Returns what the kernel grants to a separate thread that claims the same as a core of a run
-    /// with this schedule. A run prints it at its start.
+    /// Returns what the kernel grants to a separate thread that makes the same claims as a core of
+    /// a run with this schedule. A run prints the result at its start.
     ///
-    /// It starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
+    /// This starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
     #[must_use]
     pub fn probe(&self) -> Grant {
         let priority = self.realtime.then_some(CONTROL_PRIORITY);
@@ -57,7 +57,7 @@ impl Schedule {
 }
 
 /// Priorities under SCHED_FIFO. The supply has the highest because it must always run. Next is the
-/// vehicle, because its physics must keep time. Core 0, which controls, is above the other cores.
+/// vehicle, because its physics must keep time. Core 0 is above cores 1 and 2 because it controls.
 const SUPPLY_PRIORITY: u8 = 80;
 const VEHICLE_PRIORITY: u8 = 70;
 const CONTROL_PRIORITY: u8 = 60;

@@ -63,7 +63,7 @@ pub struct HostBoard {
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     doorbell: Doorbell,
-    /// The first wait returns at once: rings from before the doorbell was set up are lost.
+    /// Whether the first wait was done. It returns at once: earlier rings may have been lost.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,
@@ -78,7 +78,7 @@ impl HostBoard {
     /// Attaches this process as the core and the incarnation in `args`.
     ///
     /// From then on the core's doorbell can be rung. A process attaches once, on its main thread.
-    /// The memory stays mapped until the process ends, at the latest when its supply ends.
+    /// The memory stays mapped until the process ends, which is at the latest when its supply ends.
     ///
     /// # Errors
     /// [`AttachError`] if the run has ended, or a part of it cannot be mapped or opened.

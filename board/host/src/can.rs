@@ -12,7 +12,7 @@ use crate::clock;
 use crate::doorbell::Ringers;
 
 /// The CAN controller of one core. The bus itself is part of the vehicle's process, and each frame
-/// wakes that process. Without it the core receives nothing and its transmit buffer fills up.
+/// wakes that process. Without that process the core receives nothing and its transmit ring fills.
 #[derive(Debug)]
 pub struct HostCan {
     backplane: Backplane,
@@ -78,7 +78,7 @@ impl Can for HostCan {
 
     fn try_receive(&self) -> Option<Received> {
         let mut receive = self.receive.lock().unwrap_or_else(PoisonError::into_inner);
-        // The bus may send while this core reads: limit one call to the number of slots.
+        // The bus may send while this core reads, so one call reads at most one frame per slot.
         for _ in 0..RINGS.receive.shape.slots() {
             match receive.receive() {
                 Ok(None) => return None,

@@ -24,7 +24,7 @@ const BUSY: u8 = 1;
 const FAILED: u8 = 2;
 
 /// How long a start waits for a file that is in use. A killed process holds it until the kernel has
-/// released its memory, some milliseconds after it has left the list of processes.
+/// released that process's memory, some milliseconds after it has left the list of processes.
 const LAST_OWNER_ENDS: Duration = Duration::from_secs(1);
 
 /// Why the file cannot be the data flash.
@@ -55,7 +55,7 @@ pub enum FlashFileError {
 }
 
 /// The data flash of one system, locked until this process and all processes that it started have
-/// ended: two systems that write one flash would destroy each other's data.
+/// ended, because two systems that write to one flash would destroy each other's data.
 #[derive(Debug)]
 pub struct Claimed {
     _lock: File,
@@ -64,8 +64,8 @@ pub struct Claimed {
 /// The data flash of a system in a file.
 ///
 /// A background thread performs the operations and calls `fdatasync`, so "idle" means durable. If
-/// the process dies at any time, the range of the operation holds what NOR flash could hold: any
-/// mixture of old and new bytes.
+/// the process dies during an operation, the range of the operation holds any mixture of old and
+/// new bytes, as NOR flash could.
 ///
 /// Starting an operation allocates nothing and makes one system call, which wakes the thread. The
 /// thread has a lower priority than the core, so the two never compete for a lock.
@@ -118,7 +118,7 @@ impl HostFlash {
     /// Prepares the file and claims it for one system of the calling process's run.
     ///
     /// # Errors
-    /// [`FlashFileError`], also if the file is in use.
+    /// [`FlashFileError`] if the file cannot be prepared or locked, or is in use.
     pub fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
         let failed = refused(path);
         let deadline = Instant::now() + LAST_OWNER_ENDS;
@@ -135,8 +135,8 @@ impl HostFlash {
                 }
                 locked => locked.map_err(|errno| failed(errno.into()))?,
             }
-            // The name may belong to another file by now: then the next process to open it would
-            // lock that file instead.
+            // If the name belongs to another file by now, the next process would open and lock that
+            // file. So try again.
             let locked = file.metadata().map_err(failed)?;
             let named = fs::metadata(path);
             if !named.is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino()))
@@ -315,8 +315,8 @@ fn create(path: &Path) -> io::Result<()> {
     let written = File::create_new(&draft).and_then(|mut file| {
         file.write_all(&[data_flash::ERASED; data_flash::SIZE])?;
         file.sync_all()?;
-        // Never replaces a file that another run has claimed. Some file systems cannot rename in
-        // this way, but have links.
+        // Does not replace a file that another run has claimed. Some file systems cannot rename
+        // without replacing, but support links.
         let renamed = match renameat_with(CWD, &draft, CWD, path, RenameFlags::NOREPLACE) {
             Err(Errno::INVAL) => linkat(CWD, &draft, CWD, path, AtFlags::empty()),
             renamed => renamed,
@@ -423,7 +423,7 @@ mod tests {
         let path = folder.path().join("A.dflash");
         let first = HostFlash::claim(&path).unwrap();
         let renamed = thread::scope(|scope| {
-            // It waits for the lock of the first claim, with that claim's file open.
+            // The second claim opens the same file as the first and waits for the first's lock.
             let second = scope.spawn(|| HostFlash::claim(&path));
             thread::sleep(Duration::from_millis(100));
             fs::remove_file(&path).unwrap();

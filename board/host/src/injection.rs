@@ -80,12 +80,12 @@ pub struct Injection {
 }
 
 impl Injection {
-    /// Enters the run of this name, or the one that `tandem run` with this process id started;
-    /// without a name, the only active run. The calling process must have one thread, and stays in
-    /// the run's namespaces.
+    /// Enters the run with this name, or the run started by the `tandem run` with this process id;
+    /// without a name, the only active run. The calling process must have only one thread, and it
+    /// stays in the run's namespaces.
     ///
     /// # Errors
-    /// [`InjectionError`] if the run does not exist, several match, or it cannot be entered.
+    /// [`InjectionError`] if no run or more than one matches, or if the run cannot be entered.
     pub fn on(name: Option<&str>) -> Result<Self, InjectionError> {
         let process = process_list::process_of(name)?;
         let run = process.run.clone();
@@ -97,7 +97,7 @@ impl Injection {
         Ok(Self { run, backplane })
     }
 
-    /// Makes the injection for the process that started the run.
+    /// Makes an injection in the process that started the run, which need not enter it.
     pub(crate) const fn of(run: RunName, backplane: Backplane) -> Self {
         Self { run, backplane }
     }
@@ -125,7 +125,7 @@ impl Injection {
         Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
     }
 
-    /// Asks the launcher to switch a system on, and does not wait. No effect if it is on.
+    /// Asks the launcher to switch a system on; does not wait. No effect if the system is on.
     pub fn request_power(&self, system: SystemId) {
         self.backplane.request_power(system);
         poke_launcher(self.backplane);
@@ -137,7 +137,7 @@ impl Injection {
         poke(self.backplane, system);
     }
 
-    /// Cuts or restores this wire of these systems.
+    /// Cuts or restores this wire at each of these systems.
     pub fn set_cut(&self, wire: Wire, from: &[SystemId], is_cut: bool) {
         for system in from {
             self.backplane.set_cut(wire, *system, is_cut);
@@ -214,7 +214,7 @@ impl Injection {
     }
 }
 
-/// Enters those namespaces of a process that differ from this process's own.
+/// Enters the namespaces of a process that differ from those of the calling process.
 fn enter(process: &Process) -> io::Result<()> {
     let of = |pid: &str, name: &str| PathBuf::from(format!("/proc/{pid}/ns/{name}"));
     let pid = process.pid.to_string();

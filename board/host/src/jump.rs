@@ -20,10 +20,10 @@ pub fn script(application: &str) -> Vec<u8> {
 }
 
 /// Replaces the program of this process. The process keeps its id and its priority, and still dies
-/// with its supply; the rest of the old program's state is lost. Returns only if it fails.
+/// with its supply; the rest of the old program's state is lost. Returns only if the jump fails.
 #[must_use]
 pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
-    // The file stays open across the exec: the interpreter of a script gets this path.
+    // The file stays open across the exec, because the interpreter of a script opens this path.
     let execute = || -> io::Result<core::convert::Infallible> {
         let mut file = std::fs::File::from(memfd_create("slot", MemfdFlags::empty())?);
         file.write_all(image)?;

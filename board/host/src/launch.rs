@@ -79,13 +79,13 @@ pub struct LaunchPlan {
 /// How the vehicle ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// Its exit status; `None` if it is not known.
+    /// The vehicle's exit status; `None` if it is unknown.
     pub vehicle: Option<ExitStatus>,
     /// Whether a person ended the run early (Ctrl-C, SIGTERM, a closed terminal).
     pub interrupted: bool,
 }
 
-/// Processes and files that a run has left behind; empty after a good run.
+/// Processes and files that a run has left behind; empty if the run ended cleanly.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Leftovers {
     /// Processes that could not be killed.
@@ -111,7 +111,7 @@ pub struct Launcher {
     children: Vec<Child>,
     /// Locked until all processes of the run have ended.
     flash: Vec<Claimed>,
-    /// A signal that requests the end has arrived and has not been handled yet.
+    /// Whether a signal that requests the end has arrived and has not been handled yet.
     signalled: Arc<AtomicBool>,
     pokes: Pokes,
     is_over: bool,
@@ -144,7 +144,7 @@ impl Launcher {
             signal_hook::flag::register(signal, Arc::clone(&signalled))
                 .map_err(LaunchError::Signals)?;
         }
-        // After the flags: when a signal ends a sleep, its flag is already set.
+        // Registered after the flags, so that a signal has set its flag before it ends a sleep.
         let pokes = Pokes::receive(&signals).map_err(LaunchError::Signals)?;
         Ok(Self {
             isolation,
@@ -175,7 +175,7 @@ impl Launcher {
         Injection::of(self.isolation.run().clone(), self.backplane)
     }
 
-    /// Delays the power-on of a system by this time after the ignition. Call it before the start.
+    /// Makes the system power on this long after the ignition. Call it before the start.
     pub fn stagger(&self, system: SystemId, by: tandem_board::Duration) {
         self.backplane.set_stagger(system, by);
     }
@@ -233,7 +233,7 @@ impl Launcher {
         self.wait_with(&mut |_| {})
     }
 
-    /// Like [`Launcher::wait`], but starts a killed supply again on request. `command` is that of
+    /// Like [`Launcher::wait`], but starts a killed supply again on request. `command` is as in
     /// [`Launcher::start`]. A supply that does not start leaves its system without power.
     pub fn wait_and_switch(
         &mut self,
@@ -258,7 +258,7 @@ impl Launcher {
         let Some(supply) = self.children.get_mut(system.index()) else {
             return;
         };
-        // A supply that was just killed ends within milliseconds. Otherwise it is still on.
+        // A supply that was just killed ends within milliseconds. If it does not end, it is on.
         let patience = Instant::now() + POWER_OFF_WITHIN;
         while matches!(supply.try_wait(), Ok(None)) {
             if Instant::now() > patience {
@@ -338,7 +338,7 @@ impl Launcher {
         let mut processes = process_list::of_run(self.isolation.run());
         if !all_gone || !processes.is_empty() {
             let deadline = Instant::now() + KILL_GRACE;
-            // Killing the supplies once would be enough, but a supply may be about to start a core.
+            // Kill repeatedly: cores die with their supply, but a supply may be about to start one.
             while !processes.is_empty() && Instant::now() < deadline {
                 for process in &processes {
                     spawn::signal(process.pid, Signal::KILL);
@@ -356,7 +356,7 @@ impl Launcher {
         }
     }
 
-    /// Waits for all processes that this one started; returns whether they ended within the time.
+    /// Waits for all processes that this process started; returns whether they ended in this time.
     fn wait_for_children(&mut self, grace: Duration) -> bool {
         let deadline = Instant::now() + grace;
         loop {
@@ -396,7 +396,7 @@ impl Drop for Launcher {
     }
 }
 
-/// Waits for cores whose supply was killed: they have become children of this process.
+/// Waits for cores whose supply was killed and which have become children of this process.
 fn reap_orphans() {
     while let Ok(Some(_)) = wait(WaitOptions::NOHANG) {}
 }

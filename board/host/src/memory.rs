@@ -1,4 +1,4 @@
-//! The shared memory of a run: all of it is created, and its pages reserved, before the first
+//! The shared memory of a run. All of it is created, and its pages are reserved, before the first
 //! process starts. If there is not enough room, the run does not start; a run that has started
 //! cannot run out of shared memory.
 

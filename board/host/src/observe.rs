@@ -6,8 +6,8 @@ use tandem_shm::{FitError, bare, broadcast};
 
 use crate::backplane::{Backplane, RINGS};
 
-/// Reads the frames on the bus from a run's backplane. The bus does not wait for it: frames that it
-/// misses are lost for this reader only.
+/// Reads the frames on the bus from a run's backplane. The bus does not wait for this reader:
+/// frames that the reader misses are lost only for the reader itself.
 #[derive(Debug)]
 pub struct BusTap {
     frames: broadcast::Receiver<'static, [u32; FRAME_WORDS]>,
@@ -27,7 +27,7 @@ impl BusTap {
     /// Returns the next frame that was on the bus, with its sender; `None` if there is none yet.
     /// Never blocks.
     pub fn try_next(&mut self) -> Option<(Sender, Received)> {
-        // The bus may send while this reads: limit one call to the number of slots.
+        // The bus may send while this reads, so one call reads at most one frame per slot.
         for _ in 0..RINGS.receive.shape.slots() {
             match self.frames.receive() {
                 Ok(None) => return None,

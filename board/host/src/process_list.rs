@@ -61,7 +61,7 @@ pub const fn role_name(lamp: RoleLamp) -> &'static str {
     }
 }
 
-/// Returns all processes of all runs, ordered by run, system (vehicle last), supply before cores.
+/// Returns all runs' processes, sorted by run, then system (vehicle last), supply before cores.
 ///
 /// Lists only processes that the caller may read in `/proc`. Processes that have ended but were not
 /// waited for are left out.
@@ -110,8 +110,8 @@ pub enum RunError {
     Several(String),
 }
 
-/// Returns the run of this name, or the one that `tandem run` with this process id started; without
-/// a name, the only active run.
+/// Returns the run with this name, or the run started by the `tandem run` with this process id;
+/// without a name, the only active run.
 ///
 /// # Errors
 /// If the run does not exist, or several match.
@@ -176,7 +176,7 @@ fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
     Some((state, cpu))
 }
 
-/// Reads the role of a system from the name of core 0, for example `A0 master`.
+/// Reads the role of a system from the process name of its core 0, for example `A0 master`.
 fn role(processes: &[Process], run: &RunName, system: SystemId) -> Option<String> {
     let control = processes.iter().find(|process| {
         let is_control = matches!(process.kind, ProcessKind::Core(CoreId::CONTROL, _));

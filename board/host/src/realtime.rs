@@ -63,8 +63,8 @@ const STACK: usize = 256 * 1024;
 /// Makes the claims for the calling thread (and for its process's memory) and returns what was
 /// granted. Threads that are started later inherit the CPU but not the priority.
 ///
-/// Memory is locked when it is first touched, not all at once: the kernel must release the touched
-/// memory of a killed process before it reports the death (about 58 µs per MiB).
+/// Memory is locked when it is first touched, not all at once, because the kernel releases the
+/// touched memory of a killed process before it reports the death (about 58 µs per MiB).
 pub fn claim(claim: Claim) -> Grant {
     // An error only means that the kernel does not have this setting.
     let _ = rustix::thread::set_current_timer_slack(core::num::NonZeroU64::new(1));
@@ -110,7 +110,7 @@ fn pin(index: usize) -> Option<usize> {
     core_affinity::set_for_current(id).then_some(id.id)
 }
 
-/// Returns whether memory may be locked: under a limit, later allocations would fail.
+/// Returns whether memory may be locked without limit; with a limit, later allocations would fail.
 fn may_lock() -> bool {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let privileged =
@@ -122,7 +122,7 @@ fn set_fifo(priority: u8) -> bool {
     let param = libc::sched_param {
         sched_priority: libc::c_int::from(priority),
     };
-    // Children of this thread (the data flash, cores) make separate claims or none.
+    // Threads and processes that this thread starts do not inherit the policy.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: `param` is a valid `sched_param` during the call; 0 means the calling thread.
     unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }

@@ -54,13 +54,13 @@ pub enum SegmentError {
         run: RunName,
         /// The segment.
         name: String,
-        /// The refused operation.
+        /// Why it was refused.
         reason: String,
     },
 }
 
 /// A mapped segment of `N` words. Dropping it unmaps it; the memory remains until the segment is
-/// removed by name or with the run.
+/// removed by name or together with the run.
 pub(crate) struct Segment<const N: usize> {
     storage: Storage<Words<N>>,
 }
@@ -81,7 +81,7 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Maps an existing segment. Does not wait for it.
+    /// Maps an existing segment. Does not wait until it exists.
     pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
         let built = Builder::<Words<N>>::new(&file(run, name)?)
@@ -109,8 +109,8 @@ impl<const N: usize> fmt::Debug for Segment<N> {
     }
 }
 
-/// Silences iceoryx2's log: it also reports expected outcomes such as "does not exist", which the
-/// errors here already report.
+/// Silences iceoryx2's log, because it also reports expected outcomes such as "does not exist"; the
+/// errors of this module already report these.
 pub(crate) fn quiet() {
     iceoryx2_log::set_log_level(iceoryx2_log::LogLevel::Fatal);
 }
@@ -119,7 +119,7 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
     Configuration::default().prefix(&prefix(run))
 }
 
-/// Used if a name cannot be formed. That never happens: run names are short and plain.
+/// Used if a name cannot be formed. This never happens, because run names are short and plain.
 // SAFETY: letters are a valid file name.
 pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
 

@@ -35,7 +35,7 @@ pub struct Roles {
     pub duration_s: f64,
     /// The longest time between two accepted control frames so far, ms.
     pub gap_max_ms: f64,
-    /// The time between the last two accepted control frames of different systems, ms; else 0.
+    /// The gap at the last change of the obeyed system, ms; 0 before the first change.
     pub takeover_gap_ms: f64,
     /// How many times the obeyed system has changed.
     pub takeovers: u32,
@@ -86,14 +86,14 @@ pub struct Vehicle {
 #[type_name("TandemCanFrame")]
 #[repr(C)]
 pub struct Frame {
-    /// When it was on the bus, on the run's clock, ns.
+    /// When the frame was on the bus, by the run's clock, ns.
     pub at_ns: u64,
     /// Its identifier.
     pub id: u32,
     /// 1 if the identifier has 29 bits, plus 2 if it is a CAN FD frame.
     pub flags: u8,
-    /// The vehicle's ruling on a control frame: 1 accepted, 2 fenced, 3 not master, 4 invalid, 5
-    /// stale, 6 implausible; 0 for other frames.
+    /// The vehicle's ruling on a control frame: 1 accepted, 2 fenced, 3 not master, 4 invalid,
+    /// 5 stale, 6 implausible; 0 for other frames.
     pub verdict: u8,
     /// Number of data bytes.
     pub length: u8,
@@ -109,7 +109,7 @@ pub struct Frame {
 #[type_name("TandemEvent")]
 #[repr(C)]
 pub struct Event {
-    /// When it was recorded, on the run's clock, ns.
+    /// When the event was recorded, by the run's clock, ns.
     pub at_ns: u64,
     /// 0 = A, 1 = B.
     pub system: u8,
@@ -269,7 +269,7 @@ impl Publisher {
         })
     }
 
-    /// Publishes the state of the run. Never blocks; an observer that lags loses old samples.
+    /// Publishes the state of the run. Never blocks; an observer that is slow loses old samples.
     pub fn roles(&self, roles: Roles) {
         // If the sample cannot be published, only observers lose it.
         let _ = self.roles.send_copy(roles);
@@ -315,11 +315,11 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Observes the run of this name, or the one that `tandem run` with this process id started;
-    /// without a name, the only active run.
+    /// Observes the run with this name, or the run started by the `tandem run` with this process
+    /// id; without a name, the only active run.
     ///
     /// # Errors
-    /// If the run does not exist, several match, or it does not publish.
+    /// If no run or more than one matches, or if the run does not publish.
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
         let run = process_list::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
         let node = node()?;
@@ -339,12 +339,12 @@ impl Observer {
         &self.run
     }
 
-    /// Passes every sample since the last call to `into`. Never blocks.
+    /// Passes to `into` every sample that has arrived since the last call. Never blocks.
     pub fn poll(&self, into: &mut dyn FnMut(News)) {
         drain(&self.vehicle, &mut |vehicle| into(News::Vehicle(vehicle)));
         drain(&self.can, &mut |frame| into(News::Frame(frame)));
         drain(&self.trace, &mut |event| into(News::Event(event)));
-        // Last, because it summarises the samples before it.
+        // The roles are last, because they summarise the other samples.
         drain(&self.roles, &mut |roles| into(News::Roles(roles)));
     }
 }

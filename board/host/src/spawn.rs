@@ -17,7 +17,7 @@ use crate::clock;
 
 /// Starts a process that is killed as soon as the calling process dies, in any way.
 ///
-/// The kernel watches the calling *thread*: it must live as long as the started process.
+/// The kernel watches the calling *thread*, so that thread must live as long as the new process.
 pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     let parent = getpid();
     let tie = move || {
@@ -26,7 +26,7 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
             Ok(())
         } else {
             // The parent died between the fork and this line, so the kernel sends no signal. Return
-            // an error number, because a text would be allocated.
+            // an error number, because an error text would need an allocation.
             Err(Errno::SRCH.into())
         }
     };
@@ -35,9 +35,9 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// Binds this process to its parent, like [`spawn_bound`], but from inside: a program with file
-/// capabilities loses the binding when it is executed. Returns `false` if its parent is a different
-/// process, because the original one has died.
+/// Makes this process die with its parent, like [`spawn_bound`], but in the child: the binding is
+/// lost when a program with file capabilities is executed. Returns `false` if the original parent
+/// has died, so that the parent is now a different process.
 ///
 /// The calling thread must live as long as the process.
 pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
@@ -46,17 +46,17 @@ pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
     Ok(found == Some(parent))
 }
 
-/// Starts a process that can outlive the calling one.
+/// Starts a process that can outlive the calling process.
 pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// Detaches a process from Ctrl-C: that must reach only the launcher, which ends the run in order.
+/// Detaches a process from Ctrl-C, which must reach only the launcher: it ends the run in order.
 fn detach(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }
 
-/// A process of the run, which may be a child of this one.
+/// A process of the run, which may be a child of this process.
 #[derive(Debug)]
 pub(crate) struct Watched {
     fd: OwnedFd,
@@ -93,7 +93,7 @@ pub(crate) fn pid(number: u32) -> Option<Pid> {
     Pid::from_raw(i32::try_from(number).ok()?)
 }
 
-/// Sends a signal to a process, which may have just ended.
+/// Sends a signal to a process. No effect if the process has ended.
 pub(crate) fn signal(number: u32, signal: Signal) {
     if let Some(pid) = pid(number) {
         let _ = kill_process(pid, signal);

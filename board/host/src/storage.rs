@@ -1,8 +1,8 @@
 //! iceoryx2's dynamic storage over POSIX shared memory whose pages are reserved at creation.
 //!
 //! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file; the
-//! kernel finds a page only at the first access. In a full `/dev/shm` that access ends the process
-//! with SIGBUS, possibly a process that only rings a doorbell. Here [`Builder::create`] calls
+//! kernel allocates a page only at its first access. In a full `/dev/shm` that access ends the
+//! process with SIGBUS, even a process that only rings a doorbell. Here [`Builder::create`] calls
 //! `fallocate` before any access to the memory: if there is not enough room, the creator gets an
 //! error, and no other process fails later.
 //!
@@ -84,7 +84,7 @@ pub enum CreateError {
         /// The requested size.
         bytes: usize,
     },
-    /// The initializer returned an error.
+    /// The initializer failed.
     InitializationFailed,
     /// The operating system refused another operation.
     Refused,
@@ -118,7 +118,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         self.config.path_for(&self.name).file_name()
     }
 
-    /// Like [`DynamicStorageBuilder::create`], but the error tells whether room was missing.
+    /// Like [`DynamicStorageBuilder::create`], but the error says whether the room was too small.
     ///
     /// # Errors
     /// [`CreateError`]
@@ -162,7 +162,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         Ok(storage)
     }
 
-    /// Initializes an existing storage again, in its memory.
+    /// Initializes an existing storage again, in the same memory.
     fn take_over(mut self, bytes: usize) -> Result<Storage<T, LASTING>, CreateError> {
         let memory = SharedMemoryBuilder::new(&self.file_name())
             .open_existing(AccessMode::ReadWrite)
@@ -185,7 +185,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         if !self.initializer.call(&mut content.value, &mut allocator) {
             return Err(CreateError::InitializationFailed);
         }
-        // Release pairs with the Acquire in `open_now`: a process that sees this sees the value.
+        // Release pairs with the Acquire in `open_now`: a reader of COMPLETE also sees the value.
         content.complete.store(COMPLETE, Release);
         let name = self.name;
         Ok(Storage {
@@ -203,15 +203,15 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
             Err(SharedMemoryCreationError::DoesNotExist) => {
                 return Err(DynamicStorageOpenError::DoesNotExist);
             }
-            // Its size is still zero, or it is still write-only.
+            // The size of the file is still zero, or the file is still write-only.
             Err(
                 SharedMemoryCreationError::InsufficientPermissions
                 | SharedMemoryCreationError::MemoryMappingCreationError(_),
             ) => return unfinished,
             Err(_) => return Err(DynamicStorageOpenError::InternalError),
         };
-        // Root can read an incomplete storage; other users cannot. No page may be accessed before
-        // all pages are reserved.
+        // Root can open an incomplete storage; other users cannot. Reject it, because no page may
+        // be accessed before all pages are reserved.
         match memory.permission() {
             Ok(permission) if permission.has(Permission::OWNER_READ) => {}
             Ok(_) => return unfinished,
@@ -254,7 +254,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
 
 /// Reserves the pages for all bytes, or fails.
 fn reserve(memory: &SharedMemory, bytes: usize) -> Result<(), CreateError> {
-    // SAFETY: the descriptor is open as long as `memory`, which outlives the borrow.
+    // SAFETY: the descriptor is open as long as `memory` lives, and `memory` outlives the borrow.
     let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
     loop {
         match rustix::fs::fallocate(file, FallocateFlags::empty(), 0, bytes as u64) {
@@ -367,7 +367,7 @@ impl<T, const LASTING: bool> Storage<T, LASTING> {
     fn content(&self) -> &Content<T> {
         let content = self.memory.base_address().cast::<Content<T>>();
         // SAFETY: the mapping is as large as a `Content`, which was checked when this storage was
-        // built; every page of it is reserved; it lives as long as `self.memory`.
+        // built; all its pages are reserved; the mapping lives as long as `self.memory`.
         unsafe { content.as_ref() }
     }
 }

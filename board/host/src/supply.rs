@@ -6,7 +6,7 @@
 //! depends on the vehicle (which is the battery: without it there is no power), but not on the
 //! launcher.
 //!
-//! `tandem_peripherals::supply` decides; this module is the process around that model. The level
+//! `tandem_peripherals::supply` decides; this module runs that model in a process. The level
 //! line is high before the ignition is on. When the ignition goes off or the vehicle ends, the
 //! supply kills its cores and ends.
 
@@ -41,7 +41,7 @@ use crate::spawn::{self, Watched};
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
 /// The period after all cores have started. A process's death, the end of the watchdog's window and
-/// [`POKE`] wake the supply at once. Keep it short: only a late tick reveals a stall ([`HELD_UP`]).
+/// [`POKE`] wake the supply at once. Keep it short: only a late tick shows a stall ([`HELD_UP`]).
 const CALM_PERIOD: Duration = Duration::from_ms(20);
 /// Makes a supply or the launcher read its registers. Before its handler is installed, the signal
 /// has no effect.
@@ -57,8 +57,8 @@ pub(crate) fn poke_launcher(backplane: Backplane) {
     spawn::signal(backplane.launcher_pid(), POKE);
 }
 
-/// Pokes and other signals as a stream: a signal that arrives just before a sleep also ends that
-/// sleep.
+/// Pokes and other signals as a stream, so that a signal that arrives just before a sleep also
+/// ends that sleep.
 #[derive(Debug)]
 pub(crate) struct Pokes(UnixStream);
 
@@ -79,14 +79,14 @@ impl Pokes {
         PollFd::new(&self.0, PollFlags::IN)
     }
 
-    /// Discards all pokes so far.
+    /// Discards all pokes that were received so far.
     pub(crate) fn take(&mut self) {
         let mut pokes = [0; 16];
         while (&self.0).read(&mut pokes).is_ok_and(|count| count > 0) {}
     }
 }
 
-/// A supply that polls later than this was itself delayed: the process or the machine was stopped.
+/// If a poll is later than this, the supply itself was delayed: its process or machine was stopped.
 const HELD_UP: Duration = Duration::from_ms(50);
 /// Why a supply cannot work.
 #[derive(Debug, thiserror::Error)]
@@ -117,8 +117,8 @@ impl From<FitError> for SupplyError {
 /// Runs as the supply of a system until the ignition is off. `command` makes the command that
 /// starts a core.
 ///
-/// Call it on the main thread: cores die with the thread that started them. It claims real-time
-/// scheduling as `args` specifies.
+/// Call it on the main thread, because cores die with the thread that started them. Claims
+/// real-time scheduling as `args` specifies.
 ///
 /// # Errors
 /// [`SupplyError`] if the run has ended, or the LMU or the data flash cannot be used. A core that
@@ -154,8 +154,8 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         pokes,
     };
     if power_on > 1 {
-        // At the first power-on no edge is older than the run, and the other system may already be
-        // on.
+        // Not at the first power-on: no edge is older than the run then, and the other system may
+        // already be on and have sent edges that must count.
         backplane.clear_received_edges(args.system);
     }
     supply.work(&vehicle);
@@ -242,7 +242,7 @@ impl Supply<'_> {
             let cores_stand = self.cores.iter().all(Option::is_none);
             let change = self.model.poll(now, cores_stand);
             self.carry_out(change);
-            // Missed ticks need no work.
+            // Missed ticks are skipped.
             next = self.next_tick(now);
         }
     }
@@ -274,7 +274,7 @@ impl Supply<'_> {
         let pid = self.backplane.supply_pid(system);
         if self.peer.as_ref().is_some_and(Watched::has_ended) {
             self.peer = None;
-            // A supply that was switched on in its place sets its own level.
+            // If a new supply has already replaced it, that supply sets the level itself.
             if pid == self.peer_pid {
                 self.set_level(system, false);
             }
@@ -336,7 +336,7 @@ impl Supply<'_> {
                 self.stop_all(ResetCause::Software, RoleLamp::Suspended);
                 self.trace(SupplyEvent::Suspended);
             }
-            // The end of the run also ends this process.
+            // Only the cores are killed here: this process ends at the end of the run.
             Some(Change::PowerOff) => self.kill_cores(),
         }
     }
@@ -363,7 +363,7 @@ impl Supply<'_> {
                 .set_generation(self.args.system, core, Generation(generation));
         }
         self.set_level(self.args.system, true);
-        // Core 0 releases the other cores. T-BOOT-2
+        // Start only core 0, which releases the other cores. T-BOOT-2
         self.start(CoreId::CONTROL);
     }
 
@@ -389,8 +389,8 @@ impl Supply<'_> {
         let system = self.args.system;
         let generation = self.backplane.generation(system, core);
         let mut command = (self.command)(&self.args.core(core, generation));
-        // A core that cannot be started counts as one that died at its start: for core 0 that leads
-        // to a reset, because the watchdog is not serviced.
+        // A core that cannot be started counts as a core that died at its start. If it is core 0,
+        // the system is reset, because the watchdog is not serviced.
         if let Ok(child) = spawn::spawn_bound(&mut command) {
             self.trace(SupplyEvent::CoreStarted { core, generation });
             self.backplane.set_core_pid(system, core, child.id());
@@ -399,7 +399,7 @@ impl Supply<'_> {
         }
     }
 
-    /// Writes to the supply's trace. If it is full, the record is lost: driving never reads it.
+    /// Writes to the supply's trace. A full trace loses the record; driving never reads the trace.
     fn trace(&self, event: SupplyEvent) {
         let trace_ring = self
             .backplane
@@ -452,7 +452,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: services that the supply reads together are judged by the times of sending.
+    /// T-CHIP-6: services that the supply reads together are judged by their times of sending.
     #[test]
     fn services_that_are_seen_together_are_not_early() {
         let (run, backplane) = ScratchRun::create();
@@ -489,8 +489,8 @@ mod tests {
         assert_eq!(supply.model.question(), question(3), "all were accepted");
     }
 
-    /// T-CHIP-6: if the launcher has set up the run and died before a slow supply starts, the
-    /// vehicle still drives.
+    /// T-CHIP-6: if the launcher sets up the run and dies before a slow supply has started, that
+    /// supply still starts its system.
     #[test]
     fn a_launcher_that_died_after_the_start_is_not_missed() {
         let (run, backplane) = ScratchRun::create();

@@ -21,9 +21,9 @@ pub struct HostSupply {
     backplane: Backplane,
     of: Identity,
     services: Mutex<fifo::Producer<'static, [u32; SERVICE_WORDS]>>,
-    /// Number of services in this incarnation.
+    /// Number of watchdog services in this incarnation.
     count: AtomicU32,
-    /// The file with the name of this process in `ps`, if Linux provides it.
+    /// The file that sets the name of this process in `ps`, if Linux provides it.
     comm: Option<File>,
 }
 
@@ -56,7 +56,7 @@ impl Supply for HostSupply {
     fn service_watchdog(&self, answer: u8) {
         let service = encode_service(clock::now(), answer);
         let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
-        // If the ring is full, the supply lags. The next service is then enough.
+        // A full ring means that the supply lags behind. Then the next service is sufficient.
         if services.send(&service).is_ok() {
             self.count.fetch_add(1, Relaxed);
         }
@@ -78,7 +78,7 @@ impl Supply for HostSupply {
     }
 }
 
-/// How many bytes of a process's name Linux stores.
+/// Number of bytes of a process's name that Linux stores.
 const NAME_BYTES: usize = 15;
 
 /// Returns the name of a core in `ps`, for example `A0 master`, and its length.

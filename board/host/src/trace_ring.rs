@@ -1,14 +1,14 @@
 //! The ring into which a core writes its trace. It outlives the core, and no writer ever waits.
 //!
 //! A bounded queue with many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
-//! reserves the next slot by compare-and-swap, fills it, and marks it as filled with the number of
-//! its turn. A writer is a task or a handler of one core. If it is interrupted or killed between
-//! the two steps, it stops only the reader, and only at this slot. A full ring refuses new records:
-//! the old ones stay, and the caller counts the refused ones.
+//! reserves the next slot by compare-and-swap, fills it, and then writes the number of its turn to
+//! mark it as filled. A writer is a task or a handler of one core. A writer that is interrupted or
+//! killed before the mark stops only the reader, and only at this slot. A full ring refuses new
+//! records: the old records stay, and the caller counts the refused ones.
 //!
 //! An incarnation that has ended never fills the slots that it had reserved. The supply starts the
 //! next incarnation only after the previous one has died: [`TraceRing::begin_incarnation`] then
-//! marks these slots as void. [`Reader::salvage`] skips them when no core writes any more.
+//! marks these slots as void. When no core writes any more, [`Reader::salvage`] skips them.
 
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -60,14 +60,14 @@ impl TraceRing {
     }
 
     /// Marks as void the slots that earlier incarnations of this core have reserved and not filled.
-    /// Call it once in each incarnation, before its first record, when no earlier incarnation runs
-    /// any more.
+    /// Call it once in each incarnation, before its first record and after all earlier incarnations
+    /// have ended.
     pub(crate) fn begin_incarnation(self) {
         let reserved = self.words[RESERVED_AT].load(Relaxed);
         // Acquire pairs with the Release in `Reader::release`: the slots before `read` were read.
         let read = self.words[READ_AT].load(Acquire);
         if reserved.wrapping_sub(read) > SLOTS {
-            // No writer or reader can cause this: start again at the reader's position.
+            // Only a corrupt counter causes this, so start again at the reader's position.
             self.words[RESERVED_AT].store(read, Relaxed);
             return;
         }
@@ -106,13 +106,13 @@ impl TraceRing {
             word.store(value, Relaxed);
         }
         slot[VOID_AT].store(0, Relaxed);
-        // Release pairs with the Acquire in `Reader::next`: with the turn it sees the record.
+        // Release pairs with the Acquire in `Reader::next`: the turn is set after the record.
         slot[TURN_AT].store(ticket.wrapping_add(1), Release);
         Ok(())
     }
 }
 
-/// The reader's end. Only one may exist at a time; its successor continues where it ended.
+/// The reader's end. Only one may exist at a time; the next one continues where it ended.
 #[derive(Debug)]
 pub(crate) struct Reader {
     ring: TraceRing,

@@ -67,7 +67,7 @@ pub struct HostVehiclePort {
     carried: Vec<network::Delivery>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
-    /// Whether some cores have not been notified of frames on the bus.
+    /// Whether the cores have not yet been notified of the newest frames on the bus.
     news: bool,
     /// `None` before the first period.
     ticker: Option<Ticker>,
@@ -75,7 +75,7 @@ pub struct HostVehiclePort {
     doorbell: Doorbell,
     /// Whether the doorbell was rung.
     rung: bool,
-    /// The vehicle sends no frame before this time, so the periods until then may be late.
+    /// The vehicle sends no frame before this time, so periods before it may be late.
     quiet_until: Instant,
 }
 
@@ -87,7 +87,7 @@ struct Node {
     lost: u32,
     /// The core's count of discards at the last call.
     discards: u32,
-    /// Whether frames wait in the ring until the core's controller accepts them.
+    /// Whether frames wait in the ring because the core's controller does not accept them yet.
     waits: bool,
 }
 
@@ -106,7 +106,7 @@ impl Node {
         is_powered
     }
 
-    /// Returns the next record of the core's trace, read by `read`.
+    /// Returns the next record of the core's trace; `read` takes it from the ring.
     fn traced(
         &mut self,
         read: impl FnOnce(&mut Reader) -> Option<(Instant, TraceRecord)>,
@@ -163,7 +163,7 @@ impl HostVehiclePort {
         })
     }
 
-    /// Returns whether the bus has work in each period: frames wait, or a fault disturbs it.
+    /// Returns whether the bus has work in each period, because frames wait or a fault disturbs it.
     fn is_disturbed(&mut self) -> bool {
         self.network.conditions = self.backplane.conditions();
         self.network.is_disturbed() || self.from_cores.iter().any(|node| node.waits)
@@ -182,8 +182,8 @@ impl HostVehiclePort {
 
     /// Moves the frames of the cores from their rings to their controllers.
     fn collect(&mut self, now: Instant) {
-        // These frames were sent after the last call. A core that was frozen between reading the
-        // clock and sending would report an earlier time and thus hide the gap.
+        // These frames were sent after the last call, so raise earlier times to that call's time. A
+        // core that was frozen between reading the clock and sending must not hide a gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
         let (backplane, network) = (self.backplane, &mut self.network);
         for node in &mut self.from_cores {
@@ -196,7 +196,7 @@ impl HostVehiclePort {
                 let Ok(Some(words)) = node.frames.receive() else {
                     break;
                 };
-                // Only after the receive: the core may have discarded this frame in the meantime.
+                // Do this after the receive, because the core may have just discarded this frame.
                 let is_powered = node.follow(backplane, network);
                 let wanted = |(_, before): &(BusFrame, u32)| is_powered && *before == node.discards;
                 let Some((frame, _)) = decode_transmit(&words).filter(wanted) else {
@@ -205,7 +205,7 @@ impl HostVehiclePort {
                 // Read the clock again: this process may have been delayed since `now`.
                 let Received { frame, at } = frame.received;
                 let sent = at.clamp(emptied, clock::now());
-                // The sender follows from the ring. A controller that is ready is not full.
+                // The ring determines the sender. A controller that is ready is not full.
                 let _full = network.send_frame(node.of, &frame, sent, now, &mut self.noise);
             }
         }
@@ -243,10 +243,10 @@ impl VehicleBus for HostVehiclePort {
         self.collect(now);
         let mut all = core::mem::take(&mut self.carried);
         all.extend(core::iter::from_fn(|| self.network.carried()));
-        // A stable sort: the frames of one core keep their order even at equal times.
+        // The sort is stable, so the frames of one core keep their order even at equal times.
         all.sort_by_key(|carried| carried.sent);
         for carried in all.drain(..) {
-            // The bus carries this frame now: this call may have started before the sender's time,
+            // Read the clock for each frame: this call may have started before the sender's time,
             // and this process may have been delayed since the previous frame.
             let at = clock::now();
             if let Sender::Core(CoreAddress { system, core }) = carried.sender {
@@ -409,9 +409,8 @@ mod tests {
         HostCan::attach(port.backplane, of, ringers).unwrap()
     }
 
-    /// T-RED-8: a frame is logged with the time at which it was on the bus, whatever time its
-    /// sender reports: a sender that was frozen between reading the clock and sending hides no gap,
-    /// and no time is in the future.
+    /// T-RED-8: the bus limits the time of sending that a sender reports. A sender that was frozen
+    /// between reading the clock and sending hides no gap, and no time is in the future.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (_run, mut port) = port();
@@ -439,8 +438,8 @@ mod tests {
         assert!(ahead <= clock::now(), "in the future");
     }
 
-    /// A log shows the bus: frames in the order in which a receiver gets them, each with the
-    /// receiver's time, independent of the sender and its time.
+    /// A log contains the frames in the order in which a receiver gets them, each with the
+    /// receiver's time. It does not depend on which core sent a frame or when.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
         let (run, mut port) = port();
@@ -494,7 +493,7 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// A disturbed connection loses, delays or does not receive frames; the other is not affected.
+    /// A disturbed connection loses or delays sent or received frames; the other is not affected.
     #[test]
     fn a_disturbed_connection_affects_its_own_system_alone() {
         let (run, mut port) = port();
@@ -541,7 +540,7 @@ mod tests {
     }
 
     /// The vehicle sleeps until the period in which it sends a frame. A core's frame wakes it
-    /// early, but it first returns the periods that are already due.
+    /// early, but the wait first returns the periods that are already due.
     #[test]
     fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
         let (run, mut port) = port();
@@ -558,7 +557,7 @@ mod tests {
                 can.try_send(&frame).unwrap();
             }
         });
-        // A thread that is delayed before its sleep finds a period due, or the frame: try again.
+        // If this thread is delayed before its sleep, it finds a period or the frame: try again.
         let mut last = first;
         let mut slept = false;
         while !slept {

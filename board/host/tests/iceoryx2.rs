@@ -49,8 +49,8 @@ mod harness {
 }
 
 fn main() {
-    // Files that the suite abandons on purpose disappear with this process, if a private `/dev/shm`
-    // is permitted.
+    // If a private `/dev/shm` is permitted, files that the suite leaves behind on purpose disappear
+    // with this process.
     let _place = tandem_board_host::isolation::enter();
     harness::main();
 }

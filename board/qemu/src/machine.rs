@@ -70,7 +70,7 @@ pub struct MachineOptions {
     /// Timing profile `chip`, not `rt`. Only for [`WorldLayout::One`](crate::WorldLayout::One):
     /// between two machines, edges and datagrams take up to 2 ms.
     pub chip: bool,
-    /// An overload of core 0's tasks: strap `Third`, explained in the image's `main`. 0: none.
+    /// Overload of core 0's tasks, as strap `Third`: see the image's `main`. 0 means no overload.
     pub overload: u32,
 }
 

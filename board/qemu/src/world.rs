@@ -258,7 +258,7 @@ impl EmulatedWorld {
     }
 
     /// Passes the frames on the bus to all machines except that of their sender. A machine passes a
-    /// frame to all of its cores: it gets the frames that reach core 0 of one of its systems.
+    /// frame to all of its cores, so it gets only frames that reach core 0 of one of its systems.
     fn carry(&mut self) {
         while let Some(carried) = self.network.carried() {
             let network::Delivery {
@@ -419,8 +419,8 @@ impl EmulatedWorld {
         }
     }
 
-    /// Returns the clock of the machines at their last report. At that time they wait for the next
-    /// step, which carries out all commands.
+    /// Returns the clock of the machines at their last report. The machines have been waiting since
+    /// then for the next step, which carries out all commands.
     #[must_use]
     pub const fn reported(&self) -> Instant {
         self.reported
@@ -438,7 +438,7 @@ impl VehicleBus for EmulatedWorld {
             let Sender::Core(from) = it.sender else {
                 continue;
             };
-            // A frame that missed the last step counts as being on the bus in this one.
+            // Times on the bus never decrease: a frame gets at least the time of the previous one.
             self.carried = self.carried.max(it.at);
             let carried = Carried {
                 frame: it.frame,

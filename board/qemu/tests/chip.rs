@@ -140,15 +140,15 @@ fn moments() -> u32 {
 }
 
 /// T-RED-8: on machines that do not stall, a takeover and the gap of control stay within the times
-/// of the thesis, at whatever point of the control period the master fails.
+/// of the thesis, wherever in the control period the master fails.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_chip_keeps_the_times_of_the_thesis() {
     let mut worse = vec![];
     // Limits, ms: until B's decision, until its first control frame, and without control. The
-    // emulator runs one instruction of all cores at a time: next to a stopped system, B takes 0.18
-    // ms from the decision to the frame. Next to a system that restarts it takes up to 0.5 ms, so
-    // there only the decision must meet the time of a chip.
+    // emulator runs the instructions of all cores one at a time. If A has stopped, B takes
+    // 0.18 ms from the decision to the frame. If A restarts, B takes up to 0.5 ms, so in that case
+    // only the decision must meet the time of a chip.
     for (fails, level_cut, bounds) in [
         (Fails::Hang, true, [3.9, 4.0, 14.0]),
         (Fails::Reset, true, [3.9, 4.0, 14.0]),

@@ -90,7 +90,7 @@ fn no_lower_task_toggles_while_the_highest_works() {
     }
 }
 
-/// A busy host shifts an emulated timer by some instructions: by 200 ns when it was observed.
+/// A busy host shifts an emulated timer by some instructions: by 200 ns in one observation.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_change_at_the_same_times_in_each_run() {

@@ -5,8 +5,8 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use tandem_board::Instant;
 
-/// The panic payload that unwinds a blocking core when its incarnation ends, out of the call in
-/// which it is parked.
+/// The panic payload that unwinds a blocking core when its incarnation ends. It starts in the call
+/// in which the core is parked.
 #[derive(Clone, Copy, Debug)]
 pub struct CoreKilled;
 
@@ -25,8 +25,8 @@ pub(crate) struct Baton {
 }
 
 impl Baton {
-    /// Lets other cores run until `until` on this core's clock, or until the pair resumes this core
-    /// earlier. Unwinds with [`CoreKilled`] if the core's incarnation has ended.
+    /// Parks this core until `until` on its clock, or until the pair resumes it earlier; the other
+    /// cores run in that time. Unwinds with [`CoreKilled`] if the core's incarnation has ended.
     pub(crate) fn park(&self, until: Instant) {
         if std::thread::panicking() {
             return;

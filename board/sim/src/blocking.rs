@@ -55,7 +55,7 @@ impl CoreThread {
 impl Drop for CoreThread {
     fn drop(&mut self) {
         self.resume = None;
-        // The thread unwinds. If a destructor in it panics, the message has been printed.
+        // The thread unwinds. If a destructor in it panics, the message is already printed.
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }

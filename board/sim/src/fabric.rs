@@ -172,7 +172,7 @@ impl Machine {
         core.job.is_some()
     }
 
-    /// Performs an output. A full receiver or buffer loses it: the sender no longer waits for room.
+    /// Performs an output. It is lost if a receiver or buffer is full: the sender no longer waits.
     pub(crate) fn put_out(&mut self, from: CoreAddress, output: Output) {
         match output {
             Output::Edge(line, edge) => self.send_edge(from.system, line, edge),

@@ -106,7 +106,7 @@ impl SimPair {
         self.shared.lock().core(CoreAddress { system, core }).rest = span;
     }
 
-    /// Changes each frame that a system sends; `None` stops that.
+    /// Changes each frame that a system sends from now on; `None` ends the changes.
     pub fn tamper(&mut self, system: SystemId, with: Option<Tamper>) {
         self.shared.lock().system(system).tamper = with;
     }

@@ -314,7 +314,7 @@ impl Machine {
         self.glance.local(system)
     }
 
-    /// Moves the cores that are due to the front of `places`, in their order; returns their number.
+    /// Moves due cores to the front of `places`, keeping their order, and returns their number.
     pub(crate) fn due(&self, places: &mut [CoreAddress]) -> usize {
         let mut count = 0;
         for index in 0..places.len() {

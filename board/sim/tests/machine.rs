@@ -360,8 +360,8 @@ fn a_cut_wire_carries_nothing_until_it_is_restored() {
     assert!(!far.lines().peer_powered());
 }
 
-/// Power fails after every byte of an erase and a program; the flash keeps the bytes that were
-/// already processed.
+/// Power fails after every 97th byte of an erase and every byte of a program; the flash keeps the
+/// bytes that were already processed.
 #[test]
 fn power_can_fail_at_every_byte_of_the_flash() {
     let erase = u64::from(<SimBoard as Board>::Flash::SECTOR_BYTES);

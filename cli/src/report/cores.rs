@@ -31,7 +31,7 @@ const GAP: f64 = 12.0;
 /// The smallest width of a slice in the drawing, so that short slices are visible.
 const NARROWEST: f64 = 1.2;
 
-/// The legend: what the colours of slices mean.
+/// The legend: the meaning of the colours of slices.
 const LEGEND: [(TaskCode, Color); 8] = [
     (TaskCode::CONTROL, Color::A),
     (TaskCode::DEGRADED, Color::WARN),
@@ -43,10 +43,10 @@ const LEGEND: [(TaskCode, Color); 8] = [
     (TaskCode::PLANNING, Color::B),
 ];
 
-/// Draws the timeline around the first takeover from a failed master, or else around the first
-/// takeover, or a quiet moment of the run. Draws nothing if no core has left a trace.
+/// Draws the timeline around the first takeover from a failed master, else around the first
+/// takeover, else around a quiet moment. Draws nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
-    // Prefer a failed master: if it was only held up, the takeover shows a stall of the machine.
+    // Prefer a failed master. A takeover from a held-up one shows a stall of the machine.
     let failed = takeovers.iter().find(|takeover| !takeover.held_up);
     let takeover = failed.or(takeovers.first());
     let Some(zero_ns) = takeover.map(|t| t.at_ns).or_else(|| quiet_moment(timeline)) else {
@@ -129,7 +129,7 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
         .filter(first)
         .map(|flow| flow.from.1)
         .collect();
-    // The first system sent about the first half of the signals, so 2/5 is well within its run.
+    // About the first half of the list are signals of the first system, so 2/5 is well within it.
     let moment = chain.get(2 * chain.len() / 5)?;
     Some(moment + 10_000_000)
 }
@@ -143,7 +143,7 @@ fn task_color(work: Work) -> Color {
 }
 
 struct Drawing {
-    /// If set, draw only this system, without the vehicle.
+    /// If set, only this system is drawn, without the vehicle.
     only: Option<SystemId>,
     zero_ns: u64,
     from_ms: f64,
@@ -286,7 +286,7 @@ impl Drawing {
                 continue;
             }
             let down = self.row(flow.system, to) > self.row(flow.system, from);
-            // Begin and end at the edges of the two bars that face each other.
+            // The arrow begins and ends at the edges of the two bars that face each other.
             let edge =
                 |core, lower: bool| self.row(flow.system, core) + if lower { BAR } else { 0.0 };
             let begin = (self.x(from_ns), edge(from, down));

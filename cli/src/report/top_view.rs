@@ -118,7 +118,7 @@ impl View {
 
 /// Draws the road at the sample with vehicles that is nearest to `at_ns`; `None` without samples.
 pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
-    // Without traffic no sample has other vehicles; then any sample serves.
+    // Without traffic no sample has other vehicles. Then any sample may be used.
     let with_others = log.samples.iter().any(|sample| !sample.others.is_empty());
     let sample = log
         .samples

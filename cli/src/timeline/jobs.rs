@@ -13,11 +13,11 @@ use crate::percentiles::Spans;
 /// Figures of one task over the run, as `metrics.json` has them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct TaskMetrics {
-    /// `A` or `B`.
+    /// The system: `A` or `B`.
     pub(crate) system: String,
-    /// 0, 1 or 2.
+    /// The core: 0, 1 or 2.
     pub(crate) core: u8,
-    /// Its name.
+    /// Name of the task.
     pub(crate) task: String,
     /// Time between two releases, ms; `None` if events release it.
     pub(crate) period_ms: Option<f64>,
@@ -29,29 +29,29 @@ pub(crate) struct TaskMetrics {
     pub(crate) missed_releases: u64,
     /// Jobs that ended after their deadline, plus missed releases of tasks with a deadline.
     pub(crate) deadline_misses: u64,
-    /// Jobs whose end was not recorded, because the core died or the run ended.
+    /// Jobs whose end was not recorded: the core died, the run ended, or records were lost.
     pub(crate) cut: u64,
     /// Number of preemptions by more urgent tasks within jobs.
     pub(crate) preemptions: u64,
-    /// Jobs with a known release: the sample count of the response times.
+    /// Number of jobs with a known release. Each of them has a response time.
     pub(crate) responses: u64,
     /// Median time from the release of a job to its end, ms.
     pub(crate) response_p50_ms: Option<f64>,
-    /// Its 99th percentile, ms.
+    /// 99th percentile of the same time, ms.
     pub(crate) response_p99_ms: Option<f64>,
-    /// Its maximum, ms.
+    /// Maximum of the same time, ms.
     pub(crate) response_max_ms: Option<f64>,
     /// Median time on the CPU, without the time of tasks and handlers that preempted it, ms. On
     /// the host it includes time that the machine's own scheduler took away.
     pub(crate) execution_p50_ms: Option<f64>,
-    /// Its 99th percentile, ms.
+    /// 99th percentile of the same time, ms.
     pub(crate) execution_p99_ms: Option<f64>,
-    /// Its maximum, ms.
+    /// Maximum of the same time, ms.
     pub(crate) execution_max_ms: Option<f64>,
-    /// Bytes of its stack that were never used; `None` where not measured.
+    /// Bytes of the task's stack that were never used; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
-    /// Longest time for which it held a lock that other tasks may wait for, including
+    /// Longest time for which the task held a lock that other tasks may wait for, including
     /// interruptions, ms; `None` where not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) lock_held_max_ms: Option<f64>,
@@ -60,7 +60,7 @@ pub(crate) struct TaskMetrics {
 /// Figures of the signals between two cores, as `metrics.json` has them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct WakeMetrics {
-    /// `A` or `B`.
+    /// The system: `A` or `B`.
     pub(crate) system: String,
     /// The sending core.
     pub(crate) from: u8,
@@ -70,28 +70,28 @@ pub(crate) struct WakeMetrics {
     pub(crate) count: u64,
     /// Median time from just before the sending of the signal until the woken task runs, ms.
     pub(crate) latency_p50_ms: Option<f64>,
-    /// Its 99th percentile, ms.
+    /// 99th percentile of the same time, ms.
     pub(crate) latency_p99_ms: Option<f64>,
-    /// Its maximum, ms.
+    /// Maximum of the same time, ms.
     pub(crate) latency_max_ms: Option<f64>,
 }
 
 /// Figures of the handler of one interrupt, as `metrics.json` has them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct InterruptMetrics {
-    /// `A` or `B`.
+    /// The system: `A` or `B`.
     pub(crate) system: String,
-    /// 0, 1 or 2.
+    /// The core: 0, 1 or 2.
     pub(crate) core: u8,
-    /// Its name.
+    /// Name of the interrupt.
     pub(crate) interrupt: String,
     /// Number of runs of the handler.
     pub(crate) count: u64,
     /// Median time in the handler, ms.
     pub(crate) execution_p50_ms: Option<f64>,
-    /// Its 99th percentile, ms.
+    /// 99th percentile of the same time, ms.
     pub(crate) execution_p99_ms: Option<f64>,
-    /// Its maximum, ms.
+    /// Maximum of the same time, ms.
     pub(crate) execution_max_ms: Option<f64>,
 }
 
@@ -182,7 +182,7 @@ impl Jobs {
         self.tasks.entry(code).or_default()
     }
 
-    /// Records the release of a job, unless an earlier one has not ended.
+    /// Records the release of a job. Has no effect while an earlier job is unfinished.
     pub(super) fn ready(&mut self, code: TaskCode, at_ns: u64) {
         self.done_if_it_gave(code);
         let job = &mut self.task(code).job;
@@ -238,8 +238,8 @@ impl Jobs {
         }
     }
 
-    /// Ends the job of a task that left the CPU for an unrecorded reason. The caller knows that
-    /// the job was finished: the task became ready again or did not run again.
+    /// Ends the job of a task that left the CPU for an unrecorded reason. The job was finished,
+    /// because the task became ready again or did not run again.
     fn done_if_it_gave(&mut self, code: TaskCode) {
         if let Some(gave_ns) = self.task(code).job.and_then(|job| job.gave_ns) {
             self.done(code, gave_ns);

@@ -72,7 +72,7 @@ pub(crate) struct Slice {
     pub(crate) late_ns: Option<u32>,
     /// Number of releases without a job just before this slice.
     pub(crate) missed: u32,
-    /// The end was not recorded: the core died, the run ended, or records were lost.
+    /// Whether the end was not recorded: the core died, the run ended, or records were lost.
     pub(crate) cut: bool,
 }
 
@@ -106,11 +106,11 @@ pub(crate) struct CoreLine {
     pub(crate) system: SystemId,
     /// The core.
     pub(crate) core: CoreId,
-    /// Its slices, in order of their begin.
+    /// The slices of the core, in order of their start times.
     pub(crate) slices: Vec<Slice>,
-    /// Its marks, in order of time.
+    /// The marks of the core, in order of time.
     pub(crate) marks: Vec<Mark>,
-    /// Slices and marks in one order, with ascending times.
+    /// The begins and ends of slices and the marks in one list, with ascending times.
     pub(crate) steps: Vec<Step>,
 }
 
@@ -143,7 +143,7 @@ pub(crate) struct Timeline {
     pub(crate) cores: Vec<CoreLine>,
     /// The events of the supplies, by time, ns.
     pub(crate) supplies: Vec<(u64, SystemId, SupplyEvent)>,
-    /// Signals from core to core; the flow of a mark is its index here plus 1.
+    /// Signals from core to core. [`Mark::flow`] is an index of this list plus 1.
     pub(crate) flows: Vec<Flow>,
     /// Figures of each task of each core.
     pub(crate) tasks: Vec<TaskMetrics>,
@@ -252,8 +252,8 @@ impl Wakes {
         Self { sent }
     }
 
-    /// Finds the last signal with this key sent before `at_ns`. If it has no arrow yet, assigns
-    /// this one and returns the time at which the signal was sent.
+    /// Finds the last signal with this key that was sent by `at_ns`. If it has no arrow yet,
+    /// assigns this arrow to it and returns the time at which the signal was sent.
     fn arrive(&mut self, key: SignalKey, at_ns: u64, arrow: u64) -> Option<u64> {
         let sent = self.sent.get_mut(&key)?;
         // Numbers restart in each incarnation, so several signals may have the same number.
@@ -336,7 +336,7 @@ impl LineBuilder {
             }
             Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
             Event::Held { task, longest_ns } => self.jobs.held(task, longest_ns),
-            // Shown as a counter or as an instant.
+            // Perfetto shows these events as counters or as instants.
             _ => self.mark(at_ns, event, 0),
         }
         self.last_ns = at_ns;
@@ -393,7 +393,7 @@ impl LineBuilder {
     }
 
     /// Ends the innermost slice of this work, and the slices within it, whose ends were lost.
-    /// Returns its time without that of inner slices, ns; `None` if the slice is not open.
+    /// Returns its duration without inner slices, ns; `None` if no slice of this work is open.
     fn end(&mut self, at_ns: u64, work: Work) -> Option<u64> {
         let is_it = |(slice, _): &(usize, u64)| self.line.slices[*slice].work == work;
         let from = self.open.iter().rposition(is_it)?;
@@ -421,8 +421,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// Ends all slices, because the core's incarnation ended before `until_ns`. They end when the
-    /// supply recorded the end, or else at the core's last record.
+    /// Ends all slices, because the core's incarnation ended before `until_ns`. The slices end at
+    /// the end that the supply recorded, or else at the core's last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

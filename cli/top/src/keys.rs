@@ -1,4 +1,4 @@
-//! The keys of `tandem top` that inject and end faults, by commands of `tandem` and by signals.
+//! The keys of `tandem top`. They inject and end faults by commands of `tandem` and by signals.
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -76,7 +76,7 @@ impl Keys {
                 self.said = format!("core 0 of {name} hangs for 100 ms");
                 std::thread::spawn(move || {
                     std::thread::sleep(HANG);
-                    // This fails if the watchdog has reset the core.
+                    // This call fails if the watchdog has reset the core.
                     let _ = kill_process(pid, Signal::CONT);
                 });
             }
@@ -84,7 +84,7 @@ impl Keys {
         }
     }
 
-    /// Starts `tandem` with these arguments on this run. Only a new process can enter a run.
+    /// Starts `tandem` with these arguments on this run, which only a new process can enter.
     fn command(&mut self, words: &[&str]) {
         let this = std::env::current_exe().unwrap_or_default();
         let started = Command::new(this.with_file_name("tandem"))

@@ -11,7 +11,7 @@ const EVENTS: usize = 32;
 const GAPS: usize = 76;
 /// The value of [`tandem_board_host::services::Frame::verdict`] for an accepted control frame.
 const ACCEPTED: u8 = 1;
-/// A run that publishes nothing for this long has ended.
+/// A run that publishes nothing for this long counts as ended.
 const SILENT: Duration = Duration::from_secs(2);
 
 /// The state on the screen.
@@ -23,7 +23,7 @@ pub(super) struct Picture {
     pub(super) events: VecDeque<Event>,
     /// The longest gap in each tenth of a second, ms; the newest last.
     pub(super) gaps_ms: VecDeque<f64>,
-    /// Frames on the bus in the last `span_ns`.
+    /// Number of frames on the bus in the last `span_ns`.
     frames: u32,
     span_ns: u64,
     /// The system that keys act on.
@@ -76,7 +76,7 @@ impl Picture {
         match news {
             News::Roles(roles) => {
                 let before_ns = self.roles.replace(*roles).map_or(0, |before| before.at_ns);
-                // If several of these messages arrive together, only the first has counted frames.
+                // If several of these messages arrive together, only the first follows any frames.
                 if self.counted == 0 {
                     return;
                 }

@@ -86,7 +86,7 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
 }
 
 enum Doing {
-    /// Waits for the next sequence. The systems have been master and standby since then.
+    /// Waits for the next sequence. The systems have been master and standby since `since`.
     Settle { since: Instant },
     /// Faults begin and end, until the sequence is over.
     Suffer {
@@ -289,7 +289,7 @@ impl Suffer for Disturbed {
             }
             // The watchdog has already reset the system.
             Kind::CoreHangs(_) if !on => return Ok(()),
-            // The other faults happen within a machine.
+            // All other changes happen within a machine, after this delay.
             _ => world.later(of, self.after_us),
         }
         match kind {

@@ -39,7 +39,7 @@ impl<'i> Injector<'i> {
     /// times of the faults count from now.
     ///
     /// # Errors
-    /// If processes cannot suffer one of the faults, or the run's files cannot be changed.
+    /// If one of the faults is not possible with processes, or the run's files cannot be changed.
     pub(super) fn suffer(
         &mut self,
         faults: &[Fault],

@@ -29,7 +29,7 @@ pub(super) struct Outcome {
     pub(super) detection_ms: Option<f64>,
     /// The longest time without control, ms, without the parts that stalls excuse.
     pub(super) gap_ms: f64,
-    /// The bound of that time, ms, which depends on the evidence that ended it.
+    /// The bound of that time, ms; it depends on the evidence that ended the gap.
     pub(super) bound_ms: f64,
     /// Time from the last control frame before the fault to the fault, ms.
     pub(super) phase_ms: f64,
@@ -212,7 +212,7 @@ impl Run<'_> {
                 let one_ms = self.bounds.limits.deaf_hand_over.as_ms_f64();
                 hand_overs(&takeovers) as f64 * one_ms
             }
-            // The repaired master receives the next frame.
+            // The repaired master sends until it receives the next frame.
             Hears::WhenRepaired => takeovers.len() as f64 * HAND_OVER_MS,
         };
         found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));

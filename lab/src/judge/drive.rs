@@ -75,7 +75,7 @@ pub(crate) struct Judgement {
     pub(crate) brake_reason: String,
     /// Largest jerk over 100 ms, m/s³.
     pub(crate) jerk_max: f64,
-    /// The same two values outside emergencies: situations that need more than 3 m/s².
+    /// `brake_max` and `jerk_max` outside emergencies (situations that need more than 3 m/s²).
     pub(crate) calm_brake_max: f64,
     pub(crate) calm_jerk_max: f64,
     pub(crate) lat_accel_max: f64,

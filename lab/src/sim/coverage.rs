@@ -58,7 +58,7 @@ impl Coverage {
         serde_json::from_value(value.clone()).ok().map(Self)
     }
 
-    /// Returns a line that names the missing combinations; before it the table if `whole` is true.
+    /// Returns how many combinations were hit; if `whole`, also the table and the missing ones.
     pub(super) fn text(&self, whole: bool) -> String {
         let mut text = String::new();
         if whole {

@@ -21,7 +21,7 @@ const SHRUNK: usize = 40;
 #[derive(Default)]
 pub(super) struct Summary {
     pub(super) sequences: u64,
-    /// Number of sequences with a violation that is not known.
+    /// Number of sequences with a violation that is not one of the known ones.
     pub(super) violated: u64,
     pub(super) simulated_ns: u64,
     /// Number of sequences that end with a suspended system.

@@ -38,7 +38,7 @@ const RESPONSE_BOUND_MS: f64 = 10.0;
 /// One tick of the kernel.
 const PERIOD_BOUND_MS: f64 = 1.0;
 
-/// Number of 4-byte messages in the experiment. One byte of the payload counts, as in the thesis.
+/// Number of 4-byte messages in the experiment. One byte is the message's number, as in the thesis.
 const MESSAGES: u32 = 250;
 /// Number of increments by each core.
 const INCREMENTS: u32 = 10_000;
@@ -190,7 +190,7 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
     Ok(shown)
 }
 
-/// Returns what the rules need besides a recording in virtual time: the limits of the profile rt.
+/// Returns the data that the rules need besides a virtual-time recording: limits of profile rt.
 /// `on_bus` is the longest delay from sending a frame to its arrival.
 fn virtual_time(on_bus: Duration) -> Beside {
     Beside {

@@ -75,7 +75,7 @@ pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
     let second = Duration::from_ms(1_000);
     let dual = [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
     until(&mut pair, &log, limit, |pair| lamps(pair) == dual)?;
-    // Use a time in no particular phase of the periodic tasks.
+    // Use a time that is not aligned to the periodic tasks.
     pair.run_for(second + Duration::from_us(3_700));
     keep(&mut pair, &log);
     let reset_ns = pair.now().as_ns();

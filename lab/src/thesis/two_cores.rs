@@ -127,7 +127,7 @@ impl Counted {
     }
 }
 
-/// Two cores, which are processes on these CPUs, increment one counter `each` times, with or
+/// Makes two cores, which are processes on these CPUs, increment one counter `each` times, with or
 /// without the lock.
 pub(super) fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
     let (shared, map) = SharedPage::with_lmu(LAYOUT)?;

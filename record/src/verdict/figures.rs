@@ -11,7 +11,7 @@ use crate::log::DriveFigures;
 use crate::run_log::{Stall, Stood};
 use crate::{RunLog, Takeover, description, ms_between, takeovers};
 
-/// Data about a run that the rules need and its recording does not contain.
+/// Data about a run that the rules need but the recording does not contain.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
     /// How long the vehicle may be without control, by cause.
@@ -22,7 +22,7 @@ pub struct Beside {
     pub watch: Watch,
     /// The times in which a CPU did not run.
     pub stalls: Vec<Stall>,
-    /// Files and processes that were still there after the end.
+    /// Files and processes that still existed after the end of the run.
     pub leftovers: Vec<String>,
 }
 
@@ -43,7 +43,7 @@ impl Beside {
 pub struct Figures {
     /// Whether the run reached its end.
     pub complete: bool,
-    /// Control frames that the vehicle obeyed.
+    /// Number of control frames that the vehicle obeyed.
     pub control_frames: usize,
     /// Median of the time between two control frames of one mastership, by the sender's clock, ms.
     pub control_period_p50_ms: Option<f64>,
@@ -54,13 +54,13 @@ pub struct Figures {
     pub both_transmitted_ms: f64,
     /// The part of that time that the hand-overs of this run can explain, ms.
     pub hand_over_ms: f64,
-    /// Control frames after a takeover that were too old to act, and that no stall explains.
+    /// Number of stale control frames after a takeover whose delay no stall explains.
     pub stale_frames: usize,
     /// Times without control beyond the bound of their cause.
     pub gaps: Vec<GapFigures>,
-    /// Changes of the system that is obeyed.
+    /// Changes of the system that the vehicle obeys.
     pub takeovers: Vec<TakeoverFigures>,
-    /// Takeovers from a master that had not failed, and that no stall explains.
+    /// Number of takeovers from a master that had not failed, and that no stall explains.
     pub false_takeovers: usize,
     /// The longest time in which the mode of the master did not fit the redundancy, s.
     pub wrong_mode_s: f64,
@@ -73,19 +73,19 @@ pub struct Figures {
 /// One entry of [`Figures::gaps`].
 #[derive(Clone, Debug, Serialize)]
 pub struct GapFigures {
-    /// Scenario time of the last accepted frame before it, s.
+    /// Scenario time of the last accepted frame before the gap, s.
     pub at_s: f64,
-    /// Its length, ms.
+    /// Length of the gap, ms.
     pub gap_ms: f64,
     /// The longest permitted gap, ms.
     pub bound_ms: f64,
-    /// What ended it: the evidence of a takeover, the same system, or the end of the run.
+    /// What ended the gap: the evidence of a takeover, the same system, or the end of the run.
     pub ended_by: String,
-    /// How much of it is excused by stalls of the bus and of the systems that must drive, ms.
+    /// How much of the gap is excused by stalls of the bus and of the systems that must drive, ms.
     pub stalled_ms: f64,
-    /// The stalls that excuse it, in words; empty if there were none.
+    /// The stalls that excuse this part, in words; empty if there were none.
     pub evidence: String,
-    /// Whether it would have kept its bound without the stalls.
+    /// Whether the gap would have kept its bound without the stalls.
     pub explained: bool,
 }
 
@@ -129,7 +129,7 @@ impl GapFigures {
 pub struct TakeoverFigures {
     /// The system that drove before: `A` or `B`.
     pub from: String,
-    /// The system that drove after it.
+    /// The system that drove after the takeover.
     pub to: String,
     /// Scenario time of the new master's first frame, s.
     pub at_s: f64,
@@ -137,16 +137,16 @@ pub struct TakeoverFigures {
     pub cause: String,
     /// Time from the old master's last sign of life to the decision, ms.
     pub detected_ms: Option<f64>,
-    /// From the old master's last accepted frame to the new one's first, ms.
+    /// Time from the old master's last accepted frame to the new master's first, ms.
     pub gap_ms: f64,
     /// The longest permitted gap for this evidence, ms.
     pub bound_ms: f64,
-    /// The old master had not failed.
+    /// Whether the takeover was false: the old master had not failed.
     pub is_false: bool,
     /// Stalls of the old master or the bus that lasted longer than tolerated, in words, if the
     /// takeover is false; otherwise empty.
     pub evidence: String,
-    /// The old master found later that its core had been held up: frozen, or not scheduled.
+    /// Whether the old master later detected that its core was held up: frozen, or not scheduled.
     pub held_up: bool,
 }
 
@@ -187,7 +187,7 @@ impl TakeoverFigures {
     }
 }
 
-/// Returns the findings about the drive itself, except stops: only a recording has their reasons.
+/// Returns the findings about the drive, except stops: only a recording contains their reasons.
 #[must_use]
 pub fn of_drive(drive: &DriveFigures) -> Vec<Finding> {
     let figures = [
@@ -435,7 +435,7 @@ mod tests {
             assert!(found.iter().any(|it| it.rule == *rule), "{rule}: {found:?}");
             assert!(found.iter().all(|it| it.rule == *rule), "{rule}: {found:?}");
         }
-        // A minimal-risk stop without a failure is a stop without a reason as well.
+        // A minimal-risk stop without a failure is also a stop without a reason.
         let stop = findings(|_, log, _| log.figures.safe_stop_s = Some(6.0));
         let stop: Vec<Rule> = stop.iter().map(|it| it.rule).collect();
         assert_eq!(stop, [Rule::SafeStop, Rule::Stopped]);

@@ -10,7 +10,7 @@ use crate::roles::{RoleState, timeline};
 use crate::run_log::{ControlFrame, CoreEvent};
 
 /// A system without a status frame for longer than this is not standby, ns: three and a half status
-/// periods, after which a product's master degrades too.
+/// periods. The product's own master changes to degraded mode after the same time.
 const THERE_NS: u64 = 350_000_000;
 /// A standby counts as running at the end if its last report is at most this old, s.
 const SIGN_S: f64 = 0.25;
@@ -25,8 +25,8 @@ pub enum Stop {
     SafeStop(f64),
 }
 
-/// Returns the stop of this run that has no reason, if there is one. Reasons for a minimal-risk
-/// stop are a failure, a core that was late, and a bus that stalled.
+/// Returns the stop of this run that has no reason, if there is one. A minimal-risk stop has a
+/// reason if a failure, a late core or a stall of the bus preceded it.
 #[must_use]
 pub fn stop(log: &RunLog) -> Option<Stop> {
     let drive = &log.figures;
@@ -96,9 +96,9 @@ pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
 
 /// Returns the longest time in which the mode of the accepted frames did not fit the redundancy, s.
 ///
-/// L3 needs a second system: its status frames show whether there is one. A degraded master with a
-/// standby needs a cause: a change of its phase, or a failure. That it does not hear its standby is
-/// not a cause, because the standby's frames are on the bus.
+/// L3 needs a standby, and the status frames show whether there is one. A degraded master with a
+/// standby needs a cause: a change of its phase, or a failure. The reason that it does not hear
+/// its standby is not accepted as a cause, because the standby's frames are on the bus.
 #[must_use]
 pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let start_ns = log.start_ns.unwrap_or(0);

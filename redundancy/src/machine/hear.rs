@@ -97,7 +97,7 @@ impl Redundancy {
         actions: &mut Actions,
     ) {
         self.witnesses.on_life(&self.config, now, actions);
-        // A system that has just started may not know the newest terms either.
+        // A system that has just started may not know the newest terms itself.
         self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);
         if report.term <= self.term() {
@@ -108,7 +108,7 @@ impl Redundancy {
                 self.peer_drives(now, actions);
             }
         } else if self.phase().is_driving() {
-            // The vehicle may know that higher term too and refuse this one.
+            // The vehicle may have seen that higher term too, and would then refuse this one.
             self.raise_term(now, actions);
         }
     }

@@ -107,7 +107,7 @@ struct Cell {
     after: Redundancy,
 }
 
-/// Follows the table in this phase on this evidence. `peer_failed`: the flag before.
+/// Follows the table in this phase on this evidence. `peer_failed`: the flag before this step.
 fn follow(phase: Phase, evidence: Evidence, peer_failed: bool) -> Cell {
     let mut bench = Bench::of(phase);
     bench.machine.state.cpsys_failure = peer_failed;
@@ -266,8 +266,8 @@ fn only_the_absence_of_a_master_opens_an_output() {
     }
 }
 
-/// T-RED-9: an output that closes discards the waiting frames, in the same call; no other cell
-/// does.
+/// T-RED-9: an output that closes discards the waiting frames in the same call; no other cell
+/// discards frames.
 #[test]
 fn an_output_that_closes_discards_what_waits() {
     let mut closed = 0;
@@ -289,7 +289,7 @@ fn an_output_that_closes_discards_what_waits() {
 }
 
 /// T-RED-5, T-RED-9: a failed system stays silent; faults and higher terms have their effect in
-/// every phase where they apply; every change of phase is reported, and nothing else.
+/// every phase where they apply; every change of phase is reported, and nothing else is.
 #[test]
 fn faults_and_higher_terms_work_in_every_phase() {
     use Evidence as E;
@@ -421,9 +421,9 @@ fn every_input() -> Vec<Input> {
     inputs
 }
 
-/// T-RED-9: the test gives every input in every phase, at once and after a stall, twice. The
-/// machine does not panic, reports each change of phase in order, opens and closes its output as
-/// reported, and never has more actions than the list holds.
+/// T-RED-9: each phase gets every input twice, without a stall and after one. The machine does not
+/// panic, reports each change of phase in order, opens and closes its output as reported, and never
+/// has more actions than the list holds.
 #[test]
 fn every_input_in_every_phase() {
     for &phase in Phase::VARIANTS {

@@ -1,8 +1,8 @@
 //! The witness of the CAN bus: whether frames of third parties are received, and for how long
 //! without a pause.
 //!
-//! Frames of the other system do not count. Two systems that hear only each other know nothing
-//! about the bus: the rest of it may be off, or the fault may be between them.
+//! Frames of the other system do not count. Two systems that hear only each other cannot judge the
+//! bus: the rest of it may be off, or the fault may be between them.
 
 use tandem_board::{Duration, Instant};
 

@@ -9,8 +9,8 @@
 use crate::ClockOwner;
 use tandem_board::{Duration, Instant};
 
-/// A clock that has drifted by more than this beyond what is permitted is wrong, µs. Half of what
-/// the vehicle's gate tolerates, so that a system leaves before its frames seem late.
+/// A clock is wrong if it has drifted by more than this beyond the permitted drift, µs. Half of the
+/// vehicle's tolerance, so that a system leaves before its frames seem late.
 const WRONG_US: i32 = 20_000;
 /// The largest difference within this time is the offset. Ten control periods.
 const WINDOW: Duration = Duration::from_ms(100);
@@ -146,7 +146,7 @@ impl Clocks {
         };
         let (vehicle, peer) = fresh(&self.vehicle).zip(fresh(&self.peer))?;
         let clock = match (vehicle.abs() > WRONG_US, peer.abs() > WRONG_US) {
-            // Both others have drifted the same way, and about as far.
+            // Both others have drifted in the same direction, by about the same amount.
             (true, true) if (vehicle - peer).abs() <= vehicle.abs().max(peer.abs()) / 2 => {
                 Some(ClockOwner::Own)
             }
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(found, Some(300));
     }
 
-    /// After more than a window without a report, the comparison with its clock starts again.
+    /// After more than a window without a report, the comparison of the clocks starts again.
     #[test]
     fn a_clock_that_paused_is_compared_anew() {
         const LATE_US: u32 = 50_000;

@@ -151,7 +151,7 @@ impl BeatReceiver {
         self.lines.map(|line| line.silent)
     }
 
-    /// Returns whether both lines are silent. One silent line is broken: the system has not failed.
+    /// Returns whether both lines are silent. If only one is, the line is broken, not the system.
     pub(crate) fn both_silent(&self) -> bool {
         self.lines[0].silent && self.lines[1].silent
     }

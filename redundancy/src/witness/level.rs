@@ -6,11 +6,11 @@ use tandem_board::Instant;
 /// The other system's power level line.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
-    /// When the line fell. Kept after the line has returned, until a heartbeat arrives: a short
-    /// reset ends before the missing heartbeat is noticed.
+    /// When the line fell. Kept after the line is high again, until a heartbeat arrives: a short
+    /// reset ends before the missing heartbeat is detected.
     fell: Option<Instant>,
     is_low: bool,
-    /// Heartbeats arrived until the line fell, so they must end with it.
+    /// Heartbeats arrived until the line fell: if power was lost, they end too.
     beats_at_fall: bool,
     /// The times of the last heartbeat, and of the last sign of any kind, that the other system
     /// runs.
@@ -36,8 +36,8 @@ impl Level {
         }
     }
 
-    /// Takes the level at a poll. `beats`: heartbeats arrived since the last poll; `beats_alive`:
-    /// not both heartbeat lines are silent. Returns whether the line is broken, when that changes.
+    /// Takes the level at a poll. `beats`: heartbeats arrived since the last poll; `beats_alive`: a
+    /// heartbeat line is not silent. Returns whether the line is broken, when that changes.
     pub(crate) fn update(
         &mut self,
         config: &Config,
@@ -94,7 +94,7 @@ impl Level {
     }
 
     /// Returns the time at which the fallen line will have been low for long enough, if no
-    /// heartbeat arrives before.
+    /// heartbeat arrives before then.
     pub(crate) fn limit(&self, config: &Config) -> Instant {
         match self.fell {
             Some(_) => self.last_beat + config.level_limit(),
@@ -103,9 +103,9 @@ impl Level {
     }
 
     /// Returns whether the other system is without power, or was and has not restarted yet: the
-    /// line fell, and the heartbeats, which arrived before, have ended with it. If there were no
-    /// heartbeats before, the line must be low, and no other sign of life may have arrived for the
-    /// third witness's limit.
+    /// line fell, and heartbeats that arrived before the fall have ended. If none arrived before,
+    /// the line must be low, and no other sign of life may have arrived for the third witness's
+    /// limit.
     pub(crate) fn is_off(&self, config: &Config, now: Instant) -> bool {
         let last_sign = self.last_sign.max(self.last_beat);
         self.fell.is_some()

@@ -48,7 +48,7 @@ impl Witnesses {
 
     /// Restarts the time limits, because this system was held up or has just begun. Does so only
     /// once between two signs of life, because a system that always polls late must also detect a
-    /// failed one. Returns whether it did.
+    /// failure of the other. Returns whether it did.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
             return false;
@@ -91,7 +91,7 @@ impl Witnesses {
     }
 
     /// Returns whether a report over the link is new: neither repeated nor too late. If all reports
-    /// are late for a second, their delay counts as the usual one.
+    /// are late for a second, their delay becomes the usual one.
     pub(crate) fn is_new(&mut self, config: &Config, now: Instant, link: &LinkReport) -> bool {
         let clocks = &mut self.clocks;
         match self.reports.is_next(link) {
@@ -143,7 +143,7 @@ impl Witnesses {
     }
 
     /// Returns the times at which heartbeats, link and power level will count as silent or off if
-    /// no further sign arrives. A time is past if the witness already does so, and
+    /// no further sign arrives. A time is past if its witness is already silent or off, and
     /// [`Instant::NEVER`] if the witness has seen nothing.
     pub(crate) fn limits(&self, config: &Config) -> [Instant; 3] {
         let link = self.reports.heard_at();

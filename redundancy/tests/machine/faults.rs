@@ -99,7 +99,7 @@ fn a_master_whose_frame_was_refused_does_not_report_that_it_drives() {
 }
 
 /// T-RED-9: a master that was held up beyond its lease listens first if the other system may have
-/// taken over: its heartbeats arrive, or it was heard as standby.
+/// taken over: that is, if its heartbeats arrive, or it was heard as standby.
 #[test]
 fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
     let (lease, ns) = (CONFIG.lease(), Duration::from_ns(1));
@@ -127,7 +127,7 @@ fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
 }
 
 /// T-RED-9: a poll that is late by no more than its jitter is not a stall: the limits of the
-/// witnesses continue.
+/// witnesses are not restarted.
 #[test]
 fn a_poll_within_its_jitter_is_no_stall() {
     for (late, forgiven) in [

@@ -11,7 +11,7 @@ use tandem_redundancy::{Actions, Phase, RedundancyEvent, Role, Term};
 fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
     for sign in 0..4 {
         let mut bench = Bench::standby();
-        // The other signs are tried without heartbeats.
+        // The other signs are tested without heartbeats.
         let beats = sign == 0;
         let silence = if beats { 0 } else { 10 };
         for _ in 0..silence {
@@ -74,7 +74,7 @@ fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
 }
 
 /// T-RED-9: a system that takes over has power: a line that is low counts as broken at once, not
-/// only after its limit. A high line is not contradicted.
+/// only after its limit. A high line does not count as broken.
 #[test]
 fn a_takeover_contradicts_a_low_level_at_once() {
     for powered in [false, true] {

@@ -1,4 +1,4 @@
-//! What happens when a time limit ends, and not before.
+//! What happens when a time limit ends, but not before.
 
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, Instant, SystemId};
@@ -47,7 +47,7 @@ fn a_standby_polls_when_a_limit_ends() {
 
 /// T-RED-8: a link that falls silent with both lines shows a failed master before its control
 /// frames are overdue. A link that fell silent earlier than the lines by more than its limit was
-/// cut, and shows nothing. Nor does a link whose limit is not below the third witness's.
+/// cut, and shows nothing. Nor does a link with a limit that is not below the third witness's.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
@@ -134,7 +134,7 @@ fn a_master_gives_up_its_standby_when_the_limit_ends() {
     assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
 }
 
-/// A report contains the last eleven bits of the number of starts, before and after it is sent.
+/// A report contains the lowest eleven bits of the number of starts; its encoding keeps them.
 #[test]
 fn a_report_tells_which_start_of_its_sender_it_is() {
     for (starts, expected) in [(0, 1), (0x7FE, 0x7FF), (0x7FF, 0), (0x17FE, 0x7FF)] {
@@ -203,7 +203,7 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
 }
 
 /// T-RED-9: a master that was held up resumes if the vehicle reports that its last frame is too
-/// recent for a takeover, or so old that a takeover would have happened.
+/// recent for a takeover, or so old that the other system would drive by now.
 #[test]
 fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
     let under_way = CONFIG.poll_interval.times(2);
@@ -273,8 +273,8 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
 }
 
 /// T-RED-2: a standby that has heard no master leads when a handshake shows that the other system
-/// starts too, even if a stray edge made it standby. It listens first, and neither the other nor
-/// the vehicle may report a driver. If it has heard a master, that master has failed.
+/// starts too, even if a stray edge made it standby. It listens first, and neither the other system
+/// nor the vehicle may report a driver. If it has heard a master, that master has failed.
 #[test]
 fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     let limit = CONFIG.witness_limit().as_us() / 1_000;
@@ -523,7 +523,7 @@ fn a_report_that_is_too_late_does_not_count() {
 /// A report counts up to its limit, and not a microsecond longer.
 #[test]
 fn a_report_counts_up_to_its_limit() {
-    // Shorter than the pause after which the comparison of a clock starts again.
+    // Shorter than the pause after which the comparison of the clocks starts again.
     let report_limit = Duration::from_ms(90);
     for (late, expected) in [
         (report_limit, true),

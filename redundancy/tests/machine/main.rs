@@ -167,7 +167,7 @@ impl Bench {
     }
 }
 
-/// T-RED-9: a standby that was frozen with its whole receive path finds nothing new at its first
+/// T-RED-9: a standby that was frozen together with its receivers finds nothing new at its first
 /// polls. Its own stall is not evidence: it takes over only after the silence limits have passed
 /// again.
 #[test]
@@ -209,8 +209,8 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     }
 }
 
-/// T-RED-5: a standby resets itself for a fault only while its master is heard to drive, because
-/// otherwise no other system may be left.
+/// T-RED-5: a standby resets itself for a fault only while it hears its master drive, because
+/// otherwise it may be the only system left.
 #[test]
 fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     let mut bench = Bench::standby();
@@ -313,7 +313,7 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     }
 
     // The vehicle reports no driver: the takeover is immediate, with or without heartbeats. Without
-    // an echo, the frame that relieved this system is the first one of the mute master.
+    // an echo, the last frame of the mute master is the one that deposed this system.
     for (beats, echo, bound) in [
         (false, true, CONFIG.gap_bound_mute()),
         (true, true, CONFIG.gap_bound_mute()),
@@ -369,8 +369,8 @@ fn lines_that_are_cut_from_the_start_are_told() {
     }
 }
 
-/// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more,
-/// even if no control frame of the other system has reached it yet.
+/// T-RED-9: a master that was held up beyond the witness's limit is silent until it has new
+/// evidence, even if no control frame of the other system has reached it yet.
 #[test]
 fn a_master_held_up_listens_first() {
     for hears_other in [true, false] {
@@ -405,7 +405,7 @@ fn a_master_held_up_listens_first() {
 }
 
 /// T-RED-2: a master answers a handshake with the sync edge only: another driving system would
-/// answer a handshake in turn, without end.
+/// answer a handshake with one of its own, without end.
 #[test]
 fn a_master_answers_a_handshake_without_one() {
     let mut bench = Bench::master();
@@ -484,8 +484,8 @@ fn implausible_frames_are_ignored() {
     assert!(persisted(&actions).is_some_and(|state| !state.is_master && state.term == term));
 }
 
-/// T-RED-9: the vehicle fences off a lower term, so it has no effect: it is reported once, and does
-/// not keep a standby from taking over.
+/// T-RED-9: the vehicle fences frames of a lower term, so these have no effect: such a frame is
+/// reported once, and does not keep a standby from taking over.
 #[test]
 fn frames_of_a_lower_term_do_not_count() {
     let mut bench = Bench::standby();
@@ -700,7 +700,7 @@ fn a_claim_over_the_link_must_hold() {
             can_alive: false,
             ..claim
         },
-        // The other system knows this master's term and no higher one.
+        // The other system has seen this master's term and no higher one.
         PeerReport {
             term: bench.machine.term(),
             ..claim

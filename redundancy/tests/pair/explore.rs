@@ -1,6 +1,6 @@
 //! Explores all states that two systems reach with lossy wires and a bounded number of faults:
 //! breadth first, by Stateright, in steps of one millisecond of virtual time. The systems run the
-//! real code. T-RED-9
+//! product's code. T-RED-9
 
 use crate::model::{Pair, Seen};
 use stateright::{Checker as _, HasDiscoveries, Model, Property};

@@ -75,7 +75,7 @@ fn ms(us: u64) -> u64 {
 }
 
 /// T-RED-9: a frozen master never sends a frame after the freeze before it has polled. This holds
-/// for any length and any phase of the freeze, although it tries to send first.
+/// for any length and any phase of the freeze, although the model tries to send first.
 #[test]
 fn a_thawed_master_stays_silent() {
     for config in [Config::rt(), Config::desktop()] {
@@ -95,8 +95,7 @@ fn a_thawed_master_stays_silent() {
                 match pair.phases() {
                     [Some(Phase::Standby), Some(Phase::DegradedMaster)] => taken_over += 1,
                     [Some(Phase::Master), Some(Phase::Standby)] => kept += 1,
-                    // The desktop profile tolerates a longer silence of a standby, and so does rt
-                    // with a short freeze; a master whose standby was silent for too long degrades.
+                    // A resumes as master or becomes the standby of B; anything else is wrong.
                     other => panic!("{what}: {other:?}"),
                 }
                 assert_eq!(
@@ -146,6 +145,7 @@ fn a_thawed_standby_does_not_take_over() {
             assert!(pair.longest_gap_us(from) <= 12_000);
             let degraded = freeze * 1_000 > us(config.standby_limit) + 3_000;
             let tolerated = freeze * 1_000 + 3_000 < us(config.standby_limit);
+            // A master whose standby was silent for longer than `standby_limit` degrades.
             match pair.phase(A) {
                 Some(Phase::DegradedMaster) => assert!(!tolerated, "{freeze}"),
                 Some(Phase::Master) => assert!(!degraded, "{freeze}"),
@@ -156,8 +156,8 @@ fn a_thawed_standby_does_not_take_over() {
     }
 }
 
-/// T-RED-4: when the other fails, the flag is set and the master degrades at once. When the other's
-/// heartbeats return, the flag is cleared. With the option, dual operation resumes at run time.
+/// T-RED-4: when the other system fails, the flag is set and the master degrades at once. When its
+/// heartbeats return, the flag is cleared. With `reintegrate`, dual operation resumes at run time.
 #[test]
 fn failure_and_return_of_the_standby() {
     for reintegrate in [false, true] {
@@ -352,7 +352,7 @@ fn can_open_circuit() {
         let mut pair = Pair::dual(config, 5);
         pair.cuts.can = [true; 2];
         pair.run_ms(2_000);
-        // A master that does not hear its standby on CAN counts as alone.
+        // A master that does not hear its standby on CAN acts as if it were alone.
         let alone = [Some(Phase::DegradedMaster), Some(Phase::Standby)];
         assert_eq!(pair.phases(), alone);
         pair.cuts.can = [false; 2];

@@ -1,4 +1,4 @@
-//! Sequences of faults with which an assessor ended control, and the required reaction to each.
+//! Sequences of faults with which an assessor caused a loss of control, and the right reactions.
 //! T-RED-5, T-RED-6, T-RED-9
 
 use crate::model::{Pair, us};
@@ -52,8 +52,8 @@ fn a_poison_input_of_both_takes_no_control() {
     }
 }
 
-/// T-RED-5: the poison input is repeated. A system always drives; eventually it stops the vehicle.
-/// After a power cycle without the poison both drive as before.
+/// T-RED-5: the poison input is repeated. One system always drives; eventually it stops the
+/// vehicle. After a power cycle without the poison one drives, and the other is its standby.
 #[test]
 fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
     for config in PROFILES {
@@ -88,7 +88,7 @@ fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
 }
 
 /// T-RED-5: a system that is alone and crashes repeatedly does not fall silent: it starts in the
-/// safe stop. So does one of two systems with a permanent fault; a healthy one drives instead.
+/// safe stop. So does one of two systems with permanent faults; a healthy system drives instead.
 #[test]
 fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
     for config in PROFILES {
@@ -194,7 +194,7 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
             let from = pair.now_us;
             pair.run_ms(500);
             let what = format!("{mute} mute, {pause_ms} ms: {:?}", pair.phases());
-            // Each reset to repair the connection would be one of four permitted ones.
+            // Each reset to repair the connection would be one of the four permitted resets.
             assert_eq!(resets(&pair), before, "{what}");
             assert!(
                 !pair.systems[A.index()].held && !pair.systems[B.index()].held,
@@ -206,8 +206,8 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
     }
 }
 
-/// T-RED-6: a CAN connection that is cut for a while suspends no system: it tries again. At any
-/// phase of the cut the vehicle is without control for no longer than the bound.
+/// T-RED-6: a CAN connection that is cut for a while suspends no system: the cut-off system tries
+/// again. At any phase of the cut the vehicle is without control for no longer than the bound.
 #[test]
 fn a_short_cut_of_can_suspends_no_system() {
     for config in PROFILES {
@@ -392,7 +392,7 @@ fn systems_that_do_not_hear_each_other_do_not_take_turns() {
     }
 }
 
-/// T-RED-9: a system with a dead receiver does not deprive the vehicle of control.
+/// T-RED-9: the vehicle remains under control if the receiver of one system is dead.
 #[test]
 fn a_deaf_system_deposes_no_sound_master() {
     for config in PROFILES {

@@ -14,7 +14,7 @@ const FLASH_US: u64 = 400;
 /// How long a reset and the start of the software take.
 pub(crate) const RESET_US: u64 = 5_000;
 
-/// Which connections are cut. A line is cut per direction, named by the system that sends.
+/// Which connections are cut. Each direction of a line is cut separately: the index is its sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cuts {
     pub(crate) beats: [[bool; 2]; 2],
@@ -84,7 +84,7 @@ pub(crate) struct Pair {
     pub(crate) config: Config,
     pub(crate) now_us: u64,
     pub(crate) cuts: Cuts,
-    /// The power level of this system reads as low at the other, against the contract of the line.
+    /// The other system reads this one's power level as low, contrary to the contract of the line.
     pub(crate) level_stuck_low: [bool; 2],
     pub(crate) systems: [System; 2],
     bus: VecDeque<(u64, Option<SystemId>, Frame)>,
@@ -118,7 +118,7 @@ impl Pair {
             flash: Some(SystemState::factory(id)),
             flash_lost: false,
             writing: None,
-            // Near their wrap-around, so that every run passes it.
+            // Near their wrap-around, so that they wrap around in every run.
             edges: [[u32::MAX - 40; 2]; 3],
             can_frames: u32::MAX - 3,
             inbox: VecDeque::new(),

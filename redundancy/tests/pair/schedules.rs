@@ -50,8 +50,8 @@ fn inject(pair: &mut Pair, fault: Fault) {
     }
 }
 
-/// Checks that under any faults the driver does not change without a cause, frames of a deposed
-/// master end, and two outputs on one bus do not stay open.
+/// Checks that under any faults the driver does not change without a cause, a deposed master stops
+/// sending, and two outputs on one bus do not stay open.
 fn check_safety(pair: &Pair, faults: usize) {
     // A fault may change the driver twice: to the other system, and later back.
     assert!(
@@ -74,8 +74,8 @@ fn check_safety(pair: &Pair, faults: usize) {
     }
 }
 
-/// Removes all faults and restores power. Then one system drives, alone on the bus, the vehicle
-/// obeys it without gaps, and the other, unless its supply holds it, is its standby.
+/// Removes all faults and restores power. Then only one system drives, and the vehicle obeys it
+/// without gaps. The other is its standby, unless its supply holds it in reset.
 fn heal_and_check(pair: &mut Pair) {
     pair.cuts = Default::default();
     pair.power_on(A);

@@ -119,7 +119,7 @@ fn alone_after_the_time_limit_and_joined_by_a_late_one() {
     }
 }
 
-/// T-RED-2, T-RED-9: both records claim master, or neither does, or a flash is lost: still one
+/// T-RED-2, T-RED-9: even if both records claim master, or neither does, or a flash is lost, one
 /// system is master, and the other never sends a control frame.
 #[test]
 fn contradicting_records_lead_to_one_master() {
@@ -165,8 +165,8 @@ fn contradicting_records_lead_to_one_master() {
     }
 }
 
-/// T-RED-2, T-RED-9: the start line is cut in one direction or both: the heartbeats still lead to
-/// one master. If the heartbeat lines are cut as well, CAN does.
+/// T-RED-2, T-RED-9: the start line is cut in one direction or both: because of the heartbeats
+/// there is still only one master. If the heartbeat lines are cut too, CAN has the same effect.
 #[test]
 fn start_line_cut() {
     for config in PROFILES {
@@ -232,7 +232,7 @@ fn both_take_the_other_for_failed() {
 }
 
 /// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which kept
-/// running, refuses. The other knows the higher term and reports it.
+/// running, refuses. The other has stored the higher term and reports it.
 #[test]
 fn a_master_with_a_forgotten_term_is_reported() {
     let mut pair = Pair::dual(Config::rt(), 3);

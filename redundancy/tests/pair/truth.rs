@@ -82,8 +82,8 @@ fn check_never_two(pair: &Pair, combination: Combination) {
 }
 
 /// T-RED-9: with any links cut, frames of two masters are never on the bus. If a healthy system is
-/// connected, the vehicle obeys it within the bound. If the system that drives then loses its
-/// supply, the other connected one takes over within the bound.
+/// connected, the vehicle obeys it within the bound. If the driving system then loses its supply,
+/// the other one, if connected, takes over within the bound.
 #[test]
 fn every_combination_of_cut_links() {
     for config in [Config::rt(), Config::desktop()] {

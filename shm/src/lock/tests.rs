@@ -1,4 +1,4 @@
-//! The lock against deaths and freezes at every access, stragglers and garbage.
+//! Tests the lock with deaths and freezes at every access, with stragglers, and with garbage.
 
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
@@ -446,8 +446,8 @@ fn a_guard_counts_the_turns_that_it_waited() {
     }
 }
 
-/// If the number of turns wraps around to that of a core's last release, its next acquisition does
-/// not count as released.
+/// If the number of turns wraps around to that of a core's last release, that core's next
+/// acquisition does not count as released.
 #[test]
 fn turns_wrap_around() {
     let bench = Bench::new();
@@ -491,9 +491,9 @@ fn scribbled_words_cost_time_and_no_more() {
 enum Event {
     Take(usize),
     Leave(usize),
-    /// The core dies, inside or outside, and starts again.
+    /// The core dies, whether it holds the lock or not, and starts again.
     Die(usize),
-    /// Dead owners release the lock late, as a core that was frozen may.
+    /// Dead owners release the lock late, as a core that was frozen may do.
     LeaveLate,
 }
 
@@ -531,7 +531,7 @@ impl ReferenceStateMachine for Owner {
         match event {
             Event::Take(_) | Event::Die(_) => true,
             Event::Leave(core) => owner.core == Some(*core),
-            // Excluded: after a late release, no core recovers an orphaned lock.
+            // Excluded: a late release of an orphaned lock, because no core would then recover it.
             Event::LeaveLate => !owner.orphaned,
         }
     }
@@ -558,7 +558,7 @@ struct Cores {
     locks: [Lock<'static>; 3],
     generations: [u32; 3],
     held: [Option<Held<'static>>; 3],
-    /// What dead incarnations held, with core and generation.
+    /// The guards that dead incarnations held, each with its core and generation.
     late: Vec<(usize, u32, Held<'static>)>,
     /// The state of the model before the event.
     before: Owner,
@@ -601,7 +601,7 @@ impl StateMachineTest for Cores {
                 let held = cores.held[core].take();
                 cores.late.extend(held.map(|held| (core, generation, held)));
                 cores.generations[core] += 1;
-                // Forget releases that are too late: the lock has four released words for a core.
+                // Forget releases that are too late: a core has only four released words.
                 let too_late = |(of, generation, _): &mut (usize, u32, _)| {
                     *of == core && *generation + 3 < cores.generations[core]
                 };
@@ -626,7 +626,7 @@ prop_state_machine! {
     })]
 
     /// T-LOCK-1, T-LOCK-3: in any order of acquisitions, releases, deaths and late releases, at
-    /// most one core is inside, and exactly the next owner after a death gets `Recovered`.
+    /// most one core is inside. Exactly the next owner after a death inside gets `Recovered`.
     #[test]
     fn the_lock_does_what_its_model_does(sequential 1..60 => Cores);
 }

@@ -7,8 +7,8 @@ use std::vec::Vec;
 
 const BLOCKS: usize = 8;
 
-/// Returns the accesses at which to kill or freeze. Miri takes long for each, so it gets some of
-/// them.
+/// Returns the accesses at which to kill or freeze. Miri takes long for each, so it gets only some
+/// of them.
 fn steps() -> impl Iterator<Item = usize> {
     (0..).step_by(if cfg!(miri) { 7 } else { 1 })
 }

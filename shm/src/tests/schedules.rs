@@ -1,7 +1,7 @@
 //! Unit tests: shuttle runs three cores in random schedules, where loom's search is too large.
 //!
 //! shuttle switches between cores before each access to shared memory. Each access takes effect at
-//! once (sequential consistency): loom checks the memory orderings.
+//! once (sequential consistency), so only loom checks the memory orderings.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use crate::fault::{freeze_at, kill_at, switch_cores, zeroed};
@@ -190,7 +190,7 @@ fn the_mailbox_in_random_schedules_with_deaths() {
 type Value = [u32; 2];
 
 /// Runs the incarnations of a core. Each one except the last is killed at one of its first
-/// `accesses` accesses; if `life` returns before that, there is no further one.
+/// `accesses` accesses. If `life` returns before that, no further incarnation follows.
 fn lives(accesses: u32, mut life: impl FnMut()) {
     for left in (0..INCARNATIONS).rev() {
         let at = if left == 0 { u32::MAX } else { below(accesses) };

@@ -1,4 +1,4 @@
-//! Real processes with one shared memory, which is how the host implements an LMU; without a board.
+//! Runs real processes that share memory, as the host implements an LMU, but without a board.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

@@ -167,7 +167,7 @@ fn two_masters_at_the_end_are_found() {
         bench.pair.run_for(Duration::from_ms(500));
         let both = SystemId::ALL.map(|system| bench.pair.lamp(system));
         assert_eq!(both, [Some(RoleLamp::DegradedMaster); 2]);
-        // The vehicle receives A again, which sends every 10 ms.
+        // The vehicle receives the frames of A again; A sends one every 10 ms.
         bench.pair.restore(Wire::Can, A);
         bench.pair.run_for(Duration::from_ms(12));
     });

@@ -59,7 +59,7 @@ pub struct Digest {
     pub commands: Hash,
     /// Commands of the degraded function and of the safe stop.
     pub degraded: Hash,
-    /// Number of these commands.
+    /// Number of commands of the degraded function and of the safe stop.
     pub cycles: u32,
 }
 

@@ -260,8 +260,8 @@ fn the_roles_pre_empt_what_is_less_urgent() {
 }
 
 /// T-RED-6: the transmitter of the standby is dead, and the vehicle pauses for longer than an open
-/// circuit takes to detect. The master receives no frame, and the standby only the master's. Core
-/// 0 counts only frames of others, so neither assumes a live bus, and the master drives on.
+/// circuit takes to detect. The master receives no frame, and the standby only the master's. Core 0
+/// counts only third-party frames, so neither system regards the bus as live. The master drives on.
 #[test]
 fn frames_of_the_other_system_do_not_make_a_bus_alive() {
     let fault = |kind, way, at_ms, lasts| Fault {

@@ -7,7 +7,7 @@ use tandem_sim::drive::Drive;
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// A system is standby again within 60 ms after a reset. The other system fails 100 ms later.
 const NEWLY_STARTED: Duration = Duration::from_ms(160);
-/// Long enough that the standby knows everything that the other system knows.
+/// After this time the standby has all the data that the other system has.
 const OLD: Duration = Duration::from_ms(5_000);
 
 /// Returns the driver's commands on the bus in the 300 ms after `at`. B was reset `age` before.
@@ -56,10 +56,10 @@ fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
     (most(|it| it.steering_angle), most(|it| it.acceleration))
 }
 
-/// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one after 5
-/// s: its commands are those that the failed system would have sent. In 100 ms its own sensors
-/// measure too little for that: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and
-/// without the other's data its commands would differ by 1.04 m/s².
+/// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one after 5 s:
+/// the standby sends nearly the commands that the failed system would have sent. Its own sensors
+/// measure too little in 100 ms: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and
+/// without the other system's data the commands would differ by 1.04 m/s².
 #[test]
 fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {
     let places = [

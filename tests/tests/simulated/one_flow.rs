@@ -9,7 +9,7 @@ use tandem_cores::core0::{
 };
 use tandem_cores::trace::{Begin, Event, Leaves};
 
-/// During this time before a job that they preempt, the urgent tasks do not run.
+/// The urgent tasks do not run for this long before a control job that they preempt.
 const PAUSE: Duration = Duration::from_ms(3);
 
 /// The tasks with a higher priority than control.
@@ -40,7 +40,7 @@ pub(crate) struct OneFlow {
 }
 
 impl OneFlow {
-    /// Counts the section that begins. First runs the urgent tasks if they are due here.
+    /// Counts the section that begins. If the urgent tasks are due before it, runs them first.
     fn section(&self) {
         self.sections.set(self.sections.get() + 1);
         let due = |(before, _): &mut (u32, Urgent)| *before == self.sections.get();
@@ -123,7 +123,7 @@ pub(crate) fn core_0(
                 .preempts
                 .replace(urgent.take().map(|it| (before, it)));
         }
-        // Pausing the urgent tasks before a control job makes more of their events fall into it.
+        // Pause the urgent tasks before a control job, so that more of their events fall into it.
         let pauses = preempts.is_some() && control_due.since(now) <= PAUSE;
         if let Some(urgent) = urgent.as_mut().filter(|_| !pauses) {
             urgent.poll(&executor);

@@ -55,7 +55,7 @@ fn events(drive: &Drive, of: SystemId) -> impl Iterator<Item = (CoreId, Event)> 
 }
 
 /// T-RED-5, T-RED-6: each failure mode can be caused, and the affected system writes it to its
-/// flash. This does not compile if a mode has no source.
+/// flash. The test does not compile if a mode has no source.
 #[test]
 fn each_failure_mode_has_a_source() {
     for &mode in FailureMode::ALL {

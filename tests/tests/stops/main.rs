@@ -22,7 +22,7 @@ const STEP: Duration = Duration::from_ms(20);
 /// Number of polls of a core in which it is stopped.
 const POLLS: u32 = 40;
 
-/// The situation in which the core stops. Its polls are counted from there.
+/// The situation in which the core stops. Its polls are counted from then on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum When {
     /// A drives, and B stands by.

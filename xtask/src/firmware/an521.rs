@@ -16,8 +16,8 @@ const NO_SUCH_CASE: i32 = 3;
 
 /// One instruction takes 32 ns.
 const SHIFT: u32 = 5;
-/// Time slices of each core, in ticks of 50 ns, with which the primitives run. The emulator does
-/// not keep to shorter ones, so that a broken lock would pass.
+/// Time slices of each core, in ticks of 50 ns, with which the primitives run. The emulator ignores
+/// shorter ones, and a broken lock would pass the test.
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
 
 pub(super) fn run(root: &Path) -> Result<()> {
@@ -32,8 +32,8 @@ pub(super) fn run(root: &Path) -> Result<()> {
     takeovers(root)
 }
 
-/// Hangs a system at 20 moments of its 10 ms control period, each with another phase between the
-/// polls of the two systems.
+/// Makes a system hang at 20 moments of its 10 ms control period, each with a different phase
+/// between the polls of the two systems.
 fn takeovers(root: &Path) -> Result<()> {
     for (run, hangs_us) in (0..).zip((137..10_000).step_by(500)) {
         let phase_us = run * 350 % 1_000;

@@ -11,7 +11,7 @@ use std::path::Path;
 /// the C library are not counted.
 const RPMSG_LITE_TEXT: u32 = 2_762;
 
-/// A bootloader's bank without its manifest, which comes first, in bytes.
+/// A bootloader's bank without the manifest at its start, in bytes.
 const BANK_BYTES: u32 = (32 << 10) - 256;
 /// The thesis's bootloader: 25.3 KiB, in bytes.
 const THESIS_BYTES: u32 = 25_907;

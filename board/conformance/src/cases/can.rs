@@ -102,7 +102,7 @@ pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Cas
     wait_for_all(board, HERE, 3)
 }
 
-/// Core 1 of both systems receives the frames of both senders; the two cores must see one order.
+/// Core 1 of both systems receives the frames of both senders; both must see the same order.
 pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     wait_for_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];

@@ -71,8 +71,8 @@ fn receive<B: FaultSource>(board: &B, number: u8) -> Result<(), CaseFailure> {
 /// return any error-passive controller to error-active.
 const LAST: u8 = 129;
 
-/// The bus destroys its second frame: the controller becomes bus-off, recovers and becomes
-/// error-passive again. Then the fault is repaired.
+/// The bus destroys the second frame of this core: its controller becomes bus-off, recovers and
+/// becomes error-passive again. Then the fault is repaired.
 pub(super) fn cannot_send<B: FaultSource>(
     board: &B,
     place: CoreAddress,
@@ -92,7 +92,7 @@ pub(super) fn cannot_send<B: FaultSource>(
     })?;
     check(errors().bus_offs > 0, "a bus-off is counted")?;
     wait_for_cores(board, HERE, 3)?;
-    // The other core checks its receiver.
+    // The other core checks that it has received no frame.
     wait_for_cores(board, HERE, 4)?;
     sleep_until(board, "a recovered controller counts errors again", || {
         errors().state() == CanState::ErrorPassive
@@ -137,7 +137,7 @@ pub(super) fn sends_on<B: FaultSource>(board: &B, place: CoreAddress) -> Result<
     for number in 0..UNHEARD {
         send(board, number)?;
     }
-    // The other core has counted all of them.
+    // After this step the other core has counted an error for each frame.
     wait_for_cores(board, HERE, 2)?;
     board.set_fault(place.system, HardwareFault::CanReceive, false);
     sleep(board, SETTLE)?;

@@ -9,8 +9,8 @@ fn rising(system: SystemId, line: Line) -> u32 {
     3 + 2 * line.index() as u32 + 7 * system.index() as u32
 }
 
-/// Returns how many falling edges a system sends on a line. With one fewer than rising, it ends
-/// high, otherwise low.
+/// Returns how many falling edges a system sends on a line. If there is one falling edge fewer than
+/// rising edges, the line ends high, otherwise low.
 fn falling(system: SystemId, line: Line) -> u32 {
     rising(system, line) - u32::from(line != Line::Heartbeat1)
 }

@@ -4,7 +4,7 @@ use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer};
 use crate::case::{CaseFailure, check, equal};
 use tandem_board::{Board, CoreAddress, Link};
 
-/// More words than one datagram of any board's link; enough for all cases.
+/// Buffer size for all cases, in words: more than the longest datagram of any board's link.
 const WORDS: usize = 256;
 
 /// Returns word `index` of datagram `number` from system `from`.

@@ -91,7 +91,7 @@ pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFa
     Ok(())
 }
 
-/// Counts its start, then steps until a reset; in the second incarnation it makes only a few steps.
+/// Counts its start, then counts steps until a reset; in the second incarnation only a few steps.
 pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
     equal(
         board.identity().generation.0,

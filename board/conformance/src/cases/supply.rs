@@ -65,7 +65,7 @@ pub(super) fn is_first_incarnation<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
 
-/// Services the watchdog correctly, so that any reset has an earlier cause.
+/// Services the watchdog correctly, so that any reset must have an earlier cause.
 fn serve_on<B: Board>(board: &B) -> Result<(), CaseFailure> {
     for _ in 0..5 {
         sleep(board, middle::<B::Supply>())?;

@@ -10,15 +10,15 @@ use crate::trace_ring;
 /// A frame on its way to the bus: the frame, then the number of discards before it.
 pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
 
-/// Encodes a frame for the transmit ring. `discards`: how many times the sender has discarded its
-/// waiting frames.
+/// Encodes a frame for the transmit ring. `discards` is the number of times that the sender has
+/// discarded its waiting frames.
 pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
     let mut words = [discards; TRANSMIT_WORDS];
     words[..FRAME_WORDS].copy_from_slice(&frame.encode());
     words
 }
 
-/// Decodes a frame of the transmit ring and the number of the sender's discards before it.
+/// Decodes a frame of the transmit ring and the number of discards that its sender made before.
 pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
     let frame = words.first_chunk()?;
     Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
@@ -77,7 +77,7 @@ const SYSTEMS_AT: usize = RUN_AT + LINE;
 const SYSTEM_WORDS: usize = 2 * LINE;
 const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
 const CORE_WORDS: usize = 3 * LINE;
-/// Edge counts of three lines, two types each: those of the sender, then the receiver's baseline.
+/// Counts of rising and falling edges on three lines: the sender's, then the receiver's baseline.
 const EDGES_AT: usize = CORES_AT + CoreAddress::COUNT * CORE_WORDS;
 const EDGE_WORDS: usize = LINE;
 const RINGS_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
@@ -133,13 +133,13 @@ pub(crate) struct Rings {
     pub(crate) trace: [Ring; TRACE_WRITERS],
 }
 
-/// Frames that wait for the bus. Each frame wakes the bus; a disturbed bus fetches frames every ms.
+/// Frames that wait for the bus. Each frame wakes the bus; a disturbed bus reads them every ms.
 const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
-/// Frames by which a core may lag: a few hundred milliseconds at the load of the vehicle bus.
+/// Frames by which a core may lag behind: a few hundred milliseconds at the vehicle bus's load.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams in transit.
 const LINK: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
-/// Services by which the supply may lag.
+/// Watchdog services by which the supply may fall behind.
 const SERVICE: Shape = Shape::new(16, SERVICE_WORDS);
 
 /// The positions of the rings.

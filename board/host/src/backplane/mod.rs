@@ -28,8 +28,8 @@ pub(crate) use layout::{
 const MAGIC: u32 = 0x5444_4D05;
 const NAME: &str = "backplane";
 /// The longest delay of a disturbed connection, equal to the limit of `Kind::Late`. A
-/// corrupt word in the shared memory must not delay frames for longer: they would accumulate in the
-/// vehicle's process.
+/// corrupt word in the shared memory must not cause a longer delay, because delayed frames
+/// accumulate in the vehicle's process.
 const LATE_MOST: Duration = Duration::from_ms(1_000);
 
 /// Why the backplane of a run could not be created or opened.
@@ -60,7 +60,7 @@ impl fmt::Debug for Backplane {
 struct Register(&'static AtomicU32);
 
 /// All accesses are SeqCst and pair with each other: every process sees the changes of all
-/// registers in one order, and after a change it also sees everything that the writer wrote before.
+/// registers in one order. A process that sees a change also sees all earlier writes of its writer.
 impl Register {
     fn get(self) -> u32 {
         self.0.load(SeqCst)
@@ -148,7 +148,7 @@ impl Backplane {
 
 /// The run as a whole.
 impl Backplane {
-    /// Publishes the ids of the run's processes, which wait for that. Launcher only.
+    /// Publishes the ids of the run's processes; they wait until this is done. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
             self.set_supply(system, supplies[system.index()]);
@@ -263,8 +263,8 @@ impl Backplane {
         self.system(system, System::PowerOns).count() + 1
     }
 
-    /// Sets how long after the ignition the system is switched on. Only the launcher calls it,
-    /// before the start.
+    /// Sets the delay between the ignition and the power-on of the system. Only the launcher calls
+    /// this, before the start.
     pub(crate) fn set_stagger(self, system: SystemId, stagger: Duration) {
         let us = u32::try_from(stagger.as_us()).unwrap_or(u32::MAX);
         self.system(system, System::StaggerUs).set(us);
@@ -387,7 +387,7 @@ impl Backplane {
         self.core(system, core, Core::Generation).set(incarnation.0);
     }
 
-    /// Returns the core's incarnation that the supply started last; 0 before the first.
+    /// Returns the latest incarnation of the core that the supply has started; 0 before the first.
     #[must_use]
     pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
         Generation(self.core(system, core, Core::Generation).get())
@@ -408,7 +408,7 @@ impl Backplane {
     }
 
     /// Counts one discard: the bus drops frames that carry an older count. The ring ensures that
-    /// the bus sees this before it sees a frame that carries the new count.
+    /// the bus sees the new count before it sees a frame that carries it.
     pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
         self.core(system, core, Core::Discards).count();
     }
@@ -430,7 +430,7 @@ impl Backplane {
         self.core(system, core, Core::TraceLost).count();
     }
 
-    /// Returns how many trace records of the core a full ring has lost; wraps around.
+    /// Returns how many trace records of the core were lost because of a full ring; wraps around.
     pub(crate) fn lost_trace(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::TraceLost).get()
     }

@@ -1,9 +1,9 @@
 //! The pending events: each has one bit at a fixed position.
 //!
 //! iceoryx2's own state (`RelocatableBitSet`) keeps a relative pointer and a capacity in memory
-//! that every notifier maps writable, and follows them: after one wrong word from a peer, the next
-//! `notify` of another process ends with SIGSEGV. In this state no word is an address or a trusted
-//! index: the position of a bit follows from its number, which is checked against a constant.
+//! that every notifier maps writable, and trusts them: after one wrong word from a peer, the next
+//! `notify` of another process ends with SIGSEGV. In the state defined here, no word is an address
+//! or a trusted index: the event's number gives the bit's position, and a constant limits it.
 
 use core::ptr::NonNull;
 use core::sync::atomic::AtomicU32;
@@ -24,7 +24,7 @@ const BITS: usize = WORDS * u32::BITS as usize;
 #[repr(C)]
 pub struct PendingBits {
     words: [AtomicU32; WORDS],
-    /// How many bits may be set. A peer may overwrite this word, so the constant also limits it.
+    /// Number of usable bits. A peer may overwrite this word, so `BITS` also limits the value.
     capacity: AtomicU32,
 }
 
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
     use iceoryx2_bb_memory::bump_allocator::BumpAllocator;
 
-    /// Whatever a peer writes over the state, no event outside its range is reported.
+    /// Even if a peer overwrites the state, no event with a number of 256 or more is reported.
     #[test]
     fn a_scribbled_state_is_no_address_and_no_index() {
         // SAFETY: initialized below, before any other use.

@@ -48,7 +48,7 @@ type DoorbellState = State<PendingBits, Futex>;
 type DoorbellStorage = Storage<DoorbellState, true>;
 type DoorbellListener = Waiter<PendingBits, Futex, DoorbellStorage, FutexWaiter>;
 
-/// The doorbell carries one bit; its receiver reads the details from other memory.
+/// The doorbell's only event: its receiver reads the details from other memory.
 const RUNG: EventId = EventId::new(0);
 
 /// The doorbell of a core could not be set up.
@@ -143,10 +143,10 @@ impl Doorbell {
             };
             match woken {
                 Ok(0) if clock::now() >= deadline => return false,
-                // A leftover of a ring that was already handled, or a signal.
+                // The wake-up of a ring that was already handled, or a signal.
                 Ok(0) | Err(ListenerWaitError::InterruptSignal) => {}
                 Ok(_) => return true,
-                // Has never been observed. The caller polls all sources, so nothing is lost.
+                // This error was never observed. The caller polls all sources, so no event is lost.
                 Err(_) => return true,
             }
         }
@@ -189,8 +189,8 @@ impl Ringers {
 
     /// Does what a notifier of iceoryx2 does, with one difference: a notifier skips the trigger if
     /// the state of the event says that the listener is notified. Another notifier sets this state
-    /// after its own trigger. If it stalls in between, the listener may handle its event and sleep
-    /// again; then the state is "notified" and the listener sleeps through every ring.
+    /// after its own trigger. If that notifier stalls in between, the listener may handle its event
+    /// and sleep again; then the state is "notified", and no later ring wakes the listener.
     fn wake(doorbell: Option<&DoorbellStorage>) {
         // Pairs with the fence in `Doorbell::attach`.
         fence(SeqCst);
@@ -237,7 +237,7 @@ mod tests {
     const CORE: CoreAddress = CoreAddress::new(SystemId::A, CoreId::PLANNING);
     const OF: Owner = Owner::Core(CORE);
 
-    /// The doorbells of a run without other files; dropping it removes them.
+    /// The doorbells of a run that has no other files. Dropping this value removes them.
     struct Doorbells(RunName);
 
     impl Doorbells {
@@ -258,7 +258,7 @@ mod tests {
         }
     }
 
-    /// Returns whether a ring wakes a sleeping listener; `harm` is done while it sleeps.
+    /// Returns whether a ring wakes a sleeping listener; `harm` runs while the listener sleeps.
     fn a_ring_wakes(harm: impl FnOnce(&DoorbellState)) -> bool {
         let doorbells = Doorbells::install();
         let doorbell = Doorbell::attach(&doorbells.0, OF).unwrap();
@@ -281,7 +281,7 @@ mod tests {
     }
 
     /// T-SYNC-3: another notifier stalls just before it marks the listener as notified, and sets
-    /// the mark when the listener sleeps again. iceoryx2 would never wake it again; `ring` must.
+    /// the mark when the listener sleeps again. iceoryx2 would not wake the listener; `ring` must.
     #[test]
     fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
         const NOTIFIED: u8 = 2;
@@ -290,8 +290,8 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// A peer can write any value to any byte of the doorbell's memory. This must harm neither
-    /// ringer nor sleeper, and the doorbell of the next incarnation must work.
+    /// A peer can write any value to any byte of the doorbell's memory. Ringer and sleeper must
+    /// survive this, and the doorbell of the next incarnation must work.
     #[test]
     fn a_scribbled_doorbell_harms_no_ringer() {
         let doorbells = Doorbells::install();

@@ -7,8 +7,8 @@
 //!
 //! One word in the memory of the event: EMPTY, PENDING (rung) or SLEEPING (the listener sleeps). A
 //! ringer calls the kernel only if the listener sleeps. No process owns the word, so a death at any
-//! point does no harm. The word is only compared, so a peer that writes nonsense can only wake the
-//! listener or leave it asleep until its deadline.
+//! point does no harm. The word is only compared, so a peer that writes an invalid value can only
+//! wake the listener or leave it asleep until its deadline.
 
 use core::mem::MaybeUninit;
 use core::ptr::NonNull;
@@ -47,20 +47,20 @@ unsafe impl ZeroCopySend for Futex {}
 impl Futex {
     /// Wakes the listener if it sleeps; otherwise its next sleep ends at once. Never blocks.
     pub(super) fn wake(&self) {
-        // Pairs with the compare-exchange in `sleep`: either `sleep` sees PENDING, or this sees
-        // SLEEPING.
+        // Pairs with the compare-exchange in `sleep`: either `sleep` sees PENDING, or this swap
+        // sees SLEEPING.
         match self.0.swap(PENDING, SeqCst) {
             EMPTY | PENDING => {}
-            // SLEEPING, or a value that neither end writes. It is no error if no process sleeps:
-            // the listener may have just died.
+            // SLEEPING, or a value that neither end writes. It is not an error if no process
+            // sleeps, because the listener may have just died.
             _ => drop(futex::wake(&self.0, futex::Flags::empty(), 1)),
         }
     }
 
     /// Clears a pending ring.
     fn take(&self) {
-        // Pairs with the swap in `wake`: a later ring finds EMPTY. A swap, not a store: it reads
-        // the PENDING that it replaces, so the drain sees the bits of that ring.
+        // Pairs with the swap in `wake`: a later ring finds EMPTY. This is a swap, not a store,
+        // because it must read the PENDING that it replaces: so the drain sees that ring's bits.
         self.0.swap(EMPTY, SeqCst);
     }
 
@@ -74,7 +74,7 @@ impl Futex {
             Ok(_) => {}
             Err(PENDING) => return Ok(()),
             Err(_) => {
-                // Neither end writes this value. The caller polls, and sleeps again.
+                // Neither end writes this value. The caller polls and then sleeps again.
                 self.take();
                 return Ok(());
             }

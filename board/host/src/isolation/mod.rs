@@ -1,4 +1,4 @@
-//! The place of a run's files, chosen so that no file is left behind in any case.
+//! Chooses the place of a run's files so that no file is left behind, however the run ends.
 //!
 //! If permitted, the run gets a mount namespace with a private `/dev/shm`: when its last process
 //! has died, in any way, the kernel removes all files. If not (as in most containers), the files
@@ -8,12 +8,12 @@
 //!
 //! An ordinary user also needs a user namespace, which has two costs:
 //!
-//! - A process that enters a user namespace and is then refused the next step has lost its
-//!   identity. So a child tries all steps first, and the process itself follows only if the child
-//!   succeeds.
-//! - Capabilities are not valid outside the namespace. A process that has one for real time
-//!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) keeps it and uses the machine's `/dev/shm`. A limit on
-//!   priorities (`RLIMIT_RTPRIO`) is valid everywhere.
+//! - A process that has entered a user namespace cannot return to its old identity if the kernel
+//!   refuses the next step. So a child tries all steps first, and the process itself takes them
+//!   only if the child succeeds.
+//! - In a user namespace, capabilities do not permit real time. So a process that has one for it
+//!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) does not enter one and uses the machine's `/dev/shm`. A limit
+//!   on priorities (`RLIMIT_RTPRIO`) is also valid in a user namespace.
 
 mod namespace;
 
@@ -59,8 +59,8 @@ enum Place {
     Private,
     /// The machine's `/dev/shm`.
     Shared {
-        /// Every process of the run holds it open: dropping it here frees the lock only after all
-        /// of them have ended.
+        /// Every process of the run holds this descriptor open, so the lock becomes free only when
+        /// all of them have ended.
         _lock: OwnedFd,
         refused: String,
     },
@@ -199,7 +199,7 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
         let file =
             openat(shm, name.as_str(), flags, FileMode::RUSR | FileMode::WUSR).map_err(failed)?;
-        // A sweep may have locked the file in between and be about to remove it: wait for that.
+        // A sweep may have locked the file since then and be about to remove it: wait for its end.
         match flock(&file, FlockOperation::LockExclusive) {
             Err(Errno::INTR) => continue,
             locked => locked.map_err(failed)?,
@@ -237,7 +237,7 @@ fn sweep(shm: &OwnedFd) {
     }
 }
 
-/// Removes all files of a run, its lock file last: while that exists, a sweep finds the others.
+/// Removes all files of a run, its lock file last: while it exists, a sweep finds the other files.
 fn remove(folder: &OwnedFd, run: &str) {
     let lock = format!("{run}{LOCK_SUFFIX}");
     let own = |name: &String| {
@@ -263,7 +263,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// A start waits for the sweep of another run that has locked the lock file first.
+    /// If the sweep of another run has locked the lock file first, a start waits for that sweep.
     #[test]
     fn a_sweep_beside_a_start_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Enters a mount namespace with a new `/dev/shm`: either completely or not at all.
+//! Enters a mount namespace with a new `/dev/shm`, either completely or not at all.
 
 use core::ffi::CStr;
 use std::ffi::CString;
@@ -13,7 +13,7 @@ use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
 use rustix::process::{Pid, WaitOptions, getegid, geteuid, waitpid};
 use rustix::thread::{CapabilitySet, UnshareFlags, capabilities, unshare_unsafe};
 
-/// The steps in their order.
+/// The steps, in the order in which they are taken.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     /// If this step is refused, the process is unchanged.
@@ -62,12 +62,12 @@ impl fmt::Display for Refused {
     }
 }
 
-/// Enters a mount namespace that has a new `/dev/shm`. Returns `Some` with the refused step; the
-/// calling process is then unchanged.
+/// Enters a mount namespace that has a new `/dev/shm`. If the kernel refuses a step, returns `Some`
+/// with that step, and the calling process is unchanged.
 ///
 /// # Errors
 /// If no child can be started, or the kernel refuses the process a step that it granted to the
-/// child: the process may then be only partly in a namespace, and must end.
+/// child. In the second case the process may be only partly in a namespace, and must end.
 pub(super) fn enter() -> io::Result<Option<String>> {
     let way = Way::of_this_process();
     match way.rehearse()? {
@@ -100,7 +100,7 @@ impl Way {
         }
     }
 
-    /// Makes a child try all steps and end; returns the step that the kernel refused.
+    /// Makes a child try all steps and end; returns the step that the kernel refused, if any.
     fn rehearse(&self) -> io::Result<Option<Refused>> {
         let (mut reader, tells) = UnixStream::pair()?;
         // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.

@@ -163,7 +163,7 @@ fn interrupted(board: &HostBoard) {
     }
     interrupt_every(0);
     loop {
-        // Repeat it, because a full trace loses the record.
+        // Repeat the record, because a full trace loses it.
         board.trace([DONE, HANDLER.runs(), round, 0]);
         board.wait(board.now() + tandem_board::Duration::from_ms(10));
     }
@@ -182,7 +182,7 @@ fn undisturbed(script: &mut Script) {
         ] {
             let of_code = script.take_traced(system, PERCEPTION, code);
             let numbers: Vec<u32> = of_code.iter().map(|record| record[1]).collect();
-            // Each incarnation counts from 0.
+            // Each incarnation counts from 0 again.
             let in_order = numbers.chunk_by(|a, b| a < b).count();
             assert!(in_order <= incarnations, "{system} {code:#x}: {numbers:?}");
             let lost = script.lost as usize;
@@ -196,7 +196,7 @@ fn undisturbed(script: &mut Script) {
     }
 }
 
-/// T-SYNC-3: two cores ring each other thousands of times; each sleeps until the ring.
+/// T-SYNC-3: two cores ring each other thousands of times; each sleeps until it is rung.
 fn ping_pong(board: &HostBoard) {
     const TURNS: u32 = 3_000;
     let (ball, me) = (&board.lmu()[0], board.identity().core);
@@ -221,7 +221,7 @@ fn ping_pong(board: &HostBoard) {
     idle(board);
 }
 
-/// T-SYNC-3: two cores ring a third at any time; it sees what each of them wrote before.
+/// T-SYNC-3: two cores ring a third at any time; the third sees what each wrote before its ring.
 fn rung_by_two(board: &HostBoard) {
     const TURNS: u32 = 3_000;
     let lmu = board.lmu();
@@ -482,7 +482,7 @@ fn chatter(board: &HostBoard) {
 }
 
 fn overheard(script: &mut Script) {
-    // The trace is not read while the cores write to it.
+    // Do not read the trace while the cores write to it.
     script.until("they have talked", |script| {
         SystemId::ALL
             .iter()

@@ -48,7 +48,7 @@ pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
         .parts
         .iter()
         .position(|part| part.place == me.address());
-    // Cores without a part must not run, but a system without its core 0 would be reset.
+    // Cores without a part must not run, except core 0: without it the system would be reset.
     if part.is_none() && me.core != CoreId::CONTROL {
         return true;
     }
@@ -82,7 +82,7 @@ fn serve_while(board: &HostBoard, serves: &AtomicBool) {
     }
 }
 
-/// Writes the file completely or not at all: the core may be reset while it writes.
+/// Writes the file completely or not at all, because the core may be reset while it writes.
 fn report(file: &Path, said: &str) {
     let draft = file.with_extension("draft");
     fs::write(&draft, said)

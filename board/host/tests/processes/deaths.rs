@@ -145,8 +145,8 @@ fn report_power(board: &HostBoard) {
     if board.identity().core != CONTROL {
         return idle(board);
     }
-    // The first wait returns at once; a second one would detect a ring that the level did not
-    // cause.
+    // The first wait always returns at once. Do it here, so that the wait below returns only
+    // after a ring.
     board.wait(board.now());
     board.trace([STARTED, board.identity().generation.0, 0, 0]);
     while board.lines().peer_powered() {
@@ -180,7 +180,7 @@ fn kill_supply(script: &mut Script) {
     assert!(script.was_never_blamed(B), "B drives on");
 }
 
-/// T-CHIP-6: the death of core 0 is a trap; the system restarts with its memory as at power-on.
+/// T-CHIP-6: the death of core 0 counts as a trap; the system restarts with memory as at power-on.
 fn kill_core_0(script: &mut Script) {
     assert_eq!(await_start(script, A, 1), (ResetCause::PowerOn, 0));
     await_start(script, B, 1);
@@ -235,7 +235,7 @@ fn kill_core_1(script: &mut Script) {
     script.await_incarnation(A, 2);
 }
 
-/// T-CHIP-6: a core hangs; only the missing service of the watchdog reveals it.
+/// T-CHIP-6: if core 0 hangs, only the missing service of the watchdog shows it.
 fn freeze(script: &mut Script) {
     await_start(script, B, 1);
     script.signal(B, CONTROL, Signal::STOP);
@@ -342,8 +342,8 @@ fn paced(script: &mut Script) {
     let start = Clock::now();
     script.rest(1_500);
     let incarnations = script.generation(A, CONTROL).0;
-    // 20 + 40 + 80 + 160 + 320 + 640 ms mean seven starts in 1.26 s. Even on a slow machine there
-    // must not be more in the time that has really passed.
+    // Pauses of 20 + 40 + 80 + 160 + 320 + 640 ms allow seven starts in 1.26 s. On a slow machine
+    // more time may have passed, so compute the allowed number from the time that has passed.
     let (mut allowed, mut pause, mut time) = (1, 20, 0);
     while time < start.elapsed().as_millis() + 100 {
         time += pause;
@@ -402,7 +402,7 @@ fn send_always(board: &HostBoard) {
     let id = 0x10 + board.identity().system.index() as u16;
     let frame = CanFrame::new(CanId::Standard(id), false, &[1]).expect("valid");
     for n in 0_u32.. {
-        // Fails if the buffer is full: the bus is stopped.
+        // Fails if the buffer is full, because the bus is stopped.
         let _ = board.can().try_send(&frame);
         if n.is_multiple_of(10) {
             let question = board.supply().watchdog_question();
@@ -421,7 +421,7 @@ fn silence(script: &mut Script) {
             .transmitted(&mut |system, _, _| sent[system.index()] += 1);
         sent.iter().all(|count| *count > 20)
     });
-    // The bus is stopped while frames collect.
+    // This script does not run the bus here, so frames collect in the buffers.
     std::thread::sleep(Span::from_millis(20));
     signal(script.port.backplane().supply_pid(A), Signal::KILL);
     let patience = Clock::now() + Span::from_secs(10);
@@ -504,8 +504,8 @@ fn check_policy(script: &mut Script) {
             });
             let pid = script.pid(system, core);
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("its state");
-            // Field 41 of proc(5) is the policy. 40 fields precede it; 2 of them end at the
-            // bracket.
+            // Field 41 of proc(5) is the policy. 40 fields precede it; the first 2 of them end at
+            // the bracket.
             let fields = stat.rsplit_once(')').expect("a name").1;
             let policy = fields.split_whitespace().nth(38).expect("a policy");
             assert_eq!(policy == FIFO, granted, "{system}{core}");

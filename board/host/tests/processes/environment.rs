@@ -1,6 +1,6 @@
 //! Tests a run in places that offer less than a developer's machine: a small or full `/dev/shm`, an
-//! ordinary user, a container, one CPU. Each trial creates the place itself, so most need root; a
-//! trial without the rights is ignored and reports it.
+//! ordinary user, a container, one CPU. Each trial creates its place itself, so most need root; a
+//! trial that lacks the rights is ignored and says so.
 
 use std::ffi::CString;
 use std::fs::{self, File};
@@ -30,7 +30,7 @@ use crate::residue::{LASTING, Outcome, end_in_order, started, until};
 /// The case whose cores must be granted real-time scheduling.
 pub(crate) const GRANTED_REALTIME: &str = "with_real_time_granted";
 
-/// Not a separate case: the trials below run it in their places.
+/// Not a separate case: the trials below run it in the places that they create.
 pub(crate) const GRANTED_CASE: Case = Case {
     name: GRANTED_REALTIME,
     core: live,
@@ -96,7 +96,7 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials.collect()
 }
 
-/// Returns why this process cannot raise the limit on priorities.
+/// Returns why this process cannot raise the limit on priorities; `None` if it can.
 fn lacking_limit() -> Option<String> {
     let may_raise =
         capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_RESOURCE));
@@ -105,7 +105,7 @@ fn lacking_limit() -> Option<String> {
     (!may_raise && !suffices).then(|| "the limit on priorities cannot be raised".to_owned())
 }
 
-/// Returns why these places cannot be created here.
+/// Returns why the places of the trials cannot be created here; `None` if they can.
 fn lacking_right() -> Option<String> {
     if !geteuid().is_root() {
         return Some("only root can become another user".to_owned());
@@ -119,7 +119,7 @@ fn lacking_right() -> Option<String> {
     })
 }
 
-/// Runs `work` on a thread that has a separate `/dev/shm`, like the processes that it starts.
+/// Runs `work` on a thread with a separate `/dev/shm`, which processes that it starts also use.
 fn in_own_shm(options: &str, work: impl FnOnce() -> Outcome + Send) -> Outcome {
     let options = CString::new(options)?;
     let enter = || -> io::Result<()> {
@@ -183,7 +183,7 @@ fn first(command: &mut Command, setup: impl FnMut() -> io::Result<()> + Send + S
     unsafe { command.pre_exec(setup) };
 }
 
-/// Turns this process, which must have no other thread, into one of an ordinary user.
+/// Makes this process, which must have only one thread, a process of an ordinary user.
 fn become_ordinary() -> io::Result<()> {
     set_thread_groups(&[])?;
     set_thread_gid(Gid::from_raw(ORDINARY))?;
@@ -232,7 +232,7 @@ fn refuse(call: libc::c_long) -> io::Result<()> {
     }
 }
 
-/// Starts a run that lasts, calls `look`, and ends the run in order.
+/// Starts a run that lasts until it is ended, calls `look`, and ends the run in order.
 fn lasts(mut launcher: Command, look: impl FnOnce(u32) -> Outcome) -> Outcome {
     let started = started(launcher.spawn()?, 9)?;
     let looked = look(started.launcher.id());
@@ -270,7 +270,7 @@ fn full() -> Outcome {
                 .map(|process| process.pid)
                 .collect()
         };
-        // A core process has the name of its supply until it calls exec, so wait for exactly two.
+        // A core process has its supply's command line until it calls exec: wait for exactly two.
         let before = until("two supplies", || {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;
@@ -354,8 +354,8 @@ fn without(call: libc::c_long, ordinary: bool) -> Outcome {
     lasts(launcher, is_shared)
 }
 
-/// A user namespace is granted, but its map is refused: a program that its user may execute but not
-/// read does not own its files in `/proc`.
+/// A user namespace is granted, but its map is refused, because a process does not own its files in
+/// `/proc` if its user may execute but not read its program.
 fn no_map() -> Outcome {
     let ground = Ground::new()?;
     fs::set_permissions(ground.program(), fs::Permissions::from_mode(0o711))?;

@@ -24,7 +24,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 /// First trace record of every core in the real-time cases: whether the core was granted real-time
 /// priority.
 pub(crate) const GRANTED: u32 = 1_000;
-/// Trace record of a core 0 directly after it has serviced the watchdog.
+/// Trace record that core 0 writes directly after it has serviced the watchdog.
 const SERVES: u32 = 1_001;
 
 /// One case: the function of every core, and the script of the vehicle.
@@ -41,7 +41,7 @@ pub(crate) struct Script {
     pub(crate) run: RunName,
     pub(crate) case: String,
     pub(crate) folder: OsString,
-    /// Trace records that no test has waited for yet.
+    /// Trace records that were read but not yet returned to a test.
     traced: Vec<Traced>,
     /// The resets that the supplies reported.
     resets: Vec<(tandem_board::Instant, SystemId)>,
@@ -199,8 +199,8 @@ impl Script {
         signal(self.pid(system, core), what);
     }
 
-    /// Returns whether the system was never reset, or only while its core 0 had no CPU for so long
-    /// that the watchdog had to reset it.
+    /// Returns whether the system was never reset, except when its core 0 had no CPU until the
+    /// watchdog's window closed.
     pub(crate) fn was_never_blamed(&mut self, system: SystemId) -> bool {
         self.drain();
         let serves = |t: &&Traced| (t.system, t.core, t.record[0]) == (system, CONTROL, SERVES);
@@ -216,7 +216,7 @@ impl Script {
         excused.len() + 1 == incarnations && !excused.contains(&false)
     }
 
-    /// Reads what cores and supplies have written.
+    /// Reads the traces of the cores and the supplies.
     fn drain(&mut self) {
         self.lost += self
             .port
@@ -283,7 +283,7 @@ pub(crate) fn service(board: &HostBoard) {
     board
         .supply()
         .service_watchdog(tandem_board::watchdog_answer(question));
-    // After the service: if the core loses its CPU in between, the record is not too early.
+    // Write the record after the service, so that its time is never before the service.
     board.trace([SERVES, 0, 0, 0]);
 }
 

@@ -1,5 +1,5 @@
-//! A run of a test: this program is started again as the launcher of the run, and the launcher
-//! starts it as supplies and vehicle.
+//! Runs a test in separate processes: this program starts itself again as the launcher of the run,
+//! and the launcher starts it as supplies and vehicle.
 
 use std::ffi::OsString;
 use std::io::Read as _;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use tandem_board_host::{LaunchError, LaunchPlan, Launcher, ProcessArgs, Schedule, isolation};
 
-/// First argument of this program as a launcher; the case, the folder and the place follow.
+/// First argument of this program as a launcher. The case, the folder and the place follow it.
 pub(crate) const LAUNCH: &str = "launch";
 /// Exit status of a launcher that could not prepare its run.
 pub(crate) const REFUSED: u8 = 4;
@@ -32,10 +32,10 @@ pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -
     command
 }
 
-/// Waits until a run has ended. Returns the messages of its processes; as an error if the run
+/// Waits until a run has ended. Returns the messages of its processes, as an error if the run
 /// failed or did not end within `patience`.
 pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, String> {
-    // Read continuously: a full pipe would stop the launcher.
+    // Read continuously, because a full pipe would stop the launcher.
     let mut pipe = launcher.stderr.take().expect("a pipe");
     let reader = thread::spawn(move || {
         let mut said = vec![];

@@ -1,4 +1,4 @@
-//! A run leaves nothing behind, whichever process is killed, and whenever.
+//! Tests that a run leaves nothing behind, whichever process is killed and whenever it is killed.
 
 use std::path::Path;
 use std::process::Child;
@@ -60,7 +60,7 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 pub(crate) type Outcome = Result<(), libtest_mimic::Failed>;
 
-/// A launcher and its run, of which at least one other process exists.
+/// A launcher and its run, which has at least one other process.
 pub(crate) struct Started {
     pub(crate) launcher: Child,
     pub(crate) run: RunName,
@@ -77,7 +77,7 @@ pub(crate) fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result
     Err(format!("never: {what}"))
 }
 
-/// Starts a run that lasts, and waits until `count` of its processes exist.
+/// Starts a run that lasts until it is ended; waits until `count` of its processes exist.
 fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
     started(start_launcher(LASTING.name, folder, place), count)
 }
@@ -116,7 +116,7 @@ fn interrupt(place: &str) -> Outcome {
     end_in_order(start(folder.path(), place, 9)?)
 }
 
-/// Ends a run by Ctrl-C: the launcher must end with success and leave nothing behind.
+/// Ends a run by Ctrl-C; the launcher must end with success and leave nothing behind.
 pub(crate) fn end_in_order(mut started: Started) -> Outcome {
     let launchers = [started.launcher.id()];
     signal(started.launcher.id(), Signal::INT);
@@ -132,7 +132,7 @@ pub(crate) fn end_in_order(mut started: Started) -> Outcome {
     assert_clean(&launchers)
 }
 
-/// Checks that no file in the machine's folders has the name of a run of these launchers.
+/// Checks that no file name in `/dev/shm` and `/tmp` contains the name of a run of these launchers.
 fn assert_clean(launchers: &[u32]) -> Outcome {
     let own = |name: &String| {
         launchers
@@ -210,7 +210,7 @@ fn kill_while_starting(place: &str) -> Outcome {
         if round % 2 == 0 {
             signal(launcher.id(), Signal::KILL);
         } else {
-            // Kill any existing process of the run.
+            // Kill one of the existing processes of the run.
             let there = ours();
             if let Some(victim) = there.get(round as usize % there.len().max(1)) {
                 let pid = rustix::process::Pid::from_raw(victim.pid as i32).expect("a process");
@@ -220,7 +220,7 @@ fn kill_while_starting(place: &str) -> Outcome {
             signal(launcher.id(), Signal::INT);
         }
         until("the launcher ends", || launcher.try_wait().ok().flatten())?;
-        // Kill the vehicle: that ends a run without a launcher.
+        // Kill the vehicle, because this ends a run that has no launcher.
         for process in ours() {
             let pid = rustix::process::Pid::from_raw(process.pid as i32).expect("a process");
             if process.system.is_none() {

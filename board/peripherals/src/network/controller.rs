@@ -12,7 +12,7 @@ pub const FRAMES_PER_MS: u32 = 8;
 pub struct TransmitLimit {
     /// The millisecond in which the frames are counted.
     ms: u64,
-    /// Frames sent in it.
+    /// Frames sent in that millisecond.
     sent: u32,
 }
 
@@ -42,7 +42,7 @@ const fn ms(now: Instant) -> u64 {
 /// A frame that the bus destroyed is repeated after this time, about that of a short frame with its
 /// error frame.
 pub const REPEATED_AFTER: Duration = Duration::from_us(125);
-/// If the bus is called later than this, it was stalled and repeated no frame in that time.
+/// If a try is later than this, the bus was stalled and repeated no frame in that time.
 const HELD_UP: Duration = Duration::from_ms(2);
 /// 128 times 11 recessive bits on an idle bus of 1 Mbit/s: how long a controller stays bus-off.
 pub const RECOVERY: Duration = Duration::from_us(128 * 11);

@@ -167,12 +167,12 @@ fn the_simulated_board_passes_in_any_order_of_cores() {
     }
 }
 
-/// Cases that no defect makes fail: they prove that nothing crashes, or a property of every board
-/// in safe Rust.
+/// Cases that no defect makes fail, because they prove that nothing crashes, or prove a property
+/// that every board in safe Rust has.
 const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
 
 /// Each defect makes some case fail, and each case fails for some defect. A case that has failed
-/// for one defect runs again only for a defect that no other case finds or that it must find.
+/// for one defect runs again only for defects that no other case finds or that it must find.
 #[test]
 fn conformance_catches_defects() {
     let mut fallible = BTreeSet::new();

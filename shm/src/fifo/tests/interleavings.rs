@@ -228,9 +228,9 @@ impl Play {
     }
 }
 
-/// Either end is killed or frozen at any access while the other end continues, also if the numbers
-/// wrap around: every sent value is received whole and in order, and only values that a killed
-/// consumer had not published as released are received again.
+/// Either end is killed or frozen at any access while the other end continues, even if the numbers
+/// wrap around. Every sent value is received whole and in order. Only values that a killed consumer
+/// had not published as released are received again.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]
 fn values_come_in_order_whatever_end_is_killed_or_frozen() {
@@ -268,8 +268,8 @@ fn receive(consumer: &mut Consumer<'_, u32>, most: u32) -> Vec<u32> {
     (0..most).map_while(next).collect()
 }
 
-/// Overwrites a word of a queue of `n` slots of one word. Often writes an index or a stamp that is
-/// up to three turns from `tail`, or 2^31 away from that.
+/// Overwrites a word of a queue of `n` slots of one word. Often writes an index or a stamp that
+/// differs from `tail` by up to 3 `n`, or by 2^31 more.
 fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     let near = tail.wrapping_add(random.below(6 * n)).wrapping_sub(3 * n);
     let scribble = match random.below(4) {
@@ -285,8 +285,8 @@ fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     words[at].store(scribble, Ordering::Relaxed);
 }
 
-/// After garbage in up to six words, and after a new attachment of either end: the consumer never
-/// gets more values at once than there are slots, and in the end the queue accepts one value for
+/// Up to six words are overwritten with garbage, and either end may attach again. The consumer
+/// never gets more values at once than there are slots. In the end the queue accepts one value for
 /// each slot and delivers them in order.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]

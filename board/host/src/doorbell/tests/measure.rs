@@ -1,4 +1,4 @@
-//! Measures how fast iceoryx2's triggers and this one wake a sleeper. Run by hand:
+//! Measures how fast iceoryx2's triggers and the futex trigger wake a sleeper. Run by hand:
 //!
 //! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 bell`
 
@@ -78,7 +78,7 @@ fn print(what: &str, unit: &str, mut samples: Vec<u64>) {
     );
 }
 
-/// Returns how late waits of 1 ms end, and the CPU share of the waiting.
+/// Returns by how much waits of 1 ms end late, and the share of the CPU that the waits use.
 fn lateness(mut wait: impl FnMut(Duration) + Send + 'static) -> (Vec<u64>, u64) {
     const WAITS: u64 = 2_000;
     let cpu_time = || {

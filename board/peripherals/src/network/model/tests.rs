@@ -79,7 +79,7 @@ fn a_cut_system_neither_sends_nor_hears() {
     assert_eq!(hears, [false, false, false, false, true, true]);
 }
 
-/// A slow connection delivers each frame at its own time, even if the delay ends before that.
+/// A slow connection delivers each frame at its own time, even if the fault ends before that.
 #[test]
 fn a_slow_connection_delivers_later() {
     let mut bench = Bench::new();
@@ -136,7 +136,7 @@ fn a_frame_that_the_bus_destroys_waits_in_its_controller() {
     assert_eq!(waits(|network| network.stop(SystemId::B, ms(11))), 1);
 }
 
-/// T-CHIP-5: edges and datagrams take their times; a system that stops loses its datagram.
+/// T-CHIP-5: edges and datagrams arrive after their delays; a stopped system loses its datagram.
 #[test]
 fn edges_and_datagrams_take_their_time() {
     let mut network = Network::new(WireTimes {
