@@ -35,7 +35,7 @@ fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     let metrics = run.interrupt();
     // A machine that holds the new master up adds a later takeover, which is not judged here.
     let mut all = metrics["takeovers"].as_array().unwrap().iter();
-    let takeover = all.find(|it| it["from"] == master).expect("a takeover");
+    let takeover = all.find(|it| it["from"] == master).unwrap();
     let sign = takeover["cause"].as_str().unwrap();
     assert!(signs.contains(&sign), "{metrics:#}");
 }
