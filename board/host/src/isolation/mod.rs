@@ -31,6 +31,7 @@ use rustix::fs::{
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 
 use crate::name::RunName;
+use crate::process_list;
 
 const SHM: &str = "/dev/shm";
 const TMP: &str = "/tmp";
@@ -231,10 +232,21 @@ fn sweep(shm: &OwnedFd) {
         ) else {
             continue;
         };
-        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
+        if is_dead(&file, &run) {
             remove(shm, run.as_str());
         }
     }
+}
+
+/// Tests whether no process of the run holds its lock. The kernel takes a killed process off the
+/// list of processes some milliseconds before it frees the lock, so this waits for the lock.
+fn is_dead(lock: &OwnedFd, run: &RunName) -> bool {
+    let is_free = || flock(lock, FlockOperation::NonBlockingLockExclusive).is_ok();
+    let is_free_later = || {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        is_free()
+    };
+    is_free() || process_list::of_run(run).is_empty() && (0..50).any(|_| is_free_later())
 }
 
 /// Removes all files of a run, its lock file last: while it exists, a sweep finds the other files.
