@@ -54,7 +54,7 @@ class CanFrame(ctypes.Structure):
         ("at_ns", ctypes.c_uint64),
         ("id", ctypes.c_uint32),
         ("flags", ctypes.c_uint8),
-        ("verdict", ctypes.c_uint8),
+        ("ruling", ctypes.c_uint8),
         ("length", ctypes.c_uint8),
         ("reserved", ctypes.c_uint8),
         ("data", ctypes.c_uint8 * 64),

@@ -219,10 +219,10 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
     let (reaction, age) = (Spans::from_ms(reaction_ms), Spans::from_ms(age_ms));
     let machine = &around.beside.stalls;
     let figures = Figures::of(log, &around.beside, period.percentile_ms(50.0));
-    let count = |verdict| {
+    let count = |ruling| {
         log.control
             .iter()
-            .filter(|frame| frame.verdict == verdict)
+            .filter(|frame| frame.ruling == ruling)
             .count()
     };
     Metrics {

@@ -263,7 +263,7 @@ impl News {
     fn judge(&mut self, frame: &LoggedFrame) {
         let at_ns = frame.at.as_ns();
         self.roles.at_ns = self.roles.at_ns.max(at_ns);
-        match (frame.verdict, frame.message()) {
+        match (frame.ruling, frame.message()) {
             (Some(tandem_vehicle::Ruling::Accepted), Some(Message::Control { control, .. })) => {
                 let Some(system) = frame.controller() else {
                     return;
@@ -302,8 +302,8 @@ fn of_frame(logged: &LoggedFrame) -> Frame {
         CanId::Extended(id) => (id, 1),
     };
     let flags = extended | if frame.is_fd() { 2 } else { 0 };
-    let verdict = file::verdict_code(logged.verdict);
-    Frame::new(logged.at.as_ns(), id, flags, verdict, frame.data())
+    let ruling = file::ruling_code(logged.ruling);
+    Frame::new(logged.at.as_ns(), id, flags, ruling, frame.data())
 }
 
 fn of_sample(sample: &Sample) -> Vehicle {

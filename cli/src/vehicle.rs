@@ -218,7 +218,7 @@ where
                 at,
                 sent: at,
                 frame: *frame,
-                verdict: None,
+                ruling: None,
             }));
         });
         port.ring_receivers();

@@ -79,7 +79,7 @@ mod tests {
             at_ns: at_ms * 1_000_000,
             system,
             term,
-            verdict: Ruling::Accepted,
+            ruling: Ruling::Accepted,
         }
     }
 

@@ -19,7 +19,7 @@ use crate::log::VehicleRecord;
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
-const VERDICTS: [Ruling; 6] = [
+const RULINGS: [Ruling; 6] = [
     Ruling::Accepted,
     Ruling::Fenced,
     Ruling::NotMaster,
@@ -138,7 +138,7 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
         CanId::Extended(id) => (id, EXTENDED),
     };
     let fd = if of.frame.is_fd() { FD } else { 0 };
-    let mut bytes = vec![extended | fd, verdict_code(of.verdict)];
+    let mut bytes = vec![extended | fd, ruling_code(of.ruling)];
     bytes.extend(of.at.as_ns().to_le_bytes());
     bytes.extend(of.sent.as_ns().to_le_bytes());
     bytes.extend(id.to_le_bytes());
@@ -169,7 +169,7 @@ impl Bytes<'_> {
     }
 
     fn frame(mut self) -> Option<LoggedFrame> {
-        let [flags, verdict] = self.take()?;
+        let [flags, ruling] = self.take()?;
         let (at, sent) = (self.instant()?, self.instant()?);
         let id = u32::from_le_bytes(self.take()?);
         let id = if flags & EXTENDED != 0 {
@@ -177,15 +177,15 @@ impl Bytes<'_> {
         } else {
             CanId::Standard(u16::try_from(id).ok()?)
         };
-        let verdict = match verdict {
+        let ruling = match ruling {
             0 => None,
-            place => Some(*VERDICTS.get(usize::from(place) - 1)?),
+            place => Some(*RULINGS.get(usize::from(place) - 1)?),
         };
         Some(LoggedFrame {
             at,
             sent,
             frame: CanFrame::new(id, flags & FD != 0, self.0).ok()?,
-            verdict,
+            ruling,
         })
     }
 }
@@ -245,11 +245,11 @@ pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()
     Ok(())
 }
 
-/// Returns the number of this verdict in a recording. Numbers begin at 1; 0 means no verdict.
+/// Returns the number of this ruling in a recording. Numbers begin at 1; 0 means no ruling.
 #[must_use]
-pub fn verdict_code(verdict: Option<Ruling>) -> u8 {
-    let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
-    verdict.and_then(judged).map_or(0, |place| place as u8 + 1)
+pub fn ruling_code(ruling: Option<Ruling>) -> u8 {
+    let judged = |ruling| RULINGS.iter().position(|known| *known == ruling);
+    ruling.and_then(judged).map_or(0, |place| place as u8 + 1)
 }
 
 #[cfg(test)]
@@ -275,7 +275,7 @@ mod tests {
                 at,
                 sent: Instant::from_ns(5),
                 frame,
-                verdict: Some(Ruling::Fenced),
+                ruling: Some(Ruling::Fenced),
             }),
             Entry::Supply(at, SystemId::B, SupplyEvent::Suspended),
         ];
@@ -322,7 +322,7 @@ mod tests {
         assert_eq!((log.start_ns, log.trace.len()), (Some(7), 6));
         let control = log.control[0];
         assert_eq!((control.system, control.term), (SystemId::B, 3));
-        assert_eq!((control.sent_ns, control.verdict), (5, Ruling::Fenced));
+        assert_eq!((control.sent_ns, control.ruling), (5, Ruling::Fenced));
         let one = written(&[Entry::Trace(log.trace[0])]);
         assert_eq!(one.len() as u64, TRACE_BYTES);
     }

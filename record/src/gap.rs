@@ -344,7 +344,7 @@ fn union_ns(mut spans: Vec<[u64; 2]>) -> u64 {
 #[must_use]
 pub fn both_transmitted_ms(log: &RunLog) -> f64 {
     let claims =
-        |frame: &&ControlFrame| !matches!(frame.verdict, Ruling::NotMaster | Ruling::Invalid);
+        |frame: &&ControlFrame| !matches!(frame.ruling, Ruling::NotMaster | Ruling::Invalid);
     let mut sent: Vec<(u64, SystemId)> = log
         .control
         .iter()
@@ -396,7 +396,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
     let stale = log
         .control
         .iter()
-        .filter(|frame| frame.verdict == Ruling::Stale)
+        .filter(|frame| frame.ruling == Ruling::Stale)
         .filter(|frame| !was_held_up(log, frame, stalls));
     stale.filter(follows).count()
 }
@@ -437,7 +437,7 @@ mod tests {
     const OF_A: Stood = Stood::Cpu(0);
     const OF_B: Stood = Stood::Cpu(3);
 
-    fn frame(at_ms: u64, system: SystemId, verdict: Ruling) -> ControlFrame {
+    fn frame(at_ms: u64, system: SystemId, ruling: Ruling) -> ControlFrame {
         ControlFrame {
             at_ns: at_ms * 1_000_000,
             sent_ns: at_ms * 1_000_000,
@@ -445,7 +445,7 @@ mod tests {
             term: 2 + system.index() as u32,
             mode: ModeCode::L3,
             age_ns: None,
-            verdict,
+            ruling,
         }
     }
 
@@ -702,10 +702,10 @@ mod tests {
                 ..RunLog::default()
             })
         };
-        let row = |system, verdict, from: u64, to: u64| {
+        let row = |system, ruling, from: u64, to: u64| {
             (from..to)
                 .step_by(10)
-                .map(move |at| frame(at, system, verdict))
+                .map(move |at| frame(at, system, ruling))
         };
         let (accepted, fenced) = (Ruling::Accepted, Ruling::Fenced);
         let master: Vec<_> = row(A, accepted, 0, 1_000).collect();

@@ -90,7 +90,7 @@ mod tests {
                 mode: ModeCode::L3,
                 // The age is rounded as in a real frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
-                verdict: Ruling::Accepted,
+                ruling: Ruling::Accepted,
             });
         }
         log
@@ -137,7 +137,7 @@ mod tests {
         let mut silent = log(20);
         for (index, frame) in silent.control.iter_mut().enumerate() {
             match index % 2 {
-                0 => frame.verdict = Ruling::Fenced,
+                0 => frame.ruling = Ruling::Fenced,
                 _ => frame.age_ns = None,
             }
         }

@@ -133,7 +133,7 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, RoleState)> {
     let control = log
         .control
         .iter()
-        .filter(|frame| frame.system == system && frame.verdict != Ruling::Invalid);
+        .filter(|frame| frame.system == system && frame.ruling != Ruling::Invalid);
     let events = log
         .events
         .iter()

@@ -45,7 +45,7 @@ pub struct ControlFrame {
     /// Age of the oldest measurement behind it at sending, ns; `None` if there is none.
     pub age_ns: Option<u64>,
     /// The vehicle's verdict on it.
-    pub verdict: Ruling,
+    pub ruling: Ruling,
 }
 
 /// A status frame.
@@ -160,9 +160,9 @@ impl RunLog {
     fn push_frame(&mut self, frame: &LoggedFrame) {
         let at_ns = frame.at.as_ns();
         let message = frame.message();
-        if let Some(verdict) = frame.verdict {
+        if let Some(ruling) = frame.ruling {
             let (mode, term, age_ns) = match message {
-                Some(Message::Control { control, .. }) if verdict != Ruling::Invalid => {
+                Some(Message::Control { control, .. }) if ruling != Ruling::Invalid => {
                     let age_ms = Some(f64::from(control.command_age)).filter(|ms| *ms < NO_AGE_MS);
                     let age_ns = age_ms.map(|ms| (ms * 1e6) as u64);
                     (control.mode, control.term, age_ns)
@@ -177,7 +177,7 @@ impl RunLog {
                     term,
                     mode,
                     age_ns,
-                    verdict,
+                    ruling,
                 }));
         } else if let Some(Message::SensorHeader(_, header)) = message {
             // The sensor's time stamp is on the bus's clock, in µs, and wraps around.
@@ -259,7 +259,7 @@ impl RunLog {
     pub fn accepted(&self) -> impl Iterator<Item = &ControlFrame> {
         self.control
             .iter()
-            .filter(|frame| frame.verdict == Ruling::Accepted)
+            .filter(|frame| frame.ruling == Ruling::Accepted)
     }
 
     /// Returns gaps, changes of the driver and times with two masters, from the accepted frames.

@@ -150,7 +150,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
     let next_frame = log.control.iter().find(|frame| {
         frame.system == last.system
             && frame.at_ns > last.at_ns
-            && matches!(frame.verdict, Ruling::Accepted | Ruling::Fenced)
+            && matches!(frame.ruling, Ruling::Accepted | Ruling::Fenced)
             && frame.term <= last.term
     });
     if let Some(frame) = next_frame
@@ -195,13 +195,13 @@ mod tests {
             term,
             mode: ModeCode::L3,
             age_ns: None,
-            verdict: Ruling::Accepted,
+            ruling: Ruling::Accepted,
         }
     }
 
     fn fenced(at_ms: u64, system: SystemId, term: u32) -> ControlFrame {
         ControlFrame {
-            verdict: Ruling::Fenced,
+            ruling: Ruling::Fenced,
             ..frame(at_ms, system, term)
         }
     }

@@ -118,16 +118,16 @@ impl OutsideVehicle {
                     at,
                     sent: at,
                     frame,
-                    verdict: judged.map(|judged| judged.verdict),
+                    ruling: judged.map(|judged| judged.ruling),
                 });
             }
             match judged {
-                Some(judged) if judged.verdict == Ruling::Accepted => {
+                Some(judged) if judged.ruling == Ruling::Accepted => {
                     self.accepted.push(judged);
                     self.last = Some(frame);
                 }
-                Some(judged) if judged.verdict == Ruling::Fenced => self.fenced.push(judged),
-                Some(judged) => self.chatters |= judged.verdict == Ruling::NotMaster,
+                Some(judged) if judged.ruling == Ruling::Fenced => self.fenced.push(judged),
+                Some(judged) => self.chatters |= judged.ruling == Ruling::NotMaster,
                 None => {}
             }
         }

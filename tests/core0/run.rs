@@ -144,7 +144,7 @@ impl Script {
         } = self;
         let due = port.tick().expect("the clock");
         world.run_period(due, port, &mut |frame| {
-            if frame.verdict == Some(Ruling::Accepted) {
+            if frame.ruling == Some(Ruling::Accepted) {
                 accepted.extend(frame.controller().map(|system| (frame.at, system)));
             }
         });

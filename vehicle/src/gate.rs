@@ -85,7 +85,7 @@ pub struct Acceptance {
     /// The frame's term; 0 if it is invalid.
     pub term: u32,
     /// The ruling on it.
-    pub verdict: Ruling,
+    pub ruling: Ruling,
 }
 
 /// Counts of control frames.
@@ -165,15 +165,15 @@ impl Gate {
         let system = Control::IDS
             .iter()
             .position(|known| u32::from(*known) == id)?;
-        let (verdict, control) = self.judge(now_ns, system, data);
+        let (ruling, control) = self.judge(now_ns, system, data);
         let term = control.map_or(0, |control| control.term);
         let acceptance = Acceptance {
             at_ns: now_ns,
             system: system as u8,
             term,
-            verdict,
+            ruling,
         };
-        match verdict {
+        match ruling {
             Ruling::Accepted => {
                 if let Some(Control {
                     steering_angle,
@@ -197,7 +197,7 @@ impl Gate {
         }
         Some(Judged {
             acceptance,
-            command: control.filter(|_| verdict == Ruling::Accepted),
+            command: control.filter(|_| ruling == Ruling::Accepted),
         })
     }
 
@@ -381,7 +381,7 @@ mod tests {
             let (id, data) = sender.frame(*system, *term, RoleCode::Master);
             gate.on_frame(at * MS, id, &data)
         });
-        judged.map(|it| it.unwrap().acceptance.verdict).collect()
+        judged.map(|it| it.unwrap().acceptance.ruling).collect()
     }
 
     /// T-CHIP-7: after a takeover no frame of the former master acts.
@@ -437,7 +437,7 @@ mod tests {
     }
 
     /// Returns the ruling on a frame of A that requests this at this time, ms.
-    fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Ruling {
+    fn ruling_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Ruling {
         let control = Control {
             role: RoleCode::Master,
             term: 2,
@@ -446,7 +446,7 @@ mod tests {
         let message = Message::Control { system: 0, control };
         let frame = sender.0.encode(&message);
         let judged = gate.on_frame(at * MS, frame.id.into(), frame.data());
-        judged.unwrap().acceptance.verdict
+        judged.unwrap().acceptance.ruling
     }
 
     /// T-RED-9: frames from a growing queue are refused, although each is valid, in order, and
@@ -455,24 +455,24 @@ mod tests {
     #[test]
     fn frames_of_a_growing_queue_are_refused() {
         let (mut gate, mut sender) = (Gate::new(), Sender(FrameTransmitter::new()));
-        let mut verdict = |at: u64, sent_at: u64| {
+        let mut ruling = |at: u64, sent_at: u64| {
             let control = Control {
                 mode: ModeCode::L3,
                 command_age: 30.0,
                 sent_at: sent_at as u16,
                 ..Control::default()
             };
-            verdict_on(&mut gate, &mut sender, at, control)
+            ruling_on(&mut gate, &mut sender, at, control)
         };
         // The sender's clock is 65 s ahead, and slower.
         let made = |at: u64| 65_000 + at - at / 2_000;
         for at in (0..200_000).step_by(10) {
-            assert_eq!(verdict(at, made(at)), Ruling::Accepted, "{at} ms");
+            assert_eq!(ruling(at, made(at)), Ruling::Accepted, "{at} ms");
         }
         // In each second the queue grows by 100 ms.
         for at in (200_000..201_000).step_by(10) {
             let delay = (at - 200_000) / 10;
-            let is_stale = verdict(at, made(at) - delay) == Ruling::Stale;
+            let is_stale = ruling(at, made(at) - delay) == Ruling::Stale;
             // The drift of the clocks may hide 1 ms.
             assert!(
                 delay.abs_diff(41) <= 1 || is_stale == (delay > 41),
@@ -480,9 +480,9 @@ mod tests {
             );
         }
         let set = |at: u64| made(at) - 30_000;
-        assert_eq!(verdict(201_000, set(201_000)), Ruling::Accepted);
-        assert_eq!(verdict(201_010, set(201_010)), Ruling::Accepted);
-        assert_eq!(verdict(201_020, set(201_020) - 50), Ruling::Stale);
+        assert_eq!(ruling(201_000, set(201_000)), Ruling::Accepted);
+        assert_eq!(ruling(201_010, set(201_010)), Ruling::Accepted);
+        assert_eq!(ruling(201_020, set(201_020) - 50), Ruling::Stale);
     }
 
     /// T-RED-9: the age of the data of a command is limited, unless the command uses none.
@@ -502,8 +502,8 @@ mod tests {
                 command_age,
                 ..Control::default()
             };
-            let verdict = verdict_on(&mut gate, &mut sender, 0, control);
-            assert_eq!(verdict, expected, "{mode:?} {command_age}");
+            let ruling = ruling_on(&mut gate, &mut sender, 0, control);
+            assert_eq!(ruling, expected, "{mode:?} {command_age}");
         }
     }
 
@@ -533,16 +533,16 @@ mod tests {
                 acceleration,
                 ..Control::default()
             };
-            assert_eq!(verdict_on(&mut gate, &mut sender, 0, of(before)), Accepted);
-            let verdict = verdict_on(&mut gate, &mut sender, 10, of(after));
-            assert_eq!(verdict, expected, "{speed} m/s, {before:?} to {after:?}");
+            assert_eq!(ruling_on(&mut gate, &mut sender, 0, of(before)), Accepted);
+            let ruling = ruling_on(&mut gate, &mut sender, 10, of(after));
+            assert_eq!(ruling, expected, "{speed} m/s, {before:?} to {after:?}");
         }
     }
 
     /// Returns whether a control frame acts; `None` if the frame is not one.
     fn acts(judged: Option<Judged>) -> Option<bool> {
         let judged = judged?;
-        let accepted = judged.acceptance.verdict == Ruling::Accepted;
+        let accepted = judged.acceptance.ruling == Ruling::Accepted;
         assert_eq!(judged.command.is_some(), accepted);
         Some(accepted)
     }

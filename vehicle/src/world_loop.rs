@@ -17,7 +17,7 @@ pub struct LoggedFrame {
     /// The frame.
     pub frame: CanFrame,
     /// The vehicle's ruling, if it is a control frame.
-    pub verdict: Option<Ruling>,
+    pub ruling: Option<Ruling>,
 }
 
 impl LoggedFrame {
@@ -85,7 +85,7 @@ impl World {
             at,
             sent,
             frame,
-            verdict: judged.map(|acceptance| acceptance.verdict),
+            ruling: judged.map(|acceptance| acceptance.ruling),
         }
     }
 }
@@ -105,7 +105,7 @@ fn send(
             at,
             sent,
             frame,
-            verdict: None,
+            ruling: None,
         });
     }
 }

@@ -44,7 +44,7 @@ impl Run {
             .encode(&Message::Control { system, control });
         let now_ns = self.now_ms * MS;
         let judged = self.world.on_frame(now_ns, frame.id.into(), frame.data());
-        judged.unwrap().verdict
+        judged.unwrap().ruling
     }
 
     /// Advances time. Every frame must pass the receiver's checks and must have been predicted.

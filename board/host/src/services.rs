@@ -94,7 +94,7 @@ pub struct Frame {
     pub flags: u8,
     /// The vehicle's ruling on a control frame: 1 accepted, 2 fenced, 3 not master, 4 invalid,
     /// 5 stale, 6 implausible; 0 for other frames.
-    pub verdict: u8,
+    pub ruling: u8,
     /// Number of data bytes.
     pub length: u8,
     /// Unused.
@@ -126,13 +126,13 @@ pub struct Event {
 impl Frame {
     /// Makes a frame with the first 64 bytes of this data.
     #[must_use]
-    pub fn new(at_ns: u64, id: u32, flags: u8, verdict: u8, data: &[u8]) -> Self {
+    pub fn new(at_ns: u64, id: u32, flags: u8, ruling: u8, data: &[u8]) -> Self {
         let (length, data) = padded(data);
         Self {
             at_ns,
             id,
             flags,
-            verdict,
+            ruling,
             length,
             reserved: 0,
             data,

@@ -310,7 +310,7 @@ impl Drawing {
             }
             let x = self.x(frame.at_ns);
             let color = system_color(frame.system);
-            if frame.verdict == Ruling::Accepted {
+            if frame.ruling == Ruling::Accepted {
                 let title = format!("{}, {:.3} ms", frame.system, self.ms(frame.at_ns));
                 self.svg.circle((x, middle), 4.0, color, false, &title);
                 continue;

@@ -178,7 +178,7 @@ fn a_takeover_that_was_not_needed_is_reported_with_the_stall_before_it() {
     let of_old = log.control.iter().position(|frame| frame.at_ns == last);
     let sent_on = ControlFrame {
         at_ns: last + 10_000_000,
-        verdict: Ruling::Fenced,
+        ruling: Ruling::Fenced,
         ..log.control[of_old.unwrap()]
     };
     log.control.push(sent_on);

@@ -207,7 +207,7 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             term,
             mode,
             age_ns: None,
-            verdict: Ruling::Accepted,
+            ruling: Ruling::Accepted,
         });
     }
 }

@@ -311,7 +311,7 @@ impl Trace {
         let process = self.process(VEHICLE_PID, "vehicle");
         let bus = self.thread(VEHICLE_PID, 0, "control frames");
         for frame in &log.control {
-            let verdict = match frame.verdict {
+            let word = match frame.ruling {
                 Ruling::Accepted => "obeyed",
                 Ruling::Fenced => "fenced off",
                 Ruling::NotMaster => "not from a master",
@@ -319,7 +319,7 @@ impl Trace {
                 Ruling::Stale => "too old",
                 Ruling::Implausible => "implausible",
             };
-            let name = format!("{} {verdict}", frame.system);
+            let name = format!("{} {word}", frame.system);
             self.instant(bus, frame.at_ns, &name);
         }
         let gap = self.counter(process, "gap between obeyed frames", "ms");

@@ -91,7 +91,7 @@ impl Picture {
             News::Vehicle(vehicle) => self.vehicle = Some(*vehicle),
             News::Frame(frame) => {
                 self.counted += 1;
-                if frame.verdict == ACCEPTED
+                if frame.ruling == ACCEPTED
                     && let Some(last_ns) = self.accepted_ns.replace(frame.at_ns)
                 {
                     let gap_ms = frame.at_ns.saturating_sub(last_ns) as f64 * 1e-6;

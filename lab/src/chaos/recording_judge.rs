@@ -185,7 +185,7 @@ impl Run<'_> {
             at_ns: frame.at_ns,
             system: frame.system.index() as u8,
             term: frame.term,
-            verdict: frame.verdict,
+            ruling: frame.ruling,
         });
         // Ignore takeovers from a master that a stall of the machine held up.
         let mut relieved = takeovers.iter().filter(|it| !it.held_up);

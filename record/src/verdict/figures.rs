@@ -246,12 +246,7 @@ impl Figures {
             .iter()
             .map(|it| TakeoverFigures::of(log, it, bounds, &stalls));
         let changes: Vec<_> = changes.collect();
-        let accepted = |verdict| {
-            log.control
-                .iter()
-                .filter(|it| it.verdict == verdict)
-                .count()
-        };
+        let accepted = |ruling| log.control.iter().filter(|it| it.ruling == ruling).count();
         Self {
             complete: log.end_ns.is_some(),
             control_frames: accepted(Ruling::Accepted),

@@ -162,7 +162,7 @@ mod tests {
             term: 2,
             mode,
             age_ns: None,
-            verdict: Ruling::Accepted,
+            ruling: Ruling::Accepted,
         });
         let status = |system, role| {
             move |tenth| StatusFrame {

@@ -178,7 +178,7 @@ fn two_masters_at_the_end_are_found() {
 fn a_master_whose_frames_are_refused_at_the_end_is_found() {
     let rules = broken_by(Around::Core0, |bench| {
         let fenced = Acceptance {
-            verdict: Ruling::Fenced,
+            ruling: Ruling::Fenced,
             at_ns: ago_ns(bench, 50),
             ..of_standby(bench)
         };

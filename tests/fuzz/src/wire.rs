@@ -30,12 +30,12 @@ pub(crate) fn candump(bytes: &[u8]) -> bool {
     let Ok(frame) = CanFrame::new(id, flags & 2 != 0, data) else {
         return false;
     };
-    let (sent, verdict) = (at, None);
+    let (sent, ruling) = (at, None);
     let logged = LoggedFrame {
         at,
         sent,
         frame,
-        verdict,
+        ruling,
     };
     let epoch_us = 1_700_000_000_000_000;
     let line = file::candump_line(&logged, epoch_us);
