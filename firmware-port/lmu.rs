@@ -15,8 +15,8 @@ unsafe extern "C" {
 /// Returns the LMU of a system.
 #[must_use]
 pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
-    // SAFETY: link.x reserves 32 KiB there for this use only, at a boundary of 64 bytes; atomics
-    // may be shared; the memory exists as long as the machine.
+    // SAFETY: link.x reserves 32 KiB there for this use only, aligned to 64 bytes; atomics may be
+    // shared; the memory exists as long as the machine.
     unsafe {
         let begin = match system {
             SystemId::A => addr_of!(__lmu_a),

@@ -1,4 +1,4 @@
-//! All cases by name. The floor is the first of its group.
+//! All cases by name. A group that has a floor lists it first.
 
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
@@ -36,7 +36,7 @@ pub enum Comparison {
 }
 
 impl Comparison {
-    /// Returns the name that case names and the command line use.
+    /// Returns the name for the command line and for the names of cases.
     #[must_use]
     pub fn name(self) -> String {
         let value = self.to_possible_value();
@@ -52,7 +52,7 @@ pub type Run = fn(&BatchPlan) -> io::Result<Batch>;
 pub struct Candidate {
     /// Its group.
     pub group: Comparison,
-    /// Name within the group; the others are compared with `floor`.
+    /// Name within the group. `floor` is the case that the others are compared with.
     pub name: &'static str,
     /// Description for the table.
     pub what: &'static str,
@@ -64,7 +64,7 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Group and case, as `spin/tandem`.
+    /// Group and case, for example `spin/tandem`.
     #[must_use]
     pub fn full_name(&self) -> String {
         format!("{}/{}", self.group.name(), self.name)
@@ -84,7 +84,7 @@ impl Candidate {
         }
     }
 
-    /// Returns whether the others of its group are compared with it.
+    /// Returns whether this is the floor, with which the rest of the group is compared.
     #[must_use]
     pub fn is_floor(&self) -> bool {
         self.name == "floor"
@@ -203,7 +203,7 @@ const CASES: &[Cases] = &[
         ("pthread-robust-contended-2", "from wanting to having it, two CPUs",
             |p| mutex::under_contention(p, 2, Death::Robust)),
     ]),
-    // Each round is one death of an owner.
+    // In each round one owner dies.
     (Comparison::Lock, 20, &[
         ("recovery", "from the kill of the owner to the guard", lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",

@@ -24,8 +24,8 @@ pub(crate) struct Column {
 /// Rank of columns that only the page shows.
 pub(crate) const PAGE: u8 = 5;
 const TAIL_RATIO: &str = "x p99.9";
-/// A figure is unreliable if fewer samples than this lie beyond a percentile, or if a ratio of
-/// tails has fewer turns.
+/// A percentile is unreliable if fewer samples than this lie beyond it. A ratio of tails is
+/// unreliable if it was measured in fewer turns than this.
 const FEW: f64 = 10.0;
 
 /// In display order: head, meaning, rank, share beyond, figure.
@@ -68,7 +68,7 @@ const fn column(
 }
 
 impl Column {
-    /// Returns the figure of this row, a time as `time` shows it; `None` if the row has none.
+    /// Returns the figure of this row as text; `time` formats a time. `None` if the row has none.
     pub(crate) fn cell(&self, row: &Row, time: impl Fn(f64) -> String) -> Option<String> {
         match self.figure {
             Time(of) => of(row).map(time),
@@ -76,8 +76,8 @@ impl Column {
         }
     }
 
-    /// Returns whether the figure of this row has too few samples. For a ratio of tails: whether it
-    /// has too few turns (a stall affects a whole turn) or a stalled floor.
+    /// Returns whether the figure of this row is unreliable: too few samples; for a ratio of tails
+    /// also too few turns (a stall affects a whole turn), or a stalled floor.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
         let few_turns = (row.batch_p50_ns.len() as f64) < FEW;
         is_chance(self.beyond, row)
@@ -85,7 +85,7 @@ impl Column {
     }
 }
 
-/// Returns whether too few samples of this row (the share `beyond` of all) lie beyond a percentile.
+/// Returns whether the share `beyond` of this row's samples is too few samples.
 pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
     beyond * (row.samples as f64) < FEW
 }

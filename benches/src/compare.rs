@@ -80,7 +80,7 @@ pub(crate) struct Comparison {
     pub(crate) faster: Vec<String>,
     /// Peers that are slower or faster although their code has not changed.
     pub(crate) peers_changed: Vec<String>,
-    /// The cases that all runs have.
+    /// The cases that were measured in all runs.
     pub(crate) cases: Vec<Compared>,
 }
 
@@ -88,7 +88,7 @@ pub(crate) struct Comparison {
 pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Results> {
     let name = program.display();
     let foreign = || format!("{name} is no `tandem` that can be compared");
-    // The file has no name, so it vanishes when this process ends for any reason.
+    // The file has no name, so the kernel deletes it however this process ends.
     let mut file = tempfile::tempfile()?;
     let mut command = Command::new(program);
     command.args(["bench", "--json", "/dev/stdin"]).args(args);
@@ -108,7 +108,7 @@ pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Resu
     Ok(results)
 }
 
-/// Compares pairs of runs, the old build's first in each.
+/// Compares pairs of runs. The old build's run is the first of each pair.
 ///
 /// # Errors
 /// If no case is in all runs: then nothing can be compared.

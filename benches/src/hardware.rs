@@ -140,8 +140,8 @@ fn place(cpu: usize) -> String {
     )
 }
 
-/// Returns the time since the start for which the hypervisor ran others although a CPU of this
-/// machine was ready to run, ms, in steps of 10.
+/// Returns how long, since this machine started, the hypervisor ran other guests while a CPU of
+/// this machine was ready to run, ms, in steps of 10.
 pub(crate) fn stolen_ms() -> f64 {
     stolen(&read("/proc/stat"))
 }

@@ -177,10 +177,10 @@ impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
     }
 }
 
-/// Index of the near end's note of the duration of a send, in ticks, after the two notes of
-/// [`count_calls`].
+/// Index of the note in which the near end records how long a send takes, in ticks. The two notes
+/// of [`count_calls`] come before it.
 const SEND_AT: usize = 2;
-/// The number of last sends whose median counts.
+/// The near end records the median of this many last sends.
 const SENDS: usize = 255;
 
 fn near_end(end: &mut impl End, plan: &BatchPlan, role: &mut PartContext<'_>) {
@@ -286,10 +286,10 @@ fn there_and_back(plan: &BatchPlan, shared: &SharedPage) -> Batch {
         .with_fact("far to near p50, ns", median_ns(0))
 }
 
-/// Sends of each kind whose system calls are counted, after the timed rounds.
+/// The number of sends of each kind whose system calls are counted, after the timed rounds.
 const COUNTED: u32 = 4;
 
-/// A waiting far end that has run for this long does not go to sleep, ns.
+/// A waiting far end that has used this much CPU time polls, and will not sleep, ns.
 const STAYS_AWAKE_NS: u64 = 1_000_000;
 
 /// Waits until the process sleeps, or has run for [`STAYS_AWAKE_NS`] and so must be polling. Counts
@@ -326,7 +326,7 @@ fn count_calls(end: &mut impl End, role: &mut PartContext<'_>) {
         let mut calls = Some(0);
         for round in 0..=COUNTED {
             if !awake {
-                // It has sent its answer; now it may go to sleep.
+                // The far end has sent its answer and may now go to sleep.
                 let_wait(far);
             }
             if round == 0 {

@@ -22,7 +22,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    // `compare` starts the program before the change as `OLD bench ...`: OLD may be a `tandem`.
+    // `compare` runs `OLD bench ...`, because OLD may be a `tandem`; here `bench` is dropped.
     let mut words: Vec<_> = std::env::args_os().collect();
     if words.get(1).is_some_and(|word| word == "bench") {
         words.remove(1);

@@ -85,7 +85,7 @@ impl Span {
         }
     }
 
-    /// Returns whether to cut this turn short. The first turn is never cut: cases would be missing.
+    /// Returns whether to cut this turn short; never the first, because cases would be missing.
     fn is_over(&self, turns: usize, elapsed: Duration) -> bool {
         turns > 0 && elapsed >= self.at_most
     }
@@ -171,7 +171,7 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
     let case = measurement.case;
     let plan = BatchPlan {
         rounds: case.rounds,
-        // At least 2, to use each slot of a channel of two slots.
+        // At least 2 rounds, so that each slot of a channel of two slots is used.
         warm_up: (case.rounds / 10).max(2),
         cpus,
         system: Some(system),

@@ -72,9 +72,9 @@ pub fn contended<E: Exclusion>(
 }
 
 /// An owner takes the lock and is killed (-9) while another process on another CPU waits for it. A
-/// sample is the time from the kill to the end of that process's turn; the kernel uses most of it.
-/// `own` creates the owner with this number, `bury` reports its death once it has ended. `take`
-/// creates a function that locks, unlocks, and returns whether the last owner had died.
+/// sample is the time from the kill until the other process has locked and unlocked; the kernel
+/// uses most of it. `own` creates the access of owner `n`; `bury` reports that owner `n` has died.
+/// `take` creates a function that locks, unlocks, and returns whether the last owner had died.
 pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     plan: &BatchPlan,
     shared: &SharedPage,
@@ -134,7 +134,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
-/// Returns the least share of a process relative to the fair one: 1 if all are equal, 0 if one
+/// Returns the smallest share of a process, divided by the fair share: 1 if all are equal, 0 if one
 /// never enters.
 fn least_share(served: &[f64]) -> f64 {
     let all: f64 = served.iter().sum();

@@ -1,10 +1,10 @@
-//! Messages at a fixed rate: an *open loop*, which no stall of the machine slows down. Message `k`
-//! is due at `begin + k * period`, and its latency counts from that time; `naive` counts from when
-//! it left. A ping-pong measures only the latter. G. Tene calls this error *coordinated omission*
-//! ("How NOT to measure latency", 2013): docs/performance.md.
+//! Messages at a fixed rate: an *open loop*, because a stall does not change when messages are due.
+//! Message `k` is due at `begin + k * period`. Its latency counts from that time; `naive` counts
+//! from when it left, and a ping-pong measures only that. G. Tene calls this error *coordinated
+//! omission* ("How NOT to measure latency", 2013): docs/performance.md.
 //!
 //! A newer message may overtake an older one (a signal, a newest value): a message counts as
-//! arrived when it or a newer one has.
+//! arrived when it or a newer one has arrived.
 
 use crate::clock::{from_ns, ticks, to_ps};
 use crate::harness::{Batch, BatchPlan, End};

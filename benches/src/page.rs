@@ -163,7 +163,7 @@ fn percentile_label(nines: f64) -> String {
     tandem_page::chart::percentile(nines)
 }
 
-/// Returns a round time: `200 ns`, `10 µs`.
+/// Returns a round time as text: `200 ns`, `10 µs`.
 fn time_label(power: f64) -> String {
     // The computed power of ten may be slightly too small.
     let (value, unit) = format::scaled(10_f64.powf(power) * (1.0 + 1e-9));
@@ -217,7 +217,7 @@ fn curves(rows: &[Row]) -> Option<Chart> {
     Some(chart)
 }
 
-/// Range of ratios that the small dots resolve; others are drawn at the edge.
+/// Range of ratios in the small charts of dots; ratios outside it are drawn at the edge.
 const SHOWN: (f64, f64) = (0.3, 30.0);
 
 /// Returns the table of a group, with the ratios as dots where it has a floor.

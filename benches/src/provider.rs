@@ -1,4 +1,4 @@
-//! The provider of the mechanism that a case measures, by the case's name.
+//! Finds the provider of the mechanism that a case measures, from the name of the case.
 
 use crate::result::{Row, floor_of};
 use tandem_page::chart::Style;
@@ -43,7 +43,7 @@ impl Provider {
     pub(crate) fn of(row: &Row) -> Self {
         let begins = |names: &[&str]| names.iter().any(|name| row.case().starts_with(name));
         match row.case() {
-            // Some cases have their own floor; those of `rtos` also have a peer: `tick-posix-port`.
+            // Some cases have their own floor; in `rtos` they also have a peer: `tick-posix-port`.
             case if case == "floor" || case.ends_with("-floor") => Self::Floor,
             case if case.ends_with("-posix-port") || begins(&SYSTEM) => Self::System,
             _ if begins(&THREADS) => Self::Threads,
@@ -86,7 +86,7 @@ impl<'a> Headline<'a> {
         let is_ours = |row: &&Row| Provider::of(row) == Provider::Tandem;
         let tandem = rows.iter().find(is_ours)?;
         let is_peer = |row: &&Row| Provider::of(row).is_peer();
-        // In `rtos` a case has its own peer: `tick-posix-port`.
+        // Each case of `rtos` has its own peer, such as `tick-posix-port`.
         let own = format!("{}-", tandem.case());
         let is_own = |row: &&Row| row.case().starts_with(&own);
         let peers = || rows.iter().filter(is_peer);

@@ -1,9 +1,9 @@
 //! FreeRTOS on the host: our port, compared with its own POSIX port and with the bare kernel of the
 //! operating system.
 //!
-//! Each batch is a separate process on the near CPU, in the same scheduling class for all:
-//! SCHED_FIFO where that is permitted. The peer is a C program of the same kernel's sources
-//! (`peers/freertos_posix`), which mirrors the functions here.
+//! Each batch is a separate process on the near CPU. All have the same scheduling class: SCHED_FIFO
+//! where that is permitted. The peer is a C program (`peers/freertos_posix`), built from the same
+//! kernel sources, that mirrors the functions here.
 
 use crate::clock;
 use crate::harness::{Batch, BatchPlan};
@@ -70,8 +70,8 @@ fn of_ns(ns: u32) -> u64 {
 }
 
 /// Runs the peer's program, which measures
-/// - `tick`: how late a task wakes, relative to one period after its last wake-up: this port counts
-///   time by sleeping, so its ticks drift and have no absolute time;
+/// - `tick`: how late a task wakes, relative to one period after its last wake-up. The POSIX port
+///   counts time by sleeping, so its ticks drift and have no absolute time;
 /// - `switch`: from one task to another by a yield;
 /// - `interrupt`: from the interrupt of the tick to the task that it wakes.
 pub(crate) fn posix_port(plan: &BatchPlan, what: &str) -> io::Result<Batch> {
@@ -123,7 +123,7 @@ fn kernel<F: Fn(&TaskContext) + Send + 'static>(
     kernel.start(TickSource::Wall).map_err(io::Error::other)
 }
 
-/// A task that delays until each tick and records the result of `sample`.
+/// Runs a task that delays until each tick and records the result of `sample`.
 fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
     kernel([move |ctx: &TaskContext| {
         let mut wake = ctx.now();
@@ -136,7 +136,7 @@ fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
     }])
 }
 
-/// Measures how late a task of our port wakes from a delay until each tick's absolute time.
+/// Measures how late a task of our port wakes when it delays until each tick's absolute time.
 pub(crate) fn tick(plan: &BatchPlan) -> io::Result<Batch> {
     let late = |wake: Ticks| (host::elapsed_ns() - u64::from(wake.0) * TICK_NS) as u32;
     in_process(plan, of_ns, |samples| each_tick(samples, late))

@@ -14,7 +14,7 @@ use std::io;
 /// How messages stream.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stream {
-    /// Messages of a chunk, the plan's round.
+    /// Messages of a chunk; a round of the plan is one chunk.
     pub(crate) chunk: usize,
     /// Bytes of a message.
     pub(crate) payload_bytes: usize,
@@ -48,8 +48,8 @@ fn pour(
     role.end();
 }
 
-/// Receives all messages of the plan; when a source is empty, polls the next one. Only one place
-/// receives, so that the compiler inlines the call, which took as long as a message.
+/// Receives all messages of the plan; when a source is empty, polls the next one. Only one place in
+/// the code receives, so that the call is inlined: without that it took as long as a message.
 fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     plan: &BatchPlan,
     chunk: usize,
@@ -80,8 +80,8 @@ fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     role.end();
 }
 
-/// From `WAYS` processes to one, each by a separate way. The senders share the near CPU. The
-/// receiver alone uses the far one and polls all ways. Each sender sends its share of the messages.
+/// Streams from `WAYS` processes to one, each by its own way. The senders share the near CPU. Only
+/// the receiver uses the far CPU; it polls all ways. Each sender sends its share of the messages.
 /// `sender` creates a function that sends message `k`, or returns `false` if there is no room;
 /// `receiver` creates one that returns the number of the next message, if any.
 pub(crate) fn from_processes<S, R, const WAYS: usize>(
@@ -116,7 +116,7 @@ where
     Ok(stream.batch(plan, shared, WAYS + 1))
 }
 
-/// From one thread to another of the same process.
+/// Streams from one thread to another of the same process.
 pub(crate) fn between_threads(
     plan: &BatchPlan,
     stream: Stream,

@@ -190,7 +190,7 @@ impl Download {
         Ok(())
     }
 
-    /// Erases the first sector of an image's place, which the download has not changed before.
+    /// Programs the page in the buffer, forgets a trial of the target, and erases its first sector.
     fn prepare(
         &mut self,
         target: ImageTarget,
@@ -218,7 +218,7 @@ impl Download {
         if !complete || images.clone().next().is_none() {
             return Err(Refusal::Incomplete);
         }
-        // A file without an entry ends with an entry of 0.
+        // An entry of 0 in the last record means that the file has no entry.
         let entry_of = |image: &Image| Some(image.place() + image.manifest?.entries[0]);
         let known = images
             .clone()
@@ -336,7 +336,7 @@ fn accept(
     Ok(manifest)
 }
 
-/// Returns the refusal for a record that lies before the end of the received data.
+/// Returns the refusal for a record that begins before the end of the received data.
 fn behind(end: u32, last: &Range<u32>) -> Refusal {
     if end > last.start {
         Refusal::Overlap
@@ -345,7 +345,7 @@ fn behind(end: u32, last: &Range<u32>) -> Refusal {
     }
 }
 
-/// Programs a page. Erases its sector first if that was not erased for this download.
+/// Programs a page. Erases its sector first, unless that is the sector that was erased last.
 fn program_in(
     flash: &mut impl NorFlash,
     erased: &mut Range<u32>,

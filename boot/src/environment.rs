@@ -3,9 +3,9 @@
 //! Each copy has its own sector. A change is written to one copy and then to the other, and each
 //! write erases the sector first. A page that a loss of power left half programmed may read as
 //! erased, as right, or differently each time. So a page is programmed only if its sector was
-//! erased since the last start. A copy is a record and a confirmation page, programmed after the
-//! record was read back. A confirmation that reads as right, even by chance, proves that its record
-//! is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
+//! erased since the last start. A copy is a record and a page that confirms it, programmed after
+//! the record was read back. A confirmation that reads as right, even by chance, proves that its
+//! record is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, Slot};
@@ -156,7 +156,7 @@ impl EnvironmentStore {
     pub fn load(flash: &mut impl NorFlash) -> Result<Option<Self>, FlashFault> {
         let copies = [read_copy(flash, 0)?, read_copy(flash, 1)?];
         let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
-        // If both copies are equal, keep the second: a change writes the first copy first.
+        // If both copies are equal, keep the second, so that a change writes the first copy first.
         let base = match copies.map(|copy| copy.as_ref().map(rank)) {
             [first, second] if first > second => 0,
             _ => 1,
@@ -169,7 +169,7 @@ impl EnvironmentStore {
         }))
     }
 
-    /// Creates an environment if the flash holds none; [`EnvironmentStore::settle`] writes it.
+    /// Creates a store with a first environment; [`EnvironmentStore::settle`] writes it.
     #[must_use]
     pub const fn new(environment: Environment) -> Self {
         Self {
@@ -180,7 +180,7 @@ impl EnvironmentStore {
         }
     }
 
-    /// Returns the valid environment.
+    /// Returns the current environment.
     #[must_use]
     pub const fn get(&self) -> &Environment {
         &self.current

@@ -89,7 +89,7 @@ pub(crate) fn body_crc(
 }
 
 /// Copies a bootloader to a bank: all pages except the first, then, with `seal`, the first page.
-/// The boot ROM starts no bank without its first page, so a partial copy never runs.
+/// The boot ROM does not start a bank without its first page, so a partial copy never runs.
 pub(crate) fn copy_to_bank(
     flash: &mut impl NorFlash,
     from: u32,

@@ -15,7 +15,7 @@ use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{CanFrame, CoreId, Duration, Instant, ResetCause, SystemId};
 
 /// How long a host may connect after power-on: short compared with the start limit of the pair
-/// (2.5 s), so both systems still find each other; long enough for a request every 5 ms.
+/// (2.5 s), so both systems still find each other; long enough for four requests, one every 5 ms.
 pub const CONNECT_WINDOW: Duration = Duration::from_ms(20);
 /// How long the loader waits for a host if the application requested a download, and how long a
 /// connected host may be silent.
@@ -26,7 +26,7 @@ const FAREWELL: Duration = Duration::from_ms(50);
 /// The circumstances of this start.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup<'k> {
-    /// The keys that it trusts.
+    /// The trusted keys, and the mode.
     pub trust: Trust<'k>,
     /// Which system this is.
     pub system: SystemId,
@@ -226,9 +226,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Returns whether to answer a request. If the host names no system, both loaders receive its
-    /// request. At power-on only A answers it. A loader that waits for a requested download, or
-    /// because nothing can boot, always answers: the other loader does not wait then.
+    /// Returns whether to answer a request. Both loaders receive a request that names no system. At
+    /// power-on only A answers it. A loader that waits for a requested download, or because nothing
+    /// can boot, also answers it, because the other loader does not wait then.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
         let asked = self.setup.cause == ResetCause::Download;
         let alone = asked || self.entry == Entry::Always;
@@ -247,7 +247,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.flash
     }
 
-    /// Forgets an image on trial that was started and did not approve itself: it crashed. U-3
+    /// Forgets an image on trial that was started and did not approve itself before this start. U-3
     fn roll_back(&mut self) -> Result<(), FlashFault> {
         let environment = *self.ground.store.get();
         if environment.trial.is_some_and(|trial| trial.executed) {

@@ -18,11 +18,11 @@ pub enum LogEvent {
     Downloaded = 1,
     /// A download was refused. Value: the refusal's code.
     DownloadRefused,
-    /// An image approved itself. Value: the active slots.
+    /// An image approved itself. Value: the highest approved version of the application.
     Approved,
     /// An image did not approve itself; the previous one boots.
     RolledBack,
-    /// An image on trial or active is damaged; the other slot boots.
+    /// An image (active, on trial or in staging) is damaged and is not used.
     SlotDamaged,
     /// `IntegrityOrAuthenticityCheckFailed`; the image was started in monitor mode. E-4
     StartedUntrusted,

@@ -65,8 +65,8 @@ mod tests {
     use std::vec::Vec;
 
     proptest! {
-        /// T-BOOT-5: records of any length with jumps between them produce each page once, with the
-        /// tail; bytes that were not sent are padding.
+        /// T-BOOT-5: records of any length, with gaps between them, program each page once, the
+        /// last page too; bytes that were not sent are padding.
         #[test]
         fn pages_hold_what_was_put(
             runs in prop::collection::vec(
@@ -97,7 +97,7 @@ mod tests {
         }
     }
 
-    /// T-BOOT-5: the tail of a file is written.
+    /// T-BOOT-5: the last page of a file is written even if it is not full.
     #[test]
     fn the_tail_is_written() {
         let mut buffer = PageBuffer::default();

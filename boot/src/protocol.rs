@@ -32,7 +32,7 @@ pub enum Refusal {
     SlotInUse,
     /// The data of a slot do not begin with a manifest: sign the file first.
     NoManifest,
-    /// The manifest is damaged, of another kind, for other hardware or too large for the slot.
+    /// The manifest is damaged, of another kind, for other hardware, too large, or retires its key.
     BadManifest,
     /// The signature was not made with an accepted key. Only in strict mode. E-4
     Untrusted,
@@ -70,7 +70,7 @@ pub enum Answer {
         /// With a window, the records of all types accepted since the connection; otherwise 0.
         records: u32,
     },
-    /// The record is wrong.
+    /// The record is wrong or incomplete.
     Resend {
         /// With a window, the first record to send again, counted from 0; otherwise 0.
         record: u32,

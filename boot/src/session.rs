@@ -40,9 +40,9 @@ pub(crate) struct Session {
     window: u8,
     /// Records accepted since the connection.
     accepted: u32,
-    /// Records since the last answer.
+    /// Records accepted since the last answer.
     unanswered: u8,
-    /// Ignore data until the host goes back. Set after an error within a window.
+    /// Whether to ignore data until the host goes back; set after an error within a window.
     waits_for_go_back: bool,
     attempts: u8,
     /// The last accepted record. If its acknowledgement is lost, the host repeats it.
@@ -115,7 +115,7 @@ impl Session {
             }
             HostRequest::GoBack { .. } => Some(self.ask_again()),
             HostRequest::Data(_) if self.waits_for_go_back => None,
-            // The end of the previous record was lost. Without a window this may be a repetition.
+            // The end of the previous record was lost. Without a window this record may repeat it.
             HostRequest::Data([b'S', ..]) if self.window > 0 && self.assembler.is_inside() => {
                 self.assembler = Assembler::default();
                 Some(self.ask_again())

@@ -79,7 +79,7 @@ impl SRecord {
         if usize::from(*length) != bytes.len() - 1 || content.len() < address_bytes {
             return Err(SRecordError::Length);
         }
-        // The sum of all bytes with the ones' complement of the sum is 0xFF.
+        // The checksum is the ones' complement of the other bytes' sum, so the total is 0xFF.
         if bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)) != 0xFF {
             return Err(SRecordError::Checksum);
         }
@@ -115,8 +115,8 @@ const fn nibble(digit: u8) -> Result<u8, SRecordError> {
     }
 }
 
-/// Joins the data of CAN frames to lines. A frame that begins with `S` always begins a record; `\n`
-/// ends it; the rest of that frame is padding.
+/// Joins the data of CAN frames into lines. A frame that begins with `S` always begins a record.
+/// `\n` ends the record; bytes after `\n` in a frame are padding.
 #[derive(Clone, Debug)]
 pub struct Assembler {
     line: [u8; MAX_LINE],
@@ -137,7 +137,7 @@ impl Default for Assembler {
 }
 
 impl Assembler {
-    /// Takes the data of one frame; returns the record if it ends here.
+    /// Takes the data of one frame. Returns the record that ends in this frame, if one does.
     ///
     /// # Errors
     /// [`SRecordError`] inside `Some` if the completed line is not a record.

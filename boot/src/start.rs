@@ -19,7 +19,7 @@ pub enum Leave {
 
 /// Services the watchdog if the bootloader runs longer than half the limit of the first service.
 pub trait Keeper {
-    /// Services the watchdog if it is due. Returns the next due time; [`Instant::NEVER`] if no
+    /// Services the watchdog if that is due. Returns the next due time; [`Instant::NEVER`] if no
     /// further call is needed.
     fn keep(&self) -> Instant;
 
@@ -28,7 +28,7 @@ pub trait Keeper {
     fn hand_over(&self) -> bool;
 }
 
-/// Services the watchdog between the steps of the bootloader. For a board on which every step is
+/// Services the watchdog between the steps of the bootloader. For boards on which each step is
 /// shorter than the watchdog's window. An application may continue only before the first service.
 #[derive(Debug)]
 pub struct BetweenSteps<'b, B> {

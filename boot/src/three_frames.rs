@@ -8,8 +8,8 @@ use tandem_board::{
 /// The id of core 0's frames; the other cores use the next ids.
 pub const FIRST_ID: u16 = 0x700;
 
-/// Runs the application on this core and never returns. Sends every `period`; core 0 also services
-/// the watchdog at that time, so the period must lie in the watchdog's window.
+/// Runs the application on this core and never returns. Sends a frame every `period`; core 0 also
+/// services the watchdog then, so the period must lie in the watchdog's window.
 pub fn three_frames<B: Board>(board: &B, period: Duration) -> ! {
     let core = board.identity().core;
     let number = core.index() as u8;

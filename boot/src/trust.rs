@@ -135,7 +135,7 @@ mod tests {
         assert!(!verify(&key, &[0x73], &signature));
     }
 
-    /// E-4: any changed bit is detected; another key, an unknown and a retired one are refused.
+    /// E-4: a changed bit is detected; another key, an unknown one and a retired one are refused.
     #[test]
     fn only_the_signed_manifest_is_authentic() {
         let (key, bytes) = signed(1);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     proptest! {
-        /// E-4: two implementations agree, even if a bit was changed.
+        /// E-4: two implementations agree, whether or not a bit was changed.
         #[test]
         fn signatures_of_another_implementation_verify(
             seed: [u8; 32],

@@ -20,15 +20,15 @@ pub enum Id {
 /// One logged data frame. [`fmt::Display`] writes its line, without a line feed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CandumpFrame<'a> {
-    /// When it was on the bus, µs since 1970.
+    /// Time at which it was on the bus, µs since 1970.
     pub at_us: u64,
     /// Name of the bus; no white space.
     pub interface: &'a str,
     /// Identifier.
     pub id: Id,
-    /// CAN FD, with its data at the higher bit rate.
+    /// Whether it is a CAN FD frame, with its data at the higher bit rate.
     pub is_fd: bool,
-    /// The data bytes: at most 8, or 64 of CAN FD.
+    /// The data bytes: at most 8, or 64 for CAN FD.
     pub data: &'a [u8],
 }
 

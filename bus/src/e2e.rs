@@ -1,18 +1,18 @@
-//! End-to-end protection after AUTOSAR profile 5: a CRC and a counter in every frame.
+//! End-to-end protection of AUTOSAR profile 5: a CRC and a counter in every frame.
 //!
-//! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first; byte 2 is a counter that goes up by one
-//! with every frame of an id and wraps around. The CRC covers all bytes from index 2, then the data
-//! id, low byte first. The data id is the CAN id and is not sent, so a frame under a wrong id is
-//! detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
+//! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first; byte 2 is a counter that increases by
+//! one with every frame of an id and wraps around. The CRC covers all bytes from index 2, then the
+//! data id, low byte first. The data id is the CAN id and is not sent, so a frame under a wrong id
+//! is detected too. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
 
 use crc::{CRC_16_IBM_3740, Crc};
 
 /// Number of bytes that the protection takes at the beginning of a frame.
 pub const HEADER_LEN: usize = 3;
 
-/// How far the counter may jump: a frame after up to nine lost ones is still good.
+/// How far the counter may jump: a frame after up to nine lost frames is still accepted.
 ///
-/// Ten control frames are 100 ms. A receiver without a frame for that long has already timed out.
+/// Ten control frames take 100 ms. A receiver without a frame for that long has already timed out.
 /// The counter only has to distinguish a plausible gap from a restarted or wrong sender.
 pub const MAX_DELTA_COUNTER: u8 = 10;
 
@@ -41,11 +41,11 @@ fn checksum(id: u16, data: &[u8]) -> u16 {
 /// The result of [`Checker::check`] for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
-    /// The CRC is right and it is the first frame: the counter cannot be judged yet.
+    /// The CRC is right and this is the first frame: the counter cannot be judged yet.
     Initial,
     /// The CRC is right and the counter is the next one.
     Ok,
-    /// The CRC is right; this many frames before it were lost (less than [`MAX_DELTA_COUNTER`]).
+    /// The CRC is right; this many frames before it were lost (fewer than [`MAX_DELTA_COUNTER`]).
     OkSomeLost(u8),
     /// The CRC is right, but the counter is that of the last frame: the frame is a repetition.
     Repeated,
@@ -66,14 +66,14 @@ impl Check {
 
 /// Checks the frames of one id.
 ///
-/// | last counter | CRC | counter minus the last one | result | last counter then |
+/// | last counter | CRC | counter minus the last one | result | last counter afterwards |
 /// |---|---|---|---|---|
 /// | any | wrong | | `CrcError` | unchanged |
-/// | none | right | | `Initial` | this |
-/// | some | right | 0 | `Repeated` | this |
-/// | some | right | 1 | `Ok` | this |
-/// | some | right | 2 ..= [`MAX_DELTA_COUNTER`] | `OkSomeLost` | this |
-/// | some | right | more | `WrongSequence` | this |
+/// | none | right | | `Initial` | the frame's |
+/// | some | right | 0 | `Repeated` | the frame's |
+/// | some | right | 1 | `Ok` | the frame's |
+/// | some | right | 2 ..= [`MAX_DELTA_COUNTER`] | `OkSomeLost` | the frame's |
+/// | some | right | more | `WrongSequence` | the frame's |
 #[derive(Clone, Copy, Debug)]
 pub struct Checker {
     id: u16,
@@ -81,7 +81,7 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// Creates a checker for the frames of this id; its first frame gives [`Check::Initial`].
+    /// Creates a checker for the frames of this id. The first frame gives [`Check::Initial`].
     #[must_use]
     pub const fn new(id: u16) -> Self {
         Self { id, last: None }

@@ -76,8 +76,8 @@ impl FrameReceiver {
     /// Checks and decodes a frame with a standard id.
     ///
     /// # Errors
-    /// [`ReceiveError::Decode`] for a frame that is not in the DBC (other traffic may be on the
-    /// bus), and [`ReceiveError::Protection`] for a frame that is damaged, repeated or out of
+    /// [`ReceiveError::Decode`] for a frame that the DBC does not allow (the bus may carry other
+    /// traffic), and [`ReceiveError::Protection`] for a frame that is damaged, repeated or out of
     /// sequence.
     pub fn receive(&mut self, id: u32, data: &[u8]) -> Result<Message, ReceiveError> {
         let index = FRAMES

@@ -5,10 +5,10 @@ use crate::{CameraLanes, FRAMES, FrameError, FrameInfo, Message, e2e};
 
 impl Message {
     /// Decodes a frame with a standard id. Does not check the end-to-end protection;
-    /// [`FrameReceiver`](crate::FrameReceiver) does both.
+    /// [`FrameReceiver`](crate::FrameReceiver) checks and decodes.
     ///
     /// # Errors
-    /// [`FrameError`]: the frame is not in the DBC, or the DBC does not allow a value in it.
+    /// [`FrameError`]: the DBC does not contain the frame, or does not allow its length or a value.
     pub fn decode(id: u32, data: &[u8]) -> Result<Self, FrameError> {
         let mut message = u16::try_from(id)
             .ok()
@@ -50,8 +50,8 @@ impl Message {
         &FRAMES[self.index()]
     }
 
-    /// Calls `each` with every signal's name in the DBC and its physical value: flags and value
-    /// tables as numbers. Leaves out the end-to-end protection.
+    /// Calls `each` with the DBC name and the physical value of each signal; flags and enums become
+    /// numbers. Leaves out the end-to-end protection.
     pub fn values(&self, each: impl FnMut(&'static str, f64)) {
         let mut message = *self;
         // Listing never fails.

@@ -4,7 +4,7 @@
 use core::fmt;
 use core::ops::RangeInclusive;
 
-/// The properties of every frame of the DBC.
+/// The properties of a frame of the DBC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameInfo {
     /// Standard CAN id.
@@ -61,7 +61,7 @@ pub(crate) struct Signal {
     name: &'static str,
     /// Position of the lowest bit; bit 0 is the lowest of byte 0.
     start: usize,
-    /// Bits, 1 ..= 32.
+    /// Number of bits, 1 ..= 32.
     len: u32,
     /// Least raw value.
     min: i64,
@@ -143,12 +143,12 @@ impl Signal {
     }
 }
 
-/// A Rust type that a signal carries.
+/// A Rust type for the value of a signal.
 pub(crate) trait Field: Copy {
     /// Returns the raw value; it may be out of the signal's range.
     fn to_raw(self, signal: &Signal) -> i64;
 
-    /// Returns the value; `None` if the value table lacks it. `raw` is in the signal's range.
+    /// Returns the value; `None` if it is not in the value table. `raw` is in the signal's range.
     fn from_raw(signal: &Signal, raw: i64) -> Option<Self>;
 
     /// Returns the physical value.
@@ -163,7 +163,7 @@ macro_rules! field_of_integer {
             }
 
             fn from_raw(_: &Signal, raw: i64) -> Option<Self> {
-                // The signal is not wider than its type.
+                // The signal is not wider than its Rust type.
                 Some(raw as Self)
             }
 
@@ -259,7 +259,7 @@ macro_rules! value_tables {
 pub(crate) use value_tables;
 
 /// The structs of the DBC's messages, each with its ids, its signals and the walk over them. A
-/// signal has a name, a first bit, bits, a range of raw values, and the physical value of one step.
+/// signal has a name, a first bit, a length, a range of raw values, and the value of one step.
 macro_rules! layouts {
     ($($(#[$doc:meta])* $name:ident $ids:tt {$(
         $(#[$about:meta])*
@@ -336,7 +336,7 @@ impl Walk for Decode<'_> {
     }
 }
 
-/// Calls this with the name and the physical value of each signal. Never fails.
+/// Calls the closure with the name and the physical value of each signal. Never fails.
 pub(crate) struct List<C>(pub(crate) C);
 
 impl<C: FnMut(&'static str, f64)> Walk for List<C> {
@@ -365,7 +365,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Generates signals of any place, length, range and step.
+    /// Generates signals at any place, of any length, range and step.
     fn signal() -> impl Strategy<Value = Signal> {
         let place = (24_usize..200, 1_u32..=32, any::<bool>());
         (place, any::<(u32, u32)>(), 1e-8_f32..10.0).prop_map(

@@ -31,7 +31,7 @@ def random_value(signal):
     if signal.choices:
         return random.choice(list(signal.choices))
     raw = [round(limit / signal.scale) for limit in (signal.minimum, signal.maximum)]
-    # The limits are where sign and width go wrong: try them often.
+    # Try the limits often: errors of sign and width appear there.
     return random.choice([*raw, 0, random.randint(*raw), random.randint(*raw)]) * signal.scale
 
 
@@ -41,7 +41,7 @@ def encode(db, seed, count):
         values = {s.name: random_value(s) for s in message.signals}
         if "System" in values:
             values["System"] = int(message.name[-1] == "B")
-        # Scaling to and from floats leaves values a hair outside of the range.
+        # Scaling to and from floats leaves some values slightly out of range.
         data = message.encode(values, strict=False)
         print(f"{message.frame_id:03x} {data.hex()}", *(f"{k}={v!r}" for k, v in values.items()))
 

@@ -48,7 +48,7 @@ fn python(arguments: &[&str], input: String) -> String {
         .spawn()
         .unwrap();
     let mut stdin = child.stdin.take().unwrap();
-    // A separate thread: both pipes may be full at the same time.
+    // Write in a separate thread, because both pipes may be full at the same time.
     let writer = thread::spawn(move || stdin.write_all(input.as_bytes()));
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap().unwrap();
@@ -149,7 +149,7 @@ fn we_decode_the_frames_of_cantools() {
         let data = bytes(words.next().unwrap());
         let message = Message::decode(id, &data).unwrap();
         assert_same_values(&message, &pairs(words));
-        // All bytes except the CRC, which cantools does not know.
+        // Compare all bytes except the CRC, which cantools does not compute.
         assert_eq!(message.encode(data[2]).data()[2..], data[2..], "{line}");
     }
 }

@@ -1,4 +1,4 @@
-//! Tests encoding and decoding by the ranges and steps of the DBC.
+//! Tests encoding and decoding with the ranges and steps of the DBC.
 #![allow(clippy::unwrap_used)]
 
 mod frames;
@@ -20,7 +20,7 @@ fn every_signal_is_part_of_its_message() {
     }
 }
 
-/// Returns the bytes of a frame whose signals are all 0, except the sender's.
+/// Returns the bytes of a frame in which every signal is 0 except `System`, the sender.
 fn blank(frame: FrameInfo) -> Vec<u8> {
     let mut data = vec![0; frame.len];
     let mut signals = frames::signals(frame.id);

@@ -1,6 +1,6 @@
 //! This generator makes `src/dbc.rs` from `dbc/tandem.dbc`: an enum for each value table, a struct
 //! for each frame layout, the enum of all messages and the table of all frames.
-//! `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
+//! With `TANDEM_WRITE_DBC=1`, which `cargo xtask dbc` sets, it writes the file.
 //!
 //! Frames with the same layout share a struct (see [`Layout`]). The functions that the generated
 //! code calls are in `src/signal.rs`. The generator fails on any unknown element in the DBC.
@@ -20,7 +20,7 @@ use can_dbc::{
 
 /// Signals of the end-to-end protection: `src/e2e.rs` fills and checks them.
 const PROTECTION: [&str; 2] = ["Crc", "Counter"];
-/// The signal that repeats which system sends: it follows from the frame's id.
+/// The signal that names the sending system. Its value follows from the frame's id.
 const SYSTEM: &str = "System";
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -126,8 +126,8 @@ enum Senders {
     Sensors,
 }
 
-/// The frames that share a struct: `ControlA` of `SystemA` and `ControlB` of `SystemB` are
-/// `Control`, the `<Sensor>Header` of all sensors are `SensorHeader`; other frames share none.
+/// The frames that share a struct: `ControlA` of `SystemA` and `ControlB` of `SystemB` share
+/// `Control`, the `<Sensor>Header` of all sensors share `SensorHeader`; others share none.
 struct Layout<'a> {
     name: String,
     senders: Senders,

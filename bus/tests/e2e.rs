@@ -1,4 +1,4 @@
-//! Tests the end-to-end protection by published values and by its own rules.
+//! Tests the end-to-end protection with published values and against its own rules.
 #![allow(clippy::unwrap_used)]
 
 use crc::{CRC_16_IBM_3740, Crc};
@@ -151,7 +151,7 @@ fn transmitter_and_receiver_agree_per_id() {
     assert_eq!(receiver.lost(), 2);
 }
 
-/// Each frame that must not be used is refused with its reason.
+/// Each frame that must not be used is refused, and the error gives the reason.
 #[test]
 fn receiver_says_why_it_refuses() {
     let (mut transmitter, mut receiver) = (FrameTransmitter::new(), FrameReceiver::new());
@@ -175,7 +175,7 @@ fn receiver_says_why_it_refuses() {
 }
 
 proptest! {
-    /// A CRC of 16 bits finds every burst of up to 16 bits: damage to any two adjacent bytes.
+    /// A CRC of 16 bits detects every burst of up to 16 bits: all damage to two adjacent bytes.
     #[test]
     fn damage_is_found(
         frame_info in prop::sample::select(FRAMES.as_slice()),

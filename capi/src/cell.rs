@@ -61,7 +61,7 @@ pub(crate) const fn fits<O, T>() -> bool {
     size_of::<Cell<T>>() <= size_of::<O>() && align_of::<Cell<T>>() <= align_of::<O>()
 }
 
-/// Assigns a Rust type to a type of C, and checks at compile time that it fits.
+/// Assigns a Rust type to a type of C, and checks at compile time that the Rust type fits.
 macro_rules! opaque {
     ($outer:ty, $inner:ty, $mark:literal) => {
         const _: () = assert!(
@@ -89,15 +89,15 @@ fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
 /// because that call has a reference to the earlier value.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(), TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
-    // SAFETY: not null and aligned; memory of the type by 1; every bit pattern is a valid mark.
+    // SAFETY: not null, aligned, and of the type by rule 1; every bit pattern is a valid mark.
     if unsafe { (&raw const (*cell).mark).read() } == IN_USE {
         return Err(TandemStatus::Busy);
     }
-    // SAFETY: not null and aligned; large enough by `Opaque`; by 1 and 3 no other code uses it
-    // during the call; the mark shows that no reference to the value exists.
+    // SAFETY: not null, aligned, and large enough by `Opaque`; by rules 1 and 3 no other code uses
+    // it during the call; the mark shows that no reference to the value exists.
     unsafe {
         (&raw mut (*cell).value).write(MaybeUninit::new(value));
         (&raw mut (*cell).mark).write(O::MARK);
@@ -108,10 +108,10 @@ pub(crate) unsafe fn put<O: Opaque>(object: *mut O, value: O::Inner) -> Result<(
 /// Returns the cell of an attached object.
 ///
 /// # Safety
-/// 1 of the caller's contract.
+/// Rule 1 of the caller's contract applies.
 unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
-    // SAFETY: not null and aligned; memory of the type by 1; every bit pattern is a valid mark.
+    // SAFETY: not null, aligned, and of the type by rule 1; every bit pattern is a valid mark.
     match unsafe { (&raw const (*cell).mark).read() } {
         mark if mark == O::MARK => Ok(cell),
         IN_USE => Err(TandemStatus::Busy),
@@ -122,41 +122,41 @@ unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, Tan
 /// Returns the value in an attached object, for one call that runs no code of C.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; the caller uses the reference only during that call.
+/// Rules 1 and 3 of the caller's contract apply. The reference is used only during that call.
 pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inner, TandemStatus> {
-    // SAFETY: 1 is passed on.
+    // SAFETY: the caller guarantees rule 1.
     let cell = unsafe { attached(object) }?;
-    // SAFETY: by the mark, `put` has written the value; by 3 no other code uses it during the call.
+    // SAFETY: the mark shows that `put` wrote the value; by rule 3 no other code uses it now.
     Ok(unsafe { (*cell).value.assume_init_mut() })
 }
 
 /// Returns the value in an attached object, for reading only.
 ///
 /// # Safety
-/// 1 of the caller's contract; the object is not attached again during the call.
+/// Rule 1 of the caller's contract applies; the object is not attached again during the call.
 pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inner, TandemStatus> {
-    // SAFETY: 1 is passed on; nothing is written through the pointer.
+    // SAFETY: the caller guarantees rule 1; nothing is written through the pointer.
     let cell = unsafe { attached(object.cast_mut()) }?;
-    // SAFETY: by the mark, `put` has written the value, and all others only read.
+    // SAFETY: the mark shows that `put` wrote the value; all other code only reads it.
     Ok(unsafe { (*cell).value.assume_init_ref() })
 }
 
 /// Runs `call`, which runs no code of C, on an attached object. Returns its status.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn with<O: Opaque, R: Into<TandemStatus>>(
     object: *mut O,
     call: impl FnOnce(&mut O::Inner) -> Result<R, TandemStatus>,
 ) -> TandemStatus {
-    // SAFETY: the caller's contract is passed on.
+    // SAFETY: the caller guarantees the same contract.
     status(|| call(unsafe { get(object) }?))
 }
 
 /// Like [`with`], for a call that lends words of the LMU: writes them to `words`.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn lend<O: Opaque>(
     object: *mut O,
     words: *mut TandemWords,
@@ -164,7 +164,7 @@ pub(crate) unsafe fn lend<O: Opaque>(
 ) -> TandemStatus {
     status(|| {
         checked(words)?;
-        // SAFETY: the caller's contract is passed on.
+        // SAFETY: the caller guarantees the same contract.
         unsafe { write(words, TandemWords::of(call(get(object)?)?)) }
     })
 }
@@ -173,12 +173,12 @@ pub(crate) unsafe fn lend<O: Opaque>(
 /// run code of C, which may call a function on the same object.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn occupy<O: Opaque, R>(
     object: *mut O,
     call: impl FnOnce(&mut O::Inner) -> R,
 ) -> Result<R, TandemStatus> {
-    // SAFETY: 1 is passed on.
+    // SAFETY: the caller guarantees rule 1.
     let cell = unsafe { attached(object) }?;
     // SAFETY: as in `get`; while `call` runs, the mark makes other calls return `Busy`, so the
     // reference to the value is the only one. The mark is not part of the value.
@@ -193,7 +193,7 @@ pub(crate) unsafe fn occupy<O: Opaque, R>(
 /// Reads a plain value from memory of C. `T` consists of integers and pointers only.
 ///
 /// # Safety
-/// 1 of the caller's contract; the memory is initialised.
+/// Rule 1 of the caller's contract applies; the memory is initialised.
 pub(crate) unsafe fn read<T: Copy>(from: *const T) -> Result<T, TandemStatus> {
     let from = checked(from.cast_mut())?;
     // SAFETY: not null and aligned; initialised by the contract.
@@ -203,10 +203,10 @@ pub(crate) unsafe fn read<T: Copy>(from: *const T) -> Result<T, TandemStatus> {
 /// Writes a result to memory of C, which need not be initialised.
 ///
 /// # Safety
-/// 1 of the caller's contract.
+/// Rule 1 of the caller's contract applies.
 pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> {
     let to = checked(to)?;
-    // SAFETY: not null and aligned, memory of the type by 1.
+    // SAFETY: not null and aligned, memory of the type by rule 1.
     unsafe { to.write(value) };
     Ok(())
 }
@@ -214,22 +214,22 @@ pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> 
 /// Writes an optional result; does nothing if `to` is NULL.
 ///
 /// # Safety
-/// 1 of the caller's contract.
+/// Rule 1 of the caller's contract applies.
 pub(crate) unsafe fn write_if_wanted<T>(to: *mut T, value: T) -> Result<(), TandemStatus> {
     if to.is_null() {
         return Ok(());
     }
-    // SAFETY: the caller's contract is passed on.
+    // SAFETY: the caller guarantees the same contract.
     unsafe { write(to, value) }
 }
 
-/// Checks that a result can be written to `to`, before a call makes a change that a bad pointer
-/// must not interrupt.
+/// Checks that a result can be written to `to`. Call it before a change that must not fail halfway
+/// because of a bad pointer.
 pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
     checked(to).map(|_| ())
 }
 
-/// Checks plain words of C: not null, aligned, and not more than [`MAX_COUNT`].
+/// Checks that plain words of C are not null, are aligned, and are at most [`MAX_COUNT`].
 fn checked_words(first: *mut u32, count: usize) -> Result<*mut u32, TandemStatus> {
     match count {
         0 => Ok(core::ptr::dangling_mut()),
@@ -241,7 +241,7 @@ fn checked_words(first: *mut u32, count: usize) -> Result<*mut u32, TandemStatus
 /// Returns plain words of C. If `count` is 0, returns an empty slice for any pointer.
 ///
 /// # Safety
-/// 1 of the caller's contract, for `count` words that no other code writes during the call.
+/// Rule 1 of the caller's contract applies. No other code writes the `count` words during the call.
 pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u32], TandemStatus> {
     let first = checked_words(first.cast_mut(), count)?;
     // SAFETY: not null and aligned; `count` words by the contract.
@@ -251,7 +251,7 @@ pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u
 /// Returns plain words of C, for writing. If `count` is 0, returns an empty slice for any pointer.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract, for `count` initialised words.
+/// Rules 1 and 3 of the caller's contract apply, to `count` initialised words.
 pub(crate) unsafe fn words_mut<'c>(
     first: *mut u32,
     count: usize,

@@ -10,7 +10,7 @@ use tandem_shm::fifo::{self, Consumer, Incoming, Loan, Producer};
 use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
 use tandem_shm::{FitError, Shape, bare};
 
-/// The sending end of a FIFO. Each FIFO has one. Static, zero at first.
+/// The sending end of a FIFO. Each FIFO has one. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemFifoProducer {
@@ -18,7 +18,7 @@ pub struct TandemFifoProducer {
     pub opaque: [usize; 11],
 }
 
-/// The receiving end of a FIFO. Each FIFO has one. Static, zero at first.
+/// The receiving end of a FIFO. Each FIFO has one. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemFifoConsumer {
@@ -26,7 +26,7 @@ pub struct TandemFifoConsumer {
     pub opaque: [usize; 11],
 }
 
-/// The writing end of a newest-value channel. Each channel has one. Static, zero at first.
+/// Writing end of a newest-value channel. Each channel has one. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemNewestWriter {
@@ -34,7 +34,7 @@ pub struct TandemNewestWriter {
     pub opaque: [usize; 11],
 }
 
-/// A reading end of a newest-value channel; there may be any number. Static, zero at first.
+/// Reading end of a newest-value channel, one of any number. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemNewestReader {
@@ -42,7 +42,7 @@ pub struct TandemNewestReader {
     pub opaque: [usize; 20],
 }
 
-/// The sending end of a broadcast ring. Each ring has one. Static, zero at first.
+/// The sending end of a broadcast ring. Each ring has one. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemBroadcastSender {
@@ -50,8 +50,8 @@ pub struct TandemBroadcastSender {
     pub opaque: [usize; 11],
 }
 
-/// A receiving end of a broadcast ring, with its own cursor; there may be any number. Static, zero
-/// at first.
+/// A receiving end of a broadcast ring, with its own cursor; there may be any number. Must be
+/// static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemBroadcastReceiver {
@@ -127,7 +127,7 @@ fn shape(slots: usize, slot_words: usize) -> Result<Shape, S> {
 /// Attaches an end of a channel of this shape.
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract.
+/// Rules 1, 2 and 3 of the caller's contract apply.
 unsafe fn attach<O: Opaque, E>(
     object: *mut O,
     (map, region, slots, slot_words): (*const TandemMap, usize, usize, usize),
@@ -140,16 +140,16 @@ where
     map::attach(object, map, region, made)
 }
 
-/// Returns the words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words
-/// each (1 ..= 65536), at most 2^24 words in all; 0 if a number is out of range.
-/// `TANDEM_FIFO_WORDS` is the same as a constant.
+/// Returns the number of words of a FIFO with `slots` slots (a power of two, 2 ..= 65536) of
+/// `slot_words` words each (1 ..= 65536), at most 2^24 words in all; 0 if a number is out of range.
+/// `TANDEM_FIFO_WORDS` computes it as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_fifo_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, fifo::words)
 }
 
 /// Attaches the sending end of the FIFO in region `region`. It continues after the values that
-/// earlier incarnations have sent. Both ends must get the same shape. Task; does not block.
+/// earlier incarnations have sent. Both ends must get the same shape. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_producer_attach(
     producer: *mut TandemFifoProducer,
@@ -163,9 +163,9 @@ pub unsafe extern "C" fn tandem_fifo_producer_attach(
 }
 
 /// Lends the next slot, which the caller fills in place; its words hold an old value. Only
-/// `tandem_fifo_send` sends it; until then a further loan lends the same slot. Does not block.
+/// `tandem_fifo_send` sends it; until then, further calls lend the same slot. Does not block.
 ///
-/// `TANDEM_STATUS_FULL`
+/// `TANDEM_STATUS_FULL` if no slot is free.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_loan(
     producer: *mut TandemFifoProducer,
@@ -191,7 +191,7 @@ pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> 
 }
 
 /// Attaches the receiving end of the FIFO in region `region`. It continues with the oldest value
-/// that earlier incarnations have not released. Task; does not block.
+/// that earlier incarnations have not released. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_fifo_consumer_attach(
     consumer: *mut TandemFifoConsumer,
@@ -220,7 +220,7 @@ pub unsafe extern "C" fn tandem_fifo_receive(
     })
 }
 
-/// Frees the slot of the received value for the producer. Does not block.
+/// Frees the slot of the received value, so that the producer can reuse it. Does not block.
 ///
 /// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 #[unsafe(no_mangle)]
@@ -231,15 +231,15 @@ pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) 
     })
 }
 
-/// Returns the words of a channel of `slots` slots (4 if in doubt) of `slot_words` words each;
-/// ranges as in `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
+/// Returns the number of words of a channel with `slots` slots (4 if in doubt) of `slot_words`
+/// words each; ranges as in `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` computes it as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_newest_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, newest::words)
 }
 
 /// Attaches the writing end of the channel in region `region`. It continues after the values of
-/// earlier incarnations. All ends must get the same shape. Task; does not block.
+/// earlier incarnations. All ends must get the same shape. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_writer_attach(
     writer: *mut TandemNewestWriter,
@@ -279,7 +279,7 @@ fn publish(writer: &mut End<Writer<'static>>) -> Result<(), S> {
     Ok(())
 }
 
-/// Attaches a reading end of the channel in region `region`. Task; does not block.
+/// Attaches a reading end of the channel in region `region`. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_reader_attach(
     reader: *mut TandemNewestReader,
@@ -308,10 +308,10 @@ pub unsafe extern "C" fn tandem_newest_view(
     })
 }
 
-/// Checks that all words read through the last view belong to one value. Writes its number, counted
-/// over all incarnations of the writer and wrapping, to `number` (may be NULL). Does not block.
+/// Checks that all words read through the last view belong to one value. Writes the value's number
+/// to `number` (may be NULL): it counts over all incarnations, and wraps. Does not block.
 ///
-/// `TANDEM_STATUS_OVERRUN`: discard what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
+/// `TANDEM_STATUS_OVERRUN`: discard the words. `TANDEM_STATUS_NOTHING_TO_END` if there is no view.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_newest_finish(
     reader: *mut TandemNewestReader,
@@ -326,7 +326,7 @@ pub unsafe extern "C" fn tandem_newest_finish(
 /// Copies the newest value to `into` (at most `count` words), and its number to `number` (may be
 /// NULL). Tries up to four times; does not block.
 ///
-/// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: discard the content of `into`.
+/// `TANDEM_STATUS_EMPTY` and `TANDEM_STATUS_OVERRUN`: discard the content of `into`.
 ///
 /// # Safety
 /// The caller's contract, for `count` initialised words at `into`.
@@ -348,15 +348,15 @@ pub unsafe extern "C" fn tandem_newest_read(
     })
 }
 
-/// Returns the words of a ring of `slots` slots of `slot_words` words each; ranges as in
-/// `tandem_fifo_words`. `TANDEM_BROADCAST_WORDS` is the same as a constant.
+/// Returns the number of words of a ring with `slots` slots of `slot_words` words each; ranges as
+/// in `tandem_fifo_words`. `TANDEM_BROADCAST_WORDS` computes it as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_broadcast_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, broadcast::words)
 }
 
 /// Attaches the sending end of the ring in region `region`. It continues after the values of
-/// earlier incarnations. All ends must get the same shape. Task; does not block.
+/// earlier incarnations. All ends must get the same shape. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_sender_attach(
     sender: *mut TandemBroadcastSender,
@@ -391,7 +391,7 @@ pub unsafe extern "C" fn tandem_broadcast_send(sender: *mut TandemBroadcastSende
 }
 
 /// Attaches a receiving end of the ring in region `region`, for values sent from now on. If
-/// `oldest` is not 0, it starts with the oldest value still in the ring. Task; does not block.
+/// `oldest` is not 0, starts with the oldest value still in the ring. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
     receiver: *mut TandemBroadcastReceiver,
@@ -411,9 +411,9 @@ pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
 /// Writes the number of lost values and returns the status.
 ///
 /// # Safety
-/// 1 of the caller's contract.
+/// Rule 1 of the caller's contract applies.
 unsafe fn overrun(lost: *mut u32, error: Lost) -> S {
-    // SAFETY: 1 of the caller's contract.
+    // SAFETY: rule 1 of the caller's contract.
     match unsafe { cell::write_if_wanted(lost, error.count) } {
         Ok(()) => S::Overrun,
         Err(error) => error,
@@ -424,7 +424,7 @@ unsafe fn overrun(lost: *mut u32, error: Lost) -> S {
 /// the read and advances the cursor. Does not block.
 ///
 /// `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
-/// received: writes their number to `lost` (may be NULL); the next call continues after them.
+/// received: writes how many to `lost` (may be NULL). The next call continues after them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_receive(
     receiver: *mut TandemBroadcastReceiver,
@@ -443,7 +443,7 @@ pub unsafe extern "C" fn tandem_broadcast_receive(
 /// Ends the read and checks that all words belong to one value. Writes its number to `number` (may
 /// be NULL). Does not block.
 ///
-/// `TANDEM_STATUS_OVERRUN` as in `tandem_broadcast_receive`: discard what was read.
+/// `TANDEM_STATUS_OVERRUN` as in `tandem_broadcast_receive`: discard the words.
 /// `TANDEM_STATUS_NOTHING_TO_END` if no value was received.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_broadcast_finish(

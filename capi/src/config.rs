@@ -32,7 +32,7 @@ pub struct TandemConfig {
     pub handshake_period_us: u32,
     /// Longest time that a system waits at power-on for the other system's handshake.
     pub start_limit_us: u32,
-    /// Additional time that B waits where both systems might act at once.
+    /// Additional time that B waits when both systems might act at the same time.
     pub stagger_us: u32,
     /// Additional time that B waits before its sync edge.
     pub sync_stagger_us: u32,
@@ -40,23 +40,23 @@ pub struct TandemConfig {
     pub promote_limit_us: u32,
     /// Time with heartbeats after which the other system counts as recovered.
     pub recover_after_us: u32,
-    /// Not 0: dual operation resumes at run time when the other system has recovered.
+    /// If not 0, dual operation resumes at run time when the other system has recovered.
     pub reintegrate: u32,
     /// Number of consecutive abnormal resets that are tolerated, 1 ..= 255.
     pub abnormal_limit: u32,
     /// Interval without a reset after which the count of consecutive abnormal resets falls by one.
     pub healthy_after_us: u32,
-    /// Time without a frame on CAN, while the other system reports a live bus, after which the
-    /// circuit counts as open.
+    /// Time without a frame on CAN after which the circuit counts as open, if the other system
+    /// reports a live bus.
     pub can_open_limit_us: u32,
     /// Time between two reports over the link.
     pub report_period_us: u32,
-    /// Time for which a report of the other system is valid.
+    /// Time for which a report from the other system is valid.
     pub report_limit_us: u32,
     /// Time without a status frame of the standby on CAN after which a master has no backup.
     pub status_limit_us: u32,
-    /// Time after a change of the driver in which a new standby takes over only if the vehicle's
-    /// report demands it.
+    /// Time after a change of the driver during which a new standby takes over only if the
+    /// vehicle's report demands it.
     pub hold_down_us: u32,
 }
 
@@ -122,16 +122,16 @@ impl TandemConfig {
     }
 }
 
-/// Writes the profile for chips: no task stalls, and reports are as frequent as heartbeats.
+/// Writes the profile for chips, where no task stalls and reports are as frequent as heartbeats.
 ///
 /// # Safety
-/// 1 of the caller's contract.
+/// Rule 1 of the caller's contract applies.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_chip(config: *mut TandemConfig) -> TandemStatus {
     status(|| cell::write(config, Config::chip().into()))
 }
 
-/// Writes the profile for firmware: for systems whose timers are late by far less than 1 ms.
+/// Writes the profile for firmware, for systems whose timers are late by far less than 1 ms.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
     status(|| cell::write(config, Config::rt().into()))

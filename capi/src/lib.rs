@@ -1,7 +1,7 @@
 //! `shm` and `redundancy` for firmware in C: a static library and `include/tandem.h` (no_std).
 //!
-//! The header is generated from this crate by cbindgen, with the doc comments of this crate. `cargo
-//! xtask c-header` writes it, and a test refuses a stale one.
+//! cbindgen generates the header from this crate, with the doc comments of this crate. `cargo xtask
+//! c-header` writes it, and a test fails if it is out of date.
 //!
 //! # Rules for every function
 //!
@@ -9,7 +9,7 @@
 //!   objects are static and zero at first. Nothing is allocated. A function returns
 //!   `TANDEM_STATUS_NOT_ATTACHED` for an object without the mark of an attached one.
 //! - **No panic crosses the boundary**: functions check their arguments and return errors as
-//!   [`TandemStatus`]. If the library panics all the same, it calls `tandem_on_panic`, which the
+//!   [`TandemStatus`]. If the library panics nevertheless, it calls `tandem_on_panic`, which the
 //!   firmware defines.
 //! - **Handlers that C registers run inside a call**, and may not use the object that called them:
 //!   they get `TANDEM_STATUS_BUSY`.
@@ -20,8 +20,8 @@
 //! this crate. `SAFETY` comments refer to their numbers.
 //!
 //! 1. A pointer is null or points to memory of its type that does not move.
-//! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is
-//!    used.
+//! 2. The LMU that a map was attached to stays mapped as long as any object attached through that
+//!    map is used.
 //! 3. One object is used by one context of one core at a time.
 #![no_std]
 #![allow(
@@ -63,7 +63,7 @@ pub use store::*;
 #[cfg(target_os = "none")]
 mod on_panic {
     unsafe extern "C" {
-        /// Defined by the firmware: should record the panic and reset the core. Must not return.
+        /// The firmware defines it. It should record the panic and reset the core, and not return.
         fn tandem_on_panic() -> !;
     }
 

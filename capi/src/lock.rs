@@ -13,7 +13,7 @@ pub const TANDEM_LOCK_WORDS: usize = 16;
 
 const _: () = assert!(TANDEM_LOCK_WORDS == WORDS);
 
-/// One end of a lock. Each task that takes the lock has its own end. Static, zero at first.
+/// One end of a lock. Each task that takes the lock has its own. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemLock {
@@ -28,12 +28,12 @@ pub(crate) struct End {
 
 opaque!(TandemLock, End, 0x03);
 
-/// Waits for about `spins` spins (1 ..= 64) between two polls of a lock: may yield or sleep.
+/// Waits for about `spins` spins (1 ..= 64) between two polls of a lock. May yield or sleep.
 pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
 
 /// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which must
 /// be announced. If an earlier incarnation held the lock, it stays held: the next owner recovers
-/// it. Task; does not block.
+/// it. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_attach(
     lock: *mut TandemLock,
@@ -49,8 +49,8 @@ pub unsafe extern "C" fn tandem_lock_attach(
     })
 }
 
-/// Takes the lock, with at most `looks` polls (at least 1). `relax` waits between two polls; NULL
-/// spins. Task; blocks no longer than the polls take.
+/// Takes the lock. Polls it at most `looks` times (at least 1). `relax` waits between two polls; if
+/// it is NULL, spins. Tasks only; blocks no longer than the polls take.
 ///
 /// `TANDEM_STATUS_OK`: taken; the last owner had released it. `TANDEM_STATUS_RECOVERED`: taken, but
 /// the last owner died holding it; repair its data. `TANDEM_STATUS_TIMED_OUT`: not taken.
@@ -85,10 +85,10 @@ fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S 
     if recovered { S::Recovered } else { S::Ok }
 }
 
-/// Takes the lock if it is free and no waiting core's turn is before this core's. Any context; does
-/// not block.
+/// Takes the lock if it is free and no waiting core has its turn before this core. Any context;
+/// does not block.
 ///
-/// Returns as `tandem_lock_acquire`, and `TANDEM_STATUS_BUSY` if the lock was not taken.
+/// Returns the same as `tandem_lock_acquire`, and `TANDEM_STATUS_BUSY` if the lock was not taken.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
     cell::with(lock, |end| {

@@ -14,8 +14,8 @@ pub const TANDEM_MAX_TASK: u32 = 15;
 
 const _: () = assert!(TANDEM_MAILBOX_WORDS == WORDS && TANDEM_MAX_TASK == MAX_TASK as u32);
 
-/// The sending end of a mailbox. Each mailbox has one; tasks and handlers of the sending core that
-/// share it must exclude each other, for example with interrupts disabled. Static, zero at first.
+/// The sending end of a mailbox; each has one. Tasks and handlers of the sending core that share it
+/// must exclude each other, for example with interrupts off. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemMailboxSender {
@@ -23,7 +23,7 @@ pub struct TandemMailboxSender {
     pub opaque: [usize; 20],
 }
 
-/// The receiving end of a mailbox with the handlers of its tasks. Static, zero at first.
+/// Receiving end of a mailbox with the handlers of its tasks. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemMailboxReceiver {
@@ -58,8 +58,8 @@ fn task_id(task: u32) -> Result<TaskId, S> {
         .ok_or(S::OutOfRange)
 }
 
-/// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-/// once afterwards: an earlier incarnation may have died before it rang. Task; does not block.
+/// Attaches to the mailbox in region `region` as the sending core. Then ring the receiver's
+/// doorbell once: an earlier incarnation may have died before it rang. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     sender: *mut TandemMailboxSender,
@@ -72,8 +72,8 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
 }
 
 /// Signals task `task` (1 ..= 15) of the receiving core. Its handler sees everything that was
-/// written to the LMU before; no signal is lost. Task or handler, one at a time: a task that shares
-/// the sender with a handler must disable the handler during the call. Does not block.
+/// written to the LMU before; no signal is lost. Tasks and handlers, one at a time: a task that
+/// shares the sender with a handler must disable the handler during the call. Does not block.
 ///
 /// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 #[unsafe(no_mangle)]
@@ -106,8 +106,8 @@ impl From<Ring> for S {
     }
 }
 
-/// Returns the number of signals to a task that are not yet handled; 0 if an argument is not valid.
-/// Any context; does not block.
+/// Returns the number of signals to a task that were not handled yet; 0 if an argument is not
+/// valid. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
     let sender = cell::get(sender);
@@ -118,8 +118,8 @@ pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, t
 }
 
 /// Attaches to the mailbox in region `region` as the receiving core, without handlers. The first
-/// poll handles the signals that an earlier incarnation of this core left open. Task; does not
-/// block.
+/// poll handles the signals that an earlier incarnation of this core did not handle. Tasks only;
+/// does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
     receiver: *mut TandemMailboxReceiver,
@@ -139,13 +139,13 @@ pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
     })
 }
 
-/// Adds a handler for task `task` (1 ..= 15), which is called with `context`. Task; does not block.
+/// Adds a handler, called with `context`, for task `task` (1 ..= 15). Tasks only; does not block.
 ///
-/// `TANDEM_STATUS_TAKEN` if the task has a handler, `TANDEM_STATUS_BAD_POINTER` if `run` is NULL.
+/// `TANDEM_STATUS_TAKEN` if the task already has one, `TANDEM_STATUS_BAD_POINTER` if `run` is NULL.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; `run` may be called with `context` as long as the receiver is
-/// polled.
+/// Rules 1 and 3 of the caller's contract apply. `run` may be called with `context` as long as the
+/// receiver is polled.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_add_task(
     receiver: *mut TandemMailboxReceiver,
@@ -168,7 +168,7 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
 
 /// Runs the handlers of the tasks that were signalled, the lowest id first, and writes the number
 /// of signals to `signals` (may be NULL). Polls once and is bounded; a signal that arrives after
-/// its task was handled is left to the next call. Task or handler, always the same; does not block.
+/// its task was handled is left to the next call. One task or handler only; does not block.
 ///
 /// `TANDEM_STATUS_EMPTY` if there was no signal.
 #[unsafe(no_mangle)]
@@ -196,14 +196,14 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
     };
     status(|| {
         let count = cell::occupy(receiver, poll)?;
-        // SAFETY: 1 of the caller's contract.
+        // SAFETY: rule 1 of the caller's contract.
         unsafe { cell::write_if_wanted(signals, count) }?;
         if count == 0 { Err(S::Empty) } else { Ok(S::Ok) }
     })
 }
 
-/// Returns the number of signals to tasks without a handler, which count as handled. Task; does not
-/// block.
+/// Returns the number of signals to tasks without a handler. They count as handled. Tasks only;
+/// does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxReceiver) -> u32 {
     cell::get(receiver).map_or(0, |table| table.unknown)
@@ -213,7 +213,7 @@ pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxRece
 /// interrupts, call this, sleep if it returns `TANDEM_STATUS_OK`, enable interrupts, and call
 /// `tandem_mailbox_awake`. Does not block.
 ///
-/// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are open: poll instead.
+/// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are not handled yet: poll instead.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     receiver: *mut TandemMailboxReceiver,
@@ -224,7 +224,7 @@ pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     })
 }
 
-/// Announces that this core is awake: a signal does not need the doorbell. Does not block.
+/// Announces that this core is awake: from now on signals do not need the doorbell. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,

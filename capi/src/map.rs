@@ -11,7 +11,7 @@ use tandem_shm::map::{Layout, Map, MapError};
 pub const TANDEM_CORES: usize = 3;
 /// The largest number of regions of a layout.
 pub const TANDEM_MAX_REGIONS: usize = 32;
-/// The longest name of a region, in bytes.
+/// The maximum length of a region's name, in bytes.
 pub const TANDEM_MAX_NAME: usize = 31;
 
 const _: () = assert!(TANDEM_CORES == tandem_shm::incarnation::CORES);
@@ -27,7 +27,7 @@ pub struct TandemRegion {
     pub words: usize,
 }
 
-/// A layout of an LMU. Static, zero at first; `tandem_layout_init` initialises it.
+/// A layout of an LMU. Must be static and initially zero; `tandem_layout_init` initialises it.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemLayout {
@@ -35,7 +35,7 @@ pub struct TandemLayout {
     pub opaque: [usize; 98],
 }
 
-/// An LMU that this core is attached to. Static, zero at first; `tandem_map_format` or
+/// An LMU that this core is attached to. Must be static and initially zero; `tandem_map_format` or
 /// `tandem_map_attach` initialises it.
 #[repr(C)]
 #[derive(Debug)]
@@ -61,7 +61,7 @@ opaque!(TandemLayout, Regions, 0x01);
 opaque!(TandemMap, Attached, 0x02);
 
 /// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`) and writes it to `into`, which
-/// must not move as long as a map uses it. Task; does not block.
+/// must not move as long as a map uses it. Tasks only; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or not UTF-8, or
 /// a size is 0 or above 2^24 words.
@@ -78,13 +78,13 @@ pub unsafe extern "C" fn tandem_layout_init(
         let mut layout = Layout::EMPTY;
         let mut places = [(0, 0); TANDEM_MAX_REGIONS];
         for (index, place) in places[..count].iter_mut().enumerate() {
-            // SAFETY: 1 of the caller's contract, for `count` regions.
+            // SAFETY: rule 1 of the caller's contract, for `count` regions.
             let given = unsafe { cell::read(regions.wrapping_add(index)) }?;
             if given.words == 0 || given.words > 1 << 24 {
                 return Err(S::OutOfRange);
             }
             *place = (layout.total_words() as u32, given.words as u32);
-            // SAFETY: 1 of the caller's contract.
+            // SAFETY: rule 1 of the caller's contract.
             layout = layout.with(unsafe { name(given.name) }?, given.words);
         }
         let regions = Regions {
@@ -92,7 +92,7 @@ pub unsafe extern "C" fn tandem_layout_init(
             places,
             count,
         };
-        // SAFETY: 1 and 3 of the caller's contract.
+        // SAFETY: rules 1 and 3 of the caller's contract.
         unsafe { cell::put(into, regions) }
     })
 }
@@ -115,14 +115,14 @@ unsafe fn name<'c>(first: *const c_char) -> Result<&'c str, S> {
     name.to_str().map_err(|_| S::OutOfRange)
 }
 
-/// Formats an LMU of `bytes` bytes at `base` (a boundary of 64): zeroes it and writes the layout.
+/// Formats an LMU of `bytes` bytes at `base` (a multiple of 64): zeroes it and writes the layout.
 /// The boot core or the supply calls this at power-on, before any other core uses the LMU. If only
-/// the boot core is reset, it attaches instead. Task; takes the time to write the whole LMU.
+/// the boot core is reset, it attaches instead. Tasks only; takes the time to write the whole LMU.
 ///
 /// `TANDEM_STATUS_TOO_SMALL`, `TANDEM_STATUS_MISALIGNED`
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract; `layout` does not move.
+/// Rules 1, 2 and 3 of the caller's contract apply; `layout` does not move.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_map_format(
     map: *mut TandemMap,
@@ -133,18 +133,18 @@ pub unsafe extern "C" fn tandem_map_format(
     status(|| {
         let (regions, words) = parts(layout, base, bytes)?;
         let (object, map) = (map, Map::format(words, regions.layout)?);
-        // SAFETY: 1 and 3 of the caller's contract.
+        // SAFETY: rules 1 and 3 of the caller's contract.
         unsafe { cell::put(object, Attached { map, regions }) }
     })
 }
 
-/// Attaches to an LMU that was formatted with the same layout. Task; does not block.
+/// Attaches to an LMU that was formatted with the same layout. Tasks only; does not block.
 ///
 /// `TANDEM_STATUS_NOT_READY` (try again), `TANDEM_STATUS_WRONG_MAGIC`, `_WRONG_VERSION`,
 /// `_WRONG_LAYOUT`, `_TOO_SMALL`, `_MISALIGNED`
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract; `layout` does not move.
+/// Rules 1, 2 and 3 of the caller's contract apply; `layout` does not move.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_map_attach(
     map: *mut TandemMap,
@@ -155,7 +155,7 @@ pub unsafe extern "C" fn tandem_map_attach(
     status(|| {
         let (regions, words) = parts(layout, base, bytes)?;
         let (object, map) = (map, Map::attach(words, regions.layout)?);
-        // SAFETY: 1 and 3 of the caller's contract.
+        // SAFETY: rules 1 and 3 of the caller's contract.
         unsafe { cell::put(object, Attached { map, regions }) }
     })
 }
@@ -174,13 +174,13 @@ impl From<MapError> for S {
 }
 
 /// # Safety
-/// 1 and 2 of the caller's contract; `layout` does not move.
+/// Rules 1 and 2 of the caller's contract apply; `layout` does not move.
 unsafe fn parts(
     layout: *const TandemLayout,
     base: *mut c_void,
     bytes: usize,
 ) -> Result<(&'static Regions, &'static [AtomicU32]), S> {
-    // SAFETY: 1; a layout is written once and then only read.
+    // SAFETY: rule 1; a layout is written once and then only read.
     let regions: &'static Regions = unsafe { cell::share(layout) }?;
     let first = base.cast::<AtomicU32>();
     if first.is_null() {
@@ -192,8 +192,8 @@ unsafe fn parts(
     if bytes > isize::MAX as usize {
         return Err(S::OutOfRange);
     }
-    // SAFETY: aligned; by 2 the LMU has this many bytes and stays mapped. Words are atomics, so
-    // other cores may write to them.
+    // SAFETY: aligned. By rule 2 the LMU has this many bytes and stays mapped. Words are atomics,
+    // so other cores may write to them.
     let words = unsafe { core::slice::from_raw_parts(first, bytes / 4) };
     Ok((regions, words))
 }
@@ -201,12 +201,12 @@ unsafe fn parts(
 /// Returns the words of a region.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn region(
     map: *const TandemMap,
     index: usize,
 ) -> Result<&'static [AtomicU32], S> {
-    // SAFETY: 1 is passed on; a map is written once and then only read.
+    // SAFETY: the caller guarantees rule 1; a map is written once and then only read.
     let attached = unsafe { cell::share(map) }?;
     let places = &attached.regions.places[..attached.regions.count];
     let &(begin, count) = places.get(index).ok_or(S::OutOfRange)?;
@@ -216,7 +216,7 @@ pub(crate) unsafe fn region(
 /// Makes an end in region `index`, and writes it to memory of C.
 ///
 /// # Safety
-/// 1, 2 and 3 of the caller's contract.
+/// Rules 1, 2 and 3 of the caller's contract apply.
 pub(crate) unsafe fn attach<O: Opaque>(
     object: *mut O,
     map: *const TandemMap,
@@ -229,9 +229,9 @@ pub(crate) unsafe fn attach<O: Opaque>(
 /// Returns the incarnation table.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 pub(crate) unsafe fn incarnations(map: *const TandemMap) -> Result<Incarnations<'static>, S> {
-    // SAFETY: 1 is passed on; a map is written once and then only read.
+    // SAFETY: the caller guarantees rule 1; a map is written once and then only read.
     Ok(unsafe { cell::share(map) }?.map.incarnations())
 }
 
@@ -239,8 +239,8 @@ pub(crate) fn incarnation(core: u32, generation: u32) -> Result<Incarnation, S> 
     Incarnation::new(core as usize, generation).ok_or(S::OutOfRange)
 }
 
-/// Writes the words of region `index` of the layout, rounded up to whole cache lines, to `words`:
-/// for the firmware's own data. Any context; does not block.
+/// Writes the words of region `index` of the layout, rounded up to whole cache lines, to `words`.
+/// Use it for the firmware's own data. Any context; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
 #[unsafe(no_mangle)]
@@ -252,9 +252,9 @@ pub unsafe extern "C" fn tandem_map_region(
     status(|| cell::write(words, TandemWords::of(region(map, index)?)))
 }
 
-/// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` when it starts. From
-/// then on other cores may take over objects that an earlier incarnation of this core owned. Task;
-/// does not block.
+/// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core`, when it starts. From
+/// then on other cores may take over objects that an earlier incarnation of this core owned. Tasks
+/// only; does not block.
 ///
 /// `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
 /// stop.
@@ -270,10 +270,10 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
     })
 }
 
-/// Marks an incarnation as dead. The supervisor of the cores calls this when it has seen the
-/// incarnation end. Any context; does not block.
+/// Marks an incarnation as dead. The supervisor of the cores calls this after the incarnation has
+/// ended. Any context; does not block.
 ///
-/// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation, or already marked.
+/// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation, or is already marked.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     map: *const TandemMap,

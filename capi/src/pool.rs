@@ -8,14 +8,14 @@ use tandem_shm::pool::{
     BLOCK_WORDS, GetError, HandOverError, Handle, HandleError, MAX_BLOCKS, Pool,
 };
 
-/// Words of a block, the unit in which a pool lends.
+/// Words of a block, the unit of a loan.
 pub const TANDEM_BLOCK_WORDS: usize = 16;
 /// The largest number of blocks of a pool.
 pub const TANDEM_MAX_BLOCKS: usize = 511;
 
 const _: () = assert!(TANDEM_BLOCK_WORDS == BLOCK_WORDS && TANDEM_MAX_BLOCKS == MAX_BLOCKS);
 
-/// A pool as one incarnation of one core sees it. Static, zero at first.
+/// A pool as one incarnation of one core sees it. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemPool {
@@ -25,8 +25,8 @@ pub struct TandemPool {
 
 opaque!(TandemPool, Pool<'static>, 0x06);
 
-/// Names words that were lent. Plain data: it may be sent to another core as two words. The library
-/// checks it at every use, because it may be stale or forged.
+/// Identifies words that were lent. It is plain data, which may be sent to another core as two
+/// words. The library checks it at each use, because it may be stale or forged.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemHandle {
@@ -62,8 +62,8 @@ impl From<HandOverError> for S {
     }
 }
 
-/// Returns the words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if `blocks` is out
-/// of range. `TANDEM_POOL_WORDS` is the same as a constant.
+/// Returns the number of words of a pool with `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if it
+/// is out of range. `TANDEM_POOL_WORDS` computes it as a constant.
 #[unsafe(no_mangle)]
 pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
     match blocks {
@@ -74,7 +74,7 @@ pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
 
 /// Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
 /// `core`, which must be announced. When an incarnation first attaches, this frees the words that
-/// earlier incarnations of its core own. Task; does not block.
+/// earlier incarnations of its core own. Tasks only; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_attach(
     pool: *mut TandemPool,
@@ -96,7 +96,7 @@ pub unsafe extern "C" fn tandem_pool_attach(
 /// Borrows `count` words, which hold the values of an earlier owner. Any context; does not block.
 ///
 /// `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
-/// `TANDEM_STATUS_BUSY` if other cores took the blocks that this one found free: try again later.
+/// `TANDEM_STATUS_BUSY` if other cores took the blocks that this core found free: try again later.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_get(
     pool: *mut TandemPool,
@@ -110,8 +110,8 @@ pub unsafe extern "C" fn tandem_pool_get(
     })
 }
 
-/// Writes the words that a handle names to `words`, if this incarnation owns them. It owns them
-/// until they are given back or handed over. Any context; does not block.
+/// Writes the words of a handle to `words`, if this incarnation owns them. It owns them until they
+/// are given back or handed over. Any context; does not block.
 ///
 /// `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 #[unsafe(no_mangle)]
@@ -137,10 +137,10 @@ pub unsafe extern "C" fn tandem_pool_give_back(
     cell::with(pool, |pool| Ok(pool.give_back(handle)?))
 }
 
-/// Makes core `to` the owner. The caller sends it the handle. When that core opens the handle, it
-/// sees everything that this core wrote. Any context; does not block.
+/// Makes core `to` the owner. The caller then sends it the handle. When that core opens the handle,
+/// it sees everything that this core wrote. Any context; does not block.
 ///
-/// Returns as `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
+/// Statuses as for `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: nothing has changed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_hand_over(
     pool: *mut TandemPool,
@@ -156,8 +156,8 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
     })
 }
 
-/// Frees all words owned by incarnations that are not alive, and returns their number.
-/// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
+/// Frees all words owned by incarnations that are not alive, and returns how many.
+/// `tandem_pool_get` does the same when it needs the words. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_reclaim_dead(pool: *mut TandemPool) -> usize {
     cell::get(pool).map_or(0, |pool| pool.reclaim_dead())

@@ -61,7 +61,7 @@ pub const TANDEM_RESET_NONE: u32 = 0;
 pub const TANDEM_RESET_SOFTWARE: u32 = 1;
 /// A core of this system does not answer.
 pub const TANDEM_RESET_CORE_DEAD: u32 = 2;
-/// Hold the system in reset for good.
+/// Hold the system in reset permanently.
 pub const TANDEM_RESET_SUSPEND: u32 = 3;
 
 /// The largest number of events of one call.
@@ -69,7 +69,7 @@ pub const TANDEM_MAX_EVENTS: usize = 8;
 
 const _: () = assert!(TANDEM_MAX_EVENTS == Actions::EVENTS);
 
-/// The redundancy of one system. Static, zero at first.
+/// The redundancy of one system. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemRedundancy {
@@ -88,9 +88,9 @@ pub struct TandemSnapshot {
     pub handshakes: u32,
     /// Falling edges on the start line.
     pub syncs: u32,
-    /// Edges of either type on heartbeat line 1 and 2.
+    /// Edges of either type on heartbeat lines 1 and 2.
     pub beats: [u32; 2],
-    /// Not 0: the other system's power level is high.
+    /// Not 0 if the other system's power level is high.
     pub peer_powered: u32,
     /// Valid frames received on CAN that neither of the two systems sent.
     pub can_frames: u32,
@@ -120,7 +120,7 @@ pub struct TandemReport {
     pub mode: u32,
     /// The highest term that it has seen or used.
     pub term: u32,
-    /// Not 0: it receives frames on CAN.
+    /// Not 0 if it receives frames on CAN.
     pub can_alive: u32,
 }
 
@@ -135,12 +135,12 @@ const _: () = assert!(TANDEM_REPORT_WORDS == LinkReport::WORDS);
 pub struct TandemActions {
     /// Send a rising edge on the start line.
     pub handshake: u32,
-    /// Send a falling edge on the start line, after the handshake if both.
+    /// Send a falling edge on the start line; if `handshake` is set too, after that edge.
     pub sync: u32,
     /// A `TANDEM_EDGE_…` to send on both heartbeat lines.
     pub beat: u32,
-    /// The output has just opened, or a frame was refused until this poll: send a control frame now
-    /// (if `tandem_redundancy_may_transmit` returns 1), do not wait for the next cycle.
+    /// The output has just opened, or a frame was refused before this poll: if
+    /// `tandem_redundancy_may_transmit` returns 1, send a control frame now, not in the next cycle.
     pub transmit_now: u32,
     /// The output has just closed: discard control frames in the transmit buffer.
     pub output_closed: u32,
@@ -148,13 +148,13 @@ pub struct TandemActions {
     pub synchronised: u32,
     /// Write `state` to the flash: pass it to `tandem_store_request`.
     pub persist: u32,
-    /// The state, if `persist`.
+    /// The state to write, if `persist` is 1.
     pub state: TandemState,
     /// A `TANDEM_RESET_…` to request from the supply as soon as the store is settled.
     pub reset: u32,
     /// Number of valid entries of `events`.
     pub event_count: u32,
-    /// Events for the trace, each a kind and two details.
+    /// Events for the trace: each is a kind and two details.
     pub events: [[u32; 3]; TANDEM_MAX_EVENTS],
     /// Latest time of the next poll, in nanoseconds on the clock of `now_ns`.
     pub deadline_ns: u64,
@@ -268,8 +268,8 @@ impl From<PeerReport> for TandemReport {
 }
 
 /// Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
-/// `loaded` the record that the store found in the flash, `now_ns` the time of the start. Task;
-/// does not block.
+/// `loaded` is the record that the store found in the flash, `now_ns` is the time of the start.
+/// Tasks only; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if a number is not defined, or the configuration does not fit
 /// together.
@@ -298,7 +298,7 @@ pub unsafe extern "C" fn tandem_redundancy_init(
             loaded.checked()?,
             Instant::from_ns(now_ns),
         );
-        // SAFETY: 1 and 3 of the caller's contract.
+        // SAFETY: rules 1 and 3 of the caller's contract.
         unsafe { cell::put(machine, made) }
     })
 }
@@ -306,7 +306,7 @@ pub unsafe extern "C" fn tandem_redundancy_init(
 /// Passes an input to the machine, and writes the actions that it returns.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 unsafe fn pass(
     machine: *mut TandemRedundancy,
     now_ns: u64,
@@ -317,7 +317,7 @@ unsafe fn pass(
         let input = input()?;
         cell::writable(actions)?;
         let answer = cell::get(machine)?.on(Instant::from_ns(now_ns), input);
-        // SAFETY: 1 of the caller's contract.
+        // SAFETY: rule 1 of the caller's contract.
         unsafe { cell::write(actions, answer.into()) }
     })
 }
@@ -325,7 +325,7 @@ unsafe fn pass(
 /// Passes an input that is read from memory of C.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract.
+/// Rules 1 and 3 of the caller's contract apply.
 unsafe fn pass_read<C: Copy>(
     machine: *mut TandemRedundancy,
     now_ns: u64,
@@ -336,9 +336,9 @@ unsafe fn pass_read<C: Copy>(
     pass(machine, now_ns, actions, || input(cell::read(from)?))
 }
 
-/// Passes the state of the lines. Call it each period, and at once when an edge or the power level
-/// interrupts. *Before* this, pass all frames from the CAN receiver. `now_ns` must not decrease.
-/// Carry out the actions. Any context; does not block.
+/// Passes the state of the lines. Call it in each period, and immediately when an edge or the power
+/// level interrupts. Pass all frames from the CAN receiver *before* this call. `now_ns` must not
+/// decrease. Carry out the actions. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_poll(
     machine: *mut TandemRedundancy,
@@ -382,13 +382,13 @@ pub unsafe extern "C" fn tandem_redundancy_status_frame(
     pass_read(machine, now_ns, actions, report, input)
 }
 
-/// Passes a datagram of the other system that arrived over the link: `count` words at `words`. Any
-/// context; does not block.
+/// Passes a datagram that arrived from the other system over the link: `count` words at `words`.
+/// Any context; does not block.
 ///
 /// `TANDEM_STATUS_INVALID` if it is not a report.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract, for `count` words.
+/// Rules 1 and 3 of the caller's contract apply, for `count` words.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_link_report(
     machine: *mut TandemRedundancy,
@@ -404,7 +404,7 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     pass(machine, now_ns, actions, input)
 }
 
-/// Passes a control frame that was received on CAN with the right CRC, but a wrong counter: frames
+/// Passes a control frame that was received on CAN with a correct CRC, but a wrong counter: frames
 /// were lost, or the sender has restarted. The machine uses only its term; do not use its command.
 /// Any context; does not block.
 #[unsafe(no_mangle)]
@@ -418,10 +418,10 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     pass_read(machine, now_ns, actions, frame, input)
 }
 
-/// Passes the vehicle's report about the term that it obeys: the term of the control frame that it
-/// accepted last, `age_ns` ago; 0 if it has accepted none. It sent the report `on_the_way_ns` ago,
-/// at `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no
-/// time). Any context; does not block.
+/// Passes the vehicle's report about the term that it obeys. `term` is that of the control frame
+/// that it accepted last, `age_ns` ago; 0 if none. It sent the report `on_the_way_ns` ago, at
+/// `sent_ms` on its own clock (only the low eight bits count; below 0 if the report has no time).
+/// Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
@@ -454,8 +454,8 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
     pass(machine, now_ns, actions, input)
 }
 
-/// Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before each frame
-/// is sent, and send at once. Any context; does not block.
+/// Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before sending
+/// each frame. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_may_transmit(
     machine: *mut TandemRedundancy,
@@ -488,7 +488,7 @@ pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) 
 /// Any context; does not block.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; `words` has room for `TANDEM_REPORT_WORDS` words.
+/// Rules 1 and 3 of the caller's contract apply; `words` has room for `TANDEM_REPORT_WORDS` words.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_report(
     machine: *mut TandemRedundancy,

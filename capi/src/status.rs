@@ -1,9 +1,9 @@
 //! The result of a call.
 
-/// The result of a call. Below 16 the call succeeded; from 16 on it changed nothing.
+/// The result of a call. Below 16: the call succeeded. From 16 on: the call changed nothing.
 ///
 /// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
-/// 48 and above are errors of the caller.
+/// Values from 48 on are errors of the caller.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TandemStatus {
@@ -18,15 +18,15 @@ pub enum TandemStatus {
     Full = 16,
     /// There is nothing to receive or to read.
     Empty = 17,
-    /// Another core uses the object, or the call that runs this handler does.
+    /// Another core, or the call that runs this handler, is using the object.
     Busy = 18,
     /// The lock could not be taken within the permitted number of polls.
     TimedOut = 19,
     /// The LMU is not formatted yet.
     NotReady = 20,
-    /// The other end overwrote values: discard what was read, or values are lost.
+    /// The other end overwrote values: the words that were read are not valid, or values were lost.
     Overrun = 21,
-    /// Signals are open: do not sleep.
+    /// Signals are not handled yet: do not sleep.
     DoNotSleep = 22,
 
     /// The words are not an LMU of this library.
@@ -54,9 +54,9 @@ pub enum TandemStatus {
     NotAttached = 50,
     /// The memory is smaller than the layout, or the region is too small for the object.
     TooSmall = 51,
-    /// The memory does not begin at a boundary of 64 bytes.
+    /// The memory is not aligned to 64 bytes.
     Misaligned = 52,
-    /// There is no loan, lock or read that this call could end.
+    /// There is no loan, lock or read for this call to end.
     NothingToEnd = 53,
     /// The task id already has a handler.
     Taken = 54,

@@ -124,7 +124,7 @@ pub const TANDEM_FLASH_BUSY: u32 = 1;
 pub const TANDEM_FLASH_FAILED: u32 = 2;
 
 /// The store, which writes states to two sectors of the flash, one operation at a time, without
-/// waiting. Static, zero at first.
+/// waiting. Must be static and initially zero.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemStore {
@@ -205,7 +205,7 @@ impl TandemLoaded {
     }
 }
 
-/// Writes the initial state of a new system: A (0) is master, B (1) is standby.
+/// Writes the initial state of a new system: master for A (0), standby for B (1).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_state_factory(
     state: *mut TandemState,
@@ -218,7 +218,7 @@ pub unsafe extern "C" fn tandem_state_factory(
 /// (a multiple of `TANDEM_RECORD_BYTES`). Call it when the system starts; it reads both sectors.
 ///
 /// # Safety
-/// 1 and 3 of the caller's contract; `read` may be called with `context`.
+/// Rules 1 and 3 of the caller's contract apply; `read` may be called with `context`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_load(
     store: *mut TandemStore,
@@ -263,7 +263,7 @@ pub unsafe extern "C" fn tandem_store_load(
     })
 }
 
-/// Requests a write of the state that the actions of the redundancy contain. Does not block.
+/// Requests that the store write the state from the actions of the redundancy. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_request(
     store: *mut TandemStore,
@@ -275,7 +275,7 @@ pub unsafe extern "C" fn tandem_store_request(
     })
 }
 
-/// Writes the operation to start now to `op`; `flash` is a `TANDEM_FLASH_IDLE`, `_BUSY` or
+/// Writes to `op` the operation to start now. `flash` is a `TANDEM_FLASH_IDLE`, `_BUSY` or
 /// `_FAILED`. Start it before the next call, or call `tandem_store_refused`. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_poll(
@@ -309,7 +309,7 @@ pub unsafe extern "C" fn tandem_store_poll(
                 next.data = data;
             }
         }
-        // SAFETY: 1 of the caller's contract.
+        // SAFETY: rule 1 of the caller's contract.
         unsafe { cell::write(op, next) }
     })
 }

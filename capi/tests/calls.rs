@@ -103,7 +103,7 @@ const NO_WORDS: TandemWords = TandemWords {
     count: 0,
 };
 
-/// Handles a signal: calls functions on the receiver that runs this handler, and on others.
+/// Handles a signal: calls functions on the receiver that runs this handler, and on other objects.
 unsafe extern "C" fn on_task(context: *mut c_void, task: u32, count: u32, value: u32) {
     assert_eq!((task, count, value), (5, 2, 9));
     let o = context.cast::<Objects>();

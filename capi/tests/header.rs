@@ -37,7 +37,7 @@ fn generated(room: &Path) -> String {
         .generate()
         .unwrap()
         .write(&mut header);
-    // cbindgen makes the prefix from the type's name, including `_t`.
+    // cbindgen derives the prefix from the type's name, including `_t`.
     String::from_utf8(header)
         .unwrap()
         .replace("TANDEM_STATUS_T_", "TANDEM_STATUS_")

@@ -24,7 +24,7 @@ pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// Name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
-/// Interval at which an application on trial checks whether it has a role. It then approves itself.
+/// Interval at which an application polls its role. It approves its image once it has a role.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes receive them.

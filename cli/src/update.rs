@@ -12,8 +12,8 @@ use tandem_boot_host::{FileSender, ToDo};
 use crate::run_config::UpdateFiles;
 
 /// How long the roles must be stable before an update begins. By then a system that was just
-/// updated has approved its image: it does so within a second after it has a role, and dual
-/// operation resumes only after two seconds.
+/// updated has approved its image: on the host within a second after it has a role, under the
+/// emulator after a second with a role. Dual operation resumes only after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
 /// Frames of a download per millisecond on a bus of 500 kbit/s.
 const FRAMES_PER_MS: usize = 3;

@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(throttle.due(), Instant::NEVER);
     }
 
-    /// A far time needs both words.
+    /// The later start tests that the stored time uses both words.
     #[test]
     fn the_first_early_ring_is_held_back_and_others_are_merged() {
         for start in [100_000, 1 << 40] {

@@ -12,7 +12,7 @@ use tandem_shm::region::{Mailbox, Newest, Region, Words};
 
 /// Task of core 2: plan for the newest scene.
 pub const PLAN: TaskId = task(1);
-/// Task of core 0: a new trajectory is there.
+/// Task of core 0: fetch the new trajectory.
 pub const TRAJECTORY_READY: TaskId = task(1);
 
 const fn task(number: u8) -> TaskId {
@@ -79,8 +79,8 @@ impl<'a> ControllerMap<'a> {
         else {
             panic!("this board's generation breaks its contract")
         };
-        // This incarnation cannot be announced as over already, because its supply assigns the
-        // generations.
+        // Never `Outdated`: the supply assigns the generations, so this incarnation is the latest
+        // one.
         let _outdated = map.incarnations().announce(incarnation);
         let alive = ALIVE.attach(&map)?;
         Ok(Self {

@@ -39,7 +39,7 @@ pub enum Leaves {
     Blocked,
     /// It could continue, but a more urgent one runs first.
     Preempted,
-    /// The kernel does not say why. Its job is done if it is then made ready; else it continues.
+    /// The kernel gives no reason. If it makes the task ready next, the job is done; else not yet.
     Gives,
 }
 
@@ -147,7 +147,7 @@ pub enum Event {
     /// Jobs of a task did not run, because an earlier one or a more urgent task took their time.
     /// Those of the roles are traced with each status frame.
     DeadlineMiss {
-        /// Which.
+        /// Which task.
         task: TaskCode,
         /// Jobs that did not run, since the last report.
         missed: u32,
@@ -175,7 +175,7 @@ pub enum Event {
     },
     /// A source sends faster than core 0 takes: the fault of another system or core.
     Flood {
-        /// Which.
+        /// Which source.
         source: FloodSource,
         /// Polls since the last report that reached the limit, or doorbells that were held back.
         times: u32,
@@ -185,36 +185,36 @@ pub enum Event {
     },
     /// A task gets the CPU.
     TaskIn {
-        /// Which.
+        /// Which task.
         task: TaskCode,
         /// How it gets the CPU.
         begin: Begin,
     },
     /// A task leaves the CPU.
     TaskOut {
-        /// Which.
+        /// Which task.
         task: TaskCode,
-        /// Why.
+        /// Why it leaves.
         leaves: Leaves,
     },
     /// A job of a task is released, or continues as soon as it gets the CPU.
     Ready {
-        /// Which.
+        /// Which task.
         task: TaskCode,
     },
     /// The handler of an interrupt begins.
     IrqIn {
-        /// Which.
+        /// Which interrupt.
         irq: IrqCode,
     },
     /// The handler of an interrupt ends.
     IrqOut {
-        /// Which.
+        /// Which interrupt.
         irq: IrqCode,
     },
     /// A pending interrupt ended the core's sleep; no handler ran.
     Interrupted {
-        /// Which.
+        /// Which interrupt.
         irq: IrqCode,
     },
     /// This core is about to signal a task of another one.
@@ -228,7 +228,7 @@ pub enum Event {
     },
     /// This core is about to ring the doorbell of another one, which may be asleep.
     Ring {
-        /// Whose.
+        /// Which core.
         core: CoreId,
     },
     /// The running task takes a signal of another core.
@@ -240,7 +240,7 @@ pub enum Event {
     },
     /// The deepest use of a task's stack so far.
     Stack {
-        /// Which.
+        /// Which task.
         task: TaskCode,
         /// Bytes that were never used.
         free_bytes: u32,
@@ -271,7 +271,7 @@ pub enum Event {
     },
     /// The longest time for which a task held the shared state.
     Held {
-        /// Which.
+        /// Which task.
         task: TaskCode,
         /// From the lock to its release, including interruptions, ns.
         longest_ns: u32,

@@ -288,7 +288,7 @@ impl Part for Trajectory {
     }
 }
 
-/// Values that cross the LMU on their own.
+/// Makes these types payloads, for regions of the LMU.
 macro_rules! payloads {
     ($($name:ident)+) => {$(
         impl Payload for $name {

@@ -174,7 +174,7 @@ impl Kind {
             Self::ResetByTrap => row(EVERY, System, AtOnce, Power),
             // The level is high until the watchdog resets the system.
             Self::Hang(amount) => row(SIM_RUN, System, After(amount.ms()), Silence),
-            // Of its cores, an emulated machine can stop only core 0.
+            // An emulated machine can stop core 0, but no other core.
             Self::CoreDies(CORE_0) => row(EVERY, System, AtOnce, Silence),
             Self::CoreHangs(CORE_0) => row(EVERY, System, AsGiven, Silence),
             // Core 0 detects that core 1 or 2 has stopped, and resets its system.

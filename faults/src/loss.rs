@@ -54,7 +54,7 @@ impl Loss {
     }
 }
 
-/// Returns the real length of the control period under this clock error: 10 ms unless it is slow.
+/// Returns the real control period under this clock error: 10 ms, or more if the clock is slow.
 const fn period_of(permille: i32) -> Duration {
     let slow = if permille < 0 {
         permille.unsigned_abs()

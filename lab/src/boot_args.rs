@@ -35,7 +35,7 @@ pub(crate) struct FlashArgs {
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     pub(crate) key_number: u8,
 
-    /// Number of the release; a bootloader refuses a lower one than it has approved
+    /// Number of the release; a bootloader refuses numbers below that of an approved release
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     pub(crate) release: u32,
 

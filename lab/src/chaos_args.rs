@@ -71,7 +71,7 @@ Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is
 Ctrl-C, with the report of what was done.";
 
 impl ChaosArgs {
-    /// Returns the arguments with which a drive omits the same cells.
+    /// Returns the arguments that make a drive omit the same cells of the matrix.
     pub(crate) fn every_arguments(&self) -> Vec<String> {
         match self.matrix {
             true => vec!["--every".to_owned(), self.every.to_string()],

@@ -1,5 +1,5 @@
-//! `tandem-lab`: the commands of `tandem` whose dependencies no drive needs. `tandem` builds this
-//! program with cargo, and then replaces itself with it.
+//! `tandem-lab`: the commands of `tandem` with dependencies that a drive does not need. `tandem`
+//! builds this program with cargo, and then replaces itself with it.
 #![forbid(unsafe_code)]
 
 mod args;

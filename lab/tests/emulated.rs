@@ -146,8 +146,8 @@ fn emulators_end_when_the_run_is_killed() {
 }
 
 /// U-1, U-3, U-5, T-BOOT-1: each emulated system gets release 2 over CAN while the other drives,
-/// starts it from slot B and approves it. The master first hands over, so by the vehicle's log no
-/// control frame is missing.
+/// starts it from slot B and approves it. The master first hands over, so no control frame is
+/// missing in the vehicle's log.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn both_emulated_systems_are_updated_while_they_drive() {
@@ -202,8 +202,8 @@ fn three_cores_of_the_firmware_send_what_was_downloaded() {
     }
 }
 
-/// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments of the thesis hold on firmware, and every
-/// transfer of 4 bytes takes the same time.
+/// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the thesis's experiments keep their bounds on firmware,
+/// and every transfer of 4 bytes takes the same time.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_experiments_of_the_thesis_hold_on_firmware() {
@@ -270,8 +270,8 @@ fn fault(folder: &Path, what: &str, of: &str) -> String {
     file.into_os_string().into_string().unwrap()
 }
 
-/// A campaign on firmware keeps the bound of each fault of the systems and of the wires between
-/// them. If both systems lose power, no system drives, and the campaign reports that.
+/// In a campaign on firmware, each fault of the systems and of the wires between them stays within
+/// its bound. If both systems lose power, no system drives, and the campaign reports that.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn faults_of_emulated_machines_are_judged() {

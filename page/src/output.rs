@@ -184,7 +184,7 @@ fn parent(path: &Path) -> &Path {
     parent.unwrap_or(Path::new("."))
 }
 
-/// Returns a free name in a folder that must exist and be writable.
+/// Returns a target that does not exist yet. Its folder must exist and be writable.
 fn absent(path: &Path) -> Why {
     if path.symlink_metadata().is_ok() {
         return Err("a symbolic link that leads nowhere".to_owned());
@@ -206,7 +206,7 @@ fn open_folder(path: &Path) -> Result<File, String> {
 }
 
 fn overwrite(mut file: File, text: &str) -> io::Result<()> {
-    // A device has no length.
+    // A device has no length that could be set.
     if file.metadata()?.is_file() {
         file.set_len(0)?;
     }
@@ -218,7 +218,7 @@ fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
     let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
     let written = File::from(file).write_all(text.as_bytes());
     written.inspect_err(|_| {
-        // The caller gets the write error. A further error of the removal would not help.
+        // The caller gets the write error, so an error of this removal is ignored.
         let _ = unlinkat(folder, name, AtFlags::empty());
     })
 }

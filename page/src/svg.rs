@@ -82,7 +82,7 @@ impl Stroke {
     }
 }
 
-/// The point of a text that is at the given place.
+/// Which part of a text is at the given place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Its start.

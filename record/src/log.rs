@@ -127,7 +127,7 @@ pub struct DriveFigures {
     pub distance_m: f64,
     /// Accelerations and jerk that passengers feel.
     pub comfort: Comfort,
-    /// The reason for the hardest braking above 4 m/s², and the deceleration that this needed.
+    /// The reason for the hardest braking above 4 m/s², and the deceleration that was needed.
     #[serde(default)]
     pub brake_reason: Option<String>,
 }

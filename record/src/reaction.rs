@@ -19,8 +19,8 @@ pub struct Reaction {
 /// Returns the reaction to each measurement, and the age of the data behind each control frame.
 ///
 /// A control frame contains the age of its oldest measurement. This age omits the shortest delay of
-/// the bus, but includes any longer wait for the bus. So the oldest measurement is the last one
-/// that was taken, not the last one that was sent, by the time of sending minus the age. A
+/// the bus, but includes any longer wait for the bus. The time of sending minus the age is a point
+/// in time: the oldest measurement is the last one taken before it, even if it was sent later. A
 /// measurement belongs to the last command whose oldest measurement is not newer than it. The
 /// reaction ends when that command first takes effect.
 #[must_use]

@@ -19,7 +19,7 @@ pub const POLL: Duration = MS;
 const LINE_MOST: Duration = Duration::from_ms(8);
 /// The longest permitted wait of the third witness: the goal, minus an echo, a poll and 1 ms.
 const THIRD_MOST: Duration = Duration::from_ms(17);
-/// The third witness waits for this time, a control period and 1 ms on the bus, plus the stall.
+/// The wait of the third witness if nothing stalls: a control period, and 1 ms on the bus.
 const THIRD_LEAST: Duration = Duration::from_ms(11);
 
 /// The needs of a profile. All limits follow from them and from the goal.
@@ -33,7 +33,7 @@ pub struct Limits {
     level: Duration,
     /// How long a master that hears nothing on CAN may transmit after it was replaced.
     pub deaf_hand_over: Duration,
-    /// The longest time for which a core that is due is kept from running when nothing has failed.
+    /// The longest time for which a core that is due does not run, although nothing has failed.
     stall: Duration,
 }
 

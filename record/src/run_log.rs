@@ -12,7 +12,7 @@ use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 /// A part of the run that stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
-    /// A CPU of the machine. It did not run a waiting thread of higher priority than the run.
+    /// A CPU of the machine. A ready thread of higher priority than the run had to wait for it.
     Cpu(usize),
     /// The vehicle's process, and therefore the bus. The process was stopped, or had no CPU.
     Bus,
@@ -44,7 +44,7 @@ pub struct ControlFrame {
     pub mode: ModeCode,
     /// Age of the oldest measurement behind it at sending, ns; `None` if there is none.
     pub age_ns: Option<u64>,
-    /// The vehicle's verdict on it.
+    /// The vehicle's ruling on it.
     pub ruling: Ruling,
 }
 

@@ -10,8 +10,8 @@ use tandem_vehicle::Ruling;
 use crate::run_log::{ControlFrame, CoreEvent};
 use crate::{RunLog, ms_between};
 
-/// A system was not silent if its control frames follow each other within this time, ms: one and a
-/// half control periods.
+/// A system was not silent if its control frames followed each other within this time, ms: one and
+/// a half control periods.
 const NOT_SILENT_MS: f64 = 15.0;
 /// The same limit for status frames, which a system sends every 100 ms.
 const STATUS_NOT_SILENT_MS: f64 = 150.0;

@@ -271,12 +271,12 @@ impl fmt::Display for Finding {
 /// How stalls of the machine were observed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Watch {
-    /// Not at all, because time is virtual and nothing stalls.
+    /// They were not observed: time is virtual, so nothing stalls.
     #[default]
     Virtual,
-    /// By threads with a higher priority than the run. Their lateness is evidence.
+    /// Threads with a higher priority than the run observed them. A late thread is evidence.
     Urgent,
-    /// By threads of ordinary priority. Their lateness is not evidence.
+    /// Threads of ordinary priority observed them. A late thread is not evidence.
     Ordinary,
 }
 

@@ -102,7 +102,7 @@ impl Phase {
 pub enum Evidence {
     /// A sync edge arrived: the other system leads.
     SyncHeard = 0,
-    /// Heartbeats or control frames of the other system arrived while starting: it is running.
+    /// Heartbeats or control frames arrived while this system starts: the other system runs.
     PeerRuns = 1,
     /// Handshakes were exchanged in both directions, or both systems are standby, and this system
     /// leads.

@@ -58,15 +58,15 @@ pub(crate) fn check(
     }
     // 2. Own failure flag?
     let fault = state.sys_failure.then_some(state.failure_mode);
-    // 3. The other's failure flag? Then no system will answer. The same after a reset: the other
-    //    has taken over and runs. In both cases look for a running master first.
+    // 3. The other's failure flag? If it is set, no system will answer. After a reset the other
+    //    system has taken over and runs. In both cases listen for a running master first.
     let power_on = cause == ResetCause::PowerOn;
     let kind = if power_on && !state.cpsys_failure {
         StartKind::Handshake
     } else {
         StartKind::Listen
     };
-    // 4. Sync; after a reset as the standby of the other system.
+    // 4. Sync. After a reset, begin as the standby of the other system.
     let claims_master = state.is_master && power_on && fault.is_none();
     let boot = StartDecision {
         kind,

@@ -9,8 +9,8 @@ use tandem_board::SystemId;
 /// them. The vehicle accepts no control frame of a term below the highest it has accepted
 /// (fencing).
 ///
-/// Terms do not wrap around: 2^31 masterships last longer than the data flash that counts them, and
-/// one forged frame could reverse an order that wraps.
+/// Terms do not wrap around: 2^31 masterships last longer than the data flash that counts them. If
+/// terms wrapped around, one forged frame could reverse their order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Term(u32);
 

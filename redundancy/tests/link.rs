@@ -71,12 +71,12 @@ impl Standby {
     }
 }
 
-/// T-CHIP-5, T-RED-9: a link that repeats the master's last report, delivers an earlier one again,
-/// or delivers each far too late, does not keep the standby from taking over from a failed master.
-/// A working link does keep it from that.
+/// T-CHIP-5, T-RED-9: over a working link, reports show that the master runs, and the standby does
+/// not take over. It takes over if the link repeats the last report, delivers an earlier one again,
+/// or delivers each report far too late.
 #[test]
 fn a_link_that_repeats_its_datagrams_is_no_sign_of_life() {
-    // Name; age of an arriving report, for the time since the master's last, ms; final phase.
+    // Name; age of a report, given the time since the master sent the last one, ms; final phase.
     type Case = (&'static str, fn(u64) -> u64, Phase);
     let cases: [Case; 4] = [
         ("whole", |_| 0, Phase::Standby),

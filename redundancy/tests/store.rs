@@ -328,7 +328,7 @@ enum RedundancyEvent {
     Finish,
     /// The running operation fails, and leaves its range torn.
     Fail(usize, Torn),
-    /// Power is lost, while an operation runs or not, and the system starts again.
+    /// The system loses power, whether or not an operation runs, and starts again.
     Lose(usize, Torn),
 }
 

@@ -1,4 +1,4 @@
-//! Tests only: atomics that count accesses, so that a test can kill or freeze at each step.
+//! Tests only: atomics that count accesses. A test can kill or freeze an operation at any access.
 //!
 //! They wrap the machine's atomics in unit tests and in builds with `--cfg stepped`, and loom's in
 //! loom models.

@@ -177,7 +177,7 @@ pub struct Producer<'a, T = ()> {
     queue: Queue<'a>,
     /// The number of the next value.
     tail: u32,
-    /// The number of the first value that does not fit, by this end's copy of the released index.
+    /// Number of the first value that does not fit, according to the copy of the released index.
     limit: u32,
     payload: PhantomData<fn(&T)>,
 }

@@ -183,7 +183,7 @@ impl Drive {
         }
     }
 
-    /// Returns the gaps that are longer than their causes permit if timers are never late.
+    /// Returns the gaps that exceed the bounds for their causes. The bounds assume exact timers.
     #[must_use]
     pub fn gaps_beyond(&self) -> Vec<Gap> {
         // The vehicle receives frames once a millisecond.

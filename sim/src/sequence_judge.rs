@@ -102,7 +102,7 @@ impl Bench {
         }
     }
 
-    /// Returns the rule that the end of the run violates, long after everything was restored.
+    /// Returns the rule that is violated at the end of the run, long after everything was restored.
     fn judge_end(&self) -> Option<Rule> {
         let now = self.pair.now();
         let from = Instant::from_ns(now.as_ns().saturating_sub(STEADY.as_ns()));
@@ -144,7 +144,7 @@ impl Bench {
     }
 
     /// Returns the rules that the roles violate after the end: no system is standby and none is
-    /// suspended, or the vehicle stops although `may_drive` (a system that can drive is left).
+    /// suspended, or the vehicle stops although a system can still drive (`may_drive`).
     pub(crate) fn judge_roles(&mut self, may_drive: bool) -> Vec<Rule> {
         let is_alone = |bench: &Self| {
             let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);

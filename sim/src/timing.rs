@@ -64,7 +64,7 @@ const LONGEST_FRAME: Bits = Bits {
     nominal: 30,
     data: 679,
 };
-/// The longest echo of the gate or control frame: 16 bytes.
+/// The longest of these two: an echo of the gate, a control frame. Both have at most 16 bytes.
 const SHORT_FRAME: Bits = Bits {
     nominal: 30,
     data: 189,

@@ -41,7 +41,7 @@ struct Stated(i64, &'static str, u32, &'static str);
 
 /// No limit: the number of ticks determines how often a tick and the idle time make this call.
 const EACH_TICK: u32 = u32::MAX;
-/// Limit of two calls for each interrupt after which core 0 did not sleep, and ten more.
+/// Limit: two calls for each interrupt after which core 0 did not sleep, plus ten.
 const EACH_PILED: u32 = u32::MAX - 1;
 
 /// Limit for showing the role: one call for each role that the trace contains.

@@ -42,7 +42,7 @@ fn babble(_: &CoreArgs, board: HostBoard, _: Grant) {
                 }
             }
         }
-        // Pause, because this process shares a CPU with A, unlike a second processor.
+        // Pause: this process shares a CPU with A, while a real second system has its own.
         thread::sleep(Span::from_micros(200));
     }
 }

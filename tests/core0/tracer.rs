@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 const BEGIN: i64 = 0x7A_0001;
 const END: i64 = 0x7A_0002;
 const ALLOCATOR: i64 = 0x7A_0003;
-/// Represents allocator requests among the numbers of system calls.
+/// The number under which allocator requests are counted, beside those of system calls.
 pub(crate) const ALLOCATOR_REQUESTS: i64 = -1;
 /// Name of the thread whose calls are counted.
 const THREAD: &str = "kernel\n";
@@ -104,7 +104,7 @@ unsafe fn ptrace(request: libc::c_uint, thread: libc::pid_t, at: usize, data: us
     unsafe { libc::ptrace(request, thread, at, data) }
 }
 
-/// Higher than core 0's priority: while core 0 waits for its tracer, signals pile up on its stack.
+/// Higher than core 0's, because signals pile up on core 0's stack while it waits for the tracer.
 const PRIORITY: i32 = 80;
 
 /// Runs the tracer until its parent has ended.
@@ -112,7 +112,7 @@ fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     let urgent = libc::sched_param {
         sched_priority: PRIORITY,
     };
-    // This fails without permission; core 0 then has no permission either.
+    // This fails without the permission for real-time priorities, which core 0 then lacks too.
     // SAFETY: the parameter is read during the call.
     unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &urgent) };
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE;

@@ -58,8 +58,8 @@ fn a_campaign_ends_with_what_each_class_of_faults_cost() {
     }
 }
 
-/// If both systems lose power, no system drives. No stall explains that, and the campaign prints
-/// the command that repeats it.
+/// If both systems lose power, no system drives. No stall explains that. The campaign prints the
+/// command that repeats the violation.
 #[test]
 fn a_violation_fails_the_campaign_and_can_be_repeated() {
     let fixture = Fixture::new();
@@ -140,7 +140,7 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
     let output = campaign.wait_with_output().unwrap();
     let reported = String::from_utf8_lossy(&output.stdout).into_owned();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    // A violation by a stall of the machine during a fault is still reported.
+    // A violation is reported even if a stall of the machine during a fault caused it.
     let violated = reported.contains(" violated;") && !reported.contains(" faults, 0 violated;");
     let expected = if violated { 1 } else { 130 };
     assert_eq!(output.status.code(), Some(expected), "{reported}{said}");

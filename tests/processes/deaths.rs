@@ -33,7 +33,7 @@ pub(crate) const fn peer(system: &str) -> &'static str {
 fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     until_obeyed(run, peer(master));
     let metrics = run.interrupt();
-    // A machine that holds the new master up adds a later takeover, which is not judged here.
+    // If the machine holds up the new master, a later takeover follows. It is not judged here.
     let mut all = metrics["takeovers"].as_array().unwrap().iter();
     let takeover = all.find(|it| it["from"] == master).unwrap();
     let sign = takeover["cause"].as_str().unwrap();
@@ -81,7 +81,7 @@ fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
 }
 
 /// T-RED-3, T-RED-9: a master whose core 0 is stopped has power. The standby takes over because
-/// heartbeats and frames ended. When the old master thaws, it does not drive for a single frame.
+/// heartbeats and frames ended. The thawed old master does not drive, not even for one frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     let fixture = Fixture::new();

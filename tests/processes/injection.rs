@@ -117,12 +117,12 @@ struct Row {
     cut: [bool; 5],
     /// Roles of A and B after both have detected the cuts.
     roles: [String; 2],
-    /// The system that the vehicle obeys, and the one after a power loss of A or of B.
+    /// The system that the vehicle obeys; `then_obeyed`: after a power loss of A, and of B.
     obeyed: Option<String>,
     then_obeyed: [Option<String>; 2],
 }
 
-/// Returns the rows of the table in the docs, which the model of the redundancy has written.
+/// Returns the rows of the table in the docs. The model of the redundancy writes that table.
 fn rows() -> Vec<Row> {
     let (_, table) = TABLE.split_once("<!-- truth:begin -->").unwrap();
     let (table, _) = table.split_once("<!-- truth:end -->").unwrap();

@@ -131,7 +131,7 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     run.until("news of both in their roles", |_| sees_both(&own));
     let publisher = publisher_of(&run).expect("a publisher");
     send(publisher, Signal::STOP);
-    // The run publishes nothing now, so only its figures show that it continues.
+    // The run publishes nothing now, so only the figures at its end show that it continued.
     std::thread::sleep(Duration::from_millis(500));
     let metrics = run.interrupt();
     assert!(

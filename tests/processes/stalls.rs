@@ -31,7 +31,7 @@ fn take_cpu(place: usize, ms: u64, first: impl FnOnce() + Send) -> Option<f64> {
 }
 
 /// T-RED-8: a stall of a CPU is recorded except for its first 2 ms. This holds while a core 0 runs
-/// on that CPU and postpones the watching thread's timer, and just after that core 0 was killed.
+/// on that CPU and postpones the watching thread's timer, and just after that core 0 is killed.
 #[test]
 fn a_cpu_that_is_gone_is_named_also_beside_a_core_0_that_died() {
     for (ms, dies) in [(40, false), (60, true)] {

@@ -282,7 +282,7 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
     let ages_ms = sensor_ages_ms(&events, &candump);
     let reported = metrics["sensor_age_p50_ms"].as_f64().unwrap();
-    // The metrics know some frames that the trace does not: the two medians lie close in rank.
+    // The metrics include some frames that the trace lacks, so the medians are only close in rank.
     let [low, high] = [45, 55].map(|percent| ages_ms[ages_ms.len() * percent / 100]);
     assert!(
         (low - 0.5..high + 0.5).contains(&reported),

@@ -6,7 +6,7 @@
 //!
 //! **Limits.** No input file may cost more than seconds and a few hundred MB; each limit below is
 //! far above every published scenario. A part that cannot be used is left out with a warning
-//! ([`RoadMap::warnings`]) if the rest of the file is right without it; the rest is then used.
+//! ([`RoadMap::warnings`]) if the rest of the file is valid without it.
 
 use std::cell::RefCell;
 use std::collections::HashMap;

@@ -65,8 +65,8 @@ fn needed_for(ego: &Ego, other: &Participant) -> f64 {
     behind(ego.speed, gap, other.speed * cosine, other.acceleration)
 }
 
-/// Returns the constant deceleration, m/s², that keeps [`ROOM_M`] behind a leader of constant
-/// braking. Either the leader stops before the ego reaches it, or both have equal speed there: A.
+/// Returns the constant deceleration, m/s², that keeps [`ROOM_M`] behind a leader that brakes
+/// constantly. Either the leader stops first, or both have equal speed at that distance: A.
 /// Kesting, M. Treiber, D. Helbing, Phil. Trans. R. Soc. A 368 (2010), equation 2.
 fn behind(speed: f64, gap: f64, leader: f64, acceleration: f64) -> f64 {
     let gap = (gap - ROOM_M).max(LEAST_M);

@@ -103,8 +103,8 @@ pub struct WorldMetrics {
     ///
     /// An emergency is a situation in which the ego needs a constant deceleration above 3 m/s²: to
     /// stay 1 m behind an object that is in its path or enters it within 2 s and keeps its
-    /// deceleration, or to stop 1 m before the end of the lane or of the domain. It counts until 1
-    /// s after the situation.
+    /// deceleration, or to stop 1 m before the end of the lane or of the domain. It ends 1 s
+    /// after the situation does.
     pub calm_deceleration_max: f64,
     /// The jerk of `calm_deceleration_max`.
     pub calm_jerk_max: f64,
@@ -639,8 +639,8 @@ mod tests {
         assert!((away.off_lane_s - 0.3).abs() < 2e-3, "{}", away.off_lane_s);
     }
 
-    /// A vehicle that runs into another is the cause. One that is hit while it stands, from behind
-    /// or in the side is not.
+    /// A vehicle that runs into another is the cause. A vehicle that is hit from behind, or in the
+    /// side while it keeps its lane, is not.
     #[test]
     fn a_collision_is_the_egos_only_if_it_caused_it() {
         let at = |x: f64, y: f64, yaw: f64, speed: f64| Participant {
@@ -683,7 +683,7 @@ mod tests {
     fn the_jerk_percentile_comes_from_steps_of_twenty_milliseconds() {
         let mut meter = Meter::new(0, Arc::new([]));
         for step in 0..20_000 {
-            // A constant 1 m/s³, as a saw tooth without edges inside a span.
+            // The acceleration at a constant jerk of 1 m/s³.
             meter.jerk(f64::from(step) * 1e-3);
         }
         assert!((meter.metrics().jerk_p99 - 1.0).abs() < 2.0 * JERK_BIN);

@@ -114,8 +114,8 @@ impl Navigation {
         let slowest = from.max(0.0) / ends;
         let fastest = to.max(0.0) / opens.max(1e-3);
         let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {
-            // A spot: arrive early in its time, because traffic may delay the ego. For a goal in
-            // another lane, arrive when the time begins.
+            // For a spot, arrive early in its time, because traffic may delay the ego. For a goal
+            // in another lane, arrive when the time begins.
             let aim = if goal.speed.is_some_and(|(low, _)| low <= 0.0) {
                 STOPS_S
             } else if in_lane {

@@ -226,8 +226,8 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
     assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
 }
 
-/// Small files that would need much work are refused with the reason, or read with little work: no
-/// case takes seconds.
+/// Small files that could take long to read are refused with the reason, or read quickly: no case
+/// takes seconds.
 #[test]
 fn files_that_ask_for_much_are_refused() {
     let point = |x: f64, y: f64| format!("<point><x>{x}</x><y>{y}</y></point>");

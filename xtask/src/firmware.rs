@@ -236,7 +236,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
 
 /// Strap `Mode` of the schedules: the lock is broken.
 const BROKEN_LOCK: u32 = 1;
-/// A tick of the timer is 25 instructions, so that turns can end at any instruction.
+/// A tick of the timer is 25 instructions, so that time slices can end at any instruction.
 const SCHEDULES_SHIFT: u32 = 2;
 
 fn explore(root: &Path, lengths: u32) -> Result<()> {

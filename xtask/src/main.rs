@@ -121,8 +121,8 @@ enum Task {
         #[arg(long, value_name = "US")]
         overhead_us: f64,
     },
-    /// Build broken variants of the product (tests/broken/*.patch), and check that the test that
-    /// each one names fails
+    /// Build broken variants of the product (tests/broken/*.patch), and check that each one fails
+    /// the test that it names
     Broken {
         /// Only variants whose name contains this text
         #[arg(default_value = "")]
@@ -187,7 +187,7 @@ enum Campaign {
         seed: u64,
     },
     /// Cut the power at every byte of every flash operation of an update, and again while the
-    /// controller recovers; each incarnation is a separate process. Fails if it is bricked
+    /// controller recovers; each incarnation is a separate process. Fails if a cut bricks it
     PowerCuts {
         /// Write {points, bricks} to this file
         #[arg(long, value_name = "FILE")]
@@ -417,8 +417,8 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
     })
 }
 
-/// Returns the cargo that runs this program, or rustup's. Only rustup's cargo selects one toolchain
-/// for all crates, including those with a separate toolchain file.
+/// Returns the cargo that runs this program. If it was started without cargo, returns the first
+/// cargo in the search path.
 fn cargo_program() -> OsString {
     env::var_os("CARGO").unwrap_or_else(|| "cargo".into())
 }

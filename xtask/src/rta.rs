@@ -245,7 +245,7 @@ mod tests {
             .collect()
     }
 
-    /// Burns and Wellings, "Real-Time Systems and Programming Languages", task set B and C of the
+    /// Burns and Wellings, "Real-Time Systems and Programming Languages", task sets B and C of the
     /// chapter on scheduling: set C has utilisation 1 and is still schedulable.
     #[test]
     fn textbook_sets_have_their_responses() {

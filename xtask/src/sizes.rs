@@ -38,8 +38,8 @@ struct Room {
 /// Rooms by their folders. A file belongs to the innermost of these folders that contains it.
 type Rooms = BTreeMap<String, Room>;
 
-/// Prints each room beside the table, and returns those that grew. With `save` it first writes the
-/// current sizes to the table, so that only limits can be exceeded.
+/// Prints each room beside the table. Returns a finding for each that grew or exceeds its limit.
+/// With `save` it first writes the current sizes to the table; then no room counts as grown.
 pub(crate) fn findings(root: &Path, save: bool) -> Result<Vec<String>> {
     let table = read(root.join(TABLE))?;
     let mut known = rooms_in(&table)?;
@@ -195,7 +195,7 @@ mod tests {
         assert_eq!(lines("shm/src/tests.rs", text), (0, 5));
         assert_eq!(lines("shm/tests/a.rs", text), (0, 5));
         assert_eq!(lines("tests/src/a.rs", text), (0, 5));
-        // The module is in another file, whose lines are counted there.
+        // The test module is in another file; its lines are counted there.
         assert_eq!(
             lines("shm/src/a.rs", "a\n#[cfg(test)]\nmod tests;\nb\n"),
             (4, 0)
@@ -218,7 +218,7 @@ mod tests {
             text.starts_with("shm: 101 product lines, 100 in docs/rooms.md: growth"),
             "{text}"
         );
-        // A limit also applies to a size that the table permits.
+        // A room must stay within its limit even if it has not grown.
         assert_eq!(found(100, 50, "100"), None);
         assert!(found(100, 50, "99").is_some());
         assert_eq!(found(90, 50, "140 with tests"), None);

@@ -105,7 +105,7 @@ fn dependencies(root: &Path) -> Result<Vec<String>> {
         }
         for dependency in &package.dependencies {
             let on = dependency.name.as_str();
-            // A build that counts accesses is never a product.
+            // Only a test build counts accesses; it is never a product.
             let is_counting = dependency.target.as_deref() == Some("cfg(stepped)");
             if on.starts_with("iceoryx2") && !MAY_USE_ICEORYX2.contains(&name) {
                 findings.push(format!("{name}: only the host board may name {on}"));

@@ -29,8 +29,8 @@ type Ipc = ipc::Service;
 /// Folder of its files: the benchmark's private `/dev/shm`, so that no files remain.
 const ROOT: &[u8] = b"/dev/shm/iceoryx2";
 
-/// Calls `open` with a node of default settings, except for the place of its files and for signals:
-/// the benchmark handles Ctrl-C.
+/// Calls `open` with a node of default settings, except for the place of its files and for signals.
+/// The benchmark itself handles Ctrl-C.
 fn with_node<S: Service, T>(open: impl FnOnce(Node<S>) -> Result<T, Error>) -> T {
     let start = || {
         set_log_level(LogLevel::Fatal);
@@ -204,7 +204,7 @@ pub(crate) fn publish_subscribe(
             let mut out = settings.publisher(&out, words)?;
             let send = move |stamp| {
                 out.deliver(stamp);
-                // Not timed: the message is on its way.
+                // Not timed, because the message was already sent.
                 out.lend();
             };
             let receive = move || {

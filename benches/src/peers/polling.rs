@@ -8,8 +8,8 @@ use std::io;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::fence;
 
-/// 4 bytes through a sequence lock: the least mechanism for a newest value of several words that is
-/// never torn. Count and value share a cache line.
+/// 4 bytes through a sequence lock: the simplest mechanism for a newest value of several words that
+/// is never torn. Count and value share a cache line.
 ///
 /// After H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (2012).
 pub(crate) fn seqlock(plan: &BatchPlan) -> io::Result<Batch> {

@@ -24,7 +24,7 @@ pub(crate) struct Results {
     pub(crate) schema: String,
     pub(crate) machine: Machine,
     pub(crate) duration_s: f64,
-    /// The background load that was asked for, as `spin:2`.
+    /// The requested background load, for example `spin:2`.
     #[serde(default)]
     pub(crate) load: Option<String>,
     /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
@@ -45,7 +45,7 @@ pub(crate) struct Skipped {
 /// One measured case. Times in nanoseconds, rounded to a tenth.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
-    /// Group and case, as `spin/tandem`.
+    /// Group and case, for example `spin/tandem`.
     pub(crate) name: String,
     pub(crate) group: String,
     pub(crate) what: String,
@@ -92,14 +92,14 @@ impl Row {
         case.unwrap_or(&self.name)
     }
 
-    /// Returns whether the others of the group are compared with this one.
+    /// Returns whether this is the floor, with which the rest of the group is compared.
     pub(crate) fn is_floor(&self) -> bool {
         self.case() == "floor"
     }
 
     /// Returns whether the floor's 99.9th percentile is more than ten times its median. It then
-    /// shows stalls, not the bare mechanism: a few stalls more or less change the ratio at 99.9 %
-    /// from 0.3 to 3.
+    /// shows stalls, not the bare mechanism: a few more or fewer stalls can change the ratio at
+    /// 99.9 % from 0.3 to 3.
     pub(crate) fn has_stalled_floor(&self) -> bool {
         let ratios = self.ratio_to_floor_p50.zip(self.ratio_to_floor_p99_9);
         ratios.is_some_and(|(p50, p99_9)| self.p99_9_ns / p99_9 > 10.0 * self.p50_ns / p50)

@@ -1,5 +1,5 @@
-//! Channels in memory of the harness, so that any payload fits: an LMU has only 32 KiB. The code is
-//! the same. Tests newest values of any size, FIFOs, and the broadcast ring.
+//! Channels in memory of the harness, so that any payload fits: an LMU has only 32 KiB. Their code
+//! is the same as in an LMU. Measures newest values of any size, FIFOs, and the broadcast ring.
 
 use super::{Regions, sum_from, word};
 use crate::clock::ticks;
@@ -13,7 +13,7 @@ use tandem_shm::mailbox::{Ring, TaskId};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::region::{Broadcast, Fifo, Region};
 
-/// In a ping-pong one value is written while the other one may still be read.
+/// Two, because in a ping-pong one value is written while the other may still be read.
 const SLOTS: usize = 2;
 
 /// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
@@ -125,7 +125,7 @@ fn receive(map: &Map<'_>, role: &mut PartContext<'_>) -> io::Result<()> {
     let mut turn = ticks();
     let mut begin = turn;
     loop {
-        // Read before the ring, so that all earlier messages are visible.
+        // Read this before the ring, so that all earlier messages are visible.
         let last = role.shared.flag.load(Acquire) != 0;
         match receiver.receive() {
             Ok(Some((k, value))) => {

@@ -11,11 +11,11 @@ use tandem_shm::sync::{AtomicU32, spin};
 use tandem_shm::{LINE_WORDS, Shape, bare, broadcast, fifo, lock, mailbox, newest, pool};
 
 const SMALL: Shape = Shape::new(4, 1);
-/// A scene of the controller.
+/// Shape of a channel that carries one scene of the controller.
 const SCENE: Shape = Shape::new(4, 266);
 const BLOCKS: usize = 8;
 
-/// Zeroed words from a line boundary on, for as long as the program runs.
+/// Returns zeroed words that begin at a cache line and exist as long as the program runs.
 fn zeroed(words: usize) -> &'static [AtomicU32] {
     let memory = (0..words + LINE_WORDS).map(|_| AtomicU32::new(0));
     let memory: &'static [AtomicU32] = Vec::leak(memory.collect());
@@ -23,7 +23,7 @@ fn zeroed(words: usize) -> &'static [AtomicU32] {
     &memory[skip..skip + words]
 }
 
-/// Returns the only core, announced.
+/// Announces the only core. Returns its incarnation and the table of incarnations.
 fn incarnation() -> (Incarnation, Incarnations<'static>) {
     let (own, all) = (
         Incarnation::new(0, 1).unwrap(),
@@ -33,7 +33,7 @@ fn incarnation() -> (Incarnation, Incarnations<'static>) {
     (own, all)
 }
 
-/// Returns a newest-value channel of `WORDS` words: publish, then read.
+/// Returns an operation that publishes `WORDS` words in a newest-value channel and reads them.
 fn channel<const WORDS: usize>(shape: Shape) -> Box<dyn FnMut()> {
     let words = zeroed(newest::words(shape));
     let mut writer = bare::newest_writer::<[u32; WORDS]>(words, shape).unwrap();

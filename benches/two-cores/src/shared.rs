@@ -41,7 +41,7 @@ pub fn draw(count: usize) -> usize {
     ((mixed ^ (mixed >> 31)) % count as u64) as usize
 }
 
-/// Announces an incarnation of a core, which must be its latest.
+/// Announces an incarnation of a core; it must be the core's latest.
 pub fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
     let incarnation = Incarnation::new(core, generation).expect("an incarnation");
     let announced = map.incarnations().announce(incarnation);
@@ -92,7 +92,7 @@ pub struct SharedPage {
 }
 
 impl SharedPage {
-    /// Maps it, with room for a case that needs a few lines.
+    /// Maps the memory, with room for a case that needs a few lines.
     ///
     /// # Errors
     /// If there is not enough memory.
@@ -100,7 +100,7 @@ impl SharedPage {
         Self::with_case_words(CASE_WORDS)
     }
 
-    /// Maps it, with this many words for the case.
+    /// Maps the memory, with this many words for the case.
     ///
     /// # Errors
     /// If there is not enough memory.
@@ -116,8 +116,8 @@ impl SharedPage {
         // only by `drop`, when its batch no longer uses it.
         let words = unsafe { std::slice::from_raw_parts(base.cast(), total) };
         // SAFETY: the words before `case_at` hold a `Head`, whose atomics may be zero. Only `head`
-        // refers to them, and `touch` to the first word of each page, where the head has atomics of
-        // 32 bits.
+        // refers to them, except that `touch` reads the first word of each page, where the head has
+        // atomics of 32 bits.
         let head = unsafe { &*base.cast() };
         Ok(Self {
             head,
@@ -126,8 +126,8 @@ impl SharedPage {
         })
     }
 
-    /// Maps it, with an LMU of this layout, formatted, in the words of the case. The map is valid
-    /// while the first value exists.
+    /// Maps the memory and formats an LMU of this layout in the words of the case. The returned
+    /// map is valid while the returned memory exists.
     ///
     /// # Errors
     /// If there is not enough memory.
@@ -191,7 +191,7 @@ impl Drop for SharedPage {
     fn drop(&mut self) {
         let base = self.words.as_ptr().cast_mut().cast();
         // SAFETY: `base` and the length are those of the mapping from `new`; the batch is over, and
-        // the processes of its parts have ended. It cannot fail for this mapping.
+        // the processes of its parts have ended. `munmap` cannot fail for this mapping.
         let _ = unsafe { munmap(base, size_of_val(self.words)) };
     }
 }
@@ -228,12 +228,12 @@ impl Log {
         samples.map(|word| word.load(Ordering::Relaxed))
     }
 
-    /// Records the number `at`, below [`NOTES`].
+    /// Records a number at index `at`, which must be below [`NOTES`].
     pub fn note(&self, at: usize, value: f64) {
         self.sheet.notes[at].store(value.to_bits(), Ordering::Relaxed);
     }
 
-    /// Returns the number recorded at `at`; 0 if none was.
+    /// Returns the number recorded at index `at`; 0 if there is none.
     #[must_use]
     pub fn noted(&self, at: usize) -> f64 {
         f64::from_bits(self.sheet.notes[at].load(Ordering::Relaxed))
@@ -246,7 +246,7 @@ impl Log {
         }
     }
 
-    /// Returns that text; empty if there is none.
+    /// Returns the text that [`Self::say`] recorded; empty if there is none.
     #[must_use]
     pub fn said(&self) -> String {
         let bytes = self.sheet.text.iter();

@@ -121,7 +121,7 @@ pub fn perform_within(
         children.push(Child::start(part.cpu, || play(shared, number, part.run))?);
     }
     let outcome = watch(&mut children, limit);
-    // Kill all, then wait: under SCHED_FIFO one that spins prevents another from ending.
+    // Kill all, then wait: under SCHED_FIFO a child that spins prevents others from ending.
     children.iter().for_each(Child::kill);
     drop(children);
     outcome.map_err(|error| {
@@ -186,7 +186,7 @@ pub struct Child {
 }
 
 impl Child {
-    /// Runs `body` in a child process on this CPU; it ends with status 0 if that returns true.
+    /// Runs `body` in a child process on this CPU. The child's status is 0 if `body` returns true.
     ///
     /// # Errors
     /// If no process can be created, or this one has more than one thread: another thread may
@@ -226,7 +226,7 @@ impl Child {
         let _ = pidfd_send_signal(&self.pidfd, Signal::KILL);
     }
 
-    /// Checks whether the child has ended, and its status.
+    /// Records whether the child has ended; an error if its status is not 0.
     fn reap(&mut self, options: WaitIdOptions) -> io::Result<()> {
         let of = WaitId::PidFd(self.pidfd.as_fd());
         if self.running
@@ -244,7 +244,7 @@ impl Child {
 impl Drop for Child {
     fn drop(&mut self) {
         self.kill();
-        // There is nothing to wait for if it was not running.
+        // If the child had already ended, this does not wait.
         let _ = self.reap(WaitIdOptions::empty());
     }
 }

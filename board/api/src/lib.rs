@@ -40,8 +40,8 @@ pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
 pub use vehicle::{Carried, Pass, VehicleBus, VehiclePort};
 
-/// A word of the LMU: the machine's atomic. In a build with `--cfg stepped`, a test can stop a core
-/// before each access to it.
+/// A word of the LMU: the standard 32-bit atomic. In a build with `--cfg stepped`, a test can stop
+/// a core before each access to the word.
 #[cfg(not(stepped))]
 pub use core::sync::atomic::AtomicU32 as LmuWord;
 #[cfg(stepped)]

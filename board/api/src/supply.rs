@@ -94,7 +94,7 @@ coded!(RoleLamp: Starting, Master, DegradedMaster, Standby, Suspended);
 #[must_use]
 pub const fn watchdog_answer(question: u8) -> u8 {
     let q = question & 0xF;
-    // Multiplication by an odd number permutes the bytes; the constant keeps 0 from answering 0.
+    // Multiplication by an odd number permutes the bytes. 0xA5 prevents answer 0 to question 0.
     q.wrapping_mul(0x1D).rotate_left(3) ^ 0xA5
 }
 

@@ -8,7 +8,7 @@ use tandem_board::{
 
 use crate::case::{CaseFailure, check};
 
-/// First word of the trace records of a handler; the second word is their number, from 0.
+/// First word of a handler's trace records. The second word counts the handler's runs, from 0.
 const FROM_HANDLER: u32 = 0xC0_0001;
 /// First word of the trace records of a task.
 const FROM_TASK: u32 = 0xC0_0002;

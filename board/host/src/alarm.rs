@@ -19,7 +19,7 @@ const AGAIN: Duration = Duration::from_ms(1_000_000_000);
 
 /// A timer of CLOCK_MONOTONIC; processes share it by inheriting its descriptor.
 ///
-/// It expires in the interrupts of the CPU on which it was last set. Nothing in this module
+/// Its expiry interrupts the CPU on which it was last set. Nothing in this module
 /// allocates, and only [`Alarm::wait`] blocks; a signal handler may call [`Alarm::postpone`].
 #[derive(Debug)]
 pub struct Alarm(OwnedFd);

@@ -63,7 +63,7 @@ pub struct HostBoard {
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     doorbell: Doorbell,
-    /// Whether the first wait was done. It returns at once: earlier rings may have been lost.
+    /// Whether the first wait was done; it returns at once, because earlier rings may be lost.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,

@@ -258,7 +258,7 @@ impl Launcher {
         let Some(supply) = self.children.get_mut(system.index()) else {
             return;
         };
-        // A supply that was just killed ends within milliseconds. If it does not end, it is on.
+        // A killed supply ends within milliseconds. A supply that does not end was not killed.
         let patience = Instant::now() + POWER_OFF_WITHIN;
         while matches!(supply.try_wait(), Ok(None)) {
             if Instant::now() > patience {

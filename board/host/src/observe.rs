@@ -27,7 +27,7 @@ impl BusTap {
     /// Returns the next frame that was on the bus, with its sender; `None` if there is none yet.
     /// Never blocks.
     pub fn try_next(&mut self) -> Option<(Sender, Received)> {
-        // The bus may send while this reads, so one call reads at most one frame per slot.
+        // The bus may send during this call, so one call reads at most one frame per slot.
         for _ in 0..RINGS.receive.shape.slots() {
             match self.frames.receive() {
                 Ok(None) => return None,

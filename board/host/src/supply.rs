@@ -43,8 +43,8 @@ const PERIOD: Duration = Duration::from_ms(1);
 /// The period after all cores have started. A process's death, the end of the watchdog's window and
 /// [`POKE`] wake the supply at once. Keep it short: only a late tick shows a stall ([`HELD_UP`]).
 const CALM_PERIOD: Duration = Duration::from_ms(20);
-/// Makes a supply or the launcher read its registers. Before its handler is installed, the signal
-/// has no effect.
+/// The signal that makes a supply or the launcher read its registers. It has no effect before its
+/// handler is installed.
 const POKE: Signal = Signal::URG;
 
 /// Makes the supply of a system read its registers now. No effect if there is no supply.
@@ -154,8 +154,8 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         pokes,
     };
     if power_on > 1 {
-        // Not at the first power-on: no edge is older than the run then, and the other system may
-        // already be on and have sent edges that must count.
+        // Not at the first power-on: there are no old edges, and the other system may already be on
+        // and have sent edges that must count.
         backplane.clear_received_edges(args.system);
     }
     supply.work(&vehicle);

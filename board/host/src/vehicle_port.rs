@@ -75,7 +75,7 @@ pub struct HostVehiclePort {
     doorbell: Doorbell,
     /// Whether the doorbell was rung.
     rung: bool,
-    /// The vehicle sends no frame before this time, so periods before it may be late.
+    /// The vehicle sends no frame before this time, so earlier periods may be returned late.
     quiet_until: Instant,
 }
 
@@ -409,8 +409,8 @@ mod tests {
         HostCan::attach(port.backplane, of, ringers).unwrap()
     }
 
-    /// T-RED-8: the bus limits the time of sending that a sender reports. A sender that was frozen
-    /// between reading the clock and sending hides no gap, and no time is in the future.
+    /// T-RED-8: the bus corrects a reported time of sending that is too early or in the future. So
+    /// a core that was frozen between reading the clock and sending cannot hide a gap.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (_run, mut port) = port();
@@ -540,7 +540,7 @@ mod tests {
     }
 
     /// The vehicle sleeps until the period in which it sends a frame. A core's frame wakes it
-    /// early, but the wait first returns the periods that are already due.
+    /// early; `wait_for` then first returns the periods that are already due.
     #[test]
     fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
         let (run, mut port) = port();

@@ -24,7 +24,7 @@ pub struct Config {
     /// How long a reset holds the system.
     pub hold: Duration,
     /// The hold doubles with each reset up to this limit, so that a program that dies at its start
-    /// does not use up the machine.
+    /// does not overload the machine.
     pub longest_hold: Duration,
     /// After an incarnation that lasted this long, the hold is short again.
     pub stable: Duration,

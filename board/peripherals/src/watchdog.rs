@@ -17,15 +17,15 @@ pub struct Window {
 }
 
 impl Window {
-    /// For hardware cores: two control cycles. Closed for 50 cycles of 0.1 ms, open for 150.
+    /// For hardware cores: closed for 50 × 0.1 ms, open for 150; together two control periods.
     pub const TARGET: Self = Self {
         opens_us: 5_000,
         closes_us: 20_000,
         first_us: 100_000,
     };
     /// For cores that are processes. Open for 950 cycles of 0.1 ms: takeover does not depend on the
-    /// watchdog, so it tolerates the delays of a busy desktop. The first service includes the start
-    /// of a process.
+    /// watchdog, so the window tolerates the delays of a busy desktop. The time limit of the first
+    /// service includes the start of a process.
     pub const DESKTOP: Self = Self {
         closes_us: 100_000,
         first_us: 1_000_000,
@@ -34,7 +34,7 @@ impl Window {
 }
 
 /// Returns the question that follows `services` services of one incarnation: each of 0 ..= 15 in
-/// turn, in a scrambled order. A core that counts its services need not read it.
+/// turn, in a scrambled order. A core that counts its services need not read the question.
 #[must_use]
 pub const fn question(services: u32) -> u8 {
     // An odd factor permutes the residues.
@@ -146,7 +146,7 @@ impl Watchdog {
         self.blind = [from, to];
     }
 
-    /// Returns how much of the blind span is after the last service.
+    /// Returns for how long the supply could not run after the last service.
     fn blind_since_last(&self) -> Duration {
         let [from, to] = self.blind;
         to.since(from.max(self.last))

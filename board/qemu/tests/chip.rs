@@ -148,7 +148,7 @@ fn a_chip_keeps_the_times_of_the_thesis() {
     // Limits, ms: until B's decision, until its first control frame, and without control. The
     // emulator runs the instructions of all cores one at a time. If A has stopped, B takes
     // 0.18 ms from the decision to the frame. If A restarts, B takes up to 0.5 ms, so in that case
-    // only the decision must meet the time of a chip.
+    // only the decision must meet the time limit of a chip.
     for (fails, level_cut, bounds) in [
         (Fails::Hang, true, [3.9, 4.0, 14.0]),
         (Fails::Reset, true, [3.9, 4.0, 14.0]),

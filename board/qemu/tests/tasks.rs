@@ -127,8 +127,8 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
             if info.priority < control.priority {
                 assert_eq!(ran(&info), 0, "{} ran at {:?}", info.name, job.from);
             } else if info.priority > control.priority {
-                // These run as often as without the load: monitoring every 5 ms, the roles at least
-                // every 2 ms.
+                // More urgent tasks run as often as without the load: monitoring every 5 ms, the
+                // roles at least every 2 ms.
                 let least = if info.code == TaskCode::ROLES { 10 } else { 3 };
                 assert!(ran(&info) >= least, "{}: {} times", info.name, ran(&info));
             }

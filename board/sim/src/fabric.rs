@@ -172,7 +172,7 @@ impl Machine {
         core.job.is_some()
     }
 
-    /// Performs an output. It is lost if a receiver or buffer is full: the sender no longer waits.
+    /// Performs an output. If a receiver or buffer is full, the output is lost without an error.
     pub(crate) fn put_out(&mut self, from: CoreAddress, output: Output) {
         match output {
             Output::Edge(line, edge) => self.send_edge(from.system, line, edge),

@@ -131,7 +131,7 @@ impl SimPair {
         let now_ns = machine.now_ns;
         machine.set_now(now_ns);
         for core in &mut machine.system(system).cores {
-            // The core's timer compares with the clock: poll the core, so that it sees the jump.
+            // The clock may now be past the core's deadline, so poll the core at once.
             core.deadline_ns = core.deadline_ns.min(now_ns);
         }
     }

@@ -36,7 +36,7 @@ pub struct SimPair {
     world: Option<World>,
     world_next: Instant,
     order: ChaCha8Rng,
-    /// The count of incarnations that `cores` corresponds to.
+    /// The value of `Machine::incarnations` at the last update of `cores`.
     followed: u64,
 }
 
@@ -216,8 +216,8 @@ impl SimPair {
         machine
     }
 
-    /// Drops the code of cores whose incarnation has ended, and makes the code of cores that began
-    /// one.
+    /// Drops the code of cores whose incarnation has ended, and makes the code of cores that have
+    /// begun a new incarnation.
     pub(crate) fn follow_incarnations(&mut self) {
         let changes = self.shared.lock().incarnations;
         if core::mem::replace(&mut self.followed, changes) == changes {

@@ -40,7 +40,7 @@ struct Arguments {
 /// Counts of the results.
 #[derive(Default)]
 struct Tally {
-    /// Number of files for each refusal; "accepted" if the flash then holds a signed image.
+    /// Files for each result; `wrong` lists accepted files that left no signed image in the slot.
     fates: BTreeMap<String, u64>,
     wrong: Vec<u64>,
 }
@@ -257,7 +257,7 @@ fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
     line(3, &address.to_be_bytes(), &data)
 }
 
-/// Changes an image and keeps every checksum valid: only digests and signature can detect it.
+/// Changes an image so that its records stay valid: only digests and signature reveal the change.
 fn change_image(image: &mut Image, images: &[Image; 3], chance: &mut ChaCha8Rng) {
     let other = &images[chance.random_range(0..3)];
     match chance.random_range(0..4) {

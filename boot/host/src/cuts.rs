@@ -2,7 +2,7 @@
 //!
 //! A *point* is a moment of an erase or program operation in a life, together with the state of
 //! the changing bits after the loss of power. The caller supplies a function that runs a life, in
-//! a new process or as a [`Life`] in this one. U-5
+//! a new process or, as a [`Life`], in this process. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
 use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
@@ -250,7 +250,7 @@ pub struct Swept {
     pub bricks: Vec<String>,
 }
 
-/// The ticks of the first life to sweep: every `every`-th, beginning with `from`.
+/// The ticks at which power is lost in the first life: every `every`-th, beginning with `from`.
 #[derive(Clone, Copy, Debug)]
 pub struct TickRange {
     /// The first tick.
@@ -259,11 +259,11 @@ pub struct TickRange {
     pub every: u64,
 }
 
-/// Sweeps a scenario: power is lost at a tick, and again during the recovery. `live` runs one life,
-/// as [`Stage::live`] does.
+/// Sweeps a scenario: power is lost at each of these ticks, and again during the recovery. `live`
+/// runs one life, as [`Stage::live`] does.
 ///
 /// # Errors
-/// Those of `live`.
+/// The errors of `live`.
 pub fn sweep<E>(
     stage: &Stage,
     which: TickRange,

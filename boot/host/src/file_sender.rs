@@ -50,7 +50,7 @@ pub struct FileSender {
     state: State,
     /// Number of records accepted by the loader.
     accepted: u32,
-    /// The record being sent, and its bytes already sent.
+    /// The record being sent, and how many of its bytes are already sent.
     record: u32,
     sent: usize,
     /// The highest number of completely sent records.
@@ -88,17 +88,16 @@ impl FileSender {
         }
     }
 
-    /// Makes the sender continue an interrupted transfer, if the loader still has its records.
-    /// Needs a window.
+    /// Makes the sender continue an interrupted transfer, if the loader still has the records of
+    /// that transfer. Needs a window.
     #[must_use]
     pub fn resuming(mut self) -> Self {
         self.resume = self.wanted > 0;
         self
     }
 
-    /// Returns whether a loader has answered. With a window, the sender reconnects when the loader
-    /// is silent, and continues after the records that the loader has; after a loss of power it has
-    /// none.
+    /// Returns whether the sender is connected. With a window, it reconnects to a silent loader and
+    /// continues after the records that the loader has; after a loss of power the loader has none.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.state != State::Connecting
@@ -145,8 +144,8 @@ impl FileSender {
         }
     }
 
-    /// Reconnects to a silent loader: frames were lost, or the loader lost power. Its answer says
-    /// how many records it has.
+    /// Reconnects to a silent loader: frames were lost, or the loader lost power. The loader's
+    /// answer reports how many records it has.
     fn connect_again(&mut self, now: Instant) {
         (self.state, self.resume, self.due) = (State::Connecting, true, now);
     }
@@ -204,7 +203,7 @@ impl FileSender {
         let Some(answer) = Answer::decode(frame.data()) else {
             return;
         };
-        // Ignore a count beyond the sent records: the loader cannot have sent it.
+        // Ignore a count beyond the sent records: the loader cannot have sent such a count.
         if let Answer::Accepted { records: count } | Answer::Resend { record: count } = answer
             && count > self.farthest
         {

@@ -41,7 +41,7 @@ pub enum End {
 /// The circumstances of a controller in one life.
 #[derive(Clone, Debug, Default)]
 pub struct Life<'a> {
-    /// The file that a host sends, and its window.
+    /// The file that a host sends, and the host's window.
     pub file: Option<(&'a [String], u8)>,
     /// Whether the application approves itself.
     pub approves: bool,
@@ -203,7 +203,7 @@ impl Run {
     }
 
     fn deliver(&mut self, loader: &mut Loader<'_, &mut SimulatedFlash>, frame: &CanFrame) {
-        // A frame of 131 bits or more takes at least 262 µs at 500 kbit/s.
+        // A frame with 8 bytes has at least 131 bits, which take 262 µs at 500 kbit/s.
         self.now = Instant::from_ns(self.now.as_ns() + 270_000);
         loader.on_frame(self.now, frame);
     }

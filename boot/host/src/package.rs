@@ -15,7 +15,7 @@ pub const RECORD_DATA: usize = 16;
 pub struct SigningKey {
     /// The number of its public key in the bootloader.
     pub number: u8,
-    /// The 32 bytes of RFC 8032.
+    /// The private key of 32 bytes (RFC 8032).
     pub seed: [u8; 32],
 }
 
@@ -48,7 +48,7 @@ pub enum PackageError {
         /// The number of data records.
         found: u32,
     },
-    /// Two records give different data for an address.
+    /// Two records have data for the same address.
     #[error("address {address:#010X} has data twice")]
     Overlap {
         /// The address.
@@ -60,7 +60,7 @@ pub enum PackageError {
     /// The file is not an ELF file of a 32-bit little-endian machine.
     #[error("not an ELF file of a 32-bit little-endian machine")]
     Elf,
-    /// The data do not fit into one place for images after its first 256 bytes.
+    /// The data are not all in one place for images, or begin in the first 256 bytes of the place.
     #[error(
         "data at offset {offset:#08X}: an image must lie in one slot, after the first 256 bytes, \
          which are for the manifest"
@@ -158,8 +158,8 @@ pub struct ReleaseInfo {
 }
 
 impl Image {
-    /// Signs an image with these parts, given as offset from its place and bytes. Fills gaps with
-    /// 0xFF.
+    /// Signs an image with these parts; each has an offset from the place, and bytes. Fills gaps
+    /// with 0xFF.
     ///
     /// # Panics
     /// If there are no parts or more than three, or a part begins before [`BODY_OFFSET`] or before
@@ -210,8 +210,8 @@ impl Image {
         }
     }
 
-    /// Signs the content of a file as one part from the first to the last byte. The file's entry,
-    /// if it has one, is core 0's.
+    /// Signs the content of a file as one part from the first to the last byte. The entry of the
+    /// file, if it has one, becomes that of core 0.
     ///
     /// # Errors
     /// [`PackageError`] if the data do not fit into the place of one image.

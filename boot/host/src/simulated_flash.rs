@@ -18,7 +18,7 @@ type Page = [u8; PAGE_BYTES];
 
 /// Moments in one program operation: one before it, and one after each byte.
 pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
-/// Moments in one erase operation: one before it, and one after each thirty-second of the sector.
+/// Moments in one erase operation: one before it, and one after each of 32 parts of the sector.
 pub const ERASE_TICKS: u64 = 33;
 
 /// The state in which an interrupted operation leaves the changing bits.
@@ -92,7 +92,7 @@ pub struct SimulatedFlash {
     /// Ticks until power is lost, and the state of the changing bits then.
     cut: Option<(u64, Tear)>,
     is_on: bool,
-    /// Ticks of all operations so far.
+    /// Ticks of all operations in this life so far.
     ticks: u64,
     /// Offsets of pages that were programmed although they were not erased or had weak bits.
     overwrites: Vec<u32>,
@@ -236,7 +236,7 @@ impl SimulatedFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
-    /// Sets bits of a byte to the interrupted state.
+    /// Puts these bits of a byte into the state in which the loss of power leaves them.
     fn leave(&mut self, cell: &mut Cell, place: usize, bits: u8, torn: Option<(u64, Tear)>) {
         let Some((_, tear)) = torn else { return };
         match tear {
@@ -308,7 +308,7 @@ impl SimulatedFlash {
         bytes
     }
 
-    /// Decodes what [`SimulatedFlash::save`] returned; `None` for other bytes.
+    /// Decodes the output of [`SimulatedFlash::save`]; `None` for other bytes.
     #[must_use]
     pub fn restore(bytes: &[u8]) -> Option<Self> {
         let (records, rest) = bytes.as_chunks::<{ 4 + 2 * PAGE_BYTES + 1 }>();
@@ -444,7 +444,7 @@ mod tests {
         }
     }
 
-    /// U-5: weak bits read as their [`Tear`] says, even after saving, until they are erased.
+    /// U-5: weak bits read as their [`Tear`] says, even if saved and restored, until erased.
     #[test]
     fn weak_bits_stay_weak_until_they_are_erased() {
         for (tear, within_life, between_lives) in [

@@ -51,7 +51,7 @@ pub struct UdpBus {
 }
 
 impl UdpBus {
-    /// Joins a group, together with other processes of this machine.
+    /// Joins a group. Other processes of this machine may join the same group.
     ///
     /// # Errors
     /// An error of the operating system, usually because there is no route to the group.
@@ -100,7 +100,7 @@ impl UdpBus {
         self.sender.send(&bytes).map(drop)
     }
 
-    /// Waits for the next data frame of another end; returns `None` after this time. Skips
+    /// Waits for the next data frame of another end; returns `None` after the time `within`. Skips
     /// everything else.
     ///
     /// # Errors

@@ -12,8 +12,8 @@ use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{FileSender, ToDo, records};
 
-/// Returns the frame as it arrives: unchanged, or `None` if it is lost. A frame to the loader may
-/// also be changed: records have their own checksum, answers have only that of CAN.
+/// Returns the frame as it arrives, or `None` if it is lost. Changes some frames to the loader,
+/// because a record has its own checksum; changes no answer, which has only the checksum of CAN.
 fn noisy(frame: &CanFrame, per_mille: u32, chance: &mut ChaCha8Rng) -> Option<CanFrame> {
     let is_answer = frame.id() == tandem_boot::TO_HOST;
     let dice = chance.random_range(0..1000);
@@ -75,8 +75,8 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// T-BOOT-3, T-BOOT-4: up to 1 % of the frames are lost and half as many changed. If the host
-    /// reports that it is done, the image is complete.
+    /// T-BOOT-3, T-BOOT-4: up to 1 % of the frames are lost, and half as many are changed. If the
+    /// host reports that it is done, the image is complete.
     #[test]
     fn a_download_survives_a_noisy_bus(
         window in prop::sample::select(&[0u8, 1, 4, 16][..]),

@@ -126,7 +126,7 @@ fn bincopy_reads_the_same() {
             (Err(_), "refused") => refused += 1,
             // We are stricter than bincopy: S4, a count or entry with data, blanks inside a line.
             (Err(_), _) => {}
-            // bincopy must read each of these files that we read.
+            // bincopy must read every file that we read.
             (Ok(ours), _) => panic!("only we read {text:?}: {ours:?}"),
         }
     }
@@ -243,14 +243,14 @@ fn a_file_of_objcopy_loads() {
     assert_eq!(launch.entries[0], Some(0x10_0104));
 }
 
-/// Builds a key file that OpenSSL reads: RFC 8410's encoding around the 32 bytes.
+/// Builds a key file that OpenSSL reads: the header of RFC 8410, then the 32 bytes of the key.
 fn der(prefix: &str, key: &[u8; 32]) -> Vec<u8> {
     let (pairs, _) = prefix.as_bytes().as_chunks::<2>();
     let pair = |pair: &[u8; 2]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
     pairs.iter().map(pair).chain(*key).collect()
 }
 
-/// E-4: OpenSSL verifies our signatures, we verify its; both refuse a changed manifest.
+/// E-4: OpenSSL and this crate verify each other's signatures; both refuse a changed manifest.
 #[test]
 fn openssl_signs_and_verifies_the_same() {
     if !have(

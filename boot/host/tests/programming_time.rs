@@ -74,7 +74,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
                 let span = erase_ns + (programmed - done.1) * program_ns;
                 done = (erased, programmed);
                 measured.flash_ns += span;
-                // With a window the bus works while the flash programs, but not while it erases.
+                // With a window, frames are sent while the flash programs, not while it erases.
                 now = Instant::from_ns(now.as_ns() + if window > 0 { erase_ns } else { span });
             }
             ToDo::Done => break,
@@ -86,9 +86,9 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     measured
 }
 
-/// T-BOOT-3: a download without a window takes at most 5 % longer than its frames. The limit is
-/// computed to the bit from the file alone: every record's frames and one acknowledgement each. The
-/// additional time of a flash that erases 256 KiB in a second is printed.
+/// T-BOOT-3: a download without a window takes at most 5 % longer than its frames. Their time is
+/// computed to the bit from the file alone: the frames of each record and its acknowledgement. Also
+/// prints the extra time of a flash that erases 256 KiB in a second.
 #[test]
 fn stop_and_wait_is_within_5_percent_of_the_bus() {
     let [measured, slow] = [false, true].map(|flash| measure(0, 0, flash));

@@ -160,7 +160,7 @@ fn resume_inside() {
     assert_eq!((launch.application, launch.version), (Slot::B, 2));
 }
 
-/// T-BOOT-1: the bootloader does not answer after an abnormal reset.
+/// T-BOOT-1: the bootloader does not answer after an abnormal reset or a software reset.
 #[test]
 fn no_window_after_an_abnormal_reset() {
     in_a_network("abnormal_inside", "");

@@ -1,5 +1,5 @@
 //! A torn write destroys the rollback of a loader that decides by flags; a sweep that cuts power
-//! only between operations does not find it. Tandem's loader survives the same cuts.
+//! only between operations does not find this defect. Tandem's loader survives the same cuts.
 //!
 //! The loader here is a small model of a swap by flags. Each slot has a trailer with a magic number
 //! and two flags, and a table maps combinations to actions. A combination that the table does not
@@ -81,7 +81,7 @@ fn torn_flags_brick_a_loader_that_believes_them_and_not_this_one() {
     flash.power_on(0, None);
     assert!(start(&mut flash).unwrap());
     let ticks = flash.ticks();
-    // All operations have the same number of moments; the first lies between two operations.
+    // All operations have equally many moments; the first of each is between operations.
     let between = (0..ticks).step_by(PROGRAM_TICKS as usize);
     assert!(between.clone().count() > 4);
     assert!(

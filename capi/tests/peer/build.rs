@@ -1,4 +1,4 @@
-//! Compiles the peer in C as a user would: header, static library and the system's compiler.
+//! Compiles the peer in C as a user would, with header, static library and the system's compiler.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -23,14 +23,14 @@ static const tandem_region_t LAYOUT[REGIONS] = {
 /* Tasks and orders. */
 enum { TASK_ORDERS = 1, TASK_ANSWERS = 2 };
 enum order {
-    ECHO = 1,    /* every word times 3 plus 1 comes back */
+    ECHO = 1,    /* returns every word times 3 plus 1 */
     COUNT,       /* words[1] rounds under the lock */
     PUBLISH,     /* words[1] values to the newest-value channel */
     BROADCAST,   /* words[1] values to the ring */
-    POOL_SWAP,   /* words[1..3] is a handle; its words come back in another one */
+    POOL_SWAP,   /* words[1..3] is a handle; returns another one, of the same words reversed */
     DIE_LOCKED,  /* takes the lock, changes half of what it guards, dies */
-    RECOVER,     /* takes the lock; the status comes back */
-    REDUNDANCY,  /* one input to the machine of system B; the actions come back */
+    RECOVER,     /* takes the lock; returns the status */
+    REDUNDANCY,  /* one input to the machine of system B; returns the actions */
     STOP
 };
 

@@ -39,7 +39,7 @@ const LAYOUT: Layout = POOL.end();
 const LMU_WORDS: usize = 8192;
 const TASK_ORDERS: u8 = 1;
 const TASK_ANSWERS: u8 = 2;
-/// Far longer than any answer takes. It only limits how late a failure is reported.
+/// Far longer than any answer takes. It only limits the time until a failure is reported.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The orders to core 1, with the same numbers as in layout.h.

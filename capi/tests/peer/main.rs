@@ -95,7 +95,7 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     bench.stop(child);
 }
 
-/// C is killed at any time: without a reported recovery, the next owner finds both words equal.
+/// C is killed at any time: if no recovery is reported, the next owner finds both words equal.
 #[test]
 fn c_is_killed_at_any_moment_and_the_lock_tells() {
     let mut bench = Bench::new();

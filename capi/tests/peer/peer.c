@@ -1,4 +1,4 @@
-/* Core 1 in C: a process beside Rust ends on the same words. `peer FILE GENERATION` or `peer check`. */
+/* Core 1 in C: a process that shares the LMU with Rust. `peer FILE GENERATION` or `peer check`. */
 #define _POSIX_C_SOURCE 200809L
 
 #include "layout.h"
@@ -27,7 +27,7 @@ static tandem_redundancy_t machine;
 static tandem_words_t guarded;
 static int stopped;
 
-/* Defined, as the header demands; on a host a panic ends the process before it would be called. */
+/* The header requires this function. On a host it is never called: a panic ends the process. */
 void tandem_on_panic(void)
 {
     abort();
@@ -42,7 +42,7 @@ void tandem_on_panic(void)
     } while (0)
 #define OK(call) MUST((call) == TANDEM_STATUS_OK)
 
-/* Lets another process run: these cores share CPUs. */
+/* Yields the CPU to another process, because these cores share CPUs. */
 static void relax(void *context, uint32_t spins)
 {
     struct timespec span = {0, 20000};
@@ -224,8 +224,8 @@ static void carry_out(const uint32_t *order, tandem_word_t *answer)
     }
 }
 
-/* The handler of TASK_ORDERS: every order in its slot, its answer into a slot, no copy. The answer
-   is signalled with the order's number: an order may be here before its own signal. */
+/* The handler of TASK_ORDERS: copies each order and writes its answer directly into a slot. Signals
+   the answer with the order's number, because an order may arrive before its own signal. */
 static void on_orders(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     tandem_words_t from, to;
@@ -274,7 +274,7 @@ static void attach(void *base, uint32_t generation)
     MUST(tandem_map_region(&map, REGIONS, &guarded) == TANDEM_STATUS_OUT_OF_RANGE);
 }
 
-/* The words of a region as the header's constants say are those that the library says. */
+/* Checks that the header's constants and the library's functions return the same region sizes. */
 static int check(void)
 {
     size_t slots, words;
@@ -297,7 +297,7 @@ static int check(void)
     MUST(tandem_lock_release((tandem_lock_t *)((char *)&lock + 1)) == TANDEM_STATUS_BAD_POINTER);
     MUST(tandem_lock_attach(&lock, &map, 0, 0, 1) == TANDEM_STATUS_NOT_ATTACHED);
     MUST(tandem_mailbox_poll(&receiver, NULL) == TANDEM_STATUS_NOT_ATTACHED);
-    /* An object of another type is none. */
+    /* An object of another type counts as not attached. */
     OK(tandem_layout_init(&layout, LAYOUT, REGIONS));
     MUST(tandem_mailbox_awake((tandem_mailbox_receiver_t *)(void *)&layout)
          == TANDEM_STATUS_NOT_ATTACHED);

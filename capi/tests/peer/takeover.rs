@@ -10,7 +10,7 @@ const INIT: u32 = 0;
 const POLL: u32 = 1;
 const CONTROL_FRAME: u32 = 2;
 
-/// Returns the actions of the twin in the format in which the peer in C writes them to its answer.
+/// Returns the actions of the twin, in the format of the answers of the peer in C.
 fn words(twin: &mut Redundancy, actions: Option<Actions>, now: Instant) -> [u32; ANSWER_WORDS] {
     let mut words = [0; ANSWER_WORDS];
     words[0] = Order::Redundancy as u32;

@@ -129,7 +129,7 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
         .filter(first)
         .map(|flow| flow.from.1)
         .collect();
-    // About the first half of the list are signals of the first system, so 2/5 is well within it.
+    // The first system's signals are about the first half of the list, so 2/5 is well within them.
     let moment = chain.get(2 * chain.len() / 5)?;
     Some(moment + 10_000_000)
 }

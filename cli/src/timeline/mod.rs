@@ -110,7 +110,7 @@ pub(crate) struct CoreLine {
     pub(crate) slices: Vec<Slice>,
     /// The marks of the core, in order of time.
     pub(crate) marks: Vec<Mark>,
-    /// The begins and ends of slices and the marks in one list, with ascending times.
+    /// The starts and ends of slices, and the marks, in one list with ascending times.
     pub(crate) steps: Vec<Step>,
 }
 
@@ -421,8 +421,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// Ends all slices, because the core's incarnation ended before `until_ns`. The slices end at
-    /// the end that the supply recorded, or else at the core's last record.
+    /// Ends all slices, because the core's incarnation ended before `until_ns`. The slices end
+    /// at the supply's record of that end, or else at the core's last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

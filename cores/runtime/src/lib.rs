@@ -32,7 +32,7 @@ use tandem_rtos::{
 const TICK: Duration = Duration::from_ms(1);
 /// The longest wait, limited so that sums of ticks cannot overflow.
 const LONGEST: Ticks = Ticks::from_millis(1000);
-/// Time between two reports of a task on itself.
+/// Time between two reports of a task about itself.
 const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 /// Priority of the doorbell's interrupt: above the tick's.
 const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
@@ -48,7 +48,7 @@ pub struct RuntimeOptions {
     pub stack_bytes: usize,
     /// Counts the rings that the machine holds back before they reach this core; wraps around.
     pub held_back: &'static AtomicU32,
-    /// An overload to test with.
+    /// An overload, for tests.
     pub overload: Option<Overload>,
 }
 
@@ -107,7 +107,7 @@ struct TaskState {
     number: AtomicU32,
     in_job: AtomicBool,
     waits_for_lock: AtomicBool,
-    /// The longest time in which it held a lock, ns.
+    /// The longest time for which it held a lock, ns.
     held_ns: AtomicU32,
 }
 

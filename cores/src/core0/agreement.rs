@@ -12,7 +12,7 @@ pub(super) use tandem_bus::AgreementCode as Stage;
 use tandem_redundancy::Phase;
 
 /// Two systems are compared after both have run the same functions for this long: a system that has
-/// just joined does not yet track all that the other tracks.
+/// just joined does not yet track every object that the other one tracks.
 const WARM_UP: Duration = Duration::from_ms(1000);
 /// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has a
 /// cause that neither system can find in itself.
@@ -32,14 +32,14 @@ pub(super) struct Limits {
     limit: f32,
 }
 
-/// Across: two healthy systems differ by up to 0.47 m/s² for 30 ms, which adds up to 0.001 m/s. A
+/// Lateral: two healthy systems differ by up to 0.47 m/s² for 30 ms, which adds up to 0.001 m/s. A
 /// wheel that is stuck 0.01 rad aside at 25 m/s exceeds the limit after 50 ms.
 pub(super) const LATERAL: Limits = Limits {
     tolerance: 0.4,
     limit: 0.1,
 };
-/// Along: two healthy systems may begin to brake hard at different times. Their excess adds up to
-/// 2.0 m/s.
+/// Longitudinal: two healthy systems may begin to brake hard at different times. Their excess adds
+/// up to 2.0 m/s.
 pub(super) const LONGITUDINAL: Limits = Limits {
     tolerance: 1.5,
     limit: 4.0,
@@ -251,8 +251,8 @@ mod tests {
         stages
     }
 
-    /// T-RED-9: a tolerated difference never adds up. A larger one, of either sign, is reported:
-    /// the larger, the sooner. It leads to a stop if no system leaves.
+    /// T-RED-9: a tolerated difference never adds up. A larger one, of either sign, is reported;
+    /// the larger it is, the sooner. It leads to a stop if no system leaves.
     #[test]
     fn a_difference_that_lasts_is_told_and_then_stops_the_vehicle() {
         use Stage::{Disagreed, Unresolved};

@@ -64,7 +64,7 @@ impl ControlGrid {
         self.grid.next()
     }
 
-    /// Passes a release to the degraded task. If it has not used the last one, that is missed.
+    /// Passes a release to the degraded task. An unused earlier release counts as missed.
     pub(super) fn pass_on(&mut self, release: Release) {
         let unused = self.for_degraded.map_or(0, |before| before.missed + 1);
         let missed = release.missed.saturating_add(unused);

@@ -48,7 +48,7 @@ pub struct Driving {
 /// A motion of the chassis older than this cannot be used for control.
 const EGO_MAX_AGE: Duration = Duration::from_ms(100);
 
-/// An echo of the vehicle holds for this many control cycles.
+/// An echo of the vehicle is valid for this many control cycles.
 const FOLLOWS_CYCLES: u8 = 5;
 
 impl Driving {
@@ -81,7 +81,7 @@ impl Driving {
         self.scene = Some(scene);
     }
 
-    /// Returns the knowledge of this system, for one that joins; `None` before the first scene.
+    /// Returns this system's knowledge, for a system that joins; `None` before the first scene.
     pub(crate) fn knowledge(&self) -> Option<Knowledge> {
         Some(Knowledge::of(
             self.scene.as_ref()?,

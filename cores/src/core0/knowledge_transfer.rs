@@ -107,8 +107,8 @@ impl KnowledgeTransfer<'_> {
     ) {
         // A full link drops the datagram. Requests repeat; without a chunk, a transfer fails.
         let Some(redundancy) = redundancy.filter(|it| it.phase().is_driving()) else {
-            // Count only cycles after the redundancy has started: cores 1 and 2 may take long
-            // before.
+            // Count only cycles with a running redundancy: it starts after cores 1 and 2, which may
+            // take long to start.
             if self.asked < ASKING_CYCLES {
                 self.asked += u32::from(redundancy.is_some());
                 let _full = link.try_send(&self.receiver.request());
@@ -124,7 +124,7 @@ impl KnowledgeTransfer<'_> {
     }
 }
 
-/// The end of the transfer in a driving system.
+/// The sending end of the transfer, in a driving system.
 #[derive(Debug)]
 struct KnowledgeSender {
     requests: Checker,
@@ -213,7 +213,7 @@ impl KnowledgeSender {
     }
 }
 
-/// The end of the transfer in a joining system.
+/// The receiving end of the transfer, in a joining system.
 #[derive(Debug)]
 struct KnowledgeReceiver {
     incarnation: u32,
@@ -340,7 +340,7 @@ mod tests {
         core::iter::from_fn(|| sender.chunk().map(|chunk| chunk.to_vec())).collect()
     }
 
-    /// Feeds chunks, the first at 9.000 s of the receiver's clock and then one each 5 ms.
+    /// Feeds chunks, the first at 9.000 s of the receiver's clock and then one every 5 ms.
     fn fed<'a>(
         receiver: &mut KnowledgeReceiver,
         chunks: impl IntoIterator<Item = &'a Vec<u32>>,

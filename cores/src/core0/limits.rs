@@ -27,7 +27,7 @@ pub const EDGES_PER_MS: u32 = 4;
 const WINDOW: Duration = Duration::from_ms(100);
 
 /// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
-/// stall of this core is not a flood. Of 20 doorbells that the distance permits, half came early.
+/// stall of this core is not a flood. The distance permits 20 doorbells in this time: half of them.
 const EXCEEDED: u32 = 10;
 
 /// The activity of a source since the last report.
@@ -91,7 +91,7 @@ impl Floods {
         let Some((at, last)) = self.lines.replace((now, *counts)) else {
             return;
         };
-        // Polls may fall within a millisecond: count the part at each end as a whole one.
+        // A poll may fall within a millisecond: count the part at each end as a whole millisecond.
         let ms = u32::try_from(now.since(at).as_us() / 1_000).unwrap_or(u32::MAX);
         let allowed = EDGES_PER_MS.saturating_mul(ms.saturating_add(2));
         let new = |now: u32, last: u32| now.wrapping_sub(last);
@@ -154,7 +154,7 @@ mod tests {
             let mut events = 0;
             let polls = (0..1_000).filter(|ms| !(300..350).contains(ms));
             for ms in polls {
-                // Wraps around on the way.
+                // The count wraps around during the test.
                 let edges = (ms as u32 * edges_per_ms).wrapping_sub(5_000);
                 floods.lines(at_us(ms * 1_000), &snapshot(edges));
                 events += floods.events(at_us(ms * 1_000)).count();

@@ -124,11 +124,11 @@ impl BitOrAssign for TaskSet {
 
 /// The interface that an executor offers to a task.
 pub trait Executor<'b, B: Board> {
-    /// Runs `body` with what all tasks share; the other tasks wait for it. Neither nested nor
-    /// within [`Executor::drive`].
+    /// Runs `body` with what all tasks share; the other tasks wait for it. Must not be nested, or
+    /// called within [`Executor::drive`].
     fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'b, B>) -> R) -> R;
 
-    /// Runs `body` with the function that drives. Not nested.
+    /// Runs `body` with the function that drives. Must not be nested.
     fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R;
 
     /// Releases tasks, all of them less urgent than the caller. Not within [`Executor::shared`].

@@ -33,7 +33,7 @@ pub(super) struct ReadBack {
     newest: u8,
     wrong: u8,
     refused: Option<u8>,
-    /// Counter of the frame that is obeyed, by the last echo.
+    /// Counter of the frame that is obeyed, according to the last echo.
     obeyed: u8,
 }
 

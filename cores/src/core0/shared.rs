@@ -282,7 +282,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::IoModule))
     }
 
-    /// Called while the CAN controller was bus-off and not error-active since. `again`: a new
+    /// Called while the CAN controller is not yet error-active after bus-off. `again`: a new
     /// bus-off. The vehicle receives nothing from this system, so the other is notified at once.
     pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
         let released = self.notify(Input::OwnFault(FailureMode::CanBusOff));

@@ -30,16 +30,16 @@ pub const STOP_LIMIT: Duration = Duration::from_ms(25_000);
 pub const END_LIMIT: Duration =
     Duration::from_us(DEGRADED_LIMIT.as_us() + TAKEOVER_LIMIT.as_us() + STOP_LIMIT.as_us());
 
-/// The driver is asked early enough to have [`TAKEOVER_LIMIT`] before a stop with this deceleration
-/// leads to the end of the domain, m/s², …
+/// The driver is asked so early that, after [`TAKEOVER_LIMIT`], the vehicle can still stop with
+/// this deceleration, m/s², …
 const STOP_BRAKING: f32 = 2.5;
-/// … and early enough for the vehicle to stop at this distance before the end, m.
+/// … at this distance before the end of the domain, m.
 const STANDS_BEFORE_M: f32 = 30.0;
-/// The same time while an adjacent lane continues, s: the vehicle first changes to that lane.
+/// Replaces that limit while an adjacent lane continues, s: the vehicle first changes lanes.
 const CHANGE_S: f32 = 4.0;
-/// A lane continues if it ends at least this much later than the ego lane, m.
+/// A lane continues if it ends at least this much farther away than the ego lane, m.
 const CONTINUES_M: f32 = 50.0;
-/// The request ends when the end of the domain is this many times as far as the limit for asking:
+/// The request ends only beyond this many times the distance at which the driver is asked, because
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 

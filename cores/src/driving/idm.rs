@@ -67,7 +67,7 @@ fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerate
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);
     let closing = speed - leader.speed;
-    // Excludes a standing leader: there both sides are zero.
+    // Excludes a standing leader, for which both sides are zero.
     if leader.speed * closing < -2.0 * gap * accelerates {
         let divisor = leader.speed * leader.speed - 2.0 * gap * accelerates;
         return speed * speed * accelerates / max(divisor, 0.01);

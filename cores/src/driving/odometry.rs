@@ -175,8 +175,8 @@ impl Odometry {
     }
 
     /// Returns the pose at `to` as seen from the pose at `from`. Times before the memory count as
-    /// its oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
-    /// before the first update.
+    /// its oldest time; times after the newest motion are extrapolated for up to 0.5 s. Before
+    /// the first update all poses are equal.
     #[must_use]
     pub fn between(&self, from: Instant, to: Instant) -> EgoPose {
         self.pose_at(to).seen_from(self.pose_at(from))

@@ -5,8 +5,8 @@ use super::knowledge::KnownLine;
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
 
-/// No road of the operational design domain is bent more than this, 1/m; larger values of a noisy
-/// polynomial are cut off.
+/// No road of the operational design domain has a larger curvature than this, 1/m; larger values of
+/// a noisy polynomial are limited to it.
 const MAX_BEND: f32 = 0.05;
 /// Width of a lane if it is not known, m.
 pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;

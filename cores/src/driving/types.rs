@@ -8,7 +8,7 @@ use heapless::Vec;
 use tandem_board::Instant;
 pub use tandem_bus::{ClassCode, RouteCode};
 
-/// How many objects a scene holds; the nearest ones stay.
+/// Largest number of objects in a scene; the nearest ones are kept.
 pub const MAX_OBJECTS: usize = 24;
 /// Samples of a trajectory.
 pub const TRAJECTORY_SAMPLES: usize = 41;
@@ -103,7 +103,7 @@ pub struct Object {
     pub lane: i8,
     /// It moves towards the ego lane and will be in it soon.
     pub cuts_in: bool,
-    /// Approximate number of cycles for which it has been moving in: for a system that joins.
+    /// Approximate number of cycles for which it has been cutting in: for a system that joins.
     pub approaching: u8,
 }
 

@@ -1,5 +1,5 @@
-/* Core 2, in C: answers signals, processes data from core 1, shares a lock, dies once with it, and
- * in its second incarnation leads a system that is alone. src/main.rs has the same layout. */
+/* Core 2, in C: answers signals, processes data from core 1, shares a lock, and dies while it holds
+ * it. Its second incarnation leads a system that is alone. src/main.rs has the same layout. */
 #include "board.h"
 #include "tandem.h"
 
@@ -19,7 +19,7 @@ static const tandem_region_t LAYOUT[REGIONS] = {
     {"result of 2", TANDEM_NEWEST_WORDS(SLOTS, RESULT_WORDS)},
 };
 
-/* All objects of the library: static, zero at first. */
+/* All objects of the library: static and initially zero. */
 static tandem_layout_t layout;
 static tandem_map_t map;
 static tandem_mailbox_receiver_t from_0, from_1;
@@ -102,7 +102,7 @@ static void on_count(void *context, uint32_t task, uint32_t count, uint32_t valu
     answer(value);
 }
 
-/* Dies with the lock, in the middle of a change. Core 0 has it reset. */
+/* Dies while it holds the lock, in the middle of a change: resets itself when core 0 rings. */
 static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     (void)context;
@@ -110,7 +110,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
     (void)count;
     (void)value;
     if (generation > 1) {
-        /* The signal that killed the first incarnation is repeated: no handler had returned. */
+        /* The first incarnation died in this handler, so the same signal arrives again. */
         return;
     }
     MUST(tandem_lock_acquire(&lock, 100000, relax, NULL) == TANDEM_STATUS_OK);

@@ -1,8 +1,8 @@
 //! Cores 0 and 1 in Rust; core 2 is a separate image in C (see c/main.c), linked with the static
 //! library of `tandem-capi`. They share only the LMU.
 //!
-//! Core 0 requests and checks, core 1 sends work. Prints a line for each step; the status is 0 if
-//! all checks passed.
+//! Core 0 requests the steps and checks the results; core 1 sends work. The program prints a line
+//! for each step; its status is 0 if all checks passed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -40,15 +40,15 @@ const LEAD: TaskId = task(4);
 const WORK_THERE: TaskId = task(1);
 
 const PINGS: u32 = 1_000;
-/// Number of rounds before the first one whose instructions count.
+/// Number of rounds before the first round whose instructions are counted.
 const WARM_UP: u32 = 5;
 const TURNS: u32 = 300;
 const ITEMS: u32 = 500;
-/// Limit of each step, in ticks of 100 ns: 0.2 s, longer than any step takes. A machine that only
-/// spins needs a few seconds of real time for it.
+/// Limit of each step, in ticks of 100 ns: 0.2 s, longer than any step takes. If the harts only
+/// spin, it takes a few seconds of real time.
 const PATIENCE: u64 = 2_000_000;
 
-/// The part that core 0 has requested from core 1; 0 after core 1 has finished.
+/// The part that core 0 has requested from core 1; 0 when core 1 has finished.
 static STEP: AtomicU32 = AtomicU32::new(0);
 const SEND: u32 = 1;
 const CONTEND: u32 = 2;
@@ -76,7 +76,7 @@ fn main(hart: usize) -> ! {
     hart::park()
 }
 
-/// Polls until there is a result; yields the turn to the other harts between polls.
+/// Polls until there is a result. Between polls, yields the turn to the other harts.
 #[track_caller]
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let limit = hart::time() + PATIENCE;
@@ -224,7 +224,7 @@ fn word(item: u32, at: u32) -> u32 {
     (item * 16 + at).wrapping_mul(0x9E37_79B1)
 }
 
-/// Reads the results; checks that the newest is never torn, and that the last one arrives.
+/// Reads the results. Checks that the newest one is never torn, and that the last one arrives.
 fn take_results(map: Map<'static>) {
     let reader = must(RESULT_OF_2.reader(&map));
     STEP.store(SEND, Ordering::Release);

@@ -27,7 +27,7 @@ pub fn enable_interrupt(number: u32) {
 pub fn without_interrupts<R>(f: impl FnOnce() -> R) -> R {
     let masked: u32;
     // SAFETY: reads and sets this processor's interrupt mask, and restores it below. Memory
-    // accesses stay in between, because `asm!` without `nomem` is a barrier to the compiler.
+    // accesses stay between the two, because `asm!` without `nomem` is a compiler barrier.
     unsafe { asm!("mrs {0}, PRIMASK", "cpsid i", out(reg) masked) };
     let result = f();
     if masked & 1 == 0 {

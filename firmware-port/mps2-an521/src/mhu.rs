@@ -39,7 +39,7 @@ pub fn enable() {
     cpu::enable_interrupt(FIRST_INTERRUPT + 1);
 }
 
-/// Interrupts processor `to`, which may be this one. When it has taken the interrupt, it sees
+/// Interrupts processor `to`, which may be this one. After it has taken the interrupt, it sees
 /// everything that this processor wrote before. Never blocks.
 pub fn interrupt(unit: Unit, to: usize) {
     // SeqCst is a `dmb` before the store to the device: pairs with the fence in `take_pending`.

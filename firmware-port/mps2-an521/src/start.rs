@@ -1,13 +1,13 @@
 //! The start-up code from reset to main: the vector tables, and the start of processor 1.
 //!
-//! Processor 1 is held in reset at power-on. Processor 0 clears .bss, starts clock and UART, and
-//! sets the vector table of processor 1; the board releases processor 1 later.
+//! Processor 1 is held in reset at power-on. Processor 0 clears .bss, starts the clock and the
+//! UART, and sets the vector table of processor 1. The board releases processor 1 later.
 
 use crate::{cpu, exit, mhu, timers, uart};
 use core::arch::{asm, global_asm};
 use core::ptr::write_volatile;
 
-/// System control: the address of processor 1's vector table, and which processors are held.
+/// System control: the address of processor 1's vector table, and the processors held in reset.
 const INITSVTOR1: *mut u32 = 0x5002_1114 as *mut u32;
 const CPUWAIT: *mut u32 = 0x5002_1118 as *mut u32;
 
@@ -62,7 +62,7 @@ global_asm!(
     ".global tandem_reset_1",
     ".thumb_func",
     "tandem_reset_0:",
-    // Clears .bss by words, then calls Rust.
+    // Clears .bss word by word, then calls Rust.
     "ldr r0, =__bss_start",
     "ldr r1, =__bss_end",
     "movs r2, #0",

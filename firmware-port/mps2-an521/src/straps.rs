@@ -7,7 +7,7 @@ unsafe extern "C" {
 }
 
 /// Returns word `index` of the words that the emulator writes before the start, like pins that are
-/// tied high or low. Zero if the word was not set.
+/// tied high or low. Returns 0 if the word was not set.
 ///
 /// # Panics
 /// If there is no such strap: there are 1024.

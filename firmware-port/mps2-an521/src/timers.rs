@@ -15,7 +15,7 @@ const TIMER_RELOAD: usize = TIMER + 8;
 const SYSTICK_CONTROL: *mut u32 = 0xE000_E010 as *mut u32;
 const SYSTICK_RELOAD: *mut u32 = 0xE000_E014 as *mut u32;
 const SYSTICK_VALUE: *mut u32 = 0xE000_E018 as *mut u32;
-/// Runs from the processor clock (20 MHz), with its interrupt enabled.
+/// Uses the processor clock (20 MHz), with the interrupt enabled.
 const SYSTICK_ON: u32 = 0b111;
 const SYSTICK_MAX: u64 = 0xFF_FFFF;
 
@@ -73,7 +73,7 @@ pub(crate) fn set_alarm(deadline: Instant) {
     }
 }
 
-/// Handler of SysTick: switches it off, because one interrupt is enough.
+/// Handler of SysTick. Switches SysTick off, because one interrupt is enough.
 pub(crate) extern "C" fn on_alarm() {
     // SAFETY: this processor's own SysTick.
     unsafe { write_volatile(SYSTICK_CONTROL, 0) };
@@ -82,8 +82,8 @@ pub(crate) extern "C" fn on_alarm() {
 const SLICER: usize = 0x5000_1000;
 
 /// Makes timer 1 expire every `ticks` of 50 ns, without an interrupt. The emulator ends a
-/// processor's turn whenever a timer expires, so turns have this length: each length gives another
-/// schedule.
+/// processor's turn whenever a timer expires, so turns have this length. Each length gives a
+/// different schedule.
 pub fn set_turns(ticks: u32) {
     // SAFETY: timer 1's registers, which no other code uses.
     unsafe {

@@ -61,6 +61,6 @@ pub fn timer(hart: usize) -> u64 {
 /// A write to the lower word clears the upper word in the emulator, so the clock must not be set
 /// after 429 s.
 pub(crate) fn jump_to(ticks: u32) {
-    // SAFETY: the lower word of the clock; timers within the jump expire at once.
+    // SAFETY: the lower word of the clock; timers within the skipped time expire at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };
 }

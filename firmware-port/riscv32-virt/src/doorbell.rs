@@ -20,7 +20,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
     let rung = loop {
         if hart::pending() & MSI != 0 {
             if clear(number, state) {
-                // The interrupt handler resets the hart here, and does not return.
+                // Here the interrupt handler runs, resets the hart, and does not return.
                 hart::interrupts_on();
             }
             state.rung.store(false, Relaxed);
@@ -56,9 +56,9 @@ pub fn take() -> bool {
     trap::STATES[number].rung.swap(false, Relaxed) || pending
 }
 
-/// Clears the ring, and then reads whether the carrier requests a reset: a request that arrives in
-/// between is seen, or rings again. Returns whether there is a request; then it has rung the
-/// doorbell again, so that the interrupt handler runs.
+/// Clears the ring, then reads whether the carrier requests a reset. A request that arrives after
+/// the clear is read here, or rings the doorbell again. Returns whether there is a request; if so,
+/// rings the doorbell again, so that the interrupt handler runs.
 #[inline]
 fn clear(number: usize, state: &HartState) -> bool {
     clint::clear(number);
@@ -93,7 +93,7 @@ pub fn set_slice(ticks: u32) {
 }
 
 /// Returns a hash of the code addresses at which the turns of a hart have ended since the last
-/// call, and starts a new one. The turns of the hart must have no limit during the call.
+/// call, and starts a new hash. The turns of the hart must have no limit during the call.
 pub fn take_places(hart: usize) -> u32 {
     trap::STATES[hart % HARTS].places.swap(0, Relaxed)
 }

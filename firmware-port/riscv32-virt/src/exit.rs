@@ -1,4 +1,4 @@
-//! Ends a program by the emulator's test device: on request, after a panic, or an exception.
+//! Ends a program through the emulator's test device: on request, after a panic or an exception.
 
 use crate::uart::print_now;
 use core::panic::PanicInfo;

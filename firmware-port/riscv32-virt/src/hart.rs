@@ -58,11 +58,11 @@ pub fn time() -> u64 {
 #[inline]
 pub fn interrupts_on() {
     // SAFETY: the handlers of this crate access only atomics, so they may run anywhere.
-    // Without `nomem`, so that the compiler moves no write for a handler behind this.
+    // Without `nomem`, so that the compiler does not move an earlier write past this.
     unsafe { asm!("csrsi mstatus, {}", const MSTATUS_MIE, options(nostack)) };
 }
 
-/// Switches the interrupts of this hart off; returns whether they were on.
+/// Switches the interrupts of this hart off. Returns whether they were on.
 #[inline]
 pub fn interrupts_off() -> bool {
     let before: usize;
@@ -130,7 +130,7 @@ pub(crate) fn interrupted_at() -> usize {
 /// Sleeps until an enabled interrupt is pending. Its handler runs only if interrupts are on.
 #[inline]
 pub fn sleep() {
-    // SAFETY: stops this hart until an interrupt; memory may have changed in between.
+    // SAFETY: stops this hart until an interrupt; memory may change during the sleep.
     unsafe { asm!("wfi", options(nostack)) };
 }
 
@@ -141,7 +141,7 @@ pub fn park() -> ! {
     }
 }
 
-/// Yields the emulator's turn to the next hart, and continues when all others have had theirs.
+/// Yields the emulator's turn to the next hart, and continues after all others have had a turn.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
 /// when it interrupts another, or when a timer expires. So a hart that spins must yield, or the

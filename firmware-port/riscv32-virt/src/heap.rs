@@ -1,5 +1,5 @@
-//! The heap of the hart that runs a kernel. It never frees single allocations: it is for programs
-//! that allocate only while they start.
+//! The heap of the hart that runs a kernel. It never frees single allocations, because it is for
+//! programs that allocate only while they start.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::cell::UnsafeCell;

@@ -27,7 +27,7 @@ pub mod uart;
 
 use tandem_shm::mailbox::TaskId;
 
-/// Returns the value of a result that is an error only if the memory layout is wrong.
+/// Returns the value of a result. The result is an error only if the memory layout is wrong.
 ///
 /// # Panics
 /// If the result is an error.
@@ -39,7 +39,7 @@ pub fn must<T, E>(result: Result<T, E>) -> T {
     }
 }
 
-/// Returns task `number` of a mailbox, for constants.
+/// Returns task `number` of a mailbox, for use in constants.
 ///
 /// # Panics
 /// If there is no such task.

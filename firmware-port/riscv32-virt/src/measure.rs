@@ -1,4 +1,4 @@
-//! Measures the cost of a path: repeats it, and prints its fewest and most instructions.
+//! Measures the cost of a path: repeats it, and prints the lowest and highest instruction count.
 
 use crate::log;
 
@@ -7,8 +7,8 @@ pub const ROUNDS: u32 = 1000;
 /// Number of rounds before the first one that counts.
 pub const WARM_UP: u32 = 5;
 
-/// Repeats `prepare` and `round`, which returns its number of instructions, and prints the fewest
-/// and the most: `bench NAME MIN MAX`.
+/// Repeats `prepare` and `round`, which returns its number of instructions. Prints the lowest and
+/// the highest count: `bench NAME MIN MAX`.
 pub fn repeat(name: &str, prepare: impl Fn(), mut round: impl FnMut(u32) -> u32) {
     let (mut min, mut max) = (u32::MAX, 0);
     for number in 0..WARM_UP + ROUNDS {

@@ -72,7 +72,7 @@ pub fn recording() -> &'static [u32] {
 }
 
 /// Returns a word that the emulator writes before the start, like pins that are tied high or low on
-/// a carrier board. Zero if the word was not set.
+/// a carrier board. Returns 0 if the word was not set.
 #[must_use]
 pub fn strap(strap: Strap) -> u32 {
     // SAFETY: link.x reserves 4 KiB there, which no code writes after the start.

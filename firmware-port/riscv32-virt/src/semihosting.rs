@@ -1,4 +1,4 @@
-//! Access to files of the host by the emulator's semihosting calls.
+//! Access to files of the host through the emulator's semihosting calls.
 //!
 //! A call completes before the next instruction: the whole machine and its clock stop until the
 //! host has finished. ("Semihosting for AArch32 and AArch64", and the RISC-V supplement.)

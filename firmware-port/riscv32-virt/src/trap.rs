@@ -31,8 +31,8 @@ pub(crate) struct HartState {
 // 0: the machine has started, and the hart has not yet stopped for the first time.
 /// The hart is stopped: its last incarnation is over, and none of its code runs.
 const STANDS: u32 = 1;
-/// The carrier has released the hart, which has not started yet. The carrier may still revoke that:
-/// the one that changes the word first succeeds.
+/// The carrier has released the hart, which has not started yet. The carrier may still revoke the
+/// release: the first to change the word succeeds.
 const GOES: u32 = 2;
 /// The hart runs.
 const RUNS: u32 = 3;
@@ -70,8 +70,8 @@ pub(crate) fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
         .store(handler, Ordering::Relaxed);
 }
 
-/// Rings the doorbell of another hart, whose handler ends its incarnation. Wait until the hart
-/// [`stands`].
+/// Stops another hart: rings its doorbell, and the handler there ends its incarnation. Then wait
+/// until the hart [`stands`].
 pub(crate) fn hold(hart: usize) {
     let state = &STATES[hart % HARTS];
     // Release pairs with the Acquire in `is_held`.
@@ -175,7 +175,7 @@ fn call(handler: &AtomicPtr<()>) {
 extern "C" fn tandem_on_timer() {
     let number = hart::number() % HARTS;
     match STATES[number].slice.load(Ordering::Relaxed) {
-        // The interrupt has only ended a sleep.
+        // The interrupt only ended a sleep.
         0 => hart::disable(MTI),
         ticks => {
             let HartState {
@@ -186,13 +186,13 @@ extern "C" fn tandem_on_timer() {
             } = &STATES[number];
             let place = hart::interrupted_at() as u32;
             let hash = places.load(Ordering::Relaxed) ^ place;
-            // FNV-1a, by words.
+            // FNV-1a, word by word.
             places.store(hash.wrapping_mul(0x0100_0193), Ordering::Relaxed);
             hart::yield_turn();
             call(&STATES[number].on_turn);
             // The timer of another hart may end this turn, and this hart's timer then expires while
-            // the others run: short turns in step with each other make no progress. So if the turns
-            // of a hart repeatedly end at one address, they become longer.
+            // the others run: short turns in step with each other make no progress. So if a hart's
+            // turns repeatedly end at one address, the turns become longer.
             let stays = ended_at.load(Ordering::Relaxed) == place;
             let times = match stays {
                 true => (repeats.load(Ordering::Relaxed) + 1).min(6),

@@ -109,7 +109,7 @@ struct Disturbed {
     injected: Option<Injected>,
     done: Vec<Injected>,
     bus: BusFaults,
-    /// Delay of the next change after the next step of the machines, µs.
+    /// Time from the next step of the machines to the next start or end of a fault, µs.
     after_us: u32,
     /// The reason why the drive ended early.
     refused: Option<CannotSuffer>,

@@ -16,7 +16,7 @@ pub(super) struct Injector<'i> {
     injection: &'i Injection,
     /// The data flash of A and B.
     flash: [PathBuf; 2],
-    /// Stops the process that started the run for the given number of milliseconds.
+    /// Stops, for the given number of milliseconds, the process that started the run.
     hold_launcher: &'i dyn Fn(i32) -> anyhow::Result<()>,
     bus: BusFaults,
 }

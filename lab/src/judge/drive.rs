@@ -34,7 +34,7 @@ const STOPPED_BEFORE_M: f64 = 50.0;
 pub(crate) enum Verdict {
     /// It was driven to the end of the requested time.
     Driven,
-    /// The vehicle stopped before the end of its domain.
+    /// The vehicle stopped because the end of its operational design domain was ahead.
     Stopped,
     /// The scenario was not started.
     Refused,
@@ -58,11 +58,11 @@ pub(crate) struct Judgement {
     pub(crate) excursion_m: f64,
     /// Whether a goal of the file was reached in time; `null` if the file has none.
     pub(crate) goal_reached: Option<bool>,
-    /// The smallest distance to a goal in its time, if none was reached; empty otherwise.
+    /// The smallest distance to a goal during its time interval, if none was reached; else empty.
     pub(crate) goal_missed: String,
     /// Time driven outside the operational design domain, s.
     pub(crate) outside_domain_s: f64,
-    /// Times of the function's first takeover request, and of its stop by itself, s.
+    /// Times of the function's first takeover request, and of its automatic safe stop, s.
     pub(crate) takeover_asked_s: Option<f64>,
     pub(crate) safe_stop_s: Option<f64>,
     /// Time on lanes of the other direction, s.

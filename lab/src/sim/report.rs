@@ -13,7 +13,7 @@ use super::coverage::Coverage;
 use super::outcome::Outcome;
 use super::{SimArgs, Source};
 
-/// The number of violation classes to print, and of sequences that are shrunk for them.
+/// The most violation classes to print, and the most sequences to shrink for them.
 const CLASSES: usize = 12;
 const SHRUNK: usize = 40;
 

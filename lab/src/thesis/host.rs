@@ -72,7 +72,7 @@ fn wait(backplane: Backplane, lamps: [RoleLamp; 2]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Returns two CPUs for the experiments between two cores, or twice the only CPU.
+/// Returns two CPUs for the experiments between two cores, or the only CPU twice.
 pub(super) fn cpus() -> anyhow::Result<[usize; 2]> {
     let ids = core_affinity::get_core_ids().context("cannot list the CPUs")?;
     let first = ids.first().context("there is no CPU")?;

@@ -97,8 +97,8 @@ pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
 /// Returns the longest time in which the mode of the accepted frames did not fit the redundancy, s.
 ///
 /// L3 needs a standby, and the status frames show whether there is one. A degraded master with a
-/// standby needs a cause: a change of its phase, or a failure. The reason that it does not hear
-/// its standby is not accepted as a cause, because the standby's frames are on the bus.
+/// standby needs a cause: a change of its phase, or a failure. A change of phase because the master
+/// does not hear its standby is not a cause, because the standby's frames are on the bus.
 #[must_use]
 pub fn wrong_mode_s(log: &RunLog) -> f64 {
     let start_ns = log.start_ns.unwrap_or(0);

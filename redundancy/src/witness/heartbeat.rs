@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(sender.due(), Instant::NEVER);
         sender.start(at_us(100));
         let mut sent = Vec::new();
-        // Polled late by up to 0.4 ms, held up from 6.3 to 20.5 ms, then late by just one period.
+        // The polls are up to 0.4 ms late, stop from 6.3 to 20.5 ms, then omit just one period.
         for us in [
             100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 20_600, 21_500, 22_500, 24_500,
             24_600, 25_500,

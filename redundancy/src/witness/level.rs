@@ -10,10 +10,9 @@ pub(crate) struct Level {
     /// reset ends before the missing heartbeat is detected.
     fell: Option<Instant>,
     is_low: bool,
-    /// Heartbeats arrived until the line fell: if power was lost, they end too.
+    /// Whether heartbeats arrived until the line fell. If they did, a loss of power ends them.
     beats_at_fall: bool,
-    /// The times of the last heartbeat, and of the last sign of any kind, that the other system
-    /// runs.
+    /// When the last heartbeat arrived, and the last sign of any kind that the other system runs.
     last_beat: Instant,
     last_sign: Instant,
     /// The line was low while the other system was running. It is ignored until it has been high

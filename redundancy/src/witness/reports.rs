@@ -23,14 +23,14 @@ pub(crate) struct Reports {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Next {
     Yes,
-    /// It is the first one since its sender has started.
+    /// It is the first one since its sender started.
     Restarted,
-    /// It is repeated, or older.
+    /// It repeats the last one, or is older.
     No,
 }
 
 impl Reports {
-    /// Compares a datagram's time with that of the last one, and stores it.
+    /// Compares a datagram's time with that of the last one, and stores it unless it is old.
     pub(crate) fn is_next(&mut self, link: &LinkReport) -> Next {
         let next = match self.last_sent {
             Some((start, _)) if start != link.start => Next::Restarted,

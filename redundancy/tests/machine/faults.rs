@@ -99,7 +99,7 @@ fn a_master_whose_frame_was_refused_does_not_report_that_it_drives() {
 }
 
 /// T-RED-9: a master that was held up beyond its lease listens first if the other system may have
-/// taken over: that is, if its heartbeats arrive, or it was heard as standby.
+/// taken over: the other system's heartbeats arrive, or it was heard as standby.
 #[test]
 fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
     let (lease, ns) = (CONFIG.lease(), Duration::from_ns(1));

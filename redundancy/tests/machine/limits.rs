@@ -46,8 +46,8 @@ fn a_standby_polls_when_a_limit_ends() {
 }
 
 /// T-RED-8: a link that falls silent with both lines shows a failed master before its control
-/// frames are overdue. A link that fell silent earlier than the lines by more than its limit was
-/// cut, and shows nothing. Nor does a link with a limit that is not below the third witness's.
+/// frames are overdue. A link shows nothing if it fell silent earlier than the lines by more than
+/// its limit, because it was cut, or if its limit is not below the third witness's.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
     let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
@@ -238,8 +238,8 @@ fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
     }
 }
 
-/// T-RED-9: the other system counts as sound when it has been heard for one second, and as the
-/// standby, where that is permitted, after two.
+/// T-RED-9: the other system counts as sound when it has been heard for one second. It counts as
+/// the standby after two seconds, if the configuration permits this.
 #[test]
 fn a_standby_that_is_back_counts_again_after_its_time() {
     for reintegrate in [false, true] {

@@ -10,8 +10,8 @@ use tandem_board::ResetCause;
 use tandem_board::SystemId::{self, A, B};
 use tandem_redundancy::{Config, Phase};
 
-/// A fault that can happen in any millisecond. The first five last for that millisecond: everything
-/// sent during it is lost.
+/// A fault that can happen in any millisecond. The first five kinds last for that millisecond:
+/// everything that is sent in this time is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     Beats(SystemId),

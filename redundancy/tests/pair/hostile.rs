@@ -88,7 +88,7 @@ fn a_repeated_poison_input_ends_in_a_safe_stop_and_not_in_silence() {
 }
 
 /// T-RED-5: a system that is alone and crashes repeatedly does not fall silent: it starts in the
-/// safe stop. So does one of two systems with permanent faults; a healthy system drives instead.
+/// safe stop. If both have permanent faults, one of them does the same. A healthy one drives.
 #[test]
 fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
     for config in PROFILES {

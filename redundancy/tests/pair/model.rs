@@ -99,8 +99,8 @@ pub(crate) struct Pair {
     pub(crate) fenced: Vec<Seen>,
     pub(crate) events: Vec<(u64, SystemId, RedundancyEvent)>,
     pub(crate) synchronised: Vec<(u64, SystemId)>,
-    /// How long both outputs are open with both systems connected to the bus: now, and the longest
-    /// time.
+    /// For how long both outputs have been open while both systems are connected to the bus: now,
+    /// and at most so far.
     both_open_us: u64,
     pub(crate) both_open_max_us: u64,
 }

@@ -4,7 +4,7 @@ use std::string::String;
 use std::{env, format, fs};
 
 /// Compares the parts of the page between their markers with `tables`, pairs of a name and a text.
-/// If `UPDATE_DOCS=1` is set, it writes them instead.
+/// Writes them instead if `UPDATE_DOCS=1` is set.
 pub(crate) fn check(tables: &[(&str, String)]) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/redundancy.md");
     let page = fs::read_to_string(path).unwrap();

@@ -164,7 +164,7 @@ impl<T> Items<T> {
     }
 }
 
-/// A queue of the members of a set that have an item.
+/// The queue of those members of a set that have an item.
 pub(super) struct Members {
     pub(super) raw: Raw,
     pub(super) items: Items<usize>,

@@ -474,8 +474,8 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     assert!(living.open(next).is_ok());
 }
 
-/// As above, if the late incarnation is frozen at any step of its attachment, or another core at
-/// any step of handing words over to it.
+/// The same if the late incarnation is frozen at any step of its attachment, or if another core is
+/// frozen at any step of handing words over to it.
 #[test]
 fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     for by_hand_over in [false, true] {

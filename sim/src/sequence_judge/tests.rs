@@ -1,4 +1,4 @@
-//! Tests that each rule of the simulator's judge finds a machine, or its log, that breaks the rule.
+//! Tests that the simulator's judge detects when a machine, or its log, breaks a rule.
 
 use super::*;
 use crate::bench::{Around, Profile};
@@ -213,7 +213,7 @@ fn a_panic_is_a_finding() {
     assert_eq!(tried.violations, [Rule::Panic]);
 }
 
-/// The bound follows from the requirement: a product that waits longer for a mute master breaks it.
+/// The bound is that of the requirement: a product that waits longer for a mute master exceeds it.
 #[test]
 fn a_product_with_a_longer_control_margin_leaves_a_gap() {
     let mut sequence = Group::Single.sequence(0);

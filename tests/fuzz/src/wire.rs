@@ -120,12 +120,12 @@ pub(crate) fn link(bytes: &[u8]) -> bool {
 /// Size of a sector, bytes.
 const SECTOR: usize = 128;
 
-/// Takes two sectors of the data flash, as a power loss or wear left them. A state may be found or
-/// not. Then the check writes states, and must find the last one. If the number of bytes is odd,
-/// all records have valid checksums.
+/// Takes two sectors of the data flash, as a power loss or wear left them. They may or may not hold
+/// a state. Then states are written, and each must be found after it was written. If the number of
+/// bytes is odd, all records have valid checksums.
 ///
 /// # Panics
-/// If the last state is not found.
+/// If the state that was written last is not found.
 pub(crate) fn flash(bytes: &[u8]) -> bool {
     let mut flash = [0xFF; 2 * SECTOR];
     for (cell, byte) in flash.iter_mut().zip(bytes) {

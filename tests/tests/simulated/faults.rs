@@ -98,8 +98,8 @@ fn the_bounds_hold_where_things_take_time() {
     try_in(at(Time::Typical), Group::Single, 1420..1421);
 }
 
-/// T-CHIP-3: cores 1 and 2 take time. A trajectory is signalled after perception and then planning
-/// have ended.
+/// T-CHIP-3: the jobs of cores 1 and 2 take time, so a trajectory is signalled only after
+/// perception and then planning have ended.
 #[test]
 fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
     let chains_us = |time| {
@@ -223,7 +223,7 @@ fn the_roles_pre_empt_what_is_less_urgent() {
         .filter(of_a)
         .filter_map(|traced| Some((traced.at, Event::decode(traced.record)?)))
         .collect();
-    // The trace shows one running task at a time, never one less urgent than an unfinished job.
+    // Only one task runs at a time, and no task that is less urgent than an unfinished job runs.
     let mut jobs: Vec<TaskCode> = vec![];
     let (mut runs, mut preempted) = (None, 0);
     let mut begun = None;
@@ -314,7 +314,7 @@ fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
         let (verdict, mut bench) = Profile::from(Config::rt()).run(&sequence, true);
         let mut story = || format!("B off at {at_ms} ms: {verdict} {:#?}", bench.story());
         assert!(verdict.violations.is_empty(), "{}", story());
-        // The gap consists of two echoes, the watchdog and a start. A returns long before B would.
+        // The gap is two echoes, the watchdog's timeout and a start. A returns long before B would.
         assert!(verdict.gap < Duration::from_ms(350), "{}", story());
     }
 }

@@ -10,8 +10,8 @@ const NEWLY_STARTED: Duration = Duration::from_ms(160);
 /// After this time the standby has all the data that the other system has.
 const OLD: Duration = Duration::from_ms(5_000);
 
-/// Returns the driver's commands on the bus in the 300 ms after `at`. B was reset `age` before.
-/// With `takeover`, A loses its power at `at`.
+/// Returns the driving system's commands on the bus in the 300 ms after `at`. B is reset at
+/// `at - age`. With `takeover`, A loses its power at `at`.
 fn commands(scenario: &str, at: Duration, age: Duration, takeover: bool) -> Vec<Control> {
     let mut drive = Drive::new(scenario, 3);
     drive.run_for(at - age);

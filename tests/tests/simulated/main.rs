@@ -196,7 +196,7 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B, SystemId::A]);
     let takeovers = drive.takeovers();
     let causes: Vec<_> = takeovers.iter().map(|takeover| takeover.cause).collect();
-    // A dead processor's heartbeats end before its supply resets it. A power loss shows at once.
+    // A dead processor is silent before its supply resets it. A power loss is detected at once.
     assert_eq!(
         causes,
         [Some(Evidence::PeerSilent), Some(Evidence::PeerOff)]

@@ -141,7 +141,7 @@ fn a_system_that_becomes_master_within_a_control_cycle_sends_in_its_new_term() {
 fn a_master_that_loses_its_role_within_a_control_cycle_sends_no_frame() {
     for (section, is_alone) in [(2, false), (3, false), (2, true), (3, true)] {
         let mut lost = 0;
-        // One of these times is in the pause before a job.
+        // At least one of these times is in the pause before a control job.
         for shift in [0, 3, 6, 9] {
             let mut drive = preempted(section);
             drive.run_for(START);
@@ -155,7 +155,7 @@ fn a_master_that_loses_its_role_within_a_control_cycle_sends_no_frame() {
             assert_eq!(usize::from(obeyed.system), SystemId::A.index());
             let control = Control {
                 role: RoleCode::Master,
-                // Terms of A and of B alternate.
+                // The terms of A and B alternate, so an odd step gives a term of B.
                 term: obeyed.term + 41,
                 ..Control::default()
             };

@@ -112,7 +112,7 @@ const fn is_bus_off(event: &Event) -> bool {
 }
 
 /// T-RED-6: if the bus destroys a master's frames, the master is bus-off within milliseconds. It
-/// resigns over the link, and the standby drives. After its attempts the master is suspended.
+/// resigns over the link, and the standby drives. After its last retry the master is suspended.
 #[test]
 fn a_master_that_is_bus_off_resigns() {
     let mut drive = with_fault(HardwareFault::CanTransmit);

@@ -1,4 +1,4 @@
-//! Tests of the vehicle's echo: a system learns terms from it that it missed.
+//! Tests of the vehicle's echo: from the echo, a system learns the terms that it has missed.
 
 use tandem_board::{CanFrame, CanId, Duration, SystemId};
 use tandem_bus::{Control, FrameTransmitter, Message, RoleCode};
@@ -44,7 +44,7 @@ fn a_system_that_was_off_learns_the_term_from_the_vehicle() {
 }
 
 /// T-RED-9: a system sends one control frame in a new term and dies, so the vehicle rejects the
-/// other system. That system learns the term, though the frame's counter is wrong, and drives on.
+/// other system. That system learns the term although the frame's counter is wrong, and drives on.
 #[test]
 fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
     let mut drive = Drive::new("free-lane", 4);

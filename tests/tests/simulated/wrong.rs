@@ -91,7 +91,7 @@ pub(crate) fn stuck() -> Drive {
 }
 
 /// T-RED-9: the steering angle in A's frames is stuck or drifts, with valid protection. A reads
-/// back the accepted or rejected frames and leaves. B continues from the accepted ones.
+/// back its own frames, accepted or rejected, and leaves. B continues from the accepted ones.
 #[test]
 fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
     let faults: [(&str, Steering); 3] = [

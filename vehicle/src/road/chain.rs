@@ -68,7 +68,7 @@ impl Piece {
 /// Every lanelet is in at least one chain; after a merge several chains share lanelets.
 ///
 /// # Errors
-/// If the chains with their run-outs are longer than [`ROAD_MAX`] together: their length so far, m.
+/// If all chains with their run-outs exceed [`ROAD_MAX`] in total: their length so far, m.
 pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain>, f64> {
     let places: HashMap<i64, usize> = lanelets
         .iter()

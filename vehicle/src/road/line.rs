@@ -107,8 +107,8 @@ impl Bounds {
         })
     }
 
-    /// Returns the square of the distance, m². It is rounded like the distance to a point inside,
-    /// so it never exceeds that distance.
+    /// Returns the square of the distance to the box, m². It never exceeds that to a point inside
+    /// the box, because both are rounded in the same way.
     fn distance_squared(&self, point: Vec2) -> f64 {
         let outside = |low: f64, high: f64, at: f64| (low - at).max(at - high).max(0.0);
         let apart = Vec2::new(

@@ -356,7 +356,7 @@ mod tests {
     use crate::commonroad::{Class, Obstacle, TimedState};
     use crate::traffic::{Participant, Traffic};
 
-    /// The removed objects change no list: with the edges of all objects, the lists are the same.
+    /// Removing objects changes no list: the lists with the edges of all objects are the same.
     #[test]
     fn what_is_aside_hides_nothing() {
         let road = Scenario::load("free-lane").unwrap().road;

@@ -15,7 +15,7 @@ pub struct SensorFault {
     pub sensor: SensorId,
     /// Whether its lists are sent late; otherwise they are lost.
     pub late: bool,
-    /// Begin and end in scenario time, s.
+    /// Start and end in scenario time, s.
     pub span_s: (f64, f64),
 }
 

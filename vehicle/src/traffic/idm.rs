@@ -1,7 +1,7 @@
 //! Car-following: the Intelligent Driver Model in a variant for real traffic.
 //!
 //! Base: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and
-//! microscopic simulations", Phys. Rev. E 62 (2000). With the improved free term and the "constant
+//! microscopic simulations", Phys. Rev. E 62 (2000). Adds the improved free term and the "constant
 //! acceleration heuristic" of Kesting, Treiber, Helbing, "Enhanced Intelligent Driver Model to
 //! assess the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): when a vehicle
 //! cuts in, the base model brakes as in an emergency, although human drivers see that gentle

@@ -1,5 +1,5 @@
-/* The peer's configuration: what decides the times is as in rtos/kernel/FreeRTOSConfig.h; what the
- * measurement does not use is left out. What is not named is as the kernel has it by default. */
+/* The peer's configuration. Options that affect the times are as in rtos/kernel/FreeRTOSConfig.h;
+ * options that the measurement does not use are left out, so they have the kernel's defaults. */
 #ifndef FREERTOS_CONFIG_H
 #define FREERTOS_CONFIG_H
 

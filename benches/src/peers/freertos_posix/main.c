@@ -1,11 +1,11 @@
-/* FreeRTOS with its own POSIX port, as a program of its own: its symbols are those of our port.
+/* FreeRTOS with its own POSIX port, in a separate program: our port defines the same symbols.
  *
  * freertos-posix switch|tick|interrupt SAMPLES
  *
- * Writes SAMPLES stamps of 64 bits to standard output, in the counter of the processor that
+ * Writes SAMPLES times of 64 bits to standard output, in ticks of the processor's counter that
  * clock.rs reads (nanoseconds of CLOCK_MONOTONIC where there is none):
  *   switch     the time of each yield, from its call in one task to its end in the other
- *   tick       how long after the task's last wake-up, less a period, it woke again; in nanoseconds
+ *   tick       how late the task woke: time since its last wake-up minus a period, in nanoseconds
  *   interrupt  from the tick's hook in the interrupt to the task that the tick woke
  */
 #define _GNU_SOURCE
@@ -40,8 +40,8 @@ static inline uint64_t ticks( void )
 #endif
 }
 
-/* Keeps a sample. When there are enough, it writes them to a file in memory, which takes all at
- * once, and ends the process: the port's way to stop is not measured. */
+/* Keeps a sample. When there are enough, writes them to a file in memory (one write is enough for
+ * it) and exits without stopping the port, because stopping is not measured. */
 static void take( uint64_t sample )
 {
     if( taken == wanted ) {

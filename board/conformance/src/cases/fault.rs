@@ -161,8 +161,8 @@ pub(super) fn cannot_receive<B: FaultSource>(board: &B, _: CoreAddress) -> Resul
     wait_for_cores(board, HERE, 3)
 }
 
-/// First incarnation: runs without a fault until its supply resets it. Second incarnation: reads
-/// `cause`.
+/// First incarnation: runs without a fault until its supply resets it. Second incarnation: checks
+/// that the reset cause is `cause`.
 fn is_reset<B: FaultSource>(board: &B, cause: ResetCause) -> Result<(), CaseFailure> {
     if !is_first_incarnation(board) {
         return reset_for(board, cause);

@@ -97,7 +97,7 @@ pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Ca
     )
 }
 
-/// T-CHIP-6. First incarnation: gives a wrong answer. Second: reads that as the reset cause.
+/// T-CHIP-6. First incarnation: gives a wrong answer. Second: checks the reset cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -142,7 +142,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailu
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: makes a request. Second incarnation: reads that as the reset cause.
+/// First incarnation: makes a request. Second incarnation: checks that its reset cause is `cause`.
 fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), CaseFailure> {
     if is_first_incarnation(board) {
         board.supply().request_reset(request);

@@ -109,7 +109,7 @@ mod tests {
         // SAFETY: initialized below, before any other use.
         let mut bits = unsafe { PendingBits::new_uninit(256) };
         let allocator = BumpAllocator::new(NonNull::dangling(), 0);
-        // SAFETY: once, before any other use.
+        // SAFETY: called once, before any other use.
         unsafe { bits.init(&allocator) }.unwrap();
         for scribble in [0, 1, 255, 256, 257, u32::MAX] {
             bits.capacity.store(scribble, Relaxed);
@@ -134,7 +134,7 @@ mod tests {
         let mut bits = unsafe { PendingBits::new_uninit(BITS + 1) };
         bits.capacity.store(u32::MAX, Relaxed);
         let allocator = BumpAllocator::new(NonNull::dangling(), 0);
-        // SAFETY: once, before any other use.
+        // SAFETY: called once, before any other use.
         unsafe { bits.init(&allocator) }.unwrap();
         assert!(bits.activate(EventId::new(BITS - 1)).is_ok());
         assert!(bits.activate(EventId::new(BITS)).is_err());

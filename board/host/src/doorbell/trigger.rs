@@ -60,7 +60,7 @@ impl Futex {
     /// Clears a pending ring.
     fn take(&self) {
         // Pairs with the swap in `wake`: a later ring finds EMPTY. This is a swap, not a store,
-        // because it must read the PENDING that it replaces: so the drain sees that ring's bits.
+        // because it must read the PENDING that it replaces, so that the drain sees its bits.
         self.0.swap(EMPTY, SeqCst);
     }
 

@@ -11,9 +11,9 @@
 //! - A process that has entered a user namespace cannot return to its old identity if the kernel
 //!   refuses the next step. So a child tries all steps first, and the process itself takes them
 //!   only if the child succeeds.
-//! - In a user namespace, capabilities do not permit real time. So a process that has one for it
-//!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) does not enter one and uses the machine's `/dev/shm`. A limit
-//!   on priorities (`RLIMIT_RTPRIO`) is also valid in a user namespace.
+//! - In a user namespace, capabilities do not permit real time. So a process with a capability for
+//!   real time (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) enters no user namespace and uses the machine's
+//!   `/dev/shm`. A limit on priorities (`RLIMIT_RTPRIO`) is also valid in a user namespace.
 
 mod namespace;
 

@@ -431,8 +431,8 @@ impl Network {
     }
 }
 
-/// Draws whether a frame is lost, with a probability of `permille` in a thousand. Draws no random
-/// number if `permille` is 0.
+/// Decides at random whether a frame is lost; the probability is `permille` in a thousand. Draws no
+/// random number if `permille` is 0.
 fn is_lost(permille: u16, noise: &mut impl Rng) -> bool {
     permille > 0 && noise.random_range(0..1000) < permille
 }

@@ -172,7 +172,7 @@ fn the_simulated_board_passes_in_any_order_of_cores() {
 const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
 
 /// Each defect makes some case fail, and each case fails for some defect. A case that has failed
-/// for one defect runs again only for defects that no other case finds or that it must find.
+/// for one defect runs again only for defects that no other case finds or that this case must find.
 #[test]
 fn conformance_catches_defects() {
     let mut fallible = BTreeSet::new();

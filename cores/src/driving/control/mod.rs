@@ -224,7 +224,7 @@ fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
     })
 }
 
-/// Returns the trajectory `t` seconds after its begin, linear between samples.
+/// Returns the trajectory `t` seconds after its start, linear between samples.
 pub(crate) fn sample(trajectory: &Trajectory, t: f32) -> TrajectoryPoint {
     let place = max(t, 0.0) / TRAJECTORY_STEP_S;
     let index = min(place, (TRAJECTORY_SAMPLES - 2) as f32) as usize;

@@ -162,8 +162,8 @@ mod tests {
         assert!(shaper.last().acceleration <= -9.0);
     }
 
-    /// Braking to standstill from this deceleration with a brake that answers after 20 ms and then
-    /// with a time constant of 0.12 s: the largest jerk over 100 ms, m/s³, and the distance, m.
+    /// Brakes to standstill from this deceleration, with a brake that has a delay of 20 ms and a
+    /// time constant of 0.12 s. Returns the largest jerk over 100 ms, m/s³, and the distance, m.
     fn stop(braking: f32, urgent: bool) -> (f32, f32) {
         let (mut shaper, mut speed, mut way) = (Shaper::new(), 6.0_f32, 0.0_f32);
         shaper.resume(&wish(0.0, -braking).command);

@@ -26,7 +26,7 @@ pub(crate) struct Span {
 }
 
 impl Motion {
-    /// Over `dt` seconds.
+    /// Returns the effect of `dt` seconds.
     pub(crate) fn over(&self, dt: f32) -> Span {
         let q = self.acceleration_noise * dt;
         let (q1, q2) = (q * dt, q * dt * dt);

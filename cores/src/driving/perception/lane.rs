@@ -21,7 +21,7 @@ const COAST: Duration = Duration::from_ms(300);
 const LONGEST_RANGE_M: f32 = 80.0;
 /// Standard deviations of the camera's coefficients at that range: m, 1, 1/m, 1/m².
 const MEASUREMENT: [f32; 4] = [0.025, 0.001_5, 3e-5, 4e-7];
-/// How fast the true coefficients leave the model, per square root of a second.
+/// How fast the true coefficients deviate from the model, per square root of a second.
 const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
 
 /// Standard deviations of a filter that has settled.

@@ -8,12 +8,12 @@ use crate::driving::math::{abs, clamp, lerp, max, min};
 use crate::driving::odometry::{Axes, EgoPose};
 use crate::driving::types::Ego;
 
-/// Along the road vehicles brake with up to 8 m/s² within half a second.
+/// Motion along the road: vehicles brake with up to 8 m/s² within half a second.
 const ALONG: Motion = Motion {
     acceleration_noise: 9.0,
     fading_s: 1.5,
 };
-/// Across the road they change lanes gently.
+/// Motion across the road: vehicles change lanes gently.
 const ACROSS: Motion = Motion {
     acceleration_noise: 1.0,
     fading_s: 0.5,
@@ -35,7 +35,7 @@ const ACROSS_SETTLED: Settled = Settled {
 const GATE: f32 = 18.5;
 /// A detection farther away than this is another object, even if the track is uncertain, m.
 const MAX_JUMP_X_M: f32 = 8.0;
-/// The same across the road: less than the distance of two lanes, m.
+/// The same across the road: less than the distance between two lanes, m.
 const MAX_JUMP_Y_M: f32 = 2.5;
 
 /// Confirmed by this many detections of one sensor …
@@ -44,7 +44,7 @@ const CONFIRMING_HITS: u16 = 3;
 const CONFIRMING_SENSORS: u32 = 2;
 /// An unconfirmed track ends when it was not seen for this long, s.
 const TENTATIVE_COAST_S: f32 = 0.12;
-/// A confirmed track is kept unseen for this long, s: short occlusions, single dropouts.
+/// A confirmed track is kept for this long while no sensor sees it, s: short occlusions, dropouts.
 const COAST_S: f32 = 0.8;
 /// The same for a track close beside the ego vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;

@@ -28,7 +28,7 @@ const CALM_BRAKING: f32 = 1.5;
 const WISH_CYCLES: u16 = 16;
 /// The same when the ego lane ends.
 const FORCED_WISH_CYCLES: u16 = 4;
-/// A change begins within this distance of the ego lane's centre, m; the second one if forced.
+/// A change begins within this distance of the ego lane's centre, m; the second value if forced.
 const CENTRED_M: f32 = 0.6;
 const CENTRED_FORCED_M: f32 = 1.3;
 /// Pause after a change or an attempt, in cycles.

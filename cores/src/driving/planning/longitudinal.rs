@@ -36,15 +36,15 @@ const SEEKING_SHARE: f32 = 0.7;
 const SOUGHT_SHARE: f32 = 0.35;
 /// Deceleration with which a slower leader is approached, m/s².
 const APPROACH_BRAKING: f32 = 1.2;
-/// Time constant of keeping the distance, s …
+/// Time constant of keeping the distance, s.
 const DISTANCE_S: f32 = 3.0;
-/// … of keeping the shorter distance …
+/// Time constant of keeping the shorter distance, s.
 const NEAR_DISTANCE_S: f32 = 1.5;
-/// … of regaining a distance that is too short but not dangerous, s, …
+/// Time constant of regaining a distance that is too short but not dangerous, s.
 const REGAIN_S: f32 = 6.0;
-/// … without braking while the gap grows at least this fast, m/s, …
+/// While the gap grows at least this fast, m/s, the vehicle does not brake to regain a distance.
 const OPENING: f32 = 1.5;
-/// … and of falling back to a gap that is sought, s.
+/// Time constant of falling back to a gap that is sought, s.
 const SEEK_S: f32 = 2.0;
 /// Deceleration towards the end of the lane, m/s².
 const END_BRAKING: f32 = 1.6;
@@ -55,11 +55,11 @@ const MAX_ACCELERATION: f32 = 2.0;
 /// Strongest braking of candidates without an emergency, m/s².
 const MAX_BRAKING: f32 = 8.0;
 /// Beyond this braking, m/s², a motion is not comfortable: it is chosen only if the danger of each
-/// comfortable one exceeds the second value.
+/// comfortable one exceeds `TOLERABLE_DANGER`.
 pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
 /// Beyond this jerk, m/s³, a motion is an emergency: it is chosen only if the danger of each other
-/// one exceeds the second value. A contact costs ten times as much.
+/// one exceeds `EMERGENCY_DANGER`. A contact costs ten times as much.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
 /// Full braking, m/s².
@@ -95,7 +95,7 @@ pub(crate) struct Corridor {
     pub(crate) stop: [f32; STEPS],
     /// … and with the least margin.
     pub(crate) end: [f32; STEPS],
-    /// Deceleration towards that place, m/s².
+    /// Deceleration towards `stop`, m/s².
     pub(crate) end_braking: f32,
     /// The driver asks for the shorter distance to what is ahead.
     pub(crate) near_gap: bool,
@@ -147,7 +147,7 @@ impl Corridor {
             let spare = self.bound[step] - motion.value - wanted;
             let ahead = max(self.bound_speed[step], 0.0);
             let keeping = ahead + closing(spare, APPROACH_BRAKING, distance_s, REGAIN_S);
-            // Waits for a gap that is already opening.
+            // If the gap is already opening, wait instead of braking.
             let opening = motion.first - 2.0 * max(motion.first + OPENING - ahead, 0.0);
             target = min(target, max(keeping, opening));
         }

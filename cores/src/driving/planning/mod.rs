@@ -52,16 +52,16 @@ const UNSEEN_MARGIN_M: f32 = 4.0;
 const END_MARGIN_M: f32 = 15.0;
 /// The least such distance, where a larger one would need hard braking, m.
 const END_LEAST_M: f32 = 1.0;
-/// While a gap is sought, braking for the end of the lane looks only this far ahead, s, and is this
-/// hard, m/s².
+/// While a gap is sought, the end of the lane counts only in the first steps of a plan, up to this
+/// time, s, and the vehicle brakes for it with this deceleration, m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
 /// The body stays this far from the lane's border if the driver asks for a place off centre, m.
 const BORDER_M: f32 = 0.2;
 /// Lateral room that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
-/// Until this time before they meet, s, a road user that comes towards the vehicle is expected to
-/// return to its own lane.
+/// A road user that comes towards the vehicle is expected to return to its own lane if they would
+/// meet later than this, s.
 const MEETING_S: f32 = 2.5;
 /// A road user that crosses ahead or comes towards the vehicle has been passed when it is this far
 /// behind, m.
@@ -144,7 +144,7 @@ impl Planner {
         });
     }
 
-    /// Returns the last plan, and the vehicle's motion at its begin; `None` before the first.
+    /// Returns the last plan, and the vehicle's motion at its start; `None` before the first.
     #[must_use]
     pub fn last(&self) -> Option<(&Trajectory, &Ego)> {
         let last = self.last.as_ref()?;

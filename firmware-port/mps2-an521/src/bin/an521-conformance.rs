@@ -1,7 +1,7 @@
 //! Runs one case of the conformance suite at each start of the machine.
 //!
 //! Strap 0 is the case's number. The status is 0 if it passed, 1 if a role failed, [`SKIPPED`] if
-//! this machine cannot run it, [`NO_SUCH_CASE`] after the last. The log gives the reason.
+//! this machine cannot run it, [`NO_SUCH_CASE`] if it does not exist. The log gives the reason.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -67,7 +67,7 @@ fn main(own: usize) -> ! {
         );
         exit::exit(1);
     }
-    // AcqRel: the processor that passes last sees everything that the other did.
+    // AcqRel: the last processor to pass sees everything that the other one did.
     let passed = 1 + PASSED.fetch_add(1, Ordering::AcqRel);
     if passed as usize == case.parts.len() {
         log!("passed  {}", case.name);

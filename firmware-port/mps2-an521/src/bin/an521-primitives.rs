@@ -1,7 +1,7 @@
 //! Tests the primitives of `shm` between the two processors: lock, mailbox, channels, pool.
 //!
 //! Strap 0: the length of a turn in ticks of 50 ns. Strap 1: if not 0, the test does not hold the
-//! lock, and its checks must detect that. The status is 0 if all checks passed.
+//! lock, and its checks must detect this. The status is 0 if all checks passed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -3,9 +3,9 @@
 //!
 //! The board connects them by lines, link and CAN. `Redundancy` and the protected frames are those
 //! of the host. The level line does not fall: a processor that hangs keeps its supply. Strap 0: A
-//! hangs 1 s plus this time after its start, us. Strap 1: shift of B's polls before that, us. The
+//! hangs 1 s plus this time (us) after its start. Strap 1: shift (us) of B's polls before that. The
 //! log shows the times from A's hang, and from A's last control frame, to B's first control frame.
-//! The status is 0 if both are within their bounds and B sent none before.
+//! The status is 0 if both are within bounds and B sent none before the hang.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -28,7 +28,7 @@ entry!(main);
 const CONFIG: Config = Config::chip();
 /// Time from the start of system A until it hangs; strap 0 is added.
 const HANGS_AFTER: Duration = Duration::from_ms(1_000);
-/// Time from the start of B until it shifts its polls: both have their roles by then.
+/// Time from the start of B until it shifts its polls. By then both systems have their roles.
 const MOVES_AFTER: Duration = Duration::from_ms(800);
 /// Bounds of the times from A's hang, and from A's last control frame, to B's first control frame.
 /// Both include 0.2 ms of execution, about 6,000 instructions of B.
@@ -37,7 +37,7 @@ const BOUNDS: [Duration; 2] = [Duration::from_ms(4), Duration::from_ms(14)];
 const LIMIT: Duration = Duration::from_ms(3_000);
 
 /// Length of a turn, in ticks. While both processors sleep, the emulator can let two timers expire
-/// before it runs an instruction. With longer turns, an alarm was late by the whole wait.
+/// before it runs an instruction. With longer turns, an alarm was late by the whole waiting time.
 const TURN: u32 = 400;
 
 /// Time at which A hung, in microseconds since the start of the machine; 0 while it runs.
@@ -249,7 +249,7 @@ fn take_over(board: &An521Board) -> Result<(), &'static str> {
             return Err("B takes over");
         }
         if now >= moves_at {
-            // Shifts the polls: without a heartbeat for two periods, their period starts again.
+            // Shifts the polls: after a pause of two periods, the heartbeats restart with a poll.
             moves_at = Instant::NEVER;
             let resumes =
                 now + CONFIG.heartbeat_period.times(2) + Duration::from_us(strap(1).into());

@@ -16,7 +16,7 @@ use tandem_board::{
     TraceRecord, Wake,
 };
 
-/// The core that each processor runs; `None` if it runs none.
+/// The core that each processor runs; `None` if the processor runs no core.
 pub type Cast = [Option<CoreAddress>; CPUS];
 
 /// Returns the processor that runs this core.
@@ -77,7 +77,7 @@ impl An521Board {
     }
 }
 
-/// The hardware of this machine cannot have faults: test cases that need one do not run on it.
+/// The hardware of this machine cannot have faults: test cases that need a fault do not run on it.
 impl FaultSource for An521Board {
     fn set_fault(&self, _: SystemId, _: HardwareFault, _: bool) {}
 }
@@ -155,7 +155,7 @@ impl Board for An521Board {
     }
 
     fn trace(&self, record: TraceRecord) {
-        // Otherwise a handler could write to the slot to which a task is writing.
+        // Without this, a handler could write to the slot that a task is writing.
         cpu::without_interrupts(|| {
             let count = self.traced.get();
             self.trace[count % TRACED].set(record);
@@ -187,7 +187,7 @@ impl DataFlash for Absent {
     }
 }
 
-/// The two lamps of the board: bit 0 is lit while the system drives, bit 1 unless it is starting.
+/// The two lamps of the board: bit 0 is lit while the system drives, bit 1 after its start.
 const LAMPS: *mut u32 = 0x5030_2000 as *mut u32;
 
 impl Supply for Absent {

@@ -1,4 +1,4 @@
-//! The connections between the two systems: lines, link, CAN bus. The machine has none of them, so
+//! The connections between the two systems: lines, link, CAN bus. The machine has none of them:
 //! words in a bank of the SRAM, outside the LMUs, replace the wires.
 
 use super::{Cast, player};
@@ -57,7 +57,7 @@ static WIRES: Wires = Wires {
     wakes: [const { AtomicU32::new(0) }; CPUS],
 };
 
-/// Returns the end. An error cannot occur: link.x and the types ensure size and alignment.
+/// Returns an end. An error cannot occur, because link.x and the types ensure size and alignment.
 fn fits<T, E>(end: Result<T, E>) -> T {
     match end {
         Ok(end) => end,
@@ -140,7 +140,7 @@ pub struct An521Can {
     of: CoreAddress,
     own: usize,
     other: usize,
-    /// Whether there is no other core: then frames are dropped.
+    /// Whether there is no other core, so that frames are dropped.
     alone: bool,
     transmit: RefCell<Producer<'static, [u32; FRAME_WORDS]>>,
     receive: RefCell<Consumer<'static, [u32; FRAME_WORDS]>>,
@@ -201,7 +201,7 @@ impl Can for An521Can {
         WIRES.overruns[self.own].load(Ordering::Relaxed)
     }
 
-    /// Returns no errors: this bus destroys no frame.
+    /// Returns no errors, because this bus destroys no frames.
     fn errors(&self) -> CanErrors {
         CanErrors::default()
     }

@@ -23,7 +23,7 @@ entry!(main);
 static READY: AtomicBool = AtomicBool::new(false);
 /// Number of signals that hart 1 has returned.
 static BACK: AtomicU32 = AtomicU32::new(0);
-/// Cycle at which hart 1 began to wake the task.
+/// The cycle at which hart 1 began to wake the task.
 static BEGAN_AT: AtomicU32 = AtomicU32::new(0);
 /// Whether the next doorbell rings without a signal.
 static BARE: AtomicBool = AtomicBool::new(false);

@@ -50,7 +50,7 @@ const CONTEND: u32 = 4;
 const SPSC: u32 = 5;
 const CHANNEL: u32 = 6;
 const BUFFER: u32 = 7;
-/// Contended lock: the started round, the number of harts that have ended it, the last cycle.
+/// The contended lock: the current round, the number of harts that have ended it, the last cycle.
 static GO: AtomicU32 = AtomicU32::new(0);
 static ENDED: AtomicU32 = AtomicU32::new(0);
 static LAST_AT: AtomicU32 = AtomicU32::new(0);
@@ -59,7 +59,7 @@ static LAST_AT: AtomicU32 = AtomicU32::new(0);
 struct Handed<T>(UnsafeCell<T>);
 
 // SAFETY: hart 0 uses the value until it stores `PART` with Release; hart 1 uses it after it has
-// read that with Acquire; hart 0 does not use it again.
+// read `PART` with Acquire; hart 0 does not use it again.
 #[allow(unsafe_code)]
 unsafe impl<T: Send> Sync for Handed<T> {}
 
@@ -102,7 +102,7 @@ unsafe impl RawMutex for HartMutex {
 static EMBASSY: Channel<HartMutex, u32, 4> = Channel::new();
 
 /// Bytes of FreeRTOS's message buffer: room for each message of a run with its length, so that it
-/// does not wrap around, which takes 4 more instructions.
+/// does not wrap around: wrapping takes 4 more instructions.
 const BYTES: usize = 8 * (WARM_UP + ROUNDS + 1) as usize;
 /// The memory of FreeRTOS's message buffer: for the messages, and for its state.
 static MESSAGES: Handed<([u8; BYTES], [u32; 16])> = Handed(UnsafeCell::new(([0; BYTES], [0; 16])));
@@ -156,7 +156,7 @@ fn reach(act: impl FnOnce()) -> u32 {
     SEEN_AT.load(Ordering::Relaxed).wrapping_sub(begin)
 }
 
-/// Hart 1 calls this when it is reached: stores the cycle.
+/// Stores the cycle. Hart 1 calls this when it is reached.
 #[inline(always)]
 fn reached() {
     let at = hart::cycles();
@@ -209,7 +209,7 @@ fn measure_all() -> ! {
             ring(to.signal(NEWEST));
         })
     });
-    // The result varies: each end reads the other's index only when its copy requires it.
+    // The result varies: each end reads the other's index only when its own copy is too old.
     bench("fifo/4-bytes", |number| {
         reach(|| {
             must(queue.send(&number));

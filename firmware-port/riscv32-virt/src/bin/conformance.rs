@@ -19,7 +19,7 @@ entry!(main);
 
 /// Length of a turn, 100 us, so that roles that spin do not starve the others.
 const SLICE_TICKS: u32 = 1_000;
-/// A case that takes longer than this hangs. It is longer than a role waits.
+/// A case that takes longer than this has hung. No role waits as long as this.
 const HANGS_AFTER_TICKS: u64 = 60 * 10_000_000;
 
 /// The current case.
@@ -57,7 +57,7 @@ fn play_role(board: &VirtBoard) {
     result_of(place).store(result, Ordering::Release);
 }
 
-/// Why a case did not pass. The log before it shows the failure of its role.
+/// Why a case did not pass. The lines before it in the log show the failure of the role.
 enum Fault {
     Failed(CoreAddress),
     Hung,

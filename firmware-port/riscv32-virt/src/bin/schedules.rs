@@ -1,10 +1,10 @@
 //! Tests the primitives of the LMU in hundreds of schedules: patterns of turns of three harts.
 //!
-//! Under icount, a timer that ends a hart's turn after a fixed number of instructions makes one
+//! Under icount, a timer that ends a hart's turn after a fixed number of instructions produces one
 //! particular interleaving, the same in each run. Hart 6 varies the length of the turns and the
 //! offset between the harts, and starts the tests of lock, mailbox, pool and channels for each. Two
 //! schedules differ if the turns of a hart ended at different code addresses, or if the harts got
-//! the lock in another order.
+//! the lock in a different order.
 //!
 //! Strap `Mode`: 0, the tests must pass in every schedule; 1, at least one schedule must detect a
 //! deliberately broken lock. Strap `First`: the number of lengths of turns.
@@ -27,13 +27,13 @@ use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, SharedPool, 
 
 entry!(main);
 
-/// The shortest turn, in ticks: a shorter one ends before the handler has returned.
+/// The shortest turn, in ticks: a shorter turn ends before the handler has returned.
 const SHORTEST: u32 = 8;
 /// Number of lengths of turns, unless a strap sets it.
 const LENGTHS: u32 = 100;
 /// Offsets of harts 1 and 2, in spins; coprime, so that no two harts run in step.
 const OFFSETS: [[u32; 2]; 4] = [[0, 0], [7, 0], [3, 11], [13, 5]];
-/// A test that takes more ticks than this hangs: a wake-up or the lock was lost.
+/// A test that takes more ticks than this has hung: a wake-up or the lock was lost.
 const HANGS_AFTER: u64 = 2_000_000;
 
 const CORES: usize = 3;
@@ -150,7 +150,7 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     while PASSED.load(Acquire) < CORES as u32 {
         let failed = FAILED.load(Relaxed);
         if failed != 0 {
-            // Other harts may wait for the one that failed: gives them time to stop.
+            // Gives the other harts time to stop: they may be waiting for the hart that failed.
             let limit = hart::time() + HANGS_AFTER;
             while PASSED.load(Acquire) < CORES as u32 && hart::time() < limit {
                 doorbell::wait(Some(hart::time() + 100));

@@ -17,7 +17,7 @@ fn now_us() -> u32 {
     (now().as_ns() / 1_000) as u32
 }
 
-/// Services the watchdog from an interrupt. Turns must have a length: see [`run`](super::run).
+/// Services the watchdog from an interrupt. Turns must be limited: see [`run`](super::run).
 #[derive(Debug)]
 pub struct ByTimer(());
 
@@ -62,7 +62,7 @@ impl Keeper for ByTimer {
         now() + Duration::from_us(left.into())
     }
 
-    /// Waits until the window is open: the application services the watchdog as soon as it starts.
+    /// Waits until the window is open, because the application services the watchdog at its start.
     fn hand_over(&self) -> bool {
         hart::without_interrupts(|| trap::on_turn(hart::number(), None));
         let served = SERVED.load(Relaxed) > 0;

@@ -119,7 +119,7 @@ impl Board for VirtBoard {
 
     fn trace(&self, record: TraceRecord) {
         let registers = peripherals::core(self.identity.address());
-        // Handlers interrupt tasks of a core, but the ring may have only one writer at a time.
+        // Handlers interrupt the tasks of a core, but the ring may have only one writer at a time.
         hart::without_interrupts(|| {
             if !registers.trace.put(&encode_trace(self.now(), record)) {
                 registers.trace_lost.fetch_add(1, Relaxed);

@@ -44,7 +44,7 @@ impl Can for VirtCan {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
-                // The bus sets the time.
+                // A placeholder: the bus sets the time.
                 at: Instant::ORIGIN,
             },
             sender: Sender::Core(self.0),
@@ -164,7 +164,7 @@ impl Supply for VirtSupply {
     fn service_watchdog(&self, answer: u8) {
         must_be_control(self.0, "serves the watchdog");
         let registers = system(self.0);
-        // If the queue is full, the supply has not read the last services: the next one is enough.
+        // If the queue is full, this service is dropped, because the next one is enough.
         if registers
             .services
             .put(&encode_service(peripherals::now(), answer))
@@ -175,7 +175,7 @@ impl Supply for VirtSupply {
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        // Release pairs with the Acquire in the carrier, which sees everything done before.
+        // Release pairs with the Acquire in the carrier, which then sees all earlier writes.
         let register = &system(self.0).request;
         register.store(1 + request.code(), Release);
         peripherals::call();

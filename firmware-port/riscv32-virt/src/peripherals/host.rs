@@ -24,7 +24,7 @@ type Buffer = [AtomicU32; MAX_WORDS];
 static OUT: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
 #[unsafe(link_section = ".bss.carrier")]
 static IN: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
-/// Frames that were on this machine's bus since the last exchange.
+/// Frames that have been on this machine's bus since the last exchange.
 // SAFETY: a queue consists of atomics, for which zero is a valid value.
 #[unsafe(link_section = ".bss.carrier")]
 static FRAMES: Ring<128, FRAME_WORDS> = unsafe { core::mem::zeroed() };

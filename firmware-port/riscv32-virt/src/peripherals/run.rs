@@ -16,8 +16,8 @@ use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::controller::Confinement;
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
-/// Limit of the cycles between two reads if no hart used the yielded turn. Without another hart it
-/// takes four cycles; a working hart takes more than this limit.
+/// Maximum number of cycles between two reads of the counter if no hart used the yielded turn.
+/// Without another hart, four cycles pass; a hart that works takes more than this limit.
 const YIELD_CYCLES: u32 = 6;
 
 /// The carrier, on its own hart.
@@ -27,7 +27,7 @@ pub struct Peripherals {
     /// Whether each system is in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
-    /// The time in ticks, between two exchanges, at which to carry out an item, and the item.
+    /// The time in ticks at which to carry out an item between two exchanges, and the item.
     later: Option<(u64, Option<Item>)>,
     /// The fault confinement of each CAN controller, by [`CoreAddress::index`].
     confinements: [Confinement; CoreAddress::COUNT],
@@ -87,7 +87,7 @@ impl Peripherals {
     /// Switches a system off, in any state.
     pub fn power_off(&mut self, which: SystemId) {
         let change = self.supplies[which.index()].power_off();
-        // `or`: at the start of the machine the supply is off, but its cores have not stopped yet.
+        // Also if it was off: when the machine starts, the cores have not stopped yet.
         self.carry_out(which, change.or(Some(Change::PowerOff)));
     }
 
@@ -123,7 +123,7 @@ impl Peripherals {
         self.exchange();
         if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
             self.act(item);
-            // The host measures from this time. Cores that the item stops have already stopped.
+            // The host measures from this time: the cores that `act` had to stop have stopped.
             log!("carried out at {} ns", now().as_ns());
         }
         for which in self.systems() {
@@ -149,7 +149,7 @@ impl Peripherals {
     /// Waits until the carrier's doorbell rings or `deadline` has passed. If no hart has work, sets
     /// the clock to the next time at which one has.
     ///
-    /// The emulator could do that: if all harts sleep, its main loop advances the clock. But then
+    /// The emulator could do this: if all harts sleep, its main loop advances the clock. But then
     /// two of its threads serve the timers, in varying order on a busy host, and the turns of the
     /// harts vary. So the carrier does not sleep, and one thread serves the timers.
     fn rest(&self, deadline: u64) {
@@ -277,7 +277,7 @@ impl Peripherals {
                 return change;
             }
         }
-        // True: all cores have stopped as soon as `hold` has returned.
+        // True, because all cores have stopped when `hold` returns.
         supply.poll(now(), true)
     }
 
@@ -290,7 +290,7 @@ impl Peripherals {
         }
     }
 
-    /// Stops a system and lowers its level line. Sets the lamp, which a chip in reset cannot.
+    /// Stops a system and lowers its level line. Sets the lamp, because a chip in reset cannot.
     fn hold(&mut self, which: SystemId, lamp: RoleLamp) {
         let registers = system(which);
         for core in CoreId::ALL {
@@ -350,7 +350,7 @@ impl Peripherals {
                 if let Some(mut frame) = core(sender).transmit.take_if(sends) {
                     moved = true;
                     set_time(&mut frame, now());
-                    // The sender is the core whose ring held the frame, whatever its words say.
+                    // The sender is the core whose ring held the frame, whatever the frame says.
                     set_sender(&mut frame, Sender::Core(sender));
                     self.broadcast(Some(sender), &frame);
                     if let Some(host) = &mut self.host {
