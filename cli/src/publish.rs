@@ -30,6 +30,8 @@ use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
 use tandem_vehicle::LoggedFrame;
 
+use crate::run_config::{LimitProfile, RunConfig};
+
 /// Delay of the next read after a read that found nothing, or only part of an entry.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
 /// Delay of the next read after a read that found entries. The vehicle writes every 100 ms; with a
@@ -53,6 +55,8 @@ const ALIVE_NS: u64 = 300_000_000;
 struct Begin {
     run: String,
     duration_s: f64,
+    /// The run's processes have a real-time priority.
+    realtime: bool,
 }
 
 /// The connection of `tandem run` to the publisher's process.
@@ -88,10 +92,11 @@ impl Publishing {
     }
 
     /// Starts publishing this run.
-    pub(crate) fn follow(&mut self, run: &RunName, recording: PathBuf, duration_s: f64) {
+    pub(crate) fn follow(&mut self, run: &RunName, recording: PathBuf, config: &RunConfig) {
         let begin = Begin {
             run: run.to_string(),
-            duration_s,
+            duration_s: config.duration_s,
+            realtime: config.profile == LimitProfile::Rt,
         };
         let Ok(begin) = serde_json::to_vec(&begin) else {
             return;
@@ -153,8 +158,6 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
 /// # Errors
 /// If `tandem run` did not start this process, or iceoryx2 fails.
 pub fn run() -> anyhow::Result<()> {
-    // On a machine without real time, give all other processes precedence.
-    let _ = rustix::process::nice(10);
     let parent = getppid();
     let stdin = std::io::stdin().as_fd().try_clone_to_owned();
     let from = UnixDatagram::from(stdin.context("stdin")?);
@@ -179,6 +182,10 @@ pub fn run() -> anyhow::Result<()> {
         return Ok(());
     };
     let begin: Begin = serde_json::from_slice(&begin).context("the first message")?;
+    if !begin.realtime {
+        // All other processes of the run have precedence.
+        let _ = rustix::process::nice(10);
+    }
     let publisher = Publisher::create(&begin.run.parse()?)?;
     let mut news = News::new(begin.duration_s);
     while let Some(entries) = next() {

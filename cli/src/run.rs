@@ -487,7 +487,7 @@ fn drive(
     launcher.start(&plan, &command)?;
     let publishing = publishing.map(|mut publishing| {
         let run = launcher.isolation().run();
-        publishing.follow(run, files.recording(), config.duration_s);
+        publishing.follow(run, files.recording(), config);
         publishing
     });
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
