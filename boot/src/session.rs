@@ -45,6 +45,8 @@ pub(crate) struct Session {
     /// Whether to ignore data until the host goes back; set after an error within a window.
     waits_for_go_back: bool,
     attempts: u8,
+    /// Address of the record that would have been refused, and was requested again.
+    doubted: Option<u32>,
     /// The last accepted record. If its acknowledgement is lost, the host repeats it.
     last: Option<SRecord>,
     heard: Instant,
@@ -136,7 +138,9 @@ impl Session {
         if let State::Refused(refusal) = self.state {
             return Some(Answer::Refused(refusal));
         }
-        let Some(record) = record else {
+        // No file has data records without data: the checksum does not cover the type.
+        let is_empty = |it: &SRecord| it.record_type == SRecordType::Data && it.data().is_empty();
+        let Some(record) = record.filter(|it| !is_empty(it)) else {
             self.attempts += 1;
             if self.attempts >= MAX_ATTEMPTS {
                 return Some(self.refuse(Refusal::Record));
@@ -148,7 +152,7 @@ impl Session {
         if !repeated && self.state == State::Open {
             match self.download.take(&record, flash, ground) {
                 Ok(ended) => {
-                    self.attempts = 0;
+                    (self.attempts, self.doubted) = (0, None);
                     self.accepted += 1;
                     self.unanswered += 1;
                     if ended {
@@ -160,6 +164,12 @@ impl Session {
                     if self.window > 0 && self.attempts < MAX_ATTEMPTS =>
                 {
                     self.attempts += 1;
+                    return Some(self.ask_again());
+                }
+                // With another type it has another address: refuse only what is sent again.
+                Err(Refusal::Address | Refusal::Order)
+                    if self.doubted.replace(record.address) != Some(record.address) =>
+                {
                     return Some(self.ask_again());
                 }
                 Err(refusal) => return Some(self.refuse(refusal)),

@@ -68,8 +68,7 @@ pub(crate) struct Publishing {
 }
 
 impl Publishing {
-    /// Starts the publisher before the run gets its own `/dev/shm`. Returns `None` if the publisher
-    /// does not start. The run is then not published.
+    /// Starts the publisher before the run gets its own `/dev/shm`; `None` if it does not start.
     pub(crate) fn prepare() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
         to.set_nonblocking(true).ok()?;

@@ -90,6 +90,17 @@ proptest! {
     }
 }
 
+/// T-BOOT-3, T-BOOT-4: the noise changes the type of a record, which the checksum does not cover.
+/// The record is requested again.
+#[test]
+fn a_changed_type_of_a_record_is_no_refusal() {
+    let seeds = [17406014069381691132, 2330320115466193060];
+    for (window, seed) in [0, 1].into_iter().zip(seeds) {
+        let (end, whole, _) = download(window, 8, seed);
+        assert_eq!((end, whole), (ToDo::Done, true), "window {window}");
+    }
+}
+
 /// T-BOOT-3: the loader requests a lost frame again.
 #[test]
 fn what_is_lost_is_asked_for_again() {
