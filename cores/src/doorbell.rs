@@ -48,7 +48,7 @@ impl DoorbellThrottle {
     }
 
     /// Called when the doorbell may have rung. Returns whether its tasks run now. Only a ring that
-    /// was held back begins a new distance, so a call alone delays no ring.
+    /// was held back begins a new distance: a call without a ring does not delay later rings.
     pub fn may_have_rung(&self, now: Instant) -> bool {
         if now < self.opens() {
             self.pending.store(true, Relaxed);

@@ -280,7 +280,7 @@ mod tests {
     }
 
     /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. No two
-    /// tasks have one priority, so the kernel never chooses their order.
+    /// tasks have the same priority, so the kernel never chooses their order.
     #[test]
     fn the_priorities_of_core_0_are_rate_monotonic() {
         for pair in CORE_0.windows(2) {

@@ -39,7 +39,7 @@ pub enum Leaves {
     Blocked,
     /// It could continue, but a more urgent one runs first.
     Preempted,
-    /// The kernel gives no reason. If it makes the task ready next, the job is done; else not yet.
+    /// The kernel gives no reason. The job continues unless the task's next event is `Ready`.
     Gives,
 }
 
@@ -113,7 +113,7 @@ pub enum Event {
     CanSilent(bool),
     /// A frame that no correct peer sends, or one of a lower term, arrived and was ignored.
     Ignored {
-        /// Its term; 0 if that was not the reason.
+        /// Its term; 0 if it was ignored for another reason.
         term: u32,
     },
     /// The term was raised without a change of role.
@@ -145,7 +145,7 @@ pub enum Event {
         core: u8,
     },
     /// Jobs of a task did not run, because an earlier one or a more urgent task took their time.
-    /// Those of the roles are traced with each status frame.
+    /// Missed jobs of the roles are traced with each status frame.
     DeadlineMiss {
         /// Which task.
         task: TaskCode,

@@ -109,7 +109,7 @@ const WIRES: [&[&str]; 5] = [
     &["can", "--from", "A"],
     &["can", "--from", "B"],
 ];
-/// Within this time every system has detected the cuts, and missing control counts as a gap.
+/// After this time every system has detected the cuts, and a lack of control counts as a gap.
 const SETTLED: Duration = Duration::from_millis(500);
 const TABLE: &str = include_str!("../../docs/redundancy.md");
 /// One row of the truth table.
@@ -117,7 +117,7 @@ struct Row {
     cut: [bool; 5],
     /// Roles of A and B after both have detected the cuts.
     roles: [String; 2],
-    /// The system that the vehicle obeys; `then_obeyed`: after a power loss of A, and of B.
+    /// The system that the vehicle obeys; `then_obeyed`: the same after a power loss of A, or B.
     obeyed: Option<String>,
     then_obeyed: [Option<String>; 2],
 }

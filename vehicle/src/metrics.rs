@@ -47,8 +47,8 @@ const JERK_MAX_SPAN_MS: usize = 100;
 pub struct WorldMetrics {
     /// Number of collisions: the ego's rectangle overlapped another vehicle's.
     pub collisions: u32,
-    /// Collisions that the ego caused: not hit while it stood, not from behind, and not from the
-    /// side while it kept its lane.
+    /// Collisions that the ego caused. Not counted: it was hit while it stood, from behind, or from
+    /// the side while it kept its lane.
     pub collisions_by_ego: u32,
     /// Collisions while the ego stood.
     pub hit_while_standing: u32,

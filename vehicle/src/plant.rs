@@ -241,9 +241,9 @@ mod tests {
     ///
     /// Runge-Kutta of fourth order at 1 ms has a global error below 1e-8 here; 1e-6 leaves room for
     /// the kink of the acceleration limit at the switching speed, where a fixed step is of first
-    /// order. Only the slip angle of "crawl" may differ by more: the published kinematic branch
-    /// squares the tangent once more than the chain rule does, 1e-4 rad at 0.1 rad of steering,
-    /// which affects nothing else there.
+    /// order. Only the slip angle of "crawl" may differ by more (1e-4 rad at 0.1 rad of steering):
+    /// the published kinematic branch squares the tangent once more than the chain rule does. This
+    /// affects no other value of that case.
     #[test]
     fn step_responses_agree_with_commonroad_vehicle_models() {
         let text = include_str!("../fixtures/plant/step_responses.csv");

@@ -2,7 +2,7 @@
 //!
 //! Lanelets are chained into lanes: each lanelet continues with the successor that bends least and
 //! is not a dead end. Centre lines are smoothed, because maps have corners where roads have curves
-//! (US-101 has noisy points every few metres, A9 one every hundred with corners of 0.02 rad).
+//! (US-101 has noisy points every few metres; A9 has corners of 0.02 rad every hundred metres).
 //!
 //! **Beyond the map.** A lane that ends because the map ends is continued straight without end,
 //! parallel to its neighbours. If a lane ends while a neighbour continues, the end is real: a lane

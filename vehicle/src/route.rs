@@ -18,8 +18,8 @@ const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
 const HURRY: f64 = 1.3;
 /// The ego should reach a spot when this fraction of the goal's time has passed.
 const EARLY: f64 = 0.2;
-/// If the ego may stand at a spot, it drives there at once and waits: it approaches with this time
-/// constant, s.
+/// If the ego may stand at a spot, it drives there at once and waits. Time constant of this
+/// approach, s.
 const STOPS_S: f64 = 2.0;
 /// The speed is no longer corrected when less than this time is left, s.
 const NEAR_S: f64 = 0.5;

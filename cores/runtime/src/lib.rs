@@ -225,7 +225,7 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
     // The kernel's count may be behind the clock, or beyond the due tick if the machine was stopped
-    // since the clock was read. Both wrap around after 49 days.
+    // since the clock was read. The count and the due tick wrap around after 49 days.
     let left = ctx.now().until(Ticks(due as u32));
     if far {
         ctx.take_notifications(LONGEST);

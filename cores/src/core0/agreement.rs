@@ -19,7 +19,7 @@ const WARM_UP: Duration = Duration::from_ms(1000);
 const RESOLVE: Duration = Duration::from_ms(300);
 /// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
-/// The other system asks for a stop if it reports [`Stage::Unresolved`] this often in succession.
+/// The other system asks for a stop if it reports [`Stage::Unresolved`] this many times in a row.
 const UNRESOLVED_REPORTS: u8 = 3;
 /// Period of the comparison, s.
 const PERIOD_S: f32 = 0.01;
@@ -38,8 +38,8 @@ pub(super) const LATERAL: Limits = Limits {
     tolerance: 0.4,
     limit: 0.1,
 };
-/// Longitudinal: two healthy systems may begin to brake hard at different times. Their excess adds
-/// up to 2.0 m/s.
+/// Longitudinal: two healthy systems may begin to brake hard at different times. The
+/// accumulated excess is then at most 2.0 m/s.
 pub(super) const LONGITUDINAL: Limits = Limits {
     tolerance: 1.5,
     limit: 4.0,

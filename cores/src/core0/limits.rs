@@ -26,8 +26,8 @@ pub const EDGES_PER_MS: u32 = 4;
 /// A flood is reported at most once in this time for each source.
 const WINDOW: Duration = Duration::from_ms(100);
 
-/// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
-/// stall of this core is not a flood. The distance permits 20 doorbells in this time: half of them.
+/// A source floods if it has exceeded its limit this many times within [`WINDOW`]. One burst after
+/// a stall of this core is not a flood. At most 20 doorbells pass in this time; this is half.
 const EXCEEDED: u32 = 10;
 
 /// The activity of a source since the last report.

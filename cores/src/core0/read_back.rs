@@ -1,9 +1,9 @@
 //! Reads back the command that the vehicle obeys: it must be one that this system has sent. T-RED-9
 //!
-//! The vehicle's echo names the control frame that it obeys, by the frame's counter, and the
-//! command. A fault between the computation and the bus (a stuck signal with a valid protection,
-//! for instance) shows here within a few control periods. An echo may be late: the frames of the
-//! last 0.3 s are remembered, and echoes of older ones are not judged.
+//! The vehicle's echo contains the command that the vehicle obeys, and the counter of that
+//! command's frame. A fault between the computation and the bus (a stuck signal with a valid
+//! protection, for instance) shows here within a few control periods. An echo may be late: the
+//! frames of the last 0.3 s are remembered, and echoes of older ones are not judged.
 
 use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
 use super::frames;
@@ -66,8 +66,8 @@ impl ReadBack {
 
     /// Takes the vehicle's echo; returns whether this system's command is wrong. `term`: the term
     /// in which this system drives. `stops_at`: the vehicle's speed, m/s, if this system stops the
-    /// vehicle although the command is wrong. Then a difference does not count if the vehicle still
-    /// stops in its lane.
+    /// vehicle although the command is wrong. In that case, a difference does not count if the
+    /// vehicle still stops in its lane.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // If the echo has a lower term, the vehicle has not yet accepted a frame of this term: it
         // has refused every frame sent.

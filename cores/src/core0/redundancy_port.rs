@@ -11,8 +11,8 @@ use tandem_redundancy::{
     Action, Actions, FailureMode, Input, LineSnapshot, Loaded, Mode, Phase, Redundancy, StateStore,
 };
 
-/// A flash hangs if it takes longer than this to store the state: erasing a sector and programming
-/// a record take less.
+/// A flash counts as hung if it takes longer than this to store the state: erasing a sector and
+/// programming a record take less.
 const FLASH_HANGS: Duration = Duration::from_ms(100);
 /// Period of polls while the start protocol waits for cores 1 and 2.
 const BOOT_POLL: Duration = Duration::from_ms(1);

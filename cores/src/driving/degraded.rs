@@ -96,9 +96,9 @@ impl DegradedControl {
         self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
     }
 
-    /// As [`Self::stop`], for two systems that disagree when neither knows which is wrong. Steers
-    /// halfway between both commands, so an error of one system's lane has half its effect. Brakes
-    /// like the harder command of the two.
+    /// Like [`Self::stop`], but for two systems that disagree and do not know which is wrong.
+    /// Steers halfway between both commands, so an error of one system's lane has half its effect.
+    /// Brakes like the harder command of the two.
     pub(crate) fn stop_between(
         &mut self,
         now: Instant,

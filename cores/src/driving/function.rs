@@ -6,8 +6,8 @@
 //! inputs are the permission of the redundancy ([`Mode`]), the scene and the driver's request. Its
 //! output is the state, and with it the mode in which core 0 drives.
 //!
-//! Automated driving that lost something ends within [`END_LIMIT`]: with the driver, or at
-//! standstill.
+//! Automated driving that lost a system or its domain ends within [`END_LIMIT`]: with the driver,
+//! or at standstill.
 
 use strum::VariantArray;
 use tandem_board::{Duration, Instant};
@@ -20,7 +20,7 @@ use super::types::Lanes;
 pub const DEGRADED_LIMIT: Duration = Duration::from_ms(60_000);
 /// How long the driver has to answer a takeover request: the ten seconds of UN Regulation 157.
 pub const TAKEOVER_LIMIT: Duration = Duration::from_ms(10_000);
-/// How long inputs may be missing while the best function without them drives.
+/// How long inputs may be missing. During this time, a function that does not need them drives.
 pub const BLIND_LIMIT: Duration = Duration::from_ms(2_000);
 /// The longest time to standstill in a minimal-risk stop: from 60 m/s at the 2.5 m/s² of the safe
 /// stop, and a second to build up the brake.

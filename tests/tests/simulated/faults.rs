@@ -84,8 +84,8 @@ fn at(time: Time) -> Profile {
     }
 }
 
-/// T-RED-9: the bounds, with allowances for time, hold if jobs, the bus and the lines take time
-/// and the clocks drift apart.
+/// T-RED-9: jobs, the bus and the lines take time, and the clocks drift apart. The bounds hold if
+/// an allowance for these times is added.
 #[test]
 fn the_bounds_hold_where_things_take_time() {
     let count = Group::Single.count().expect("a finite group");

@@ -9,7 +9,7 @@ use tandem_cores::core0::{
 };
 use tandem_cores::trace::{Begin, Event, Leaves};
 
-/// Before a control job that the urgent tasks preempt, they do not run for this time.
+/// The urgent tasks do not run for this long before a control job that they preempt.
 const PAUSE: Duration = Duration::from_ms(3);
 
 /// The tasks with a higher priority than control.

@@ -66,7 +66,7 @@ pub(crate) struct Foot {
     pub(crate) point: Point,
 }
 
-/// Bounds of the foot of a perpendicular, from the sample at which its search begins.
+/// Bounds of the foot of a perpendicular, computed from the sample at which the search begins.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rough {
     /// The foot's `d` differs from this one by at most `by`, m.
@@ -209,7 +209,7 @@ impl Line {
     pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
         let last = self.last();
         let place = (s / STEP).clamp(0.0, f64::from(last as u32));
-        // Samples are fewer than metres of road, so 32 bits suffice: such conversions are fast.
+        // There are fewer samples than metres of road, so 32 bits suffice. They convert fast.
         let index = (place as i32).min(last as i32 - 1).max(0);
         (index as usize, place - f64::from(index), s - place * STEP)
     }

@@ -356,7 +356,7 @@ mod tests {
     use crate::commonroad::{Class, Obstacle, TimedState};
     use crate::traffic::{Participant, Traffic};
 
-    /// Removing objects changes no list: the lists with the edges of all objects are the same.
+    /// The lists are the same whether objects to the side are left out or all objects are used.
     #[test]
     fn what_is_aside_hides_nothing() {
         let road = Scenario::load("free-lane").unwrap().road;

@@ -11,7 +11,7 @@ pub(crate) const STANDSTILL_BRAKE: f32 = -0.5;
 const PERIOD_S: f32 = 0.01;
 /// m/s²
 const MAX_ACCELERATION: f32 = 3.0;
-/// m/s²; the tyres carry 10.
+/// m/s²; the tyres can transmit 10.
 const MAX_BRAKING: f32 = 9.5;
 /// Jerk of comfortable driving, m/s³.
 const COMFORT_JERK: f32 = 6.0;

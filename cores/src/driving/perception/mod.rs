@@ -33,7 +33,7 @@ const MAX_TRACKS: usize = 32;
 /// Largest number of detections in one list: the limit of the header.
 const MAX_DETECTIONS: usize = 32;
 
-/// A sensor whose newest list was measured longer ago than this is lost, or late: six of its
+/// A sensor is lost, or late, if its newest list was measured longer ago than this: six of its
 /// periods. Predictions over a longer time are of no use.
 pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
 
@@ -98,8 +98,8 @@ impl Perception {
     /// Takes in a frame that was on the bus at `now`. Ignores frames that no sensor, chassis or
     /// driver sends.
     ///
-    /// The time of a list is its sensor's time stamp. Lanes have none: theirs is the time at which
-    /// their frame was on the bus.
+    /// The time of a list is its sensor's time stamp. Lanes have no time stamp: their time is the
+    /// time at which their frame was on the bus.
     pub fn on_message(&mut self, now: Instant, message: &Message) {
         match message {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),

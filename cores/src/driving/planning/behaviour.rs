@@ -13,7 +13,7 @@ use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
 /// The least gain in acceleration for a change, m/s².
 const CHANGING_THRESHOLD: f32 = 0.45;
-/// The same for a vehicle that is slow behind a standing object: it will not move soon.
+/// The same for a vehicle that is slow behind a standing object: the object will not move soon.
 const PULL_OUT_THRESHOLD: f32 = 0.1;
 /// How much the follower's loss counts (politeness).
 const POLITENESS: f32 = 0.3;

@@ -356,7 +356,7 @@ impl Profile {
         }
     }
 
-    /// Cost of this motion in the corridor, and its part for danger; `None` if the vehicle cannot
+    /// Cost of this motion in the corridor, total and of danger alone; `None` if the vehicle cannot
     /// or must not move like this, or if the cost exceeds `best`.
     fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
         let mut steps = [(0.0, 0.0); STEPS];

@@ -402,7 +402,7 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
 }
 
 /// Returns the cheapest motion along the path among all road users, from this place and motion.
-/// `before`: the motion that determines how far aside the vehicle is; `None`: the present speed.
+/// `before`: the motion that determines the offset at each step; `None`: the present speed is kept.
 fn choose_profile(
     view: &View,
     (station, start): (&Station, &Jet),
