@@ -173,11 +173,11 @@ pub enum Event {
         /// CAN id, or 0 for the LMU.
         id: u32,
     },
-    /// A source sends faster than core 0 takes: the fault of another system or core.
+    /// A source sends faster than core 0 reads: the fault of another system or core.
     Flood {
         /// Which source.
         source: FloodSource,
-        /// Polls since the last report that reached the limit, or doorbells that were held back.
+        /// Polls that reached the limit, or doorbells that were held back, since the last report.
         times: u32,
         /// Frames that the receiver lost, datagrams that a newer one replaced, edges above the
         /// limit, or doorbells that were held back.

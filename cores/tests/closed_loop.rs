@@ -13,7 +13,7 @@ use tandem_vehicle::Scenario;
 
 /// Duration of every scenario, s.
 const SECONDS: f64 = 60.0;
-/// When a fault hits the controller, s: scenarios with events have theirs around this time.
+/// When a fault hits the controller, s: the events of scenarios happen around this time too.
 const EVENT_S: f64 = 24.0;
 /// Comfort limits of a scenario without an emergency, m/s², m/s³.
 const COMFORT_BRAKING: f64 = 3.2;
@@ -24,7 +24,7 @@ fn is_emergency(scenario: &Scenario) -> bool {
     ["cut-in", "hard-braking"].contains(&scenario.name())
 }
 
-/// Checks that every run must pass, with any fault of the controller.
+/// The checks that every run must pass, with any fault of the controller.
 fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
     let m = drive.metrics();
     let run = format!("{} seed {seed}: {m:?}", scenario.name());

@@ -34,9 +34,9 @@ const LANELETS_MAX: usize = 5_000;
 const BRANCHES_MAX: usize = 50;
 /// Largest accepted number of obstacles: every step checks all pairs of vehicles.
 const OBSTACLES_MAX: usize = 1_000;
-/// Number of places of a goal that are used: the first ones.
+/// Number of places of a goal that are used; further ones are ignored.
 const PLACES_MAX: usize = 30;
-/// Largest accepted number, also for coordinates (m): no map is farther from its origin.
+/// Largest accepted numeric value, also of coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
 /// Longest accepted lanelet, m: a longer one is a typing error and would fill the memory.
 const LANELET_MAX: f64 = 1e5;

@@ -27,7 +27,7 @@ use crate::mastership::Mastership;
 /// not a fault.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
-/// Time after the last control frame when the next is overdue, ns: a standby's shortest limit.
+/// The next control frame is overdue this long after the last, ns: a standby's shortest limit.
 const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for an early echo, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;

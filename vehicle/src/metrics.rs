@@ -483,7 +483,7 @@ fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
     if apart.x < 0.0 && foremost < own_half && velocity.x > ego.speed {
         return false;
     }
-    // Into the ego's side: the other closes in from beside, or with its front at the flank.
+    // From the side: the other is partly behind the ego's front and moves sideways towards the ego.
     let beside = rearmost < own_half - 0.5;
     let closes_in = velocity.y * apart.y < 0.0 && velocity.y.abs() > SWERVING;
     !(beside && keeps_lane && closes_in)

@@ -105,7 +105,7 @@ impl Navigation {
         })
     }
 
-    /// Returns the speed that brings the ego to between `from` and `to` metres ahead within the
+    /// Returns the speed that brings the ego to a place `from` to `to` metres ahead within the
     /// goal's time. `in_lane`: the goal is ahead in the ego's lane.
     fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
         let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));

@@ -14,7 +14,7 @@ use crate::traffic::recording::Track;
 /// The driver's requested speed without a speed limit and without faster traffic, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
 
-/// An object ahead in the lane at the start must be avoidable by this deceleration, m/s², after
+/// An object ahead in the lane at the start must be avoidable with this deceleration, m/s², after
 /// this time, s. It is in the way if it leaves less lateral room than this, m.
 const START_BRAKING: f64 = 8.0;
 const START_DELAY_S: f64 = 0.3;

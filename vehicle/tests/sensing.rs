@@ -1,4 +1,4 @@
-//! Tests the sensors by their frames.
+//! Tests the sensors through their frames.
 
 #![allow(clippy::unwrap_used)]
 

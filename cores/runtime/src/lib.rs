@@ -66,7 +66,7 @@ pub struct Overload {
 /// Core 0 does not run under the kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RuntimeError {
-    /// A task cannot be made.
+    /// A task cannot be created.
     Spawn(Core0Task, SpawnError),
     /// The doorbell has another handler.
     Doorbell(HandlerError),

@@ -41,7 +41,7 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
                 };
                 self.trace(Event::TaskOut { task, leaves });
             }
-            // The release of the trajectory input is core 2's signal.
+            // Not for the trajectory input: in the trace, core 2's signal is its release.
             KernelEventKind::Ready if !in_job && id != Core0Task::TrajectoryInput => {
                 self.trace(Event::Ready { task });
             }

@@ -17,7 +17,7 @@ const WARM_UP: Duration = Duration::from_ms(1000);
 /// A system that finds itself wrong leaves within this time. A disagreement that lasts longer has a
 /// cause that neither system can find in itself.
 const RESOLVE: Duration = Duration::from_ms(300);
-/// After this many cycles without a command of the other system there is nothing to compare.
+/// After this many cycles without a command of the other system, there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
 /// The other system asks for a stop if it reports [`Stage::Unresolved`] this many times in a row.
 const UNRESOLVED_REPORTS: u8 = 3;
@@ -33,7 +33,7 @@ pub(super) struct Limits {
 }
 
 /// Lateral: two healthy systems differ by up to 0.47 m/s² for 30 ms, which adds up to 0.001 m/s. A
-/// wheel that is stuck 0.01 rad aside at 25 m/s exceeds the limit after 50 ms.
+/// wheel that is stuck with an error of 0.01 rad at 25 m/s exceeds the limit after 50 ms.
 pub(super) const LATERAL: Limits = Limits {
     tolerance: 0.4,
     limit: 0.1,

@@ -15,8 +15,8 @@ struct Watched {
 /// Polls are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
 /// cores 1 and 2 with it: time in which core 0 did not poll does not count as silence.
 const HELD_UP: Duration = Duration::from_ms(20);
-/// This much of that time counts nevertheless, so that core 0 finds a dead core even if it is
-/// always late.
+/// This much of the time between two such polls does count as silence, so that core 0 finds a
+/// dead core even if core 0 is always late.
 const COUNTS: Duration = Duration::from_ms(5);
 
 /// Watches the cycle counters of cores 1 and 2.

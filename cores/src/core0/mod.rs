@@ -124,7 +124,7 @@ impl BitOrAssign for TaskSet {
 
 /// The interface that an executor offers to a task.
 pub trait Executor<'b, B: Board> {
-    /// Runs `body` with what all tasks share; the other tasks wait for it. Must not be nested, or
+    /// Runs `body` with the shared state; the other tasks wait for it. Must not be nested, or
     /// called within [`Executor::drive`].
     fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'b, B>) -> R) -> R;
 

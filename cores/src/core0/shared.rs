@@ -189,8 +189,8 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     /// Called when a host asks for the bootloader of a system. A system leaves only if the vehicle
-    /// does not need it: next to a master without a fault, or at standstill. A master first hands
-    /// over; the host asks again. T-BOOT-1
+    /// does not need it: the other one is a master without a fault, or the vehicle stands. A master
+    /// first hands over; the host asks again. T-BOOT-1
     fn on_download_request(&mut self, of: SystemId) -> TaskSet {
         let redundancy = self.redundancy.running();
         let Some(redundancy) = redundancy.filter(|_| of == self.system) else {
@@ -203,7 +203,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::HandOver)
     }
 
-    /// Returns whether this frame, which the redundancy already knows, is of a master other than
+    /// Returns whether this frame, which the redundancy has received, is of a master other than
     /// this system.
     fn is_of_master(&self, frame: ControlHeader) -> bool {
         self.redundancy.running().is_none_or(|redundancy| {
@@ -240,8 +240,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
     }
 
-    /// Lets the redundancy judge the lines. `held_back`: running count of the interrupts that came
-    /// too early.
+    /// Passes the lines to the redundancy, which judges them. `held_back`: running count of the
+    /// interrupts that came too early.
     pub(super) fn poll_redundancy(&mut self, held_back: u32) -> TaskSet {
         let lines = self.board.lines();
         let received = |line, edge| lines.received(line, edge);

@@ -98,7 +98,7 @@ struct Progress {
 }
 
 impl Progress {
-    /// Polls of the monitoring, 5 ms apart, without a control cycle: four control periods.
+    /// The control task hangs if this many polls, 5 ms apart, see no cycle: four control periods.
     const HUNG_POLLS: u8 = 8;
 
     /// `cycles`: running count of the control cycles that have ended.

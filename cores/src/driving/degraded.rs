@@ -205,7 +205,7 @@ impl DegradedControl {
     }
 }
 
-/// Without a plan hard braking is an emergency.
+/// Without a plan, hard braking is an emergency.
 fn wish(command: Command) -> Wish {
     let urgent = command.acceleration < HARD_BRAKING;
     Wish { command, urgent }

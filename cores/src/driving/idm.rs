@@ -168,7 +168,7 @@ mod tests {
         assert!(acceleration(&DRIVER, 10.0, Some(leader)) < -4.0);
         let calm = adaptive(&DRIVER, 10.0, leader, 0.0);
         assert!((-2.1..-0.3).contains(&calm), "{calm}");
-        // With real danger it brakes as hard as is needed.
+        // In real danger, it brakes as hard as needed.
         let hard = adaptive(
             &DRIVER,
             20.0,

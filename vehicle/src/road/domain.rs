@@ -33,7 +33,7 @@ const SHARED_NEAR: f64 = 1.0;
 /// The causes that end the domain on a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Exit {
-    /// Another lane crosses, or turns off as at a junction.
+    /// Another lane crosses this one, or turns off as at a junction.
     Crossing,
     /// The lane is used in both directions.
     Shared,

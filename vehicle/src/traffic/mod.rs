@@ -6,7 +6,7 @@
 //! - its recording ends;
 //! - it would have to brake with more than 1.5 m/s² for the ego or for a vehicle that already
 //!   drives by itself, if one of these is ahead; or it is about to come too close to one;
-//! - by changing lanes, it would hit one of these from the side within a second. It stays in
+//! - by changing lanes, it would hit one of these from the side within a second. It then stays in
 //!   its lane, like a driver who checks before changing.
 //!
 //! Then it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,

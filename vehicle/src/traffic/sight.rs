@@ -1,10 +1,10 @@
-//! A driver's view of the others: which one is ahead, beside, or has to merge.
+//! A driver's view of the others: which one is ahead, which is beside, and which must merge.
 
 use super::{Leader, Participant, RoadUser};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 
-/// A driver sees no vehicle farther ahead, m.
+/// A driver sees no vehicle farther ahead than this, m.
 const SIGHT: f64 = 200.0;
 /// Smallest side distance that a driver keeps, m.
 const SIDE: f64 = 0.2;
@@ -199,7 +199,7 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// Makes `other` the leader if it is ahead, in the way now or within a second, and nearer.
+    /// Makes `other` the leader if it is ahead, nearer, and in the way now or within a second.
     #[inline]
     pub(super) fn nearer(&self, leader: &mut Leader, other: &Participant, views: &mut Views) {
         if let Some(seen) = self.see(other, views, true)

@@ -74,7 +74,7 @@ impl Shaper {
         } = *wish;
         let speed = max(ego.speed, 3.0);
         let lateral_rate = LATERAL_JERK * WHEELBASE_M / (speed * speed);
-        // The wheels of a standing vehicle are not turned: it would only follow noise.
+        // The wheels of a standing vehicle are not turned: they would only follow noise.
         let rolling = clamp(ego.speed / ROLLING_SPEED, 0.02, 1.0);
         let turn = min(rolling * MAX_STEERING_RATE, lateral_rate) * PERIOD_S;
         let angle = bound(wish.steering_angle, MAX_STEERING_RAD);

@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn the_least_sum_wins_over_the_nearest_neighbour() {
-        // Greedy would give track 0 its detection 0 (cost 1) and leave track 1 with 20.
+        // Greedy would give track 0 its detection 0 (cost 1) and leave track 1 with cost 20.
         let result = assign(&costs(&[&[1.0, 2.0], &[1.5, 20.0]]), 2);
         assert_eq!(&result[..2], &[Some(1), Some(0)]);
     }

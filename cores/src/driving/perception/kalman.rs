@@ -20,7 +20,7 @@ pub(crate) struct Motion {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span {
     dt: f32,
-    /// The share of an acceleration that is left.
+    /// The share of an acceleration that remains at the end of the span.
     fade: f32,
     noise: Matrix3<f32>,
 }

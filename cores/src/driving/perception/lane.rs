@@ -148,7 +148,7 @@ impl LaneFilter {
         let residual = self.state - known.state;
         let fits = residual.iter().zip(GATE).all(|(r, gate)| abs(*r) < gate);
         if fits {
-            // Older camera lines are part of the other system's line: they do not count twice.
+            // Older camera lines are part of the other system's line, so they must not count twice.
             if now.since(seen).as_secs_f32() < dt {
                 known.correct(&self.state, self.lanes.view_range);
             }

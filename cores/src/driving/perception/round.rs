@@ -39,7 +39,7 @@ impl Round {
     ///
     /// The next round begins in the middle of the pause. A member that arrives before that is late
     /// and belongs to the old round; else it would count as punctual and be a period old each time.
-    /// If one is early by more than half of the pause, one cycle waits for it until its time-out.
+    /// If a member is early by more than half of the pause, one cycle waits until its time-out.
     pub(super) fn next_end(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         let period = period.as_ns();
         let phase = |at: Instant| at.as_ns() % period;

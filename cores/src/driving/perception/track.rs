@@ -230,7 +230,7 @@ impl Track {
             if fit.0.distance + fit.1.distance >= GATE {
                 return;
             }
-            // Older detections are part of the other system's track: they do not count twice.
+            // Older detections are part of the other system's track, so they must not count twice.
             if self.unseen_s < dt {
                 x.update(&fit.0);
                 y.update(&fit.1);

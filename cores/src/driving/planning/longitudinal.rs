@@ -451,8 +451,8 @@ fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> 
     keep.chain(brake.map(Profile::Brake))
 }
 
-/// Returns the cheapest profile from this start (at 0 m) and how rough it is: a comfortable one if
-/// it is not dangerous, else one without a jerk if it keeps a distance, else the cheapest of all.
+/// Returns a profile from this start (at 0 m) and its manner: the cheapest comfortable one if it is
+/// not dangerous, else the cheapest without jerk if it keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
     let candidates = || candidates(start, corridor.desired_speed);

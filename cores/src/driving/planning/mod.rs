@@ -234,7 +234,7 @@ impl Planner {
         };
         let (mut path, mut profile, mut manner) = drive(&goal);
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
-            // A vehicle that brakes moves aside later than at the present speed.
+            // So far the present speed was assumed. A vehicle that brakes moves aside later.
             (profile, manner) = along(&goal, &path, Some(&profile));
         }
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
@@ -426,7 +426,7 @@ fn choose_profile(
         let t = (step + 1) as f32 * STEP_S;
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
-        // While a gap in the next lane is sought, the ego lane is used as long as it lasts.
+        // While a gap is sought, the end of the lane counts only in the first steps.
         if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
             corridor.stop[step] = stop_before(end - station.s, start.first);
             corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
@@ -451,7 +451,7 @@ fn choose_profile(
     };
     for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
-        // For a vehicle beside, make room gently: braking cannot prevent it from swerving in.
+        // For a vehicle beside the ego, make room gently: braking cannot stop it from swerving in.
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
