@@ -63,6 +63,8 @@ pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
 pub const TANDEM_FAILURE_CLOCK: u32 = 9;
 /// The system's CAN controller was bus-off.
 pub const TANDEM_FAILURE_CAN_BUS_OFF: u32 = 10;
+/// The system's scene or plan contradicts the sensors' frames.
+pub const TANDEM_FAILURE_WRONG_SCENE: u32 = 11;
 
 const _: () = {
     use FailureMode as F;
@@ -76,6 +78,7 @@ const _: () = {
     assert!(F::WrongCommand as u32 == TANDEM_FAILURE_WRONG_COMMAND);
     assert!(F::Clock as u32 == TANDEM_FAILURE_CLOCK);
     assert!(F::CanBusOff as u32 == TANDEM_FAILURE_CAN_BUS_OFF);
+    assert!(F::WrongScene as u32 == TANDEM_FAILURE_WRONG_SCENE);
 };
 
 /// The flash holds a state.

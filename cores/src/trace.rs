@@ -264,6 +264,24 @@ pub enum Event {
         /// computes another command from the same inputs.
         witness: u8,
     },
+    /// The scene differs from what core 0 itself hears of the sensors. This system leaves.
+    WrongScene {
+        /// 0 the lanes, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle of the vehicle.
+        what: u8,
+        /// 0: the scene is wrong. 1: core 0 hears wrong values.
+        hearing: bool,
+        /// The difference, in thousandths of m, m/s, rad/s or rad.
+        thousandths: u32,
+    },
+    /// The largest difference between a scene and the sensors' frames has grown by a tenth of what
+    /// one scene may differ. A finding takes at least three scenes beyond it.
+    SceneCheck {
+        /// Share of the tolerance, %.
+        percent: u8,
+    },
+    /// The vehicle's echo names a steering angle that the measured one contradicts. The command is
+    /// right: no system leaves.
+    WrongEcho,
     /// The output driver has had a fault for the confirmation time.
     OutputFault {
         /// 1 open load, 2 short circuit.
@@ -465,6 +483,9 @@ codec! {
     33 FramesLost { count: x };
     34 CanErrors { errors: x };
     35 Sensors { missing: a };
+    40 WrongScene { what: a, hearing: b, thousandths: x } 0..=4;
+    41 SceneCheck { percent: a };
+    42 WrongEcho {};
 }
 
 #[cfg(test)]
@@ -592,6 +613,13 @@ mod tests {
             Event::WrongCommand { witness: 1 },
             Event::ClockWrong { of: 2 },
             Event::OutputFault { found: 2 },
+            Event::WrongScene {
+                what: 4,
+                hearing: true,
+                thousandths: 50,
+            },
+            Event::SceneCheck { percent: 40 },
+            Event::WrongEcho,
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -608,6 +636,7 @@ mod tests {
             0x021E,
             0x031F,
             0x0320,
+            0x0528,
             36,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");

@@ -110,6 +110,33 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::WrongCommand { .. } => {
             "leaves: core 2 computes another command from the same inputs".to_owned()
         }
+        Event::WrongScene {
+            what,
+            hearing,
+            thousandths,
+        } => {
+            let (what, unit) = match what {
+                0 => ("lanes", "m"),
+                1 => ("speed", "m/s"),
+                2 => ("yaw rate", "rad/s"),
+                3 => ("steering angle", "rad"),
+                _ => ("slip angle", "rad"),
+            };
+            let amount = f64::from(thousandths) / 1e3;
+            let wrong = if hearing {
+                "core 0 hears"
+            } else {
+                "the scene has"
+            };
+            format!("leaves: {wrong} wrong {what}, by {amount:.3} {unit}")
+        }
+        Event::SceneCheck { percent } => {
+            format!("the scene differs from the sensors by {percent} % of what is tolerated")
+        }
+        Event::WrongEcho => {
+            "the vehicle's echo is wrong: the measured steering angle follows the command"
+                .to_owned()
+        }
         Event::ClockWrong { of } => match of {
             0 => "leaves: its clock has drifted from the vehicle's and the other's".to_owned(),
             1 => "finds that the other system's clock has drifted".to_owned(),

@@ -428,7 +428,8 @@ impl Redundancy {
         if mode == FailureMode::None || self.phase() == Phase::Suspended {
             return;
         }
-        if mode == FailureMode::WrongCommand && !core::mem::replace(&mut self.wrong_counted, true) {
+        let is_wrong = matches!(mode, FailureMode::WrongCommand | FailureMode::WrongScene);
+        if is_wrong && !core::mem::replace(&mut self.wrong_counted, true) {
             self.state.wrong_in_a_row = self.state.wrong_in_a_row.saturating_add(1);
         }
         let stays = !mode.reset_may_cure();

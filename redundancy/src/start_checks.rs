@@ -49,6 +49,7 @@ pub(crate) fn check(
         if (wrong || state.abn_in_a_row > config.abnormal_limit) && !state.sys_failure {
             state.sys_failure = true;
             state.failure_mode = match state.failure_mode {
+                mode @ FailureMode::WrongScene if wrong => mode,
                 _ if wrong => FailureMode::WrongCommand,
                 // These resets may have been made to cure the connection to the bus.
                 mode @ (FailureMode::CanOpenCircuit | FailureMode::CanBusOff) => mode,

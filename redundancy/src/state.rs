@@ -38,6 +38,8 @@ pub enum FailureMode {
     Clock = 9,
     /// The CAN controller was bus-off: the bus destroyed 32 of its frames in a row. T-RED-6
     CanBusOff = 10,
+    /// Its scene or plan contradicts the sensors' frames.
+    WrongScene = 11,
     /// A number that this software does not know.
     Unknown = 255,
 }
@@ -65,6 +67,7 @@ impl FailureMode {
                 | Self::WrongCommand
                 | Self::Clock
                 | Self::CanBusOff
+                | Self::WrongScene
         )
     }
 
@@ -93,7 +96,7 @@ pub struct SystemState {
     pub total_resets: u32,
     /// Abnormal resets, minus one for each `Config::healthy_after` without a reset; saturates.
     pub abn_in_a_row: u8,
-    /// Incarnations that found their own command wrong, minus one for each `Config::healthy_after`
+    /// Incarnations that found their own command or scene wrong, minus one for each `Config::healthy_after`
     /// without a reset; saturates.
     pub wrong_in_a_row: u8,
     /// The highest mastership term seen or used.

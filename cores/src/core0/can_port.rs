@@ -2,11 +2,10 @@
 
 use super::{Driving, frames};
 use crate::driving::function::Driver;
-use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Ego};
 use heapless::Deque;
 use tandem_board::Instant;
-use tandem_bus::{DriverRequest, EgoMotion, FrameReceiver, FrameTransmitter, GateEcho};
+use tandem_bus::{DriverRequest, FrameReceiver, FrameTransmitter, GateEcho};
 
 /// Capacity for motions of the chassis between two control cycles; usually one arrives.
 const MOTIONS: usize = 6;
@@ -60,13 +59,13 @@ impl CanPort {
         }
     }
 
-    pub(super) fn on_ego(&mut self, at: Instant, motion: &EgoMotion) {
-        self.stands = motion.speed.abs() < STANDSTILL;
+    pub(super) fn on_ego(&mut self, at: Instant, ego: Ego) {
+        self.stands = ego.speed.abs() < STANDSTILL;
         let motions = &mut self.inbox.motions;
         if motions.is_full() {
             let _oldest = motions.pop_front();
         }
-        let _fits = motions.push_back((at, ego_of(motion)));
+        let _fits = motions.push_back((at, ego));
     }
 
     pub(super) fn on_driver(&mut self, request: &DriverRequest) {

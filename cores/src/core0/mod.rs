@@ -23,6 +23,7 @@ mod peer_command;
 mod read_back;
 mod redundancy_port;
 mod run_to_completion;
+mod scene_check;
 mod shared;
 mod state_flash;
 mod tasks;

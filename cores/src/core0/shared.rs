@@ -12,7 +12,10 @@ use super::datagram::MAX_WORDS;
 use super::knowledge_transfer::KnowledgeTransfer;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::redundancy_port::{Outcome, RedundancyPort};
+use super::scene_check::SceneCheck;
 use super::{Core0Task, TaskSet, frames};
+use crate::driving::perception::ego_of;
+use crate::driving::types::Scene;
 use crate::release::TickGrid;
 use crate::trace::Event;
 use crate::{Config, ReceivedFrame, read_can};
@@ -40,6 +43,7 @@ pub struct SharedState<'b, B: Board> {
     pub(super) redundancy: RedundancyPort<'b, B>,
     pub(super) can: CanPort,
     pub(super) check: CommandCheck<'b>,
+    pub(super) scene_check: SceneCheck,
     pub(super) transfer: KnowledgeTransfer<'b>,
     pub(super) grid: ControlGrid,
     pub(super) counters: Counters,
@@ -61,6 +65,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             redundancy,
             can: CanPort::new(),
             check: CommandCheck::new(),
+            scene_check: SceneCheck::new(),
             transfer: KnowledgeTransfer::new(started, generation),
             grid: ControlGrid::new(started),
             counters: Counters::default(),
@@ -154,8 +159,13 @@ impl<'b, B: Board> SharedState<'b, B> {
             Message::DriverRequest(request) => self.can.on_driver(&request),
             Message::EgoMotion(motion) => {
                 self.redundancy.ready.ego_seen = true;
-                self.can.on_ego(at, &motion);
+                let ego = ego_of(&motion);
+                self.scene_check.on_ego(at, ego);
+                if !self.scene_check.is_deceived() {
+                    self.can.on_ego(at, ego);
+                }
             }
+            Message::CameraLanes(lanes) => self.scene_check.on_lanes(at, &lanes),
             Message::Control { system, control } if usize::from(system) != own => {
                 if let Some(frame) = frames::received_control(system, &control) {
                     let released = self.notify(Input::ControlFrame(frame));
@@ -265,6 +275,21 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
         self.trace(Event::WrongCommand { witness });
         self.notify(Input::OwnFault(FailureMode::WrongCommand))
+    }
+
+    /// Checks a new scene, and corrects it if it is wrong.
+    pub(super) fn on_scene(&mut self, scene: &mut Scene) {
+        if let Some(event) = self.scene_check.on_scene(scene) {
+            self.trace(event);
+        }
+        if self.scene_check.is_deceived() {
+            self.can.on_ego(scene.at, scene.ego);
+        }
+    }
+
+    /// Called while the scene and what core 0 hears are known to contradict each other.
+    pub(super) fn on_wrong_scene(&mut self) -> TaskSet {
+        self.notify(Input::OwnFault(FailureMode::WrongScene))
     }
 
     /// Called when the control task no longer completes its cycles. Before the start protocol only

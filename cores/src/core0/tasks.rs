@@ -218,6 +218,17 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
+    /// Reports a scene that was found wrong, for as long as this system runs.
+    fn supervise_scene(&self, executor: &impl Executor<'b, B>) {
+        let tasks = executor.shared(|shared| {
+            let found = shared.scene_check.found();
+            found.map(|_| shared.on_wrong_scene())
+        });
+        if let Some(tasks) = tasks {
+            executor.release(tasks);
+        }
+    }
+
     /// Compares the alive counters with their limit.
     fn supervise(&mut self, executor: &impl Executor<'b, B>) {
         let Some(map) = &self.map else { return };
@@ -277,6 +288,7 @@ impl<'b, B: Board> TaskBody<'b, B> for MonitoringTask<'b, B> {
             self.supervise_outputs(executor);
             self.supervise_can(executor);
             self.service_watchdog();
+            self.supervise_scene(executor);
             self.supervise(executor);
             executor.ends(Self::ID);
         }
@@ -373,8 +385,9 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
             Err(_) => self.trace(Event::Refused { id: 0 }),
         }
         match scene {
-            Ok(Some(scene)) => {
+            Ok(Some(mut scene)) => {
                 executor.shared(|shared| {
+                    shared.on_scene(&mut scene);
                     shared.counters.tracks = scene.objects.len() as u8;
                     shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
                 });

@@ -3,6 +3,7 @@
 
 use super::knowledge::KnownLine;
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
+use super::odometry::EgoPose;
 use super::types::Lanes;
 
 /// No road of the operational design domain has a larger curvature than this, 1/m; larger values of
@@ -115,6 +116,19 @@ impl CentreLine {
         let offset = (y - self.y(foot)) * cos(heading) - (x - foot) * sin(heading);
         (foot, offset)
     }
+}
+
+/// Returns a line's coefficients in the frame of a vehicle that has moved by `step`: the Taylor
+/// shift of the polynomial.
+pub(crate) fn shifted(&[c0, c1, c2, c3]: &[f32; 4], step: &EgoPose) -> [f32; 4] {
+    let d = step.x;
+    let slope = c1 + d * (2.0 * c2 + 3.0 * d * c3);
+    [
+        c0 + d * (c1 + d * (c2 + d * c3)) - step.y,
+        slope - step.heading * (1.0 + slope * slope),
+        c2 + 3.0 * d * c3,
+        c3,
+    ]
 }
 
 /// Returns the curvature of a line with this first and second derivative, 1/m.

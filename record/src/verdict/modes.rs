@@ -62,6 +62,7 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
         Event::Sensors { missing } => missing != 0,
         Event::Agreement { stage, .. } => stage > 0,
         Event::WrongCommand { .. }
+        | Event::WrongScene { .. }
         | Event::ClockWrong { .. }
         | Event::CoreSilent { .. }
         | Event::OutputFault { .. } => true,

@@ -18,6 +18,7 @@ mod sections;
 mod sources;
 mod stale;
 mod terms;
+mod values;
 mod wrong;
 
 use tandem_board::{CoreId, Duration, HardwareFault, Instant, RoleLamp, SystemId};

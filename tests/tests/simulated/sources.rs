@@ -95,6 +95,7 @@ fn each_failure_mode_has_a_source() {
                 drive
             },
             FailureMode::CanBusOff => || with_fault(HardwareFault::CanTransmit),
+            FailureMode::WrongScene => crate::values::wrong_scene,
         };
         let mut drive = source();
         // Repeated resets that do not cure the fault finally become a failure mode.

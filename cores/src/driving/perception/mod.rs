@@ -22,7 +22,7 @@ use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, STARTING_CYCLES};
 use super::odometry::{Odometry, motion};
 use super::types::{Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
-use lane::LaneFilter;
+pub(crate) use lane::LaneFilter;
 use lists::Lists;
 use round::{LANES, Round};
 use scene::RoadView;

@@ -1,0 +1,126 @@
+//! The scene's motion of the vehicle against the motion that core 0 hears.
+
+use super::Finding;
+use crate::driving::types::Ego;
+use heapless::Deque;
+use tandem_board::{Duration, Instant};
+
+/// Motions that are remembered: 80 ms.
+const MOTIONS: usize = 8;
+/// Core 1's newest motion was on the bus at most this long before the scene.
+const OLDEST: Duration = Duration::from_ms(40);
+/// So many scenes in succession must differ: 150 ms.
+const SCENES: u8 = 3;
+
+/// Limits of the differences: speed in m/s, yaw rate in rad/s, steering angle and slip angle in
+/// rad. Both cores hear the same frames, so sound values are equal. A frame that one core has not
+/// read yet causes at most 5 standard deviations of the noise: 0.2, 0.011, 0.002 and 0.007.
+const LIMITS: [f32; 4] = [0.4, 0.02, 0.005, 0.012];
+/// Fastest changes of these values per second.
+const CHANGES: [f32; 4] = [12.0, 1.5, 0.6, 0.5];
+
+pub(super) struct EgoCheck {
+    /// Oldest first.
+    motions: Deque<(Instant, Ego), MOTIONS>,
+    agreed: Option<(Instant, Ego)>,
+    different: u8,
+}
+
+const fn values(ego: &Ego) -> [f32; 4] {
+    [ego.speed, ego.yaw_rate, ego.steering_angle, ego.slip_angle]
+}
+
+/// Returns the largest difference in shares of its limit, its number from 1 on, and its amount.
+fn difference(one: &Ego, other: &Ego) -> (f32, u8, f32) {
+    let pairs = values(one).into_iter().zip(values(other)).zip(LIMITS);
+    let mut worst = (0.0, 0, 0.0);
+    for (what, ((one, other), limit)) in (1..).zip(pairs) {
+        let amount = one - other;
+        // NaN differs.
+        let share = if amount.is_finite() {
+            amount.abs() / limit
+        } else {
+            f32::MAX
+        };
+        if share > worst.0 {
+            worst = (share, what, amount);
+        }
+    }
+    worst
+}
+
+/// Returns by how much `ego` leaves the range that vehicles reach `seconds` after `before`, in
+/// shares of the limits.
+fn jump(before: &Ego, ego: &Ego, seconds: f32) -> f32 {
+    let mut worst = 0.0_f32;
+    let limits = LIMITS.into_iter().zip(CHANGES);
+    let pairs = values(before).into_iter().zip(values(ego));
+    for ((before, now), (limit, change)) in pairs.zip(limits) {
+        let beyond = (now - before).abs() - change * seconds;
+        worst = worst.max(beyond / limit);
+        if !now.is_finite() {
+            return f32::MAX;
+        }
+    }
+    worst
+}
+
+impl EgoCheck {
+    pub(super) const fn new() -> Self {
+        Self {
+            motions: Deque::new(),
+            agreed: None,
+            different: 0,
+        }
+    }
+
+    pub(super) fn on_ego(&mut self, at: Instant, ego: Ego) {
+        if self.motions.is_full() {
+            let _oldest = self.motions.pop_front();
+        }
+        let _fits = self.motions.push_back((at, ego));
+    }
+
+    /// Returns the newest motion at or before this time.
+    pub(super) fn newest_before(&self, at: Instant) -> Option<Ego> {
+        let mut motions = self.motions.iter().rev();
+        motions.find(|it| it.0 <= at).map(|it| it.1)
+    }
+
+    /// Compares a scene's motion. Returns the difference as a share of its limit, and what was
+    /// found.
+    pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Finding>) {
+        let near = self.motions.iter().filter(|it| at.since(it.0) <= OLDEST);
+        let differences = near.map(|(_, own)| (difference(scene, own), own));
+        let Some(((share, what, amount), own)) =
+            differences.min_by(|one, other| one.0.0.total_cmp(&other.0.0))
+        else {
+            // Core 0 hears no motion: that is found elsewhere.
+            return (0.0, None);
+        };
+        if share < 1.0 {
+            (self.agreed, self.different) = (Some((at, *scene)), 0);
+            return (share, None);
+        }
+        self.different = self.different.saturating_add(1);
+        if self.different < SCENES {
+            return (share, None);
+        }
+        let hearing = self.agreed.is_some_and(|(since, before)| {
+            let seconds = at.since(since).as_secs_f32();
+            let jumps = [own, scene].map(|it| jump(&before, it, seconds));
+            match jumps[0].total_cmp(&jumps[1]) {
+                core::cmp::Ordering::Equal => {
+                    difference(&before, own).0 > difference(&before, scene).0
+                }
+                order => order.is_gt(),
+            }
+        });
+        let found = Finding {
+            what,
+            hearing,
+            amount,
+        };
+        (share, Some(found))
+    }
+}

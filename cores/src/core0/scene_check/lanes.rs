@@ -1,0 +1,129 @@
+//! The scene's lane against the lane that core 0 filters from the camera's frames it hears.
+
+use super::{Finding, carried};
+use crate::driving::odometry::motion;
+use crate::driving::perception::LaneFilter;
+use crate::driving::types::{Ego, Scene};
+use tandem_board::{Duration, Instant};
+use tandem_bus::CameraLanes;
+
+/// The lines are compared at these shares of the camera's range.
+const PLACES: [f32; 3] = [0.0, 0.25, 0.5];
+/// Differences at these places that are always tolerated, m: 4 standard deviations of the camera's
+/// lanes (`MEASUREMENT` of the lanes' filter), which are 0.025, 0.041 and 0.085 m.
+const TOLERANCES: [f32; 3] = [0.1, 0.16, 0.34];
+/// Limit of the accumulated excess over the tolerance, in tolerances, …
+const LIMIT: f32 = 2.0;
+/// … and the most that one scene adds: it takes at least three scenes.
+const MOST: f32 = 0.8;
+/// An older line of the camera is not compared.
+const OLDEST: Duration = Duration::from_ms(120);
+
+/// The excess in both directions: the cumulative sum test, as in the agreement's comparison.
+#[derive(Clone, Copy, Default)]
+struct Excess {
+    up: f32,
+    down: f32,
+}
+
+impl Excess {
+    /// Adds a difference in tolerances; returns the greater sum.
+    fn add(&mut self, share: f32) -> f32 {
+        let add = |sum: f32, by: f32| {
+            let by = if by.is_finite() { by } else { f32::MAX };
+            (sum + (by - 1.0).clamp(-1.0, MOST)).clamp(0.0, LIMIT)
+        };
+        self.up = add(self.up, share);
+        self.down = add(self.down, -share);
+        self.up.max(self.down)
+    }
+}
+
+pub(super) struct LaneCheck {
+    filter: LaneFilter,
+    /// Time of the camera's newest line, up to which the filter is predicted.
+    time: Option<Instant>,
+    excess: [Excess; PLACES.len()],
+    /// The last line on which both agreed, and the time of its scene.
+    agreed: Option<(Instant, [f32; 4])>,
+}
+
+/// Returns a line's offset at `x`, m.
+fn offset(c: &[f32; 4], x: f32) -> f32 {
+    c[0] + x * (c[1] + x * (c[2] + x * c[3]))
+}
+
+/// Returns the places of the comparison, m, with their tolerances.
+fn places(range: f32) -> impl Iterator<Item = (f32, f32)> {
+    let range = range.clamp(8.0, 80.0);
+    PLACES
+        .map(|place| place * range)
+        .into_iter()
+        .zip(TOLERANCES)
+}
+
+impl LaneCheck {
+    pub(super) fn new() -> Self {
+        Self {
+            filter: LaneFilter::new(),
+            time: None,
+            excess: [Excess::default(); PLACES.len()],
+            agreed: None,
+        }
+    }
+
+    /// Takes the camera's line. `ego`: the vehicle's motion.
+    pub(super) fn on_camera(&mut self, at: Instant, camera: &CameraLanes, ego: &Ego) {
+        let before = self.time.replace(at);
+        let seconds = at.since(before.unwrap_or(at)).as_secs_f32();
+        self.filter.expire(at);
+        self.filter.predict(seconds, &motion(ego, ego, seconds));
+        self.filter.update(at, camera);
+    }
+
+    /// Returns core 0's line in the vehicle's frame at this time, earlier or later than the
+    /// camera's newest.
+    pub(super) fn line(&self, at: Instant, ego: &Ego) -> Option<[f32; 4]> {
+        let time = self.time.filter(|time| at.since(*time) <= OLDEST)?;
+        Some(carried(&self.filter.lanes(time)?.c, time, at, ego))
+    }
+
+    /// Compares a scene's line. Returns the largest difference as a share of its tolerance, and
+    /// what was found.
+    pub(super) fn check(&mut self, scene: &Scene) -> (f32, Option<Finding>) {
+        let (Some(lanes), Some(own)) = (&scene.lanes, self.line(scene.at, &scene.ego)) else {
+            return (0.0, None);
+        };
+        let (mut sum, mut share, mut amount) = (0.0_f32, 0.0_f32, 0.0);
+        for (excess, (x, tolerance)) in self.excess.iter_mut().zip(places(lanes.view_range)) {
+            let aside = offset(&lanes.c, x) - offset(&own, x);
+            share = share.max(aside.abs() / tolerance);
+            let used = excess.add(aside / tolerance);
+            if used > sum {
+                (sum, amount) = (used, aside);
+            }
+        }
+        if sum == 0.0 {
+            self.agreed = Some((scene.at, lanes.c));
+        }
+        if sum < LIMIT {
+            return (share, None);
+        }
+        let hearing = self.agreed.is_some_and(|(at, c)| {
+            let agreed = carried(&c, at, scene.at, &scene.ego);
+            let far = |c: &[f32; 4]| {
+                let near = places(lanes.view_range).take(2);
+                let shares = near
+                    .map(|(x, tolerance)| (offset(c, x) - offset(&agreed, x)).abs() / tolerance);
+                shares.fold(0.0, f32::max)
+            };
+            far(&own) > far(&lanes.c)
+        });
+        let found = Finding {
+            what: 0,
+            hearing,
+            amount,
+        };
+        (share, Some(found))
+    }
+}
