@@ -10,13 +10,10 @@ use super::frames;
 use super::peer_command::{PeerCommand, PeerCommandLink};
 use super::read_back::ReadBack;
 use crate::driving::types::{Command, ControlStep};
-use tandem_board::{Duration, Instant};
+use tandem_board::Instant;
 use tandem_bus::{GateEcho, ModeCode};
 use tandem_redundancy::{Mode, Phase, Redundancy};
 use tandem_shm::newest::Writer;
-
-/// The other system's command is valid for this long: five control cycles.
-const PEER_MAX_AGE: Duration = Duration::from_ms(50);
 
 /// This system's command and the evidence against it.
 pub(super) struct CommandCheck<'b> {
@@ -24,8 +21,6 @@ pub(super) struct CommandCheck<'b> {
     link: PeerCommandLink,
     /// The other system's command since the last control cycle, and the function that computed it.
     received: Option<(Command, ModeCode)>,
-    /// The last of these commands, and when it was compared.
-    compared: Option<(Instant, Command)>,
     /// What this system would have commanded in its last control cycle.
     last_output: Option<Output>,
     pub(super) read_back: ReadBack,
@@ -41,7 +36,6 @@ impl CommandCheck<'_> {
             agreement: Agreement::new(),
             link: PeerCommandLink::new(),
             received: None,
-            compared: None,
             last_output: None,
             read_back: ReadBack::new(),
             is_wrong: false,
@@ -98,14 +92,6 @@ impl CommandCheck<'_> {
         }
     }
 
-    /// Returns the other system's command, if both systems disagree without a known cause. `mode`:
-    /// the mode that the redundancy permits.
-    pub(super) fn peer_command(&self, now: Instant, mode: Mode) -> Option<Command> {
-        let unresolved = self.stage() == Stage::Unresolved && mode != Mode::SafeStop;
-        let (at, command) = self.compared?;
-        (unresolved && now.since(at) <= PEER_MAX_AGE).then_some(command)
-    }
-
     /// Compares this system's command with the other's and publishes the step for core 2. `output`:
     /// the output of this cycle.
     pub(super) fn cycle(
@@ -116,8 +102,6 @@ impl CommandCheck<'_> {
     ) -> Option<Change> {
         let last = self.last_output.replace(*output);
         let received = self.received.take();
-        let compared = received.map(|(theirs, _)| (now, theirs));
-        self.compared = compared.or(self.compared);
         let own = match phase {
             Some(Phase::Standby) => Some((output.standalone, output.mode)),
             // The other system's command is one cycle old.

@@ -21,13 +21,8 @@ use tandem_redundancy::Mode;
 struct Inputs {
     release: Instant,
     begin: Instant,
-    /// The permitted mode, the other system's command and what has arrived; `None` before the start
-    /// protocol.
-    driving: Option<(
-        Mode,
-        Option<crate::driving::types::Command>,
-        super::can_port::Inbox,
-    )>,
+    /// The permitted mode and what has arrived; `None` before the start protocol.
+    driving: Option<(Mode, super::can_port::Inbox)>,
     /// The other system waits for knowledge.
     wants_knowledge: bool,
 }
@@ -90,9 +85,9 @@ fn finish_cycle<'b, B: Board>(executor: &impl Executor<'b, B>, task: Core0Task, 
         wants_knowledge,
     } = inputs;
     let compute = |state: &mut Driving| {
-        let output = driving.map(|(mode, peer_command, inbox)| {
+        let output = driving.map(|(mode, inbox)| {
             inbox.empty_into(state);
-            state.cycle(begin, mode, peer_command)
+            state.cycle(begin, mode)
         });
         (output, wants_knowledge.then(|| state.knowledge()).flatten())
     };
@@ -119,9 +114,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         *misses = misses.saturating_add(release.missed);
         let driving = self.redundancy.running().map(|redundancy| {
             let mode = redundancy.mode();
-            let peer_command = self.check.peer_command(begin, mode);
             let inbox = core::mem::take(&mut self.can.inbox);
-            (self.check.permits(mode), peer_command, inbox)
+            (self.check.permits(mode), inbox)
         });
         Inputs {
             release: release.at,

@@ -123,14 +123,8 @@ impl Driving {
     }
 
     /// Returns the command for `now` by the best function that `permitted`, the state of the
-    /// driving function and the inputs allow. `other`: the command of the other system, while the
-    /// systems disagree without a known cause.
-    pub(crate) fn cycle(
-        &mut self,
-        now: Instant,
-        permitted: Mode,
-        other: Option<Command>,
-    ) -> Output {
+    /// driving function and the inputs allow.
+    pub(crate) fn cycle(&mut self, now: Instant, permitted: Mode) -> Output {
         let fresh = self.ego.filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE);
         let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
         let state = self.state(now, permitted, fresh.is_some());
@@ -149,12 +143,9 @@ impl Driving {
             mode => mode,
         };
         let stops = fresh.is_some() && mode == Mode::SafeStop;
-        let (command, mode, age) = match (&self.scene, other) {
-            (Some(scene), other) if stops => {
-                let command = match other {
-                    Some(other) => self.degraded.stop_between(now, &ego, scene, &other),
-                    None => self.degraded.stop(now, &ego, scene),
-                };
+        let (command, mode, age) = match &self.scene {
+            Some(scene) if stops => {
+                let command = self.degraded.stop(now, &ego, scene);
                 (command, mode, Some(now.since(scene.measured)))
             }
             _ => self.by_best_function(now, mode, &ego),

@@ -16,23 +16,26 @@ pub(super) struct PeerCommand {
 }
 
 const VERSION: u8 = 0;
-/// Largest magnitude of a command: far beyond what a vehicle does.
-const LIMIT: f32 = 1e3;
+/// Largest steering angle, rad, and acceleration, m/s², of an opinion: those that a vehicle follows.
+/// An opinion is compared and never steers.
+const STEERING_MAX: f32 = 0.61;
+const ACCELERATION_MAX: f32 = 10.0;
 
 impl PeerCommand {
     const WORDS: usize = 4;
 
     fn from_words(words: &[u32; Self::WORDS]) -> Option<Self> {
         let code = |code: u32| u8::try_from(code).ok();
-        let number = |bits| Some(f32::from_bits(bits)).filter(|value| value.abs() <= LIMIT);
+        let number =
+            |bits, limit| Some(f32::from_bits(bits)).filter(|value: &f32| value.abs() <= limit);
         let mode = code(words[1] & 0xFF)?;
         let stage = code(words[1] >> 8)?;
         Some(Self {
             mode: ModeCode::ALL.into_iter().find(|one| *one as u8 == mode)?,
             stage: Stage::ALL.into_iter().find(|one| *one as u8 == stage)?,
             command: Command {
-                steering_angle: number(words[2])?,
-                acceleration: number(words[3])?,
+                steering_angle: number(words[2], STEERING_MAX)?,
+                acceleration: number(words[3], ACCELERATION_MAX)?,
             },
         })
     }
@@ -103,9 +106,12 @@ mod tests {
             wrong[bit / 32] ^= 1 << (bit % 32);
             assert_eq!(to.clone().on_datagram(&wrong), None, "bit {bit}");
         }
-        for strange in [f32::NAN, f32::INFINITY, 1e9] {
+        for strange in [f32::NAN, f32::INFINITY, 1e9, 900.0, 0.62, -10.1] {
             let mut strange_one = peer_command();
-            strange_one.command.acceleration = strange;
+            match strange == 0.62 {
+                true => strange_one.command.steering_angle = strange,
+                false => strange_one.command.acceleration = strange,
+            }
             let words = from.datagram(strange_one);
             assert_eq!(to.on_datagram(&words), None, "{strange}");
         }

@@ -96,28 +96,6 @@ impl DegradedControl {
         self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
     }
 
-    /// Like [`Self::stop`], but for two systems that disagree and do not know which is wrong.
-    /// Steers halfway between both commands, so an error of one system's lane has half its effect.
-    /// Brakes like the harder command of the two.
-    pub(crate) fn stop_between(
-        &mut self,
-        now: Instant,
-        ego: &Ego,
-        scene: &Scene,
-        other: &Command,
-    ) -> Command {
-        let last = self.shaper.last();
-        let _ = self.stop(now, ego, scene);
-        let own = self.wish.command;
-        self.shaper.resume(&last);
-        let command = Command {
-            steering_angle: 0.5 * (own.steering_angle + other.steering_angle),
-            acceleration: min(own.acceleration, other.acceleration),
-        };
-        // The stored wish remains this system's own command.
-        self.shaper.shape(&wish(command), ego)
-    }
-
     /// Keeps lane and distance, and accelerates by no more than `limit`, m/s².
     fn drive(&mut self, now: Instant, ego: &Ego, scene: &Scene, limit: f32) -> Command {
         let ego = &Ego {

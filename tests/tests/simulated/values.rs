@@ -91,6 +91,42 @@ fn wrong_lanes_of_one_system_do_not_steer() {
     }
 }
 
+/// T-RED-9: all cores of the standby see the lane 1 m aside, so the standby finds nothing wrong in
+/// itself. Its opinion does not steer the master: the vehicle stops in its lane.
+#[test]
+fn a_wrong_opinion_does_not_steer() {
+    let mut drive = opinion(1.0);
+    let aside = aside(&mut drive, MS(20_000));
+    let speed = drive.seen.borrow().world.snapshot().speed;
+    println!("{aside:.2} m aside, {speed:.1} m/s");
+    assert!(aside < 0.3, "{aside} m");
+    assert!(speed < 0.1, "{speed} m/s");
+    assert_eq!(drive.collisions(), 0);
+}
+
+/// Starts a drive in which cores 0 and 1 of B hear that the lane is `by` m further to the left.
+fn opinion(by: f32) -> Drive {
+    let fault = fault_of(B);
+    let mut drive = Drive::with("free-lane", 5, move |board: &SimBoard| -> Poller {
+        if board.identity().system == B && board.identity().core != CoreId::PLANNING {
+            let hears = move |now: Instant, frame: CanFrame| match now >= fault {
+                true => altered(frame, |it| lanes(it, |it| it.c0 += by)),
+                false => frame,
+            };
+            bent_core(
+                board,
+                Config::rt(),
+                Box::new(|_, frame| vec![frame]),
+                Box::new(hears),
+            )
+        } else {
+            poller(board, Config::rt())
+        }
+    });
+    drive.run_for(MS(FAULT.as_ns() / 1_000_000));
+    drive
+}
+
 /// Faults of a system that is alone: the core that hears wrongly, and what it hears.
 const ALONE: [(&str, CoreId, Alter); 6] = [
     ("speed x 0.4", CoreId::CONTROL, |it| {
