@@ -165,17 +165,20 @@ mod tests {
             (PowerOn, 2, false),
             (Software, 2, false),
         ] {
-            let before = SystemState {
-                wrong_in_a_row,
-                ..SystemState::factory(SystemId::A)
-            };
-            let (after, verdict) = boot(cause, before);
-            let fault = fails.then_some(FailureMode::WrongCommand);
-            assert_eq!(verdict.fault, fault, "{cause:?} {wrong_in_a_row}");
-            let (after, verdict) = boot(PowerOn, after);
-            assert_eq!(verdict.fault, None);
-            assert_eq!(after.wrong_in_a_row, 1);
-            assert_eq!(boot(Trap, after).1.fault.is_some(), fails, "one more reset");
+            for failure_mode in [FailureMode::WrongCommand, FailureMode::WrongScene] {
+                let before = SystemState {
+                    failure_mode,
+                    wrong_in_a_row,
+                    ..SystemState::factory(SystemId::A)
+                };
+                let (after, verdict) = boot(cause, before);
+                let fault = fails.then_some(failure_mode);
+                assert_eq!(verdict.fault, fault, "{cause:?} {wrong_in_a_row}");
+                let (after, verdict) = boot(PowerOn, after);
+                assert_eq!(verdict.fault, None);
+                assert_eq!(after.wrong_in_a_row, 1);
+                assert_eq!(boot(Trap, after).1.fault.is_some(), fails, "one more reset");
+            }
         }
     }
 

@@ -425,7 +425,7 @@ fn cut_lines_are_told_once() {
     assert_eq!(reported, [0, 1, 0, 1]);
 }
 
-/// T-RED-5: an incarnation counts its wrong command once, even if it finds it repeatedly. A power
+/// T-RED-5: an incarnation counts its wrong command or scene once, even if it finds it repeatedly. A power
 /// cycle leaves one attempt. Good operation subtracts one.
 #[test]
 fn wrong_commands_are_counted_by_incarnation_and_fade() {
@@ -435,8 +435,8 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
     };
     for (of_before, then) in [(0, 1), (1, 2), (u8::MAX, 2)] {
         let mut bench = Bench::new(SystemId::A, before(of_before));
-        for _ in 0..3 {
-            let _ = bench.on(Input::OwnFault(FailureMode::WrongCommand));
+        for fault in [FailureMode::WrongCommand, FailureMode::WrongScene].repeat(2) {
+            let _ = bench.on(Input::OwnFault(fault));
         }
         let counted = bench.machine.state().wrong_in_a_row;
         assert_eq!(counted, then, "{of_before}");
