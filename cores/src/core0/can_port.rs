@@ -5,7 +5,7 @@ use crate::driving::function::Driver;
 use crate::driving::types::{Command, Ego};
 use heapless::Deque;
 use tandem_board::Instant;
-use tandem_bus::{DriverRequest, FrameReceiver, FrameTransmitter, GateEcho};
+use tandem_bus::{DriverRequest, FrameReceiver, FrameTransmitter};
 
 /// Capacity for motions of the chassis between two control cycles; usually one arrives.
 const MOTIONS: usize = 6;
@@ -72,8 +72,8 @@ impl CanPort {
         self.inbox.driver = Some(frames::driver(request));
     }
 
-    /// Records the command in an echo of a vehicle that obeys another system.
-    pub(super) fn on_obeyed(&mut self, echo: &GateEcho) {
-        self.inbox.obeyed = Some(frames::obeyed(echo));
+    /// Records the command that a vehicle obeys of another system.
+    pub(super) const fn on_obeyed(&mut self, command: Command) {
+        self.inbox.obeyed = Some(command);
     }
 }

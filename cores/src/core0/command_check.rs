@@ -8,7 +8,7 @@ use super::agreement::{Agreement, Change, Deviation, Stage};
 use super::driving::Output;
 use super::frames;
 use super::peer_command::{PeerCommand, PeerCommandLink};
-use super::read_back::ReadBack;
+use super::read_back::{ReadBack, Verdict};
 use crate::driving::types::{Command, ControlStep};
 use tandem_board::Instant;
 use tandem_bus::{GateEcho, ModeCode};
@@ -31,7 +31,7 @@ pub(super) struct CommandCheck<'b> {
 }
 
 impl CommandCheck<'_> {
-    pub(super) const fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             agreement: Agreement::new(),
             link: PeerCommandLink::new(),
@@ -73,13 +73,14 @@ impl CommandCheck<'_> {
         self.link.on_datagram(words)
     }
 
-    /// Takes the vehicle's echo. Returns whether this system's command is wrong.
-    pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> bool {
+    /// Takes the vehicle's echo. Returns what it says of this system's command.
+    pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> Verdict {
         // The speed of the vehicle, if this system stops it because no reset repaired the command.
         let stops = redundancy.stops_for_its_command();
         let speed = self.last_output.filter(|_| stops).map(|last| last.speed);
         let term = redundancy.term().bits();
-        self.read_back.on_echo(term, echo, speed)
+        let has_standby = redundancy.phase() == Phase::Master;
+        self.read_back.on_echo(term, echo, has_standby, speed)
     }
 
     /// Returns the mode that the redundancy and the agreement permit; [`Driving`](super::Driving)

@@ -27,6 +27,7 @@ mod scene_check;
 mod shared;
 mod state_flash;
 mod tasks;
+mod wheel;
 
 use crate::Config;
 use crate::task_table::{CORE_0, TaskCode, TaskInfo};

@@ -11,6 +11,7 @@ use super::control_grid::ControlGrid;
 use super::datagram::MAX_WORDS;
 use super::knowledge_transfer::KnowledgeTransfer;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
+use super::read_back::Verdict;
 use super::redundancy_port::{Outcome, RedundancyPort};
 use super::scene_check::SceneCheck;
 use super::{Core0Task, TaskSet, frames};
@@ -146,13 +147,19 @@ impl<'b, B: Board> SharedState<'b, B> {
                 let on_the_way = self.board.now().since(at);
                 let obeyed = frames::received_echo(&echo, on_the_way);
                 let mut released = self.notify(Input::VehicleTerm(obeyed));
-                if echo.term != 0 && !self.redundancy.is_driving() {
-                    self.can.on_obeyed(&echo);
+                if let Some(redundancy) = self.redundancy.running() {
+                    match self.check.on_echo(redundancy, &echo) {
+                        Verdict::Right => {}
+                        Verdict::Wrong => released |= self.on_wrong_command(0),
+                        Verdict::EchoWrong => self.trace(Event::WrongEcho),
+                    }
                 }
-                if let Some(redundancy) = self.redundancy.running()
-                    && self.check.on_echo(redundancy, &echo)
-                {
-                    released |= self.on_wrong_command(0);
+                if echo.term != 0 && !self.redundancy.is_driving() {
+                    let mut obeyed = frames::obeyed(&echo);
+                    if let Some(measured) = self.check.read_back.wheel.contradicts_echo() {
+                        obeyed.steering_angle = measured;
+                    }
+                    self.can.on_obeyed(obeyed);
                 }
                 return released;
             }
@@ -161,6 +168,7 @@ impl<'b, B: Board> SharedState<'b, B> {
                 self.redundancy.ready.ego_seen = true;
                 let ego = ego_of(&motion);
                 self.scene_check.on_ego(at, ego);
+                self.check.read_back.wheel.on_measured(ego.steering_angle);
                 if !self.scene_check.is_deceived() {
                     self.can.on_ego(at, ego);
                 }

@@ -97,10 +97,11 @@ pub(crate) fn stuck() -> Drive {
 /// back its own frames, accepted or rejected, and leaves. B continues from the accepted ones.
 #[test]
 fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
-    let faults: [(&str, Steering); 3] = [
+    let faults: [(&str, Steering); 4] = [
         ("stuck", |_, _| 0.01),
         ("drifts", |since, own| own + 0.02 * since),
         ("reversed", |_, own| -own - 0.001),
+        ("aside", |_, own| own + 0.004),
     ];
     for (name, fault) in faults {
         let (drive, aside) = drive_steering(fault);
