@@ -183,9 +183,7 @@ extern void tandem_on_panic(void);
 // The system's CAN controller was bus-off.
 #define TANDEM_FAILURE_CAN_BUS_OFF 10
 
-/**
- * The system's scene or plan contradicts the sensors' frames.
- */
+// The system's scene or plan contradicts the sensors' frames.
 #define TANDEM_FAILURE_WRONG_SCENE 11
 
 // The flash holds a state.

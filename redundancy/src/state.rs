@@ -96,8 +96,8 @@ pub struct SystemState {
     pub total_resets: u32,
     /// Abnormal resets, minus one for each `Config::healthy_after` without a reset; saturates.
     pub abn_in_a_row: u8,
-    /// Incarnations that found their own command or scene wrong, minus one for each `Config::healthy_after`
-    /// without a reset; saturates.
+    /// Incarnations that found their own command or scene wrong, minus one for each
+    /// `Config::healthy_after` without a reset; saturates.
     pub wrong_in_a_row: u8,
     /// The highest mastership term seen or used.
     pub term: Term,

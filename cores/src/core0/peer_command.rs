@@ -16,7 +16,7 @@ pub(super) struct PeerCommand {
 }
 
 const VERSION: u8 = 0;
-/// Largest steering angle, rad, and acceleration, m/s², of an opinion: those that a vehicle follows.
+/// Largest steering angle, rad, and acceleration, m/s², of an opinion: what a vehicle can follow.
 /// An opinion is compared and never steers.
 const STEERING_MAX: f32 = 0.61;
 const ACCELERATION_MAX: f32 = 10.0;

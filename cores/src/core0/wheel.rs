@@ -1,8 +1,8 @@
 //! The measured steering angle says whether the vehicle follows the command that was sent, or the
 //! one that its echo names. T-RED-9
 
-/// Share of the way to the command that the wheels turn in a period of 10 ms: a lag of 50 ms. A dead
-/// time of one period comes before it.
+/// Share of the way to the command that the wheels turn in a period of 10 ms: a lag of 50 ms. A
+/// dead time of one period precedes it.
 const STEP: f32 = 0.181;
 /// Standard deviation of the measured angle and of the prediction, rad: the sensor's noise is 3e-4,
 /// and a wheel that turns at 0.1 rad/s is predicted with an error of up to 5e-4.

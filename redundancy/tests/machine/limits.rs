@@ -425,8 +425,8 @@ fn cut_lines_are_told_once() {
     assert_eq!(reported, [0, 1, 0, 1]);
 }
 
-/// T-RED-5: an incarnation counts its wrong command or scene once, even if it finds it repeatedly. A power
-/// cycle leaves one attempt. Good operation subtracts one.
+/// T-RED-5: an incarnation counts its wrong command or scene once, even if it finds it repeatedly.
+/// A power cycle leaves one attempt. Good operation subtracts one.
 #[test]
 fn wrong_commands_are_counted_by_incarnation_and_fade() {
     let before = |wrong_in_a_row| SystemState {
