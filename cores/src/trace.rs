@@ -279,6 +279,15 @@ pub enum Event {
         /// Share of the tolerance, %.
         percent: u8,
     },
+    /// The scenes of both systems differ.
+    PeerScene {
+        /// As in [`WrongScene`](Self::WrongScene).
+        what: u8,
+        /// This system's scene has jumped, so this system leaves. Otherwise it stays.
+        own: bool,
+        /// The difference, in thousandths of m, m/s, rad/s or rad.
+        thousandths: u32,
+    },
     /// The vehicle's echo names a steering angle that the measured one contradicts. The command is
     /// right: no system leaves.
     WrongEcho,
@@ -486,6 +495,7 @@ codec! {
     40 WrongScene { what: a, hearing: b, thousandths: x } 0..=4;
     41 SceneCheck { percent: a };
     42 WrongEcho {};
+    47 PeerScene { what: a, own: b, thousandths: x } 0..=4;
 }
 
 #[cfg(test)]
@@ -620,6 +630,11 @@ mod tests {
             },
             Event::SceneCheck { percent: 40 },
             Event::WrongEcho,
+            Event::PeerScene {
+                what: 1,
+                own: false,
+                thousandths: 7,
+            },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));

@@ -115,20 +115,26 @@ pub fn core_event(event: Event) -> Option<String> {
             hearing,
             thousandths,
         } => {
-            let (what, unit) = match what {
-                0 => ("lanes", "m"),
-                1 => ("speed", "m/s"),
-                2 => ("yaw rate", "rad/s"),
-                3 => ("steering angle", "rad"),
-                _ => ("slip angle", "rad"),
-            };
-            let amount = f64::from(thousandths) / 1e3;
             let wrong = if hearing {
                 "core 0 hears"
             } else {
                 "the scene has"
             };
-            format!("leaves: {wrong} wrong {what}, by {amount:.3} {unit}")
+            let (what, amount) = scene_value(what, thousandths);
+            format!("leaves: {wrong} wrong {what}, by {amount}")
+        }
+        Event::PeerScene {
+            what,
+            own,
+            thousandths,
+        } => {
+            let (what, amount) = scene_value(what, thousandths);
+            let wrong = if own {
+                "leaves: its own has jumped"
+            } else {
+                "stays"
+            };
+            format!("the scenes of both systems differ in {what}, by {amount}: {wrong}")
         }
         Event::SceneCheck { percent } => {
             format!("the scene differs from the sensors by {percent} % of what is tolerated")
@@ -172,6 +178,18 @@ impl Takeover {
     pub fn cause_in_words(&self) -> &'static str {
         self.cause.map_or("not reported", evidence)
     }
+}
+
+/// Returns the name of a value of the scene, and an amount of it with its unit.
+fn scene_value(what: u8, thousandths: u32) -> (&'static str, String) {
+    let (what, unit) = match what {
+        0 => ("lanes", "m"),
+        1 => ("speed", "m/s"),
+        2 => ("yaw rate", "rad/s"),
+        3 => ("steering angle", "rad"),
+        _ => ("slip angle", "rad"),
+    };
+    (what, format!("{:.3} {unit}", f64::from(thousandths) / 1e3))
 }
 
 /// Returns an event of a supply in words.

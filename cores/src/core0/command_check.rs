@@ -9,6 +9,7 @@ use super::driving::Output;
 use super::frames;
 use super::peer_command::{PeerCommand, PeerCommandLink};
 use super::read_back::{ReadBack, Verdict};
+use super::scene_check::PeerScene;
 use crate::driving::types::{Command, ControlStep};
 use tandem_board::Instant;
 use tandem_bus::{GateEcho, ModeCode};
@@ -69,8 +70,8 @@ impl CommandCheck<'_> {
     }
 
     /// Takes the command of the other system from a datagram.
-    pub(super) fn on_datagram(&mut self, words: &[u32]) -> Option<PeerCommand> {
-        self.link.on_datagram(words)
+    pub(super) fn on_datagram(&mut self, now: Instant, words: &[u32]) -> Option<PeerCommand> {
+        self.link.on_datagram(now, words)
     }
 
     /// Takes the vehicle's echo. Returns what it says of this system's command.
@@ -125,17 +126,24 @@ impl CommandCheck<'_> {
         self.agreement.cycle(now, phase, deviation)
     }
 
-    /// Returns the datagram with this system's command for the other one.
-    pub(super) fn datagram(&mut self, now: Instant, output: &Output) -> impl AsRef<[u32]> + use<> {
+    /// Returns the datagram with this system's command and scene for the other one.
+    pub(super) fn datagram(
+        &mut self,
+        now: Instant,
+        output: &Output,
+        scene: Option<PeerScene>,
+    ) -> impl AsRef<[u32]> + use<> {
         let mode = if self.agreement.is_warm(now) {
             output.mode
         } else {
             Mode::None
         };
-        self.link.datagram(PeerCommand {
+        let own = PeerCommand {
             mode: frames::bus_mode(mode),
             stage: self.stage(),
             command: output.standalone,
-        })
+            scene,
+        };
+        self.link.datagram(now, own)
     }
 }

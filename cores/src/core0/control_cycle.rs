@@ -135,7 +135,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             return;
         };
         self.redundancy.report();
-        let own = self.check.datagram(begin, output);
+        let own = self.check.datagram(begin, output, self.scene_check.own());
         let _full = self.board.link().try_send(own.as_ref());
         let transmitted = may_transmit && !self.check.is_wrong() && self.transmit(output);
         self.trace(Event::ControlCycle {

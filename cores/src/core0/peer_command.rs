@@ -1,8 +1,11 @@
-//! The command that the other system would give, in the form that crosses the link. T-CHIP-5
+//! The command that the other system would give, and its scene, in the form that crosses the link.
+//! T-CHIP-5
 
 use super::agreement::Stage;
 use super::datagram::{PEER_COMMAND, is_sealed, seal};
-use crate::driving::types::Command;
+use super::scene_check::PeerScene;
+use crate::driving::types::{Command, Ego};
+use tandem_board::{Duration, Instant};
 use tandem_bus::ModeCode;
 use tandem_bus::e2e::Checker;
 
@@ -13,18 +16,25 @@ pub(super) struct PeerCommand {
     pub(super) mode: ModeCode,
     pub(super) stage: Stage,
     pub(super) command: Command,
+    /// Its newest scene with a lane, if that is at most [`OLDEST`] old.
+    pub(super) scene: Option<PeerScene>,
 }
 
-const VERSION: u8 = 0;
+const VERSION: u8 = 1;
+/// An older scene is not sent.
+const OLDEST: Duration = Duration::from_ms(150);
+/// In place of a scene's age.
+const NO_SCENE: u32 = u32::MAX;
 /// Largest steering angle, rad, and acceleration, m/s², of an opinion: what a vehicle can follow.
 /// An opinion is compared and never steers.
 const STEERING_MAX: f32 = 0.61;
 const ACCELERATION_MAX: f32 = 10.0;
 
 impl PeerCommand {
-    const WORDS: usize = 4;
+    /// The command, the age of the scene, its line and its motion.
+    const WORDS: usize = 4 + 1 + 4 + 4;
 
-    fn from_words(words: &[u32; Self::WORDS]) -> Option<Self> {
+    fn from_words(now: Instant, words: &[u32; Self::WORDS]) -> Option<Self> {
         let code = |code: u32| u8::try_from(code).ok();
         let number =
             |bits, limit| Some(f32::from_bits(bits)).filter(|value: &f32| value.abs() <= limit);
@@ -37,8 +47,26 @@ impl PeerCommand {
                 steering_angle: number(words[2], STEERING_MAX)?,
                 acceleration: number(words[3], ACCELERATION_MAX)?,
             },
+            scene: scene(now, words),
         })
     }
+}
+
+/// Returns the scene in a datagram that arrived now.
+fn scene(now: Instant, words: &[u32; PeerCommand::WORDS]) -> Option<PeerScene> {
+    let age = Duration::from_us(words[4].into());
+    let number = |place: usize| f32::from_bits(words[place]);
+    (age <= OLDEST && now.since(Instant::ORIGIN) >= age).then(|| PeerScene {
+        at: Instant::from_ns(now.as_ns() - age.as_ns()),
+        c: core::array::from_fn(|place| number(5 + place)),
+        ego: Ego {
+            speed: number(9),
+            yaw_rate: number(10),
+            steering_angle: number(11),
+            slip_angle: number(12),
+            ..Ego::default()
+        },
+    })
 }
 
 /// Both ends of these datagrams.
@@ -56,23 +84,30 @@ impl PeerCommandLink {
         }
     }
 
-    /// Returns the datagram for a command that is sent now.
-    pub(super) fn datagram(&mut self, own: PeerCommand) -> [u32; PeerCommand::WORDS] {
-        let mut words = [
-            0,
-            own.mode as u32 | (own.stage as u32) << 8,
-            own.command.steering_angle.to_bits(),
-            own.command.acceleration.to_bits(),
-        ];
+    /// Returns the datagram that is sent now.
+    pub(super) fn datagram(&mut self, now: Instant, own: PeerCommand) -> [u32; PeerCommand::WORDS] {
+        let mut words = [0; PeerCommand::WORDS];
+        words[1] = own.mode as u32 | (own.stage as u32) << 8;
+        words[2] = own.command.steering_angle.to_bits();
+        words[3] = own.command.acceleration.to_bits();
+        words[4] = NO_SCENE;
+        if let Some(PeerScene { at, c, ego }) = own.scene {
+            words[4] = u32::try_from(now.since(at).as_ns() / 1_000).unwrap_or(NO_SCENE);
+            let motion = [ego.speed, ego.yaw_rate, ego.steering_angle, ego.slip_angle];
+            for (word, number) in words[5..].iter_mut().zip(c.into_iter().chain(motion)) {
+                *word = number.to_bits();
+            }
+        }
         seal(PEER_COMMAND, VERSION, &mut self.counter, &mut words);
         words
     }
 
-    /// Returns the command in a datagram; `None` if it holds another kind, or is not new.
-    pub(super) fn on_datagram(&mut self, words: &[u32]) -> Option<PeerCommand> {
+    /// Returns the command in a datagram that has arrived now; `None` if it holds another kind, or
+    /// is not new.
+    pub(super) fn on_datagram(&mut self, now: Instant, words: &[u32]) -> Option<PeerCommand> {
         let words: &[u32; PeerCommand::WORDS] = words.try_into().ok()?;
         let is_sealed = is_sealed(&mut self.checker, VERSION, words);
-        PeerCommand::from_words(words).filter(|_| is_sealed)
+        PeerCommand::from_words(now, words).filter(|_| is_sealed)
     }
 }
 
@@ -88,7 +123,46 @@ mod tests {
                 steering_angle: -0.02,
                 acceleration: 1.5,
             },
+            scene: Some(PeerScene {
+                at: NOW,
+                c: [0.1, 0.2, 0.3, 0.4],
+                ego: Ego {
+                    speed: 30.0,
+                    slip_angle: 0.01,
+                    ..Ego::default()
+                },
+            }),
         }
+    }
+
+    const NOW: Instant = Instant::from_ns(7_000_000_000);
+
+    /// T-RED-9: a scene arrives with its age, and an old one does not.
+    #[test]
+    fn a_scene_arrives_with_its_age() {
+        let (mut from, mut to) = (PeerCommandLink::new(), PeerCommandLink::new());
+        for (age_ms, arrives) in [
+            (0, true),
+            (150, true),
+            (151, false),
+            (u64::MAX >> 30, false),
+        ] {
+            let age = Duration::from_ms(age_ms);
+            let words = from.datagram(NOW + age, peer_command());
+            // The other system's clock shows another time.
+            let theirs = Instant::from_ns(1_000_000_000);
+            let scene = to.on_datagram(theirs, &words).unwrap().scene;
+            let expected = peer_command()
+                .scene
+                .filter(|_| arrives)
+                .map(|it| PeerScene {
+                    at: Instant::from_ns(theirs.as_ns() - age.as_ns()),
+                    ..it
+                });
+            assert_eq!(scene, expected, "{age_ms} ms");
+        }
+        let words = from.datagram(NOW, peer_command());
+        assert!(to.on_datagram(Instant::ORIGIN, &words).is_some());
     }
 
     /// T-CHIP-5: a command arrives once. A repeated or damaged one is refused, and so is one with
@@ -96,15 +170,15 @@ mod tests {
     #[test]
     fn only_a_new_and_whole_command_is_accepted() {
         let (mut from, mut to) = (PeerCommandLink::new(), PeerCommandLink::new());
-        let words = from.datagram(peer_command());
-        assert_eq!(to.on_datagram(&words), Some(peer_command()));
-        assert_eq!(to.on_datagram(&words), None, "repeated");
-        let words = from.datagram(peer_command());
-        assert_eq!(to.on_datagram(&words[..3]), None);
-        for bit in 0..128 {
+        let words = from.datagram(NOW, peer_command());
+        assert_eq!(to.on_datagram(NOW, &words), Some(peer_command()));
+        assert_eq!(to.on_datagram(NOW, &words), None, "repeated");
+        let words = from.datagram(NOW, peer_command());
+        assert_eq!(to.on_datagram(NOW, &words[..3]), None);
+        for bit in 0..32 * PeerCommand::WORDS {
             let mut wrong = words;
             wrong[bit / 32] ^= 1 << (bit % 32);
-            assert_eq!(to.clone().on_datagram(&wrong), None, "bit {bit}");
+            assert_eq!(to.clone().on_datagram(NOW, &wrong), None, "bit {bit}");
         }
         for strange in [f32::NAN, f32::INFINITY, 1e9, 900.0, 0.62, -10.1] {
             let mut strange_one = peer_command();
@@ -112,8 +186,8 @@ mod tests {
                 true => strange_one.command.steering_angle = strange,
                 false => strange_one.command.acceleration = strange,
             }
-            let words = from.datagram(strange_one);
-            assert_eq!(to.on_datagram(&words), None, "{strange}");
+            let words = from.datagram(NOW, strange_one);
+            assert_eq!(to.on_datagram(NOW, &words), None, "{strange}");
         }
     }
 }

@@ -24,7 +24,9 @@ use tandem_board::{
     Board, Can, Instant, Lines, Link, OutputDiagnosis, ResetRequest, Supply, SystemId,
 };
 use tandem_bus::Message;
-use tandem_redundancy::{ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Mode, Phase};
+use tandem_redundancy::{
+    ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Mode, Phase, Redundancy,
+};
 
 /// Counters for the status frame and the supervision of the control task.
 #[derive(Default)]
@@ -121,7 +123,10 @@ impl<'b, B: Board> SharedState<'b, B> {
             let words = words.get(..length).unwrap_or_default();
             if let Some(report) = LinkReport::from_words(words) {
                 newest = Some(report);
-            } else if let Some(theirs) = self.check.on_datagram(words) {
+            } else if let Some(theirs) = self.check.on_datagram(self.board.now(), words) {
+                if let Some(scene) = theirs.scene {
+                    self.scene_check.on_peer(scene);
+                }
                 // A standby takes the master's command from its control frame.
                 if self.redundancy.is_driving() {
                     self.check.on_peer_command(theirs.command, theirs.mode);
@@ -287,7 +292,9 @@ impl<'b, B: Board> SharedState<'b, B> {
 
     /// Checks a new scene, and corrects it if it is wrong.
     pub(super) fn on_scene(&mut self, scene: &mut Scene) {
-        if let Some(event) = self.scene_check.on_scene(scene) {
+        let state = self.redundancy.running().map(Redundancy::state);
+        let was_wrong = state.is_some_and(|state| state.wrong_in_a_row > 0);
+        if let Some(event) = self.scene_check.on_scene(scene, was_wrong) {
             self.trace(event);
         }
         if self.scene_check.is_deceived() {

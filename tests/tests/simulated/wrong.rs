@@ -247,7 +247,7 @@ fn two_healthy_systems_agree_in_every_scenario() {
             let worst = used.max().unwrap_or(0);
             let scenes = drive.events.iter().filter_map(|(.., event)| match event {
                 Event::SceneCheck { percent } => Some(*percent),
-                Event::WrongScene { .. } | Event::WrongEcho => Some(100),
+                Event::WrongScene { .. } | Event::WrongEcho | Event::PeerScene { .. } => Some(100),
                 _ => None,
             });
             let scene = scenes.max().unwrap_or(0);

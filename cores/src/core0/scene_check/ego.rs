@@ -1,6 +1,6 @@
 //! The scene's motion of the vehicle against the motion that core 0 hears.
 
-use super::Finding;
+use super::{Difference, REMEMBERED};
 use crate::driving::types::Ego;
 use heapless::Deque;
 use tandem_board::{Duration, Instant};
@@ -24,6 +24,8 @@ pub(super) struct EgoCheck {
     motions: Deque<(Instant, Ego), MOTIONS>,
     agreed: Option<(Instant, Ego)>,
     different: u8,
+    /// The compared motions are up to this much apart in time, s, besides one frame.
+    apart_s: f32,
 }
 
 const fn values(ego: &Ego) -> [f32; 4] {
@@ -31,11 +33,13 @@ const fn values(ego: &Ego) -> [f32; 4] {
 }
 
 /// Returns the largest difference in shares of its limit, its number from 1 on, and its amount.
-fn difference(one: &Ego, other: &Ego) -> (f32, u8, f32) {
-    let pairs = values(one).into_iter().zip(values(other)).zip(LIMITS);
+/// `apart_s`: how far the motions are apart in time, s.
+fn difference(one: &Ego, other: &Ego, apart_s: f32) -> (f32, u8, f32) {
+    let limits = LIMITS.into_iter().zip(CHANGES);
+    let pairs = values(one).into_iter().zip(values(other)).zip(limits);
     let mut worst = (0.0, 0, 0.0);
-    for (what, ((one, other), limit)) in (1..).zip(pairs) {
-        let amount = one - other;
+    for (what, ((one, other), (limit, change))) in (1..).zip(pairs) {
+        let (amount, limit) = (one - other, limit + change * apart_s);
         // NaN differs.
         let share = if amount.is_finite() {
             amount.abs() / limit
@@ -66,11 +70,12 @@ fn jump(before: &Ego, ego: &Ego, seconds: f32) -> f32 {
 }
 
 impl EgoCheck {
-    pub(super) const fn new() -> Self {
+    pub(super) const fn new(apart_s: f32) -> Self {
         Self {
             motions: Deque::new(),
             agreed: None,
             different: 0,
+            apart_s,
         }
     }
 
@@ -87,11 +92,12 @@ impl EgoCheck {
         motions.find(|it| it.0 <= at).map(|it| it.1)
     }
 
-    /// Compares a scene's motion. Returns the difference as a share of its limit, and what was
-    /// found.
-    pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Finding>) {
-        let near = self.motions.iter().filter(|it| at.since(it.0) <= OLDEST);
-        let differences = near.map(|(_, own)| (difference(scene, own), own));
+    /// Compares a scene's motion. Returns the difference as a share of its limit, and the difference
+    /// once it has lasted.
+    pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Difference>) {
+        let oldest = OLDEST + Duration::from_us((self.apart_s * 1e6) as u64);
+        let near = self.motions.iter().filter(|it| at.since(it.0) <= oldest);
+        let differences = near.map(|(_, own)| (difference(scene, own, self.apart_s), own));
         let Some(((share, what, amount), own)) =
             differences.min_by(|one, other| one.0.0.total_cmp(&other.0.0))
         else {
@@ -106,19 +112,20 @@ impl EgoCheck {
         if self.different < SCENES {
             return (share, None);
         }
-        let hearing = self.agreed.is_some_and(|(since, before)| {
+        let agreed = self.agreed.filter(|it| at.since(it.0) <= REMEMBERED);
+        let other = agreed.map(|(since, before)| {
             let seconds = at.since(since).as_secs_f32();
             let jumps = [own, scene].map(|it| jump(&before, it, seconds));
             match jumps[0].total_cmp(&jumps[1]) {
                 core::cmp::Ordering::Equal => {
-                    difference(&before, own).0 > difference(&before, scene).0
+                    difference(&before, own, 0.0).0 > difference(&before, scene, 0.0).0
                 }
                 order => order.is_gt(),
             }
         });
-        let found = Finding {
+        let found = Difference {
             what,
-            hearing,
+            other,
             amount,
         };
         (share, Some(found))

@@ -1,9 +1,9 @@
 //! The scene's lane against the lane that core 0 filters from the camera's frames it hears.
 
-use super::{Finding, carried};
+use super::{Difference, REMEMBERED, carried};
 use crate::driving::odometry::motion;
 use crate::driving::perception::LaneFilter;
-use crate::driving::types::{Ego, Scene};
+use crate::driving::types::{Ego, Lanes, Scene};
 use tandem_board::{Duration, Instant};
 use tandem_bus::CameraLanes;
 
@@ -16,8 +16,8 @@ const TOLERANCES: [f32; 3] = [0.1, 0.16, 0.34];
 const LIMIT: f32 = 2.0;
 /// … and the most that one scene adds: it takes at least three scenes.
 const MOST: f32 = 0.8;
-/// An older line of the camera is not compared.
-const OLDEST: Duration = Duration::from_ms(120);
+/// An older line is not compared.
+pub(super) const OLDEST: Duration = Duration::from_ms(120);
 
 /// The excess in both directions: the cumulative sum test, as in the agreement's comparison.
 #[derive(Clone, Copy, Default)]
@@ -39,13 +39,19 @@ impl Excess {
     }
 }
 
+/// Compares a line with another one of the same lane, scene by scene.
+#[derive(Default)]
+pub(super) struct Comparison {
+    excess: [Excess; PLACES.len()],
+    /// The last line on which both agreed, and the time of its scene.
+    agreed: Option<(Instant, [f32; 4])>,
+}
+
 pub(super) struct LaneCheck {
     filter: LaneFilter,
     /// Time of the camera's newest line, up to which the filter is predicted.
     time: Option<Instant>,
-    excess: [Excess; PLACES.len()],
-    /// The last line on which both agreed, and the time of its scene.
-    agreed: Option<(Instant, [f32; 4])>,
+    comparison: Comparison,
 }
 
 /// Returns a line's offset at `x`, m.
@@ -67,8 +73,7 @@ impl LaneCheck {
         Self {
             filter: LaneFilter::new(),
             time: None,
-            excess: [Excess::default(); PLACES.len()],
-            agreed: None,
+            comparison: Comparison::default(),
         }
     }
 
@@ -89,14 +94,27 @@ impl LaneCheck {
     }
 
     /// Compares a scene's line. Returns the largest difference as a share of its tolerance, and
-    /// what was found.
-    pub(super) fn check(&mut self, scene: &Scene) -> (f32, Option<Finding>) {
+    /// the difference once it has lasted.
+    pub(super) fn check(&mut self, scene: &Scene) -> (f32, Option<Difference>) {
         let (Some(lanes), Some(own)) = (&scene.lanes, self.line(scene.at, &scene.ego)) else {
             return (0.0, None);
         };
+        self.comparison.check(scene, lanes, &own)
+    }
+}
+
+impl Comparison {
+    /// Compares a scene's `lanes` with another line at its time. Returns the largest difference as
+    /// a share of its tolerance, and the difference once it has lasted.
+    pub(super) fn check(
+        &mut self,
+        scene: &Scene,
+        lanes: &Lanes,
+        other: &[f32; 4],
+    ) -> (f32, Option<Difference>) {
         let (mut sum, mut share, mut amount) = (0.0_f32, 0.0_f32, 0.0);
         for (excess, (x, tolerance)) in self.excess.iter_mut().zip(places(lanes.view_range)) {
-            let aside = offset(&lanes.c, x) - offset(&own, x);
+            let aside = offset(&lanes.c, x) - offset(other, x);
             share = share.max(aside.abs() / tolerance);
             let used = excess.add(aside / tolerance);
             if used > sum {
@@ -109,19 +127,27 @@ impl LaneCheck {
         if sum < LIMIT {
             return (share, None);
         }
-        let hearing = self.agreed.is_some_and(|(at, c)| {
+        let agreed = self.agreed.filter(|it| scene.at.since(it.0) <= REMEMBERED);
+        let other = agreed.map(|(at, c)| {
             let agreed = carried(&c, at, scene.at, &scene.ego);
             let far = |c: &[f32; 4]| {
                 let near = places(lanes.view_range).take(2);
                 let shares = near
                     .map(|(x, tolerance)| (offset(c, x) - offset(&agreed, x)).abs() / tolerance);
-                shares.fold(0.0, f32::max)
+                // NaN is farthest.
+                shares.fold(0.0, |most, share| {
+                    if share > most || share.is_nan() {
+                        share.min(f32::MAX)
+                    } else {
+                        most
+                    }
+                })
             };
-            far(&own) > far(&lanes.c)
+            far(other) > far(&lanes.c)
         });
-        let found = Finding {
+        let found = Difference {
             what: 0,
-            hearing,
+            other,
             amount,
         };
         (share, Some(found))

@@ -6,14 +6,41 @@
 
 mod ego;
 mod lanes;
+mod peer;
 
 use crate::driving::odometry::motion;
 use crate::driving::types::{Ego, Scene};
 use crate::trace::Event;
 use ego::EgoCheck;
 use lanes::LaneCheck;
-use tandem_board::Instant;
+use peer::PeerCheck;
+pub(super) use peer::PeerScene;
+use tandem_board::{Duration, Instant};
 use tandem_bus::CameraLanes;
+
+/// The values on which two sources agreed are carried on for this long at most.
+const REMEMBERED: Duration = Duration::from_ms(2_000);
+
+/// A value of the scene that differs from another source for too long.
+struct Difference {
+    /// As in [`Event::WrongScene`].
+    what: u8,
+    /// The other source is wrong: the scene continues the value on which both agreed. `None` if
+    /// they did not agree in the last [`REMEMBERED`].
+    other: Option<bool>,
+    /// m, m/s, rad/s or rad.
+    amount: f32,
+}
+
+impl Difference {
+    fn between_cores(self) -> Finding {
+        Finding {
+            what: self.what,
+            hearing: self.other == Some(true),
+            amount: self.amount,
+        }
+    }
+}
 
 /// Something that the two cores do not hear alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +68,9 @@ impl Finding {
 pub(super) struct SceneCheck {
     ego: EgoCheck,
     lanes: LaneCheck,
+    peer: PeerCheck,
+    /// What the newest scene said before it was corrected.
+    own: Option<PeerScene>,
     found: Option<Finding>,
     /// The largest share that was traced, in tenths.
     worst_tenths: u8,
@@ -49,8 +79,10 @@ pub(super) struct SceneCheck {
 impl SceneCheck {
     pub(super) fn new() -> Self {
         Self {
-            ego: EgoCheck::new(),
+            ego: EgoCheck::new(0.0),
             lanes: LaneCheck::new(),
+            peer: PeerCheck::new(),
+            own: None,
             found: None,
             worst_tenths: 0,
         }
@@ -69,6 +101,16 @@ impl SceneCheck {
         }
     }
 
+    /// Takes the other system's scene.
+    pub(super) fn on_peer(&mut self, scene: PeerScene) {
+        self.peer.on_peer(scene);
+    }
+
+    /// Returns what the newest scene says, for the other system.
+    pub(super) const fn own(&self) -> Option<PeerScene> {
+        self.own
+    }
+
     /// Returns what was found. It stays until the next start.
     pub(super) const fn found(&self) -> Option<Finding> {
         self.found
@@ -81,21 +123,51 @@ impl SceneCheck {
     }
 
     /// Checks a new scene. Once it was found wrong, puts core 0's values in the place of the
-    /// scene's. Returns an event to trace.
-    pub(super) fn on_scene(&mut self, scene: &mut Scene) -> Option<Event> {
-        let (share, found) = self.check(scene);
-        let is_new = self.found.is_none() && found.is_some();
-        self.found = self.found.or(found);
+    /// scene's. `was_wrong`: this system left recently because it was wrong. Returns an event to
+    /// trace.
+    pub(super) fn on_scene(&mut self, scene: &mut Scene, was_wrong: bool) -> Option<Event> {
+        self.own = PeerScene::of(scene);
+        let (of_cores, found) = self.check(scene);
+        let (of_systems, event) = match self.found.or(found) {
+            None => self.compare(scene, was_wrong),
+            found => {
+                let is_new = self.found.is_none();
+                self.found = found;
+                (0.0, found.filter(|_| is_new).map(Finding::event))
+            }
+        };
         if self.found.is_some_and(|found| !found.hearing) {
             self.correct(scene);
         }
-        if is_new {
-            return found.map(Finding::event);
-        }
-        let percent = (share * 100.0) as u8;
+        let percent = (of_cores.max(of_systems) * 100.0) as u8;
         let is_worst = percent / 10 > self.worst_tenths;
         self.worst_tenths = self.worst_tenths.max(percent / 10);
-        is_worst.then_some(Event::SceneCheck { percent })
+        event.or(is_worst.then_some(Event::SceneCheck { percent }))
+    }
+
+    /// Compares the scene with the other system's. A system whose own scene jumped leaves. If
+    /// neither is known to have jumped, a system that has just left for such a fault leaves again;
+    /// otherwise the comparison of commands decides.
+    fn compare(&mut self, scene: &Scene, was_wrong: bool) -> (f32, Option<Event>) {
+        let (share, difference) = self.peer.check(scene);
+        let Some(difference) = difference else {
+            return (share, None);
+        };
+        let own = !difference.other.unwrap_or(!was_wrong);
+        let event = Event::PeerScene {
+            what: difference.what,
+            own,
+            thousandths: (difference.amount.abs() * 1e3) as u32,
+        };
+        let is_new = self.peer.is_new();
+        if own {
+            let found = difference.between_cores();
+            self.found = Some(Finding {
+                hearing: false,
+                ..found
+            });
+        }
+        (share, is_new.then_some(event))
     }
 
     /// Returns the largest difference as a share of what is tolerated, and what was found.
@@ -103,10 +175,10 @@ impl SceneCheck {
         let (share, found) = self.ego.check(scene.at, &scene.ego);
         if share >= 1.0 {
             // A wrong motion also bends the lanes of the scene: it is judged first.
-            return (share, found);
+            return (share, found.map(Difference::between_cores));
         }
         let (of_lanes, found) = self.lanes.check(scene);
-        (share.max(of_lanes), found)
+        (share.max(of_lanes), found.map(Difference::between_cores))
     }
 
     fn correct(&self, scene: &mut Scene) {
@@ -175,7 +247,7 @@ mod tests {
                     perception.on_message(at, &Message::CameraLanes(lanes));
                     check.on_lanes(at, &own_lanes);
                     last = perception.cycle(at + Duration::from_ms(1)).clone();
-                    let _ = check.on_scene(&mut last);
+                    let _ = check.on_scene(&mut last, false);
                     let new = check.found().map(|it| (cycle.saturating_sub(100), it));
                     found = found.or(new);
                 }
@@ -230,6 +302,75 @@ mod tests {
         for (what, fault) in FAULTS {
             let (found, _) = drive(fault, fault);
             assert_eq!(found, None, "{what}");
+        }
+    }
+
+    /// Runs 10 s of scenes of two systems; from 5 s on, `alter` alters this system's, and `peers`
+    /// the other's. Returns what is reported: whether this system leaves.
+    fn compared(
+        alter: impl Fn(&mut PeerScene),
+        peers: impl Fn(&mut PeerScene),
+        was_wrong: bool,
+        from: u32,
+    ) -> Option<bool> {
+        let mut check = SceneCheck::new();
+        let ms = |ms: u32| Instant::ORIGIN + Duration::from_ms(ms.into());
+        let mut reported = None;
+        for cycle in 0..200_u32 {
+            let wave = |phase: f32| 0.02 * (cycle as f32 + phase).sin();
+            let said = |at, phase| PeerScene {
+                at,
+                c: [0.2 + wave(phase), 0.001, 0.0005, 0.0],
+                ego: Ego {
+                    speed: 30.0 + wave(phase),
+                    yaw_rate: 0.03,
+                    ..Ego::default()
+                },
+            };
+            let (mut own, mut peer) = (said(ms(cycle * 50 + 30), 0.0), said(ms(cycle * 50), 0.7));
+            if cycle >= from {
+                alter(&mut own);
+                peers(&mut peer);
+            }
+            check.on_peer(peer);
+            let lanes = crate::driving::types::Lanes {
+                c: own.c,
+                ..crate::driving::types::Lanes::alone(3.5, 80.0)
+            };
+            let mut scene = Scene {
+                at: own.at,
+                ego: own.ego,
+                lanes: Some(lanes),
+                ..Perception::new().scene().clone()
+            };
+            if let Some(Event::PeerScene { own, .. }) = check.on_scene(&mut scene, was_wrong) {
+                reported.get_or_insert(own);
+                assert_eq!(check.found().is_some(), own);
+            }
+        }
+        reported
+    }
+
+    /// T-RED-9: the system whose scene jumps finds it by the other's scene, and leaves; the other
+    /// stays. A difference from the start cannot be located, unless a system left for it before.
+    #[test]
+    fn the_system_whose_scene_jumps_leaves() {
+        let same = |_: &mut PeerScene| {};
+        let faults: [fn(&mut PeerScene); 5] = [
+            |it| it.c[0] += 1.0,
+            |it| it.c[1] -= 0.05,
+            |it| it.ego.speed *= 0.4,
+            |it| it.ego.yaw_rate += 0.2,
+            |it| it.c[0] = f32::NAN,
+        ];
+        assert_eq!(compared(same, same, true, 0), None);
+        for (number, fault) in faults.into_iter().enumerate() {
+            assert_eq!(compared(fault, same, false, 100), Some(true), "{number}");
+            assert_eq!(compared(same, fault, false, 100), Some(false), "{number}");
+            for was_wrong in [false, true] {
+                let reported = compared(fault, same, was_wrong, 0);
+                assert_eq!(reported, Some(was_wrong), "{number}");
+            }
         }
     }
 }
