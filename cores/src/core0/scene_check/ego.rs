@@ -92,8 +92,8 @@ impl EgoCheck {
         motions.find(|it| it.0 <= at).map(|it| it.1)
     }
 
-    /// Compares a scene's motion. Returns the difference as a share of its limit, and the difference
-    /// once it has lasted.
+    /// Compares a scene's motion. Returns the largest difference as a share of its limit, and the
+    /// difference once it has lasted.
     pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Difference>) {
         let oldest = OLDEST + Duration::from_us((self.apart_s * 1e6) as u64);
         let near = self.motions.iter().filter(|it| at.since(it.0) <= oldest);

@@ -68,6 +68,17 @@ fn places(range: f32) -> impl Iterator<Item = (f32, f32)> {
         .zip(TOLERANCES)
 }
 
+/// Returns how far two lines are apart near the vehicle, in tolerances. A line that is no number is
+/// farthest.
+pub(super) fn apart(c: &[f32; 4], other: &[f32; 4], range: f32) -> f32 {
+    let near = places(range).take(2);
+    let shares = near.map(|(x, tolerance)| (offset(c, x) - offset(other, x)).abs() / tolerance);
+    shares.fold(0.0, |most, share| match share.is_finite() {
+        true => most.max(share),
+        false => f32::MAX,
+    })
+}
+
 impl LaneCheck {
     pub(super) fn new() -> Self {
         Self {
@@ -130,19 +141,7 @@ impl Comparison {
         let agreed = self.agreed.filter(|it| scene.at.since(it.0) <= REMEMBERED);
         let other = agreed.map(|(at, c)| {
             let agreed = carried(&c, at, scene.at, &scene.ego);
-            let far = |c: &[f32; 4]| {
-                let near = places(lanes.view_range).take(2);
-                let shares = near
-                    .map(|(x, tolerance)| (offset(c, x) - offset(&agreed, x)).abs() / tolerance);
-                // NaN is farthest.
-                shares.fold(0.0, |most, share| {
-                    if share > most || share.is_nan() {
-                        share.min(f32::MAX)
-                    } else {
-                        most
-                    }
-                })
-            };
+            let far = |c: &[f32; 4]| apart(c, &agreed, lanes.view_range);
             far(other) > far(&lanes.c)
         });
         let found = Difference {

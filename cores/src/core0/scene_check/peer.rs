@@ -6,9 +6,9 @@
 //! else.
 
 use super::ego::EgoCheck;
-use super::lanes::{Comparison, OLDEST};
+use super::lanes::{Comparison, OLDEST, apart};
 use super::{Difference, carried};
-use crate::driving::types::{Ego, Scene};
+use crate::driving::types::{Ego, Lanes, Scene};
 use tandem_board::Instant;
 
 /// A difference counts after this many compared scenes: a system that has just joined does not yet
@@ -41,6 +41,8 @@ impl PeerScene {
 
 pub(super) struct PeerCheck {
     newest: Option<PeerScene>,
+    /// This system's line in the scene before, and its time.
+    before: Option<(Instant, [f32; 4])>,
     ego: EgoCheck,
     lanes: Comparison,
     compared: u8,
@@ -52,6 +54,7 @@ impl PeerCheck {
     pub(super) fn new() -> Self {
         Self {
             newest: None,
+            before: None,
             ego: EgoCheck::new(APART_S),
             lanes: Comparison::default(),
             compared: 0,
@@ -80,7 +83,16 @@ impl PeerCheck {
             return (0.0, None);
         };
         let line = carried(&peer.c, peer.at, scene.at, &scene.ego);
-        let (of_lanes, of_line) = self.lanes.check(scene, lanes, &line);
+        // The other system may not have used the newest frame of the camera yet.
+        let before = self.before.replace((scene.at, lanes.c));
+        let before = before.map(|(at, c)| carried(&c, at, scene.at, &scene.ego));
+        let far = |c: &[f32; 4]| apart(c, &line, lanes.view_range);
+        let nearest = before.filter(|before| far(before) < far(&lanes.c));
+        let compared = Lanes {
+            c: nearest.unwrap_or(lanes.c),
+            ..*lanes
+        };
+        let (of_lanes, of_line) = self.lanes.check(scene, &compared, &line);
         let (of_ego, of_motion) = self.ego.check(scene.at, &scene.ego);
         self.compared = self.compared.saturating_add(1);
         if self.compared < WARM_UP {
