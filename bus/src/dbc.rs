@@ -45,6 +45,8 @@ impl SensorId {
 }
 
 value_tables! {
+    /// Values of the signal `Ability`.
+    AbilityCode[4] { All = 0, Lacks = 1, StopOnly = 2, None = 3 }
     /// Values of the signal `Agreement`.
     AgreementCode[3] { Agreed = 0, Disagreed = 1, Unresolved = 2 }
     /// Values of the signal `Class`.
@@ -116,6 +118,8 @@ layouts! {
         line2_silent: bool = LINE2_SILENT("Line2Silent", 35, 1, 0..=1),
         /// Whether the commands of both systems agree.
         agreement: AgreementCode = AGREEMENT("Agreement", 36, 2, 0..=3),
+        /// How well the sender can drive: with all sensors, without one, only stop, not at all.
+        ability: AbilityCode = ABILITY("Ability", 38, 2, 0..=3),
         /// Code of the sender's own failure. 0 ..= 255
         failure_mode: u8 = FAILURE_MODE("FailureMode", 40, 8, 0..=255),
         /// Highest mastership term known. 0 ..= 4294967295

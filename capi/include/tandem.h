@@ -114,6 +114,18 @@ extern void tandem_on_panic(void);
 // Mode: bringing the vehicle to a stop.
 #define TANDEM_MODE_SAFE_STOP 3
 
+// Ability: drives with all sensors.
+#define TANDEM_ABILITY_ALL 0
+
+// Ability: drives, but a sensor is missing.
+#define TANDEM_ABILITY_LACKS 1
+
+// Ability: can only stop the vehicle.
+#define TANDEM_ABILITY_STOP_ONLY 2
+
+// Ability: could only brake.
+#define TANDEM_ABILITY_NONE 3
+
 // No edge.
 #define TANDEM_EDGE_NONE 0
 
@@ -544,6 +556,8 @@ typedef struct tandem_report_t {
   uint32_t term;
   // Not 0 if it receives frames on CAN.
   uint32_t can_alive;
+  // The `TANDEM_ABILITY_…` of the system.
+  uint32_t ability;
 } tandem_report_t;
 
 // The store, which writes states to two sectors of the flash, one operation at a time, without
@@ -1015,6 +1029,13 @@ tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,
                                             uint64_t now_ns,
                                             uint32_t failure,
                                             struct tandem_actions_t *actions);
+
+// Passes how well this system can drive, a `TANDEM_ABILITY_…`. It holds until the next call;
+// `TANDEM_ABILITY_ALL` before the first. Any context; does not block.
+tandem_status_t tandem_redundancy_ability(struct tandem_redundancy_t *machine,
+                                          uint64_t now_ns,
+                                          uint32_t able,
+                                          struct tandem_actions_t *actions);
 
 // Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before sending
 // each frame. Any context; does not block.

@@ -6,8 +6,8 @@ use crate::status::{TandemStatus, TandemStatus as S, status};
 use crate::store::{TandemLoaded, TandemState, failure_mode, system_id};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, ControlHeader, Input, LineSnapshot, LinkReport, Mode, ObeyedTerm, PeerReport,
-    Redundancy, RedundancyEvent, Role, Term,
+    Ability, Action, Actions, ControlHeader, Input, LineSnapshot, LinkReport, Mode, ObeyedTerm,
+    PeerReport, Redundancy, RedundancyEvent, Role, Term,
 };
 
 /// The power was switched on.
@@ -37,7 +37,20 @@ pub const TANDEM_MODE_DEGRADED_L2: u32 = 2;
 /// Mode: bringing the vehicle to a stop.
 pub const TANDEM_MODE_SAFE_STOP: u32 = 3;
 
+/// Ability: drives with all sensors.
+pub const TANDEM_ABILITY_ALL: u32 = 0;
+/// Ability: drives, but a sensor is missing.
+pub const TANDEM_ABILITY_LACKS: u32 = 1;
+/// Ability: can only stop the vehicle.
+pub const TANDEM_ABILITY_STOP_ONLY: u32 = 2;
+/// Ability: could only brake.
+pub const TANDEM_ABILITY_NONE: u32 = 3;
+
 const _: () = {
+    assert!(Ability::All.bits() as u32 == TANDEM_ABILITY_ALL);
+    assert!(Ability::Lacks.bits() as u32 == TANDEM_ABILITY_LACKS);
+    assert!(Ability::StopOnly.bits() as u32 == TANDEM_ABILITY_STOP_ONLY);
+    assert!(Ability::None.bits() as u32 == TANDEM_ABILITY_NONE);
     assert!(Role::Starting as u32 == TANDEM_ROLE_STARTING);
     assert!(Role::Master as u32 == TANDEM_ROLE_MASTER);
     assert!(Role::Standby as u32 == TANDEM_ROLE_STANDBY);
@@ -122,6 +135,8 @@ pub struct TandemReport {
     pub term: u32,
     /// Not 0 if it receives frames on CAN.
     pub can_alive: u32,
+    /// The `TANDEM_ABILITY_…` of the system.
+    pub ability: u32,
 }
 
 /// Words of a report on the link.
@@ -234,6 +249,11 @@ fn mode(number: u32) -> Result<Mode, S> {
     code.and_then(Mode::from_repr).ok_or(S::OutOfRange)
 }
 
+fn ability(number: u32) -> Result<Ability, S> {
+    let bits = u8::try_from(number).ok().filter(|bits| *bits <= 3);
+    bits.map(Ability::from_bits).ok_or(S::OutOfRange)
+}
+
 impl TandemControlFrame {
     fn checked(&self) -> Result<ControlHeader, S> {
         Ok(ControlHeader {
@@ -252,6 +272,7 @@ impl TandemReport {
             mode: mode(self.mode)?,
             term: Term::from_bits(self.term),
             can_alive: self.can_alive != 0,
+            ability: ability(self.ability)?,
         })
     }
 }
@@ -263,6 +284,7 @@ impl From<PeerReport> for TandemReport {
             mode: report.mode as u32,
             term: report.term.bits(),
             can_alive: report.can_alive.into(),
+            ability: report.ability.bits().into(),
         }
     }
 }
@@ -452,6 +474,20 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
 ) -> TandemStatus {
     let input = || Ok(Input::OwnFault(failure_mode(failure)?));
     pass(machine, now_ns, actions, input)
+}
+
+/// Passes how well this system can drive, a `TANDEM_ABILITY_…`. It holds until the next call;
+/// `TANDEM_ABILITY_ALL` before the first. Any context; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_ability(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    able: u32,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    pass(machine, now_ns, actions, || {
+        Ok(Input::Ability(ability(able)?))
+    })
 }
 
 /// Returns 1 if a control frame may be sent now, otherwise 0. Call it immediately before sending

@@ -291,6 +291,13 @@ pub enum Event {
     /// The vehicle's echo names a steering angle that the measured one contradicts. The command is
     /// right: no system leaves.
     WrongEcho,
+    /// How well this system can drive has changed.
+    Ability {
+        /// 0 with all sensors, 1 without one of them, 2 it can only stop, 3 it can only brake.
+        bits: u8,
+        /// What is missing: one bit for each by `SensorId::index`, bit 6 lanes, bit 7 the motion.
+        missing: u8,
+    },
     /// The output driver has had a fault for the confirmation time.
     OutputFault {
         /// 1 open load, 2 short circuit.
@@ -496,6 +503,7 @@ codec! {
     41 SceneCheck { percent: a };
     42 WrongEcho {};
     47 PeerScene { what: a, own: b, thousandths: x } 0..=4;
+    48 Ability { bits: a, missing: b } 0..=3;
 }
 
 #[cfg(test)]
@@ -635,6 +643,10 @@ mod tests {
                 own: false,
                 thousandths: 7,
             },
+            Event::Ability {
+                bits: 2,
+                missing: 0x40,
+            },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -652,6 +664,7 @@ mod tests {
             0x031F,
             0x0320,
             0x0528,
+            0x0430,
             36,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");

@@ -59,12 +59,13 @@ pub fn core_event(event: Event) -> Option<String> {
             format!("lost {count} received CAN frame(s), which it did not fetch in time")
         }
         Event::Sensors { missing: 0 } => "all sensors are back".to_owned(),
-        Event::Sensors { missing } => {
-            let is_missing = |sensor: &SensorId| missing >> sensor.index() & 1 == 1;
-            let names = SensorId::ALL.into_iter().filter(is_missing);
-            let names: Vec<_> = names.map(|sensor| format!("{sensor:?}")).collect();
-            format!("lost or late: {}", names.join(", "))
-        }
+        Event::Sensors { missing } => format!("lost or late: {}", names(missing)),
+        Event::Ability { bits, missing } => match bits {
+            0 => "can drive, and has all sensors".to_owned(),
+            1 => format!("can drive without {}", names(missing)),
+            2 => format!("can only stop the vehicle, without {}", names(missing)),
+            _ => format!("can only brake, without {}", names(missing)),
+        },
         Event::CanErrors { errors } => {
             let state = match errors.state() {
                 CanState::ErrorActive => "error-active",
@@ -162,6 +163,18 @@ pub fn core_event(event: Event) -> Option<String> {
     })
 }
 
+/// Returns the names of what is missing.
+fn names(missing: u8) -> String {
+    let is_missing = |bit: usize| missing >> bit & 1 == 1;
+    let sensors = SensorId::ALL.into_iter();
+    let sensors = sensors.filter(|sensor| is_missing(sensor.index()));
+    let mut names: Vec<_> = sensors.map(|sensor| format!("{sensor:?}")).collect();
+    let others = [(6, "lanes"), (7, "the vehicle's motion")].into_iter();
+    let others = others.filter(|(bit, _)| is_missing(*bit));
+    names.extend(others.map(|(_, name)| name.to_owned()));
+    names.join(", ")
+}
+
 const fn flood_source(source: FloodSource) -> &'static str {
     match source {
         FloodSource::Can => "CAN frames",
@@ -241,6 +254,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::StandbyMute => "the standby is not heard on CAN",
         Evidence::MasterResigns => "the master resigns",
         Evidence::SyncStray => "the sync edge was a disturbance",
+        Evidence::StandbyUnable => "the standby could only stop the vehicle",
     }
 }
 

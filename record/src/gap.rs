@@ -595,6 +595,7 @@ mod tests {
             system: B,
             role: RoleCode::Standby,
             mode: ModeCode::L3,
+            ability: tandem_bus::AbilityCode::All,
         }];
         let found = found(&log, stalls);
         assert_eq!(found.len(), 1);

@@ -177,6 +177,7 @@ mod tests {
                     system,
                     role,
                     mode,
+                    ability: tandem_bus::AbilityCode::All,
                 });
             };
             if tenth < 20 {

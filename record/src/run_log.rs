@@ -1,7 +1,7 @@
 //! A recording in memory: all entries of one run, sorted by kind.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId, Traced};
-use tandem_bus::{Message, ModeCode, RoleCode};
+use tandem_bus::{AbilityCode, Message, ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_vehicle::mastership::Mastership;
 use tandem_vehicle::{LoggedFrame, Ruling};
@@ -59,6 +59,8 @@ pub struct StatusFrame {
     pub role: RoleCode,
     /// The sender's function.
     pub mode: ModeCode,
+    /// How well its sender can drive.
+    pub ability: AbilityCode,
 }
 
 /// An event of a core. The events of its scheduler are only in [`RunLog::trace`].
@@ -191,6 +193,7 @@ impl RunLog {
                     system,
                     role: status.role,
                     mode: status.mode,
+                    ability: status.ability,
                 }),
             );
         }

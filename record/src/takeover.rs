@@ -315,6 +315,7 @@ mod tests {
             system: A,
             role: RoleCode::Standby,
             mode: ModeCode::None,
+            ability: tandem_bus::AbilityCode::All,
         };
         let mut log = log(vec![frame(0, A, 2), frame(10, B, 3)]);
         log.status = vec![status(0), status(100)];

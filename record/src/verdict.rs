@@ -113,7 +113,7 @@ rules! {
         "the product's limits permit more than the requirement";
     Leftovers, "leftovers", AtMost(0.0, ""), Fails, "a file or a process was left";
     NoStandby, "redundancy_lost_s", Given("never"), Reported,
-        "redundancy was lost to the end: no system stood by";
+        "redundancy was lost to the end: no system that could drive stood by";
     TakeoverAsked, "takeover_asked_s", Given("never"), Reported,
         "the function asked the driver to take over";
     SafeStop, "safe_stop_s", Given("never"), Reported, "the function made its minimal-risk stop";

@@ -101,7 +101,11 @@ impl Driving {
         // Heartbeats show that the standby runs, not that it can transmit.
         let limit = config.status_limit;
         let heard = witnesses.reports.standby_within(now, limit) || now.since(self.since) <= limit;
-        (!heard).then_some(Evidence::StandbyMute)
+        if !heard {
+            return Some(Evidence::StandbyMute);
+        }
+        let alone = witnesses.reports.abilities.has_no_backup(now);
+        alone.then_some(Evidence::StandbyUnable)
     }
 
     /// Judges, while this system drives alone, whether the other system has recovered and may be

@@ -1,6 +1,6 @@
 //! The input of the machine.
 
-use crate::{FailureMode, LinkReport, Mode, PeerReport, Role, Term};
+use crate::{Ability, FailureMode, LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 
 /// The state of the lines and the CAN receiver at one moment. Counts increase and wrap around; only
@@ -87,6 +87,9 @@ pub enum Input {
     /// the vehicle; in every other phase the request has no effect. Repeat it while the request
     /// lasts.
     HandOver,
+    /// How well this system can drive. It holds until the next one; [`Ability::All`] before the
+    /// first. A master that is less able than its standby offers its role.
+    Ability(Ability),
 }
 
 /// The differences between a poll and the one before it.

@@ -17,6 +17,7 @@
 #[cfg(test)]
 extern crate std;
 
+mod ability;
 mod action;
 mod config;
 mod driving;
@@ -34,6 +35,7 @@ mod timing_profile;
 mod transition;
 mod witness;
 
+pub use ability::Ability;
 pub use action::{Action, Actions, ClockOwner, RedundancyEvent, Takeover};
 pub use config::Config;
 pub use input::{ControlHeader, Input, LineSnapshot, ObeyedTerm};

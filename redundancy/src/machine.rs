@@ -13,8 +13,8 @@ use crate::starting::Starting;
 use crate::transition::{Effect, rule};
 use crate::witness::{BeatSender, Witnesses};
 use crate::{
-    Action, Actions, Config, Evidence, FailureMode, Input, LineSnapshot, LinkReport, Loaded, Mode,
-    PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
+    Ability, Action, Actions, Config, Evidence, FailureMode, Input, LineSnapshot, LinkReport,
+    Loaded, Mode, PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
@@ -110,6 +110,8 @@ pub struct Redundancy {
     running_since: Option<Instant>,
     /// This master offers its role to the standby until this time.
     hands_over_until: Option<Instant>,
+    /// The standby can drive better.
+    is_less_able: bool,
     /// This incarnation has already counted that its command is wrong.
     wrong_counted: bool,
 }
@@ -152,6 +154,7 @@ impl Redundancy {
             witnesses: Witnesses::new(&config, now),
             running_since: None,
             hands_over_until: None,
+            is_less_able: false,
             wrong_counted: false,
         }
     }
@@ -171,6 +174,7 @@ impl Redundancy {
             Input::VehicleTerm(obeyed) => self.vehicle_term(now, obeyed, &mut actions),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
             Input::HandOver => self.hands_over_until = Some(now + self.config.report_limit),
+            Input::Ability(own) => self.witnesses.reports.abilities.own = own,
         }
         if self.persisted != Some(self.state) {
             self.persisted = Some(self.state);
@@ -317,10 +321,9 @@ impl Redundancy {
             Role::Master if !self.phase.mastership().is_some_and(drives) => Role::Starting,
             role => role,
         };
-        let hands_over = self.hands_over_until.is_some();
         let mode = match &self.phase {
             // This report makes the standby take over; the control frames on CAN do not change.
-            PhaseState::Master(_) if hands_over => Mode::SafeStop,
+            _ if self.offers_role() => Mode::SafeStop,
             _ => self.mode(),
         };
         PeerReport {
@@ -328,7 +331,25 @@ impl Redundancy {
             mode,
             term: self.state.term,
             can_alive: self.witnesses.can.is_alive(),
+            ability: self.witnesses.reports.abilities.own,
         }
+    }
+
+    /// Returns whether this master offers its role, because it was asked to or because the standby
+    /// can drive better.
+    #[must_use]
+    pub fn offers_role(&self) -> bool {
+        match self.phase {
+            PhaseState::Master(_) => self.is_less_able || self.hands_over_until.is_some(),
+            PhaseState::DegradedMaster(_) => self.is_less_able,
+            _ => false,
+        }
+    }
+
+    /// Returns how well this system can drive.
+    #[must_use]
+    pub const fn ability(&self) -> Ability {
+        self.witnesses.reports.abilities.own
     }
 
     const fn reset_request(&self) -> Option<ResetRequest> {
@@ -352,6 +373,10 @@ impl Redundancy {
         }
         self.hands_over_until = self.hands_over_until.filter(|until| now < *until);
         self.witnesses.update(&self.config, now, &seen, actions);
+        let reports = &mut self.witnesses.reports;
+        let heard = reports.standby_within(now, self.config.status_limit);
+        reports.abilities.compare(now, heard);
+        self.is_less_able = reports.abilities.offers(now);
         self.note_start_line(now, &seen, actions);
         if self.can_is_open(now) {
             self.own_fault(now, FailureMode::CanOpenCircuit, actions);

@@ -143,4 +143,6 @@ pub enum Evidence {
     /// After the sync edge that this system followed, no other system was heard: the edge was a
     /// disturbance, and the start continues.
     SyncStray = 18,
+    /// The standby reports that it could only stop the vehicle, or less; this master can do more.
+    StandbyUnable = 19,
 }

@@ -1,7 +1,7 @@
 //! A system's report about itself, over the link and in its status frame.
 
 use crate::state::CRC;
-use crate::{Mode, Role, Term};
+use crate::{Ability, Mode, Role, Term};
 
 /// A system's report about itself. The same content is sent over the data link in a
 /// [`LinkReport`] and, without `can_alive`, in the status frame on CAN.
@@ -15,6 +15,8 @@ pub struct PeerReport {
     pub term: Term,
     /// Whether it hears frames on CAN.
     pub can_alive: bool,
+    /// How well it can drive.
+    pub ability: Ability,
 }
 
 /// A report as sent over the link. It contains its time of sending, so that a report that is
@@ -43,6 +45,7 @@ impl LinkReport {
         let report = &self.report;
         let head = Self::MAGIC
             | u32::from(report.role as u8)
+            | u32::from(report.ability.bits()) << 2
             | u32::from(report.mode as u8) << 4
             | u32::from(report.can_alive) << 8
             | u32::from(self.start & Self::STARTS) << 9;
@@ -69,10 +72,11 @@ impl LinkReport {
             return None;
         }
         let report = PeerReport {
-            role: Role::from_repr((head & 0xF) as u8)?,
+            role: Role::from_repr((head & 3) as u8)?,
             mode: Mode::from_repr((head >> 4 & 0xF) as u8)?,
             term: Term::from_bits(term),
             can_alive: head & 0x100 != 0,
+            ability: Ability::from_bits((head >> 2) as u8),
         };
         let start = (head >> 9) as u16 & Self::STARTS;
         Some(Self {
@@ -92,12 +96,16 @@ mod tests {
     fn reports_round_trip() {
         for &role in Role::VARIANTS {
             for &mode in Mode::VARIANTS {
-                for can_alive in [false, true] {
+                for (can_alive, &ability) in [false, true]
+                    .iter()
+                    .flat_map(|it| Ability::VARIANTS.iter().map(move |a| (*it, a)))
+                {
                     let report = PeerReport {
                         role,
                         mode,
                         term: Term::from_bits(77),
                         can_alive,
+                        ability,
                     };
                     for start in [0, 1, 0x7FF] {
                         let sent = LinkReport {
@@ -119,6 +127,7 @@ mod tests {
             mode: Mode::L3,
             term: Term::from_bits(8),
             can_alive: true,
+            ability: Ability::All,
         };
         let sent = LinkReport {
             report,

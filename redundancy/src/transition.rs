@@ -75,10 +75,11 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
         (P::Standby, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
         (P::Standby, E::BeatsSilent) => only(Effect::ReportLinesSplit),
 
-        (P::Master, E::PeerOff | E::BeatsSilent | E::StandbyMute | E::FaultStop) => {
-            enter(P::DegradedMaster)
-        }
-        (P::DegradedMaster, E::PeerOff | E::BeatsSilent | E::StandbyMute) => {
+        (
+            P::Master,
+            E::PeerOff | E::BeatsSilent | E::StandbyMute | E::StandbyUnable | E::FaultStop,
+        ) => enter(P::DegradedMaster),
+        (P::DegradedMaster, E::PeerOff | E::BeatsSilent | E::StandbyMute | E::StandbyUnable) => {
             only(Effect::MarkPeerFailed)
         }
         (P::DegradedMaster, E::BeatsBack) => only(Effect::MarkPeerRecovered),

@@ -2,8 +2,8 @@
 
 use tandem_board::{Duration, Instant, ResetCause, SystemId};
 use tandem_redundancy::{
-    Config, ControlHeader, Input, LineSnapshot, LinkReport, Loaded, Mode, PeerReport, Phase,
-    Redundancy, Role, SystemState, Term,
+    Ability, Config, ControlHeader, Input, LineSnapshot, LinkReport, Loaded, Mode, PeerReport,
+    Phase, Redundancy, Role, SystemState, Term,
 };
 
 const MASTER: PeerReport = PeerReport {
@@ -11,6 +11,7 @@ const MASTER: PeerReport = PeerReport {
     mode: Mode::L3,
     term: Term::from_bits(16),
     can_alive: true,
+    ability: Ability::All,
 };
 
 /// A standby that polls every millisecond.

@@ -227,7 +227,7 @@ fn redundancy_that_is_lost_to_the_end_is_reported() {
     let around = Surroundings::default();
     let metrics = metrics::compute(&log, &Timeline::default(), &around);
     let page = page(&log, &Timeline::default(), &metrics);
-    assert!(page.contains("redundancy was lost at 4.0 s to the end: no system stood by"));
+    assert!(page.contains("redundancy was lost at 4.0 s to the end: no system that could drive"));
     assert!(!page.contains("under control from start"));
     assert_eq!(metrics.verdict.outcome, Outcome::UnderControl);
 }

@@ -227,6 +227,7 @@ fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
                     system,
                     role,
                     mode,
+                    ability: tandem_bus::AbilityCode::All,
                 });
             }
         }

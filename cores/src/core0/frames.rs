@@ -6,7 +6,9 @@ use crate::driving::function::{Driver, FunctionState};
 use crate::driving::types::Command;
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
 use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Status};
-use tandem_redundancy::{ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
+use tandem_redundancy::{
+    Ability, ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term,
+};
 
 const fn bus_role(role: Role) -> tandem_bus::RoleCode {
     match role {
@@ -14,6 +16,15 @@ const fn bus_role(role: Role) -> tandem_bus::RoleCode {
         Role::Master => tandem_bus::RoleCode::Master,
         Role::Standby => tandem_bus::RoleCode::Standby,
         Role::Suspended => tandem_bus::RoleCode::Suspended,
+    }
+}
+
+const fn bus_ability(ability: Ability) -> tandem_bus::AbilityCode {
+    match ability {
+        Ability::All => tandem_bus::AbilityCode::All,
+        Ability::Lacks => tandem_bus::AbilityCode::Lacks,
+        Ability::StopOnly => tandem_bus::AbilityCode::StopOnly,
+        Ability::None => tandem_bus::AbilityCode::None,
     }
 }
 
@@ -54,6 +65,7 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
         line1_silent,
         line2_silent,
         agreement: tandem_bus::AgreementCode::Agreed,
+        ability: bus_ability(redundancy.ability()),
         failure_mode: state.failure_mode as u8,
         term: redundancy.highest_term().bits(),
         abn_resets: u16::try_from(state.abn_resets).unwrap_or(u16::MAX),
@@ -119,5 +131,6 @@ pub(super) fn received_status(status: &Status) -> Option<PeerReport> {
         mode: Mode::from_repr(status.mode as u8)?,
         term: Term::from_bits(status.term),
         can_alive: true,
+        ability: Ability::from_bits(status.ability as u8),
     })
 }

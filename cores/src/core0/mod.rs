@@ -8,6 +8,7 @@
 //! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
 //! with execution times. `docs/rtos-tasks.md` has the priorities and the reasons for them.
 
+mod ability;
 mod agreement;
 mod alive;
 mod can_port;

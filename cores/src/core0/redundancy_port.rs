@@ -90,6 +90,11 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         self.phase().is_some_and(Phase::is_driving)
     }
 
+    /// Returns whether this system offers its role to the other one.
+    pub(super) fn offers_role(&self) -> bool {
+        self.running().is_some_and(Redundancy::offers_role)
+    }
+
     /// Returns the time at which [`RedundancyPort::poll`] is due.
     pub(super) const fn due(&self) -> Instant {
         self.due

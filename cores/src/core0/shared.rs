@@ -4,6 +4,7 @@
 //! concerns more than one part: an input from the bus goes to the redundancy, the checks and the
 //! drive.
 
+use super::ability::AbilityCheck;
 use super::agreement::{Change, Stage};
 use super::can_port::CanPort;
 use super::command_check::CommandCheck;
@@ -47,6 +48,7 @@ pub struct SharedState<'b, B: Board> {
     pub(super) can: CanPort,
     pub(super) check: CommandCheck<'b>,
     pub(super) scene_check: SceneCheck,
+    ability: AbilityCheck,
     pub(super) transfer: KnowledgeTransfer<'b>,
     pub(super) grid: ControlGrid,
     pub(super) counters: Counters,
@@ -69,6 +71,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             can: CanPort::new(),
             check: CommandCheck::new(),
             scene_check: SceneCheck::new(),
+            ability: AbilityCheck::default(),
             transfer: KnowledgeTransfer::new(started, generation),
             grid: ControlGrid::new(started),
             counters: Counters::default(),
@@ -171,6 +174,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             Message::DriverRequest(request) => self.can.on_driver(&request),
             Message::EgoMotion(motion) => {
                 self.redundancy.ready.ego_seen = true;
+                self.ability.on_motion(at);
                 let ego = ego_of(&motion);
                 self.scene_check.on_ego(at, ego);
                 self.check.read_back.wheel.on_measured(ego.steering_angle);
@@ -271,13 +275,33 @@ impl<'b, B: Board> SharedState<'b, B> {
         let snapshot =
             LineSnapshot::new(received, lines.peer_powered(), self.can.third_party_frames);
         self.floods.lines(self.board.now(), &snapshot);
+        self.judge_ability();
+        let offered = self.redundancy.offers_role();
         let outcome = self.redundancy.poll(snapshot);
         let released = self.after(outcome);
+        if !offered && self.redundancy.offers_role() {
+            self.redundancy.report();
+        }
         self.floods.doorbells(held_back);
         for event in self.floods.events(self.board.now()) {
             self.trace(event);
         }
         released
+    }
+
+    /// Tells the redundancy how well this system can drive.
+    fn judge_ability(&mut self) {
+        let Some(told) = self.redundancy.running().map(Redundancy::ability) else {
+            return;
+        };
+        let (ability, event) = self.ability.poll(self.board.now());
+        if let Some(event) = event {
+            self.trace(event);
+        }
+        if ability != told {
+            // The next poll acts on it.
+            let _done = self.redundancy.on(Input::Ability(ability));
+        }
     }
 
     /// Called when this system's command is wrong. It stops sending and leaves; the other system
@@ -294,6 +318,7 @@ impl<'b, B: Board> SharedState<'b, B> {
     pub(super) fn on_scene(&mut self, scene: &mut Scene) {
         let state = self.redundancy.running().map(Redundancy::state);
         let was_wrong = state.is_some_and(|state| state.wrong_in_a_row > 0);
+        self.ability.on_scene(scene);
         if let Some(event) = self.scene_check.on_scene(scene, was_wrong) {
             self.trace(event);
         }

@@ -315,8 +315,9 @@ impl Figures {
             None => None,
         });
         findings.extend(self.redundancy_lost_s.map(|at_s| {
-            let words =
-                format!("redundancy was lost at {at_s:.1} s to the end: no system stood by");
+            let words = format!(
+                "redundancy was lost at {at_s:.1} s to the end: no system that could drive stood by"
+            );
             Finding::new(Rule::NoStandby, [at_s, 0.0], words).at(at_s)
         }));
         Verdict::new(findings, beside.watch)

@@ -1,13 +1,13 @@
 //! Tests whether the driving function fits the systems that were available.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId};
-use tandem_bus::{ModeCode, RoleCode};
+use tandem_bus::{AbilityCode, ModeCode, RoleCode};
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
 
 use crate::RunLog;
 use crate::roles::{RoleState, timeline};
-use crate::run_log::{ControlFrame, CoreEvent};
+use crate::run_log::{ControlFrame, CoreEvent, StatusFrame};
 
 /// A system without a status frame for longer than this is not standby, ns: three and a half status
 /// periods. The product's own master changes to degraded mode after the same time.
@@ -84,15 +84,28 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
     reported.chain(seen).chain(off).min()
 }
 
-/// Returns the scenario time since which no system was standby, s; `None` if one was at the end of
-/// the run, or if no system ever drove.
+/// Returns the scenario time since which no system was a standby that could drive, s; `None` if one
+/// was at the end of the run, or if no system ever drove.
 #[must_use]
 pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
     log.accepted().next()?;
-    let spans = SystemId::ALL.map(|system| timeline(log, system)).concat();
-    let stood_by = spans.iter().filter(|span| span.state == RoleState::Standby);
-    let last_s = stood_by.map(|span| span.to_s).fold(0.0, f64::max);
+    let stood_by_s = SystemId::ALL.map(|system| {
+        let spans = timeline(log, system).into_iter();
+        let stood_by = spans.filter(|span| span.state == RoleState::Standby);
+        let last_s = stood_by.map(|span| span.to_s).fold(0.0, f64::max);
+        last_s.min(unable_since_s(log, system).unwrap_or(f64::INFINITY))
+    });
+    let last_s = stood_by_s.into_iter().fold(0.0, f64::max);
     (log.driven_s() - last_s > SIGN_S).then_some(last_s)
+}
+
+/// Returns the scenario time from which this system reported to the end that it could not drive, s.
+fn unable_since_s(log: &RunLog, system: SystemId) -> Option<f64> {
+    let of_system = log.status.iter().rev().filter(|it| it.system == system);
+    let is_unable =
+        |it: &&StatusFrame| matches!(it.ability, AbilityCode::StopOnly | AbilityCode::None);
+    let first = of_system.take_while(is_unable).last()?;
+    Some(log.seconds(first.at_ns))
 }
 
 /// Returns the longest time in which the mode of the accepted frames did not fit the redundancy, s.
@@ -171,6 +184,7 @@ mod tests {
                 system,
                 role,
                 mode,
+                ability: tandem_bus::AbilityCode::All,
             }
         };
         let mut log = RunLog {
@@ -212,6 +226,28 @@ mod tests {
         off.status
             .retain(|status| status.system == A || status.at_ns < 9_500 * MS);
         assert_eq!(redundancy_lost_s(&off), Some(9.5));
+        // A standby that can only stop is none; one that lacks a sensor is one.
+        for (ability, lost_s) in [
+            (AbilityCode::Lacks, None),
+            (AbilityCode::StopOnly, Some(7.0)),
+            (AbilityCode::None, Some(7.0)),
+        ] {
+            let mut blind = log(ModeCode::L3, 10_000);
+            for status in &mut blind.status {
+                if status.system == B && status.at_ns >= 7_000 * MS {
+                    status.ability = ability;
+                }
+            }
+            assert_eq!(redundancy_lost_s(&blind), lost_s);
+            // It can drive again at the end.
+            blind
+                .status
+                .iter_mut()
+                .rev()
+                .take(2)
+                .for_each(|it| it.ability = AbilityCode::All);
+            assert_eq!(redundancy_lost_s(&blind), None);
+        }
         assert_eq!(redundancy_lost_s(&RunLog::default()), None);
     }
 
@@ -230,6 +266,7 @@ mod tests {
             (phase(Master, Evidence::HandshakeDone), true),
             (phase(DegradedMaster, Evidence::StandbyMute), true),
             (phase(DegradedMaster, Evidence::BeatsSilent), false),
+            (phase(DegradedMaster, Evidence::StandbyUnable), false),
             (phase(DegradedMaster, Evidence::FaultStop), false),
         ] {
             let mut log = log(ModeCode::DegradedL2, 10_000);

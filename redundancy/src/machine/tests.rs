@@ -6,7 +6,7 @@
 mod page;
 
 use super::*;
-use crate::{ControlHeader, ObeyedTerm};
+use crate::{Ability, ControlHeader, ObeyedTerm};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::format;
@@ -398,12 +398,13 @@ fn every_input() -> Vec<Input> {
                     };
                     inputs.extend([Input::ControlFrame(frame), Input::StaleFrame(frame)]);
                 }
-                for can_alive in [false, true] {
+                for (can_alive, ability) in [(false, Ability::All), (true, Ability::StopOnly)] {
                     let report = PeerReport {
                         role,
                         mode,
                         term,
                         can_alive,
+                        ability,
                     };
                     inputs.extend([
                         Input::StatusFrame(report),
@@ -418,6 +419,7 @@ fn every_input() -> Vec<Input> {
         }
     }
     inputs.extend(FailureMode::ALL.iter().copied().map(Input::OwnFault));
+    inputs.extend(Ability::VARIANTS.iter().copied().map(Input::Ability));
     inputs
 }
 

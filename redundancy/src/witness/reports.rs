@@ -1,5 +1,6 @@
 //! The witness of the reports: the other system's reports about itself, over the link and on CAN.
 
+use crate::ability::Abilities;
 use crate::{LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Instant};
 
@@ -17,6 +18,8 @@ pub(crate) struct Reports {
     claims_since: Option<Instant>,
     /// When its status frame last reported on CAN that it is standby.
     standby_at: Option<Instant>,
+    /// How well both systems can drive.
+    pub(crate) abilities: Abilities,
 }
 
 /// The position of a datagram relative to the last one.
@@ -52,6 +55,7 @@ impl Reports {
         own: Term,
     ) -> Option<Duration> {
         self.link = Some((report, now));
+        self.abilities.on_report(report.ability);
         self.newest = self.link;
         let claims = report.role == Role::Master && report.can_alive && report.term > own;
         self.claims_since = claims.then(|| self.claims_since.unwrap_or(now));
@@ -60,6 +64,7 @@ impl Reports {
 
     pub(crate) fn on_status(&mut self, now: Instant, report: PeerReport) {
         self.newest = Some((report, now));
+        self.abilities.on_report(report.ability);
         if report.role == Role::Standby {
             self.standby_at = Some(now);
         }

@@ -3,8 +3,8 @@
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, Instant, SystemId};
 use tandem_redundancy::{
-    Action, ClockOwner, Config, Evidence, FailureMode, Input, LinkReport, Mode, ObeyedTerm,
-    PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
+    Ability, Action, ClockOwner, Config, Evidence, FailureMode, Input, LinkReport, Mode,
+    ObeyedTerm, PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
 /// T-RED-8: a standby polls at the moment when a limit ends, so a takeover does not wait for the
@@ -368,6 +368,7 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
                     mode,
                     term,
                     can_alive,
+                    ability: Ability::All,
                 });
             }
             bench.snapshot.beats[0] += 1;

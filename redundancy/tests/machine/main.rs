@@ -8,8 +8,9 @@ mod limits;
 
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Loaded,
-    Mode, ObeyedTerm, PeerReport, Phase, Redundancy, RedundancyEvent, Role, SystemState, Term,
+    Ability, Action, Actions, Config, ControlHeader, FailureMode, Input, LineSnapshot, LinkReport,
+    Loaded, Mode, ObeyedTerm, PeerReport, Phase, Redundancy, RedundancyEvent, Role, SystemState,
+    Term,
 };
 
 const CONFIG: Config = Config::rt();
@@ -50,6 +51,7 @@ fn sound(role: Role, term: Term) -> PeerReport {
         mode: Mode::L3,
         term,
         can_alive: true,
+        ability: Ability::All,
     }
 }
 
@@ -595,6 +597,7 @@ fn the_first_term_is_far_above_what_may_be_old() {
             mode: Mode::None,
             term: Term::from_bits(33),
             can_alive: true,
+            ability: Ability::All,
         };
         Input::LinkReport(LinkReport {
             report,
@@ -693,6 +696,7 @@ fn a_claim_over_the_link_must_hold() {
         mode: Mode::DegradedL2,
         term,
         can_alive: true,
+        ability: Ability::All,
     };
     let _ = bench.linked(claim);
     for no_claim in [

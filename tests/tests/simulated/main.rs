@@ -5,6 +5,7 @@
     reason = "a test may panic and print"
 )]
 
+mod ability;
 mod download;
 mod faults;
 mod floods;
