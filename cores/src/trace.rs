@@ -111,7 +111,8 @@ pub enum Event {
     LinesSplit,
     /// Nothing arrives on CAN, or frames arrive again.
     CanSilent(bool),
-    /// A frame that no correct peer sends, or one of a lower term, arrived and was ignored.
+    /// A frame that no correct peer sends, or one of a lower or an unexplained term, arrived and was
+    /// ignored.
     Ignored {
         /// Its term; 0 if it was ignored for another reason.
         term: u32,
@@ -332,7 +333,7 @@ impl From<tandem_redundancy::RedundancyEvent> for Event {
             E::LinesSplit => Self::LinesSplit,
             E::PeerFailed(failed) => Self::PeerFailed(failed),
             E::Implausible => Self::Ignored { term: 0 },
-            E::StaleTerm(term) => Self::Ignored { term: term.bits() },
+            E::StaleTerm(term) | E::FarTerm(term) => Self::Ignored { term: term.bits() },
             E::TermRaised(term) => Self::TermRaised { term: term.bits() },
             E::CanSilent(silent) => Self::CanSilent(silent),
             E::StateLost => Self::StateLost,

@@ -19,13 +19,14 @@ use crate::log::VehicleRecord;
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
-const RULINGS: [Ruling; 6] = [
+const RULINGS: [Ruling; 7] = [
     Ruling::Accepted,
     Ruling::Fenced,
     Ruling::NotMaster,
     Ruling::Invalid,
     Ruling::Stale,
     Ruling::Implausible,
+    Ruling::Unexplained,
 ];
 
 /// Returns the line of a frame in a CAN log, without a line feed. `epoch_us` is the time of day at

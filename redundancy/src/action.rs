@@ -109,6 +109,9 @@ pub enum RedundancyEvent {
     StartLineSilent,
     /// This clock has drifted away from the two others.
     ClockWrong(ClockOwner),
+    /// A term that no rule explains was reported by one witness only, or is near the end of all
+    /// terms; it was ignored.
+    FarTerm(Term),
 }
 
 impl RedundancyEvent {
@@ -131,6 +134,7 @@ impl RedundancyEvent {
             Self::LevelBroken(broken) => [12, broken.into(), 0],
             Self::StartLineSilent => [13, 0, 0],
             Self::ClockWrong(clock) => [14, clock as u32, 0],
+            Self::FarTerm(term) => [15, term.bits(), 0],
         }
     }
 }
@@ -256,6 +260,7 @@ mod tests {
             (E::LevelBroken(false), [12, 0, 0]),
             (E::StartLineSilent, [13, 0, 0]),
             (E::ClockWrong(ClockOwner::Vehicle), [14, 2, 0]),
+            (E::FarTerm(term), [15, 77, 0]),
         ] {
             assert_eq!(event.to_words(), words);
         }

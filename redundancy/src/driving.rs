@@ -34,6 +34,10 @@ impl Driving {
         self.term
     }
 
+    pub(crate) const fn last_permit(&self) -> Instant {
+        self.last_permit
+    }
+
     pub(crate) fn raise(&mut self, term: Term) {
         self.term = term;
         self.refused_by_vehicle = false;

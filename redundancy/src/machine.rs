@@ -99,8 +99,8 @@ pub struct Redundancy {
     /// The highest term is known well enough: the vehicle or a running system has reported it since
     /// the start, or this system was not off before and its record is whole.
     term_known: bool,
-    /// The last stale term that was reported.
-    stale_reported: Term,
+    /// The last term that was ignored and reported.
+    ignored: Term,
     beats: BeatSender,
     /// The time of sending of the last report over the link, µs; wraps around.
     reported_us: u32,
@@ -146,8 +146,9 @@ impl Redundancy {
             start_line_tested: false,
             persisted: None,
             unreported_loss: loaded == Loaded::Lost,
-            term_known: cause != ResetCause::PowerOn && matches!(loaded, Loaded::State(_)),
-            stale_reported: Term::NONE,
+            term_known: cause != ResetCause::PowerOn
+                && matches!(loaded, Loaded::State(it) if it.term == state.term),
+            ignored: Term::NONE,
             beats: BeatSender::new(config.heartbeat_period),
             reported_us: (now.as_ns() / 1_000) as u32,
             polls: Polls::new(now),
@@ -600,7 +601,8 @@ impl Redundancy {
                     PhaseState::Starting(start) => Some(start.clone()),
                     _ => None,
                 };
-                PhaseState::Standby(Standby::new(self.system, now, mode, hold_until, start))
+                let driven = self.last_driven(now);
+                PhaseState::Standby(Standby::new(self.system, driven, mode, hold_until, start))
             }
             Phase::Master => PhaseState::Master(self.drive(now)?),
             Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),
@@ -619,6 +621,16 @@ impl Redundancy {
         })
     }
 
+    /// Returns when this system last drove, if it drives: the frame or report that relieves it may
+    /// be wrong, so the limit of the third witness begins with its own last frame. Else returns
+    /// `now`.
+    fn last_driven(&mut self, now: Instant) -> Instant {
+        let period = self.config.control_period;
+        let earliest = Instant::from_ns(now.as_ns().saturating_sub(period.as_ns()));
+        let driving = self.phase.driving();
+        driving.map_or(now, |driving| driving.last_permit().max(earliest))
+    }
+
     /// Returns the mastership in which to drive: the current one, or a new one in a term above all
     /// known ones.
     fn drive(&mut self, now: Instant) -> Result<Driving, NoTermLeft> {
@@ -630,7 +642,7 @@ impl Redundancy {
             PhaseState::Starting(_) => TERM_STEP_AT_START,
             _ => 1,
         };
-        let term = self.next_term(step)?;
+        let term = self.next_term(step).or_else(|_| self.next_term(1))?;
         Ok(Driving::new(term, now))
     }
 

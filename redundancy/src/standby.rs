@@ -29,16 +29,17 @@ pub(crate) struct Standby {
 }
 
 impl Standby {
+    /// Creates a standby. `last_control`: when this system last drove, or now.
     pub(crate) const fn new(
         system: SystemId,
-        now: Instant,
+        last_control: Instant,
         mode: Mode,
         hold_until: Instant,
         start: Option<Starting>,
     ) -> Self {
         Self {
             system,
-            last_control: now,
+            last_control,
             control_known: false,
             suspected: false,
             silent: false,

@@ -1,7 +1,7 @@
 //! The checks at power-on and after a reset, in the order of T-RED-7.
 
 use crate::starting::StartKind;
-use crate::{Config, FailureMode, Loaded, SystemState};
+use crate::{Config, FailureMode, Loaded, SystemState, Term};
 use tandem_board::{ResetCause, SystemId};
 
 /// At this count of incarnations that found their command wrong, a further reset does not cure the
@@ -31,6 +31,14 @@ pub(crate) fn check(
         Loaded::Blank | Loaded::Lost => SystemState::factory(system),
     };
     state.total_resets = state.total_resets.saturating_add(1);
+    // No term is left above this one: a forged word has reached the record, or all were used. The
+    // term is learned anew, and a failure for want of a term ends.
+    if state.term.above(1, system).is_none() {
+        state.term = Term::NONE;
+        if state.failure_mode == FailureMode::TermsExhausted {
+            (state.sys_failure, state.failure_mode) = (false, FailureMode::None);
+        }
+    }
 
     // A power cycle gives one more attempt: the next abnormal reset or wrong command suspends it
     // again.
@@ -178,6 +186,34 @@ mod tests {
                 assert_eq!(verdict.fault, None);
                 assert_eq!(after.wrong_in_a_row, 1);
                 assert_eq!(boot(Trap, after).1.fault.is_some(), fails, "one more reset");
+            }
+        }
+    }
+
+    /// T-RED-9: a record without a higher term begins anew. Only the failure that followed from the
+    /// term ends with it.
+    #[test]
+    fn a_record_without_a_higher_term_is_healed() {
+        let kept = SystemState {
+            term: Term::from_bits(Term::LAST.bits() - 2),
+            ..SystemState::factory(SystemId::A)
+        };
+        assert_eq!(boot(PowerOn, kept).0.term, kept.term);
+        for (failure_mode, fault) in [
+            (FailureMode::TermsExhausted, None),
+            (FailureMode::IoModule, Some(FailureMode::IoModule)),
+        ] {
+            for term in [Term::LAST, Term::from_bits(u32::MAX)] {
+                let before = SystemState {
+                    term,
+                    sys_failure: true,
+                    cpsys_failure: true,
+                    failure_mode,
+                    ..kept
+                };
+                let (after, verdict) = boot(Watchdog, before);
+                assert_eq!((after.term, verdict.fault), (Term::NONE, fault));
+                assert!(after.cpsys_failure);
             }
         }
     }

@@ -9,7 +9,9 @@
 //! |---|---|---|
 //! | protection, length, value, or the term's lowest bit (the system) wrong | `Invalid` | no |
 //! | role other than master | `NotMaster` | no |
+//! | term near the end of all terms | `Invalid` | no |
 //! | term lower than the highest seen | `Fenced` | no |
+//! | term far above the highest seen, unless no other acts and frames of it repeat | `Unexplained` | no |
 //! | was on its way for too long, or rests on data that are too old | `Stale` | no |
 //! | requests more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
@@ -40,6 +42,19 @@ pub const MAX_DELAY_MS: u16 = 40;
 const DRIFT_NS: u64 = 1_000_000_000;
 /// A difference beyond this means that a clock was set, ms: the offset is measured anew.
 const CLOCK_WAS_SET_MS: i16 = 2_000;
+
+/// A term whose count exceeds that of the highest one by no more than this is explained by the rules
+/// of the systems: they believe half of this without a second witness, and raise it by 1, 8 or
+/// 1,024.
+pub const EXPLAINED: u32 = 4_096;
+/// The highest term. A number near the end, for instance with all bits set, is not a term, so no
+/// single frame uses the terms up.
+pub const LAST_TERM: u32 = u32::MAX - 2 * (1 << 13);
+/// The highest term that is believed without an explanation.
+pub const LAST_UNEXPLAINED_TERM: u32 = u32::MAX - 2 * (1 << 21);
+/// A far term acts after this many frames of it in a row, if no frame has acted for this time, ns.
+const UNEXPLAINED_FRAMES: u8 = 5;
+const UNEXPLAINED_SILENCE_NS: u64 = 100_000_000;
 
 /// The greatest age of the data that a command uses, ms. The functions stop using data before this
 /// age; this limit catches a function that does not. A safe stop uses no data, and neither does a
@@ -73,6 +88,8 @@ pub enum Ruling {
     Stale,
     /// It demands more than a vehicle can do, or it jumps.
     Implausible,
+    /// Its term is so far above the highest that the rules of the systems do not explain it.
+    Unexplained,
 }
 
 /// The ruling on a control frame, and its time.
@@ -103,6 +120,8 @@ pub struct FrameCounts {
     pub stale: u64,
     /// Frames beyond the limits of range and rate.
     pub implausible: u64,
+    /// Frames of a term that no rule explains.
+    pub unexplained: u64,
 }
 
 /// The smallest difference between the arrival and the sender's time, modulo 2^16 ms.
@@ -127,6 +146,8 @@ pub struct Gate {
     obeyed_counter: u8,
     offsets: [Option<Offset>; 2],
     refused: u8,
+    /// The last far term, and the number of its frames since one acted.
+    far: (u32, u8),
     counts: FrameCounts,
     mastership: Mastership,
 }
@@ -154,6 +175,7 @@ impl Gate {
             obeyed_counter: 0,
             offsets: [None; 2],
             refused: 0,
+            far: (0, 0),
             counts: FrameCounts::default(),
             mastership: Mastership::default(),
         }
@@ -194,6 +216,8 @@ impl Gate {
                 self.counts.implausible += 1;
                 self.refused = self.refused.wrapping_add(1);
             }
+            // A sound master does not leave because of another system's term.
+            Ruling::Unexplained => self.counts.unexplained += 1,
         }
         Some(Judged {
             acceptance,
@@ -228,6 +252,9 @@ impl Gate {
         if control.term < self.highest_term {
             return (Ruling::Fenced, Some(control));
         }
+        if let Some(refusal) = self.refuses_term(now_ns, control.term) {
+            return (refusal, Some(control));
+        }
         let delay_ms = self.delay_ms(now_ns, system, control.sent_at);
         if delay_ms > MAX_DELAY_MS {
             self.refused = self.refused.wrapping_add(1);
@@ -241,6 +268,26 @@ impl Gate {
             return (Ruling::Implausible, Some(control));
         }
         (Ruling::Accepted, Some(control))
+    }
+
+    /// Judges a term that is not below the highest one; returns `None` if it may act.
+    fn refuses_term(&mut self, now_ns: u64, term: u32) -> Option<Ruling> {
+        let is_first = self.accepted.is_none();
+        let is_believed = term <= LAST_UNEXPLAINED_TERM;
+        let distance = (term >> 1) - (self.highest_term >> 1);
+        if term <= LAST_TERM && (distance <= EXPLAINED || is_first && is_believed) {
+            return None;
+        }
+        if term > LAST_TERM || !is_first && !is_believed {
+            return Some(Ruling::Invalid);
+        }
+        let count = if self.far.0 == term { self.far.1 } else { 0 };
+        self.far = (term, count.saturating_add(1));
+        let is_silent = self.accepted.is_none_or(|last| {
+            now_ns.saturating_sub(last.at_ns) >= UNEXPLAINED_SILENCE_NS
+        });
+        let acts = is_silent && self.far.1 >= UNEXPLAINED_FRAMES;
+        (!acts).then_some(Ruling::Unexplained)
     }
 
     /// Returns the delay of this frame relative to the fastest one of its system, ms.
@@ -287,6 +334,7 @@ impl Gate {
 
     fn accept(&mut self, entry: Acceptance) {
         self.counts.accepted += 1;
+        self.far = (0, 0);
         self.highest_term = entry.term;
         self.mastership
             .accept(entry.at_ns, entry.system, entry.term);
@@ -410,6 +458,57 @@ mod tests {
                 ..Default::default()
             }
         );
+    }
+
+    /// T-RED-9: a far term acts only after the current one has been silent for 100 ms and its frames
+    /// repeat, and a term near the end never acts.
+    #[test]
+    fn a_far_term_acts_only_when_no_other_does() {
+        use Ruling::{Accepted, Invalid, Unexplained};
+        let near = 2 + 2 * EXPLAINED;
+        for (term, ruling) in [
+            (near, Accepted),
+            (near + 1, Accepted),
+            (near + 2, Unexplained),
+            (LAST_UNEXPLAINED_TERM, Unexplained),
+            (LAST_UNEXPLAINED_TERM + 1, Invalid),
+            (LAST_TERM, Invalid),
+            (u32::MAX - 1, Invalid),
+            (u32::MAX, Invalid),
+        ] {
+            let mut gate = Gate::new();
+            let frames = [(0, 0, 2), (1, (term & 1) as u8, term), (10, 0, 2)];
+            let kept = if ruling == Accepted { Ruling::Fenced } else { Accepted };
+            let rulings = verdicts(&mut gate, &frames);
+            // Of two frames of A the second has the next counter.
+            assert_eq!(rulings, [Accepted, ruling, kept], "{term:x}");
+            assert_eq!(gate.echo(10 * MS).refused, 0);
+        }
+        let far = 1_000_001;
+        let of_b = |from, to| (from..to).step_by(10).map(|at| (at, 1, far));
+        let frames: Vec<_> = [(0, 0, 2)].into_iter().chain(of_b(10, 130)).collect();
+        let rulings = verdicts(&mut Gate::new(), &frames);
+        assert_eq!((rulings[0], &rulings[1..10]), (Accepted, &[Unexplained; 9][..]));
+        assert_eq!(rulings[10..], [Accepted; 3], "after 100 ms");
+        // Each frame that acts begins the count anew.
+        let last = [(0, 0, 2), (40, 0, 2)].into_iter().chain(of_b(110, 190));
+        let rulings = verdicts(&mut Gate::new(), &Vec::from_iter(last));
+        assert_eq!(rulings[2..6], [Unexplained; 4]);
+        assert_eq!(rulings[6..], [Accepted; 4]);
+    }
+
+    /// T-RED-9: a gate that knows no term accepts each one, but a high one only when it repeats.
+    #[test]
+    fn the_first_term_leaves_terms_for_the_future() {
+        use Ruling::{Accepted, Invalid, Unexplained};
+        let first = |term: u32| {
+            let frames = [0, 10, 20, 30, 40].map(|at| (at, (term & 1) as u8, term));
+            verdicts(&mut Gate::new(), &frames)
+        };
+        assert_eq!(first(LAST_UNEXPLAINED_TERM), [Accepted; 5]);
+        let high = first(LAST_UNEXPLAINED_TERM + 1);
+        assert_eq!((&high[..4], high[4]), (&[Unexplained; 4][..], Accepted));
+        assert_eq!(first(LAST_TERM + 1), [Invalid; 5]);
     }
 
     /// T-RED-9: the echo reports the term that is obeyed and the time since its last frame. A frame

@@ -318,6 +318,7 @@ impl Trace {
                 Ruling::Invalid => "invalid",
                 Ruling::Stale => "too old",
                 Ruling::Implausible => "implausible",
+                Ruling::Unexplained => "of an unexplained term",
             };
             let name = format!("{} {word}", frame.system);
             self.instant(bus, frame.at_ns, &name);

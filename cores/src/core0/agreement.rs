@@ -58,7 +58,9 @@ impl Excess {
     /// 1.
     fn add(&mut self, difference: f32, limits: &Limits) -> f32 {
         let add = |sum: f32, by: f32| {
-            let sum = sum + (by - limits.tolerance) * PERIOD_S;
+            // One wrong opinion uses at most half of the limit.
+            let excess = ((by - limits.tolerance) * PERIOD_S).min(limits.limit / 2.0);
+            let sum = sum + excess;
             // NaN counts as disagreement.
             if sum < limits.limit {
                 sum.max(0.0)
@@ -251,6 +253,15 @@ mod tests {
         stages
     }
 
+    /// T-RED-9: one opinion, however wrong, is not a disagreement.
+    #[test]
+    fn one_wrong_opinion_is_no_disagreement() {
+        for wrong in [apart(300.0, 20.0), apart(-300.0, -20.0), apart(f32::NAN, f32::NAN)] {
+            let after = (0..200).map(|_| apart(0.2, 0.5));
+            assert_eq!(stages([wrong].into_iter().chain(after)), []);
+        }
+    }
+
     /// T-RED-9: a tolerated difference never adds up. A larger one, of either sign, is reported;
     /// the larger it is, the sooner. It leads to a stop if no system leaves.
     #[test]
@@ -265,7 +276,7 @@ mod tests {
             assert_eq!(brakes, [(78, Disagreed), (108, Unresolved)]);
         }
         let no_number = stages(always(f32::NAN, 0.0));
-        assert_eq!(no_number, [(0, Disagreed), (30, Unresolved)]);
+        assert_eq!(no_number, [(1, Disagreed), (31, Unresolved)]);
     }
 
     /// T-RED-9: a disagreement ends when the systems agree again or one has left; a stop remains.

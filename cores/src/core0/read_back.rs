@@ -106,7 +106,9 @@ impl ReadBack {
             return Verdict::Right;
         }
         let before = self.refused.replace(echo.refused);
-        let refuses = before.is_some_and(|count| count != echo.refused);
+        // A count that goes back was wrong before, and one wrong count must not count twice.
+        let more = before.map_or(0, |count| echo.refused.wrapping_sub(count));
+        let refuses = (1..128).contains(&more);
         let stops = stops_at.is_some_and(|speed| stops_with(&sent, &obeyed, speed));
         let aside = (sent.steering_angle - obeyed.steering_angle).abs();
         let brakes_alike = (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP;
@@ -266,6 +268,14 @@ mod tests {
             ..it
         };
         assert_eq!(found(refused), Some(12));
+        // One forged count of refusals is not two refusals.
+        for forged in [1, 9, 200, 255] {
+            let once = |cycle, it| GateEcho {
+                refused: if cycle == 10 { forged } else { 0 },
+                ..it
+            };
+            assert_eq!(found(once), None, "{forged}");
+        }
         // A system stops the vehicle with -1 m/s² because no reset repaired the command.
         let differs = |aside: f32, more: f32| {
             move |_, it: GateEcho| GateEcho {

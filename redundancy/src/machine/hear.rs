@@ -1,14 +1,55 @@
 //! The reaction to frames and reports of the other system, and to the vehicle's echo.
 
-use super::{PhaseState, Redundancy};
-use crate::witness::GateVerdict;
+use super::{NoTermLeft, PhaseState, Redundancy};
+use crate::witness::{GateVerdict, Source};
 use crate::{
     Actions, ClockOwner, ControlHeader, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
     Phase, RedundancyEvent, Role, Term,
 };
 use tandem_board::{Duration, Instant};
 
+/// So many echoes in a row with the same far term are believed without a second witness: by a
+/// system that drives and whose frames the vehicle refuses, and by one that does not know the
+/// highest term.
+const ECHOES_TO_A_DRIVER: u8 = 10;
+const ECHOES_TO_A_STARTED_SYSTEM: u8 = 2;
+
 impl Redundancy {
+    /// Returns whether a received term may be used. A term far above the highest known one must
+    /// have a second witness. A lower one is harmless; if it is far below and has two witnesses,
+    /// the known term was wrong, and the lower one replaces it.
+    fn accepts(
+        &mut self,
+        now: Instant,
+        term: Term,
+        source: Source,
+        actions: &mut Actions,
+    ) -> bool {
+        if term.is_far_from(self.state.term) && term != Term::NONE {
+            let enough = match self.phase.driving() {
+                _ if !self.term_known => Some(ECHOES_TO_A_STARTED_SYSTEM),
+                Some(_) => Some(ECHOES_TO_A_DRIVER),
+                None => None,
+            };
+            let claims = &mut self.witnesses.claims;
+            if claims.on_far_term(now, term, source, enough) {
+                self.state.term = term;
+            }
+        } else if source == Source::Vehicle {
+            self.witnesses.claims.on_explained_echo();
+        }
+        self.is_usable(term, actions)
+    }
+
+    /// Returns whether a term is not far above the highest known one. Reports each other term once.
+    fn is_usable(&mut self, term: Term, actions: &mut Actions) -> bool {
+        let usable = term <= self.state.term || !term.is_far_from(self.state.term);
+        if !usable && core::mem::replace(&mut self.ignored, term) != term {
+            actions.record(RedundancyEvent::FarTerm(term));
+        }
+        usable
+    }
+
     /// Returns whether a correct peer can have sent this frame.
     fn is_of_peer(&self, frame: ControlHeader) -> bool {
         let peer = self.system.peer();
@@ -26,31 +67,35 @@ impl Redundancy {
             return;
         }
         self.witnesses.on_life(&self.config, now, actions);
-        self.term_known = true;
         if let PhaseState::Starting(starting) = &mut self.phase {
             starting.on_control_frame();
         }
+        if !self.accepts(now, frame.term, Source::Frame, actions) {
+            return;
+        }
+        self.term_known = true;
         if frame.term < self.state.term {
             // The vehicle refuses this frame, so its sender does not drive.
-            if self.stale_reported != frame.term {
-                self.stale_reported = frame.term;
+            if core::mem::replace(&mut self.ignored, frame.term) != frame.term {
                 actions.record(RedundancyEvent::StaleTerm(frame.term));
             }
             return;
         }
         self.state.term = frame.term;
+        // The vehicle's echo says whether the frame that relieves this master acts.
+        let driven = self.last_driven(now);
         if self.phase() != Phase::Standby {
             self.peer_drives(now, actions);
         }
         if let PhaseState::Standby(standby) = &mut self.phase {
-            standby.on_control_frame(now, frame.mode);
+            standby.on_control_frame(driven, frame.mode);
         }
     }
 
     /// A received status frame shows that its sender reaches the bus.
     pub(super) fn status_frame(&mut self, now: Instant, report: PeerReport, actions: &mut Actions) {
         self.witnesses.reports.on_status(now, report);
-        self.report_of_peer(now, report, true, actions);
+        self.report_of_peer(now, report, Source::Frame, true, actions);
     }
 
     /// Handles a report over the link. The other system's claim to drive counts only after it has
@@ -71,7 +116,7 @@ impl Redundancy {
         let obeyed = self.witnesses.gate.verdict(&self.config, now) == GateVerdict::Obeys(own);
         let reaches_bus =
             !obeyed && claimed_for.is_some_and(|span| span >= self.config.mute_limit());
-        self.report_of_peer(now, report, reaches_bus, actions);
+        self.report_of_peer(now, report, Source::Link, reaches_bus, actions);
         self.judge_clocks(now, actions);
     }
 
@@ -93,23 +138,33 @@ impl Redundancy {
         &mut self,
         now: Instant,
         report: PeerReport,
+        source: Source,
         reaches_bus: bool,
         actions: &mut Actions,
     ) {
         self.witnesses.on_life(&self.config, now, actions);
+        let drives = report.role == Role::Master && report.term.system() == self.system.peer();
+        // A system that does not drive repeats a term that it has heard, and is no witness of it.
+        let usable = match drives {
+            true => self.accepts(now, report.term, source, actions),
+            false => self.is_usable(report.term, actions),
+        };
+        if !usable {
+            return;
+        }
         // A system that has just started may not know the newest terms itself.
         self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);
         if report.term <= self.term() {
             return;
         }
-        if report.role == Role::Master && report.term.system() == self.system.peer() {
+        if drives {
             if reaches_bus {
                 self.peer_drives(now, actions);
             }
         } else if self.phase().is_driving() {
             // The vehicle may have seen that higher term too, and would then refuse this one.
-            self.raise_term(now, actions);
+            self.raise_term(actions);
         }
     }
 
@@ -130,8 +185,12 @@ impl Redundancy {
             actions.record(RedundancyEvent::Implausible);
             return;
         }
+        let known = self.state.term;
+        if !self.accepts(now, frame.term, Source::Frame, actions) {
+            return;
+        }
         self.term_known = true;
-        if frame.term > self.state.term {
+        if frame.term > known {
             self.state.term = frame.term;
             self.peer_drives(now, actions);
         }
@@ -143,6 +202,18 @@ impl Redundancy {
     pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
         let ObeyedTerm { term, age, sent } = obeyed;
         let ago = |span: Duration| Instant::from_ns(now.as_ns().saturating_sub(span.as_ns()));
+        let of_peer = term.system() == self.system.peer();
+        let drives = of_peer && term != Term::NONE && age <= self.config.witness_limit();
+        // A term below the known one replaces it only if the other system drives in it.
+        let is_old = term < self.state.term && !drives;
+        if is_old {
+            self.witnesses.claims.on_explained_echo();
+        } else if !self.accepts(now, term, Source::Vehicle, actions) {
+            if let Some(driving) = self.phase.driving() {
+                driving.note_refusal(true);
+            }
+            return;
+        }
         if let Some((sent_ms, on_the_way)) = sent {
             self.witnesses.clocks.on_vehicle(ago(on_the_way), sent_ms);
             self.judge_clocks(now, actions);
@@ -150,12 +221,11 @@ impl Redundancy {
         self.term_known = true;
         self.state.term = self.state.term.max(term);
         self.witnesses.gate.on_echo(now, obeyed);
-        let of_peer = term.system() == self.system.peer();
-        let drives = of_peer && term != Term::NONE && age <= self.config.witness_limit();
         if drives {
             self.witnesses.on_life(&self.config, ago(age), actions);
         }
-        let higher = term > self.term();
+        // After a fall of the known term the vehicle refuses this master's.
+        let higher = term > self.term() || self.state.term < self.term();
         if let PhaseState::Thawed(thawed) = &self.phase
             && term == thawed.driving.term()
             && thawed.is_kept(&self.config, age)
@@ -174,11 +244,11 @@ impl Redundancy {
         } else if let Some(driving) = self.phase.driving()
             && driving.note_refusal(higher)
         {
-            self.raise_term(now, actions);
+            self.raise_term(actions);
         }
     }
 
-    fn raise_term(&mut self, now: Instant, actions: &mut Actions) {
+    fn raise_term(&mut self, actions: &mut Actions) {
         match self.next_term(1) {
             Ok(term) => {
                 if let Some(driving) = self.phase.driving() {
@@ -186,7 +256,8 @@ impl Redundancy {
                 }
                 actions.record(RedundancyEvent::TermRaised(term));
             }
-            Err(_) => self.own_fault(now, FailureMode::TermsExhausted, actions),
+            // A system that drives continues: its frames may still act.
+            Err(NoTermLeft) => actions.record(RedundancyEvent::FarTerm(self.state.term)),
         }
     }
 }

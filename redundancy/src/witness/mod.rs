@@ -1,6 +1,7 @@
 //! The evidence about the other system. Each witness is one type; rules combine them.
 
 mod can;
+mod claims;
 mod clock;
 mod gate;
 mod heartbeat;
@@ -10,6 +11,8 @@ mod reports;
 use crate::input::Seen;
 use crate::{Actions, Config, LinkReport, RedundancyEvent};
 use can::CanWatch;
+use claims::Claims;
+pub(crate) use claims::Source;
 use clock::Clocks;
 use gate::Gate;
 pub(crate) use gate::GateVerdict;
@@ -29,6 +32,7 @@ pub(crate) struct Witnesses {
     pub(crate) reports: Reports,
     pub(crate) gate: Gate,
     pub(crate) clocks: Clocks,
+    pub(crate) claims: Claims,
     /// The time limits were restarted after a stall, and no sign of life has arrived since.
     forgiven: bool,
 }
@@ -42,6 +46,7 @@ impl Witnesses {
             reports: Reports::default(),
             gate: Gate::default(),
             clocks: Clocks::default(),
+            claims: Claims::default(),
             forgiven: false,
         }
     }

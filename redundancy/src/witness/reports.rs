@@ -4,6 +4,10 @@ use crate::ability::Abilities;
 use crate::{LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Instant};
 
+/// A report that was sent earlier than the last one by less than this is an old one, µs. If it is
+/// earlier by more, the last one had a wrong time, which must not silence the link for long.
+const OLD_US: u32 = 1_000_000;
+
 /// The last reports of the other system.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Reports {
@@ -26,7 +30,7 @@ pub(crate) struct Reports {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Next {
     Yes,
-    /// It is the first one since its sender started.
+    /// It is the first one since its sender has started, or has set its clock.
     Restarted,
     /// It repeats the last one, or is older.
     No,
@@ -37,8 +41,12 @@ impl Reports {
     pub(crate) fn is_next(&mut self, link: &LinkReport) -> Next {
         let next = match self.last_sent {
             Some((start, _)) if start != link.start => Next::Restarted,
-            Some((_, last_us)) if link.sent_us.wrapping_sub(last_us) as i32 <= 0 => Next::No,
-            _ => Next::Yes,
+            Some((_, last_us)) => match last_us.wrapping_sub(link.sent_us) {
+                ..OLD_US => Next::No,
+                behind if behind as i32 > 0 => Next::Restarted,
+                _ => Next::Yes,
+            },
+            None => Next::Yes,
         };
         if next != Next::No {
             self.last_sent = Some((link.start, link.sent_us));

@@ -453,7 +453,7 @@ fn the_last_system_goes_on_after_a_stall() {
 #[test]
 fn implausible_frames_are_ignored() {
     let mut bench = Bench::master();
-    let term = Term::from_bits(1_000_001);
+    let term = Term::from_bits(4_001);
     let good = ControlHeader {
         system: SystemId::B,
         term,
@@ -466,7 +466,7 @@ fn implausible_frames_are_ignored() {
             ..good
         },
         ControlHeader {
-            term: Term::from_bits(1_000_000),
+            term: Term::from_bits(4_000),
             ..good
         },
         ControlHeader {
@@ -581,8 +581,8 @@ fn first_term(cause: ResetCause, loaded: Loaded, reported: &[Input]) -> Term {
 
 /// T-RED-9: the first term is 8 masterships above the known one (a term is `count << 1 | system`),
 /// and far above it unless the vehicle or a running system has reported the newest since the start.
-/// A report of a system that has just started is not enough. If the flash is lost, the same holds
-/// after a reset.
+/// A report of a system that has just started is not enough, and neither is one echo with a term
+/// that no rule explains. If the flash is lost, the same holds after a reset.
 #[test]
 fn the_first_term_is_far_above_what_may_be_old() {
     const FAR: u32 = 2 * 1024;
@@ -611,7 +611,8 @@ fn the_first_term_is_far_above_what_may_be_old() {
     assert!(power_on(&[]) >= FAR);
     assert!(power_on(&[report(Role::Starting)]) >= FAR);
     assert_eq!(power_on(&[report(Role::Standby)]), 2 * (33 / 2 + 8));
-    assert_eq!(power_on(&[vehicle]), 2 * (5_001 / 2 + 8));
+    assert_eq!(power_on(&[vehicle]), 2 * (32 / 2) + FAR);
+    assert_eq!(power_on(&[vehicle; 2]), 2 * (5_001 / 2 + 8));
     let reset = |loaded| first_term(ResetCause::Watchdog, loaded, &[]).bits();
     assert_eq!(reset(record), 2 * (32 / 2 + 8));
     assert!(reset(Loaded::Lost) >= FAR && reset(Loaded::Blank) >= FAR);
@@ -654,19 +655,25 @@ fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
     }
 }
 
-/// T-RED-9: a system with no term left suspends instead of driving in a term that is not its own.
+/// T-RED-9: a standby with no term left suspends instead of driving in a term that is not its own.
 #[test]
 fn terms_used_up() {
-    let term = Term::from_bits(u32::MAX - 1);
-    let mut bench = Bench::new(
-        SystemId::A,
-        SystemState {
-            term,
-            ..SystemState::factory(SystemId::A)
-        },
-    );
+    // The last but one, and the last one of A.
+    let state = SystemState {
+        term: Term::from_bits(Term::LAST.bits() - 2),
+        ..SystemState::factory(SystemId::B)
+    };
+    let mut bench = Bench::with(CONFIG, SystemId::B, state);
     let _ = bench.poll();
-    let actions = bench.handshakes();
+    bench.snapshot.syncs += 1;
+    let _ = bench.poll();
+    let _ = bench.control(Term::LAST.bits() - 1);
+    bench.run_with_beats(5);
+    bench.snapshot.peer_powered = false;
+    let mut actions = bench.poll();
+    while bench.machine.phase() == Phase::Standby {
+        actions = bench.poll();
+    }
     assert_eq!(bench.machine.phase(), Phase::Suspended);
     assert!(actions.contains(Action::Reset(ResetRequest::Suspend)));
     assert_eq!(
@@ -674,6 +681,23 @@ fn terms_used_up() {
         FailureMode::TermsExhausted
     );
     assert!(!bench.machine.may_transmit(bench.now));
+}
+
+/// T-RED-9: a master that hears of the last term has none above it, and drives on in its own.
+#[test]
+fn a_master_without_a_higher_term_drives_on() {
+    let term = Term::from_bits(Term::LAST.bits() - 3);
+    let state = SystemState {
+        term,
+        ..SystemState::factory(SystemId::A)
+    };
+    let mut bench = Bench::master_from(CONFIG, state);
+    assert_eq!(bench.machine.term().bits(), Term::LAST.bits() - 1);
+    let actions = bench.on(Input::StatusFrame(sound(Role::Standby, Term::LAST)));
+    assert_eq!(bench.machine.phase(), Phase::Master);
+    assert!(actions.contains(Action::Record(RedundancyEvent::FarTerm(Term::LAST))));
+    bench.run_with_beats(5);
+    assert!(bench.machine.may_transmit(bench.now));
 }
 
 /// T-RED-9: a standby that knows a higher term does not drive in it: the master takes a higher one.

@@ -2,13 +2,14 @@
 //! breadth first, by Stateright, in steps of one millisecond of virtual time. The systems run the
 //! product's code. T-RED-9
 
+use crate::forged::{Word, forge};
 use crate::model::{Pair, Seen};
 use stateright::{Checker as _, HasDiscoveries, Model, Property};
 use std::fmt::{self, Write as _};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use tandem_board::ResetCause;
 use tandem_board::SystemId::{self, A, B};
-use tandem_redundancy::{Config, Phase};
+use tandem_redundancy::{Config, Phase, Role};
 
 /// A fault that can happen in any millisecond. The first five kinds last for that millisecond:
 /// everything that is sent in this time is lost.
@@ -23,6 +24,18 @@ enum Fault {
     Reset(SystemId),
     /// Longer than the lease, shorter than the watchdog's window.
     Freeze(SystemId),
+    /// This system hears one word with a right protection and a wrong term.
+    Forged(SystemId, Word, Wrong),
+}
+
+/// How a forged term is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wrong {
+    /// One mastership above the one that the vehicle obeys.
+    Near,
+    Far,
+    /// No term at all.
+    Ones,
 }
 
 const FREEZE_MS: u64 = 12;
@@ -41,6 +54,25 @@ fn faults() -> impl Iterator<Item = Fault> {
     of(A).chain(of(B)).chain([Fault::Link])
 }
 
+/// One forged word in each form, heard by either system.
+fn forged() -> impl Iterator<Item = Fault> {
+    let words = [
+        Word::Control,
+        Word::Stale,
+        Word::Status(Role::Master),
+        Word::Status(Role::Standby),
+        Word::Link(Role::Master),
+        Word::Echo(0),
+        Word::Echo(900),
+    ];
+    let terms = [Wrong::Near, Wrong::Far, Wrong::Ones];
+    let of = move |id: SystemId| {
+        let pairs = words.into_iter().flat_map(move |word| terms.map(|term| (word, term)));
+        pairs.map(move |(word, term)| Fault::Forged(id, word, term))
+    };
+    of(A).chain(of(B))
+}
+
 impl Fault {
     fn begin(self, pair: &mut Pair) {
         match self {
@@ -57,6 +89,15 @@ impl Fault {
             Self::PowerOff(id) => pair.power_off(id),
             Self::Reset(id) => pair.reset(id, ResetCause::Watchdog),
             Self::Freeze(id) => pair.freeze_ms(id, FREEZE_MS),
+            Self::Forged(to, word, wrong) => {
+                let obeyed = pair.accepted.last().unwrap().term.bits();
+                let bits = match wrong {
+                    Wrong::Near => obeyed + 2,
+                    Wrong::Far => 1_000_000,
+                    Wrong::Ones => u32::MAX,
+                };
+                forge(pair, to, word, bits);
+            }
         }
     }
 
@@ -152,6 +193,7 @@ impl fmt::Write for Digest {
 /// faults, then healing.
 struct Faults {
     config: Config,
+    kinds: Vec<Fault>,
     window_ms: u64,
     most: usize,
     after_ms: u64,
@@ -185,7 +227,7 @@ impl Model for Faults {
 
     fn actions(&self, state: &Reached, actions: &mut Vec<Self::Action>) {
         if state.ms < self.window_ms && state.faults < self.most {
-            actions.extend(faults().map(|fault| (state.ms, Some(fault))));
+            actions.extend(self.kinds.iter().map(|fault| (state.ms, Some(*fault))));
         }
         if state.ms <= self.window_ms + self.after_ms {
             actions.push((state.ms, None));
@@ -218,7 +260,7 @@ impl Model for Faults {
             Property::<Self>::eventually("healed: one drives, one stands by", |_, it| {
                 it.shown.healed
             }),
-            // Without a takeover the exploration would test nothing.
+            // Without a takeover the exploration would test nothing. One forged word causes it, too.
             Property::<Self>::sometimes("B takes over", |_, it| {
                 it.pair.phase(B).is_some_and(Phase::is_driving)
             }),
@@ -232,6 +274,21 @@ impl Model for Faults {
 fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {
     let wanted = std::env::var("TANDEM_EXPLORE").ok();
     let most = wanted.map_or(1, |count| count.parse().unwrap());
+    explore(&faults().collect::<Vec<_>>(), most);
+}
+
+/// T-RED-9: every state that one forged word at any time in two control periods reaches is safe.
+/// `TANDEM_EXPLORE=2` adds another fault.
+#[test]
+fn every_state_of_a_forged_word_is_safe_and_leads_to_a_driver() {
+    if std::env::var("TANDEM_EXPLORE").is_ok() {
+        explore(&forged().chain(faults()).collect::<Vec<_>>(), 2);
+    } else {
+        explore(&forged().collect::<Vec<_>>(), 1);
+    }
+}
+
+fn explore(kinds: &[Fault], most: usize) {
     let (window_ms, after_ms) = (20 / most as u64, 30);
     for (name, config) in [("chip", Config::chip()), ("rt", Config::rt())] {
         let short = Config {
@@ -240,6 +297,7 @@ fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {
         };
         let model = Faults {
             config: short,
+            kinds: kinds.to_vec(),
             window_ms,
             most,
             after_ms,
@@ -251,7 +309,7 @@ fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {
         println!(
             "{name}, {most} of {} faults in {window_ms} ms: {} states, reached on {} ways, depth {} ms \
              and the time of healing",
-            faults().count(),
+            kinds.len(),
             checker.unique_state_count(),
             checker.state_count(),
             checker.max_depth() - 2,

@@ -5,6 +5,7 @@
 mod docs;
 mod explore;
 mod faults;
+mod forged;
 mod hostile;
 mod model;
 mod page;

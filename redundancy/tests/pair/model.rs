@@ -63,6 +63,8 @@ pub(crate) struct System {
     can_frames: u32,
     inbox: VecDeque<Frame>,
     link_inbox: VecDeque<LinkReport>,
+    /// Words that it hears at its next poll although no system has sent them.
+    pub(crate) forged: Vec<Input>,
     /// Origin of its clock.
     origin_us: u64,
     next_poll: u64,
@@ -97,6 +99,8 @@ pub(crate) struct Pair {
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
+    /// The last term that the vehicle could not explain, and its frames since one was accepted.
+    far: (Term, u8),
     pub(crate) events: Vec<(u64, SystemId, RedundancyEvent)>,
     pub(crate) synchronised: Vec<(u64, SystemId)>,
     /// For how long both outputs have been open while both systems are connected to the bus: now,
@@ -123,6 +127,7 @@ impl Pair {
             can_frames: u32::MAX - 3,
             inbox: VecDeque::new(),
             link_inbox: VecDeque::new(),
+            forged: Vec::new(),
             origin_us: [1_000_000, 77_000_000_000][id.index()],
             next_poll: 0,
             next_control: 0,
@@ -147,6 +152,7 @@ impl Pair {
             random: seed.wrapping_mul(2).wrapping_add(1),
             accepted: Vec::new(),
             fenced: Vec::new(),
+            far: (Term::NONE, 0),
             events: Vec::new(),
             synchronised: Vec::new(),
             both_open_us: 0,
@@ -414,6 +420,7 @@ impl Pair {
             }
         }
         inputs.extend(system.link_inbox.drain(..).map(Input::LinkReport));
+        inputs.append(&mut system.forged);
         let faults = system.faults.iter().chain(&system.until_reset);
         inputs.extend(faults.copied().map(Input::OwnFault));
         let edges = system.edges;
@@ -562,24 +569,36 @@ impl Pair {
         }
     }
 
-    /// The vehicle fences: it refuses every term below the highest accepted one.
-    fn vehicle_hears(&mut self, frame: ControlHeader) {
+    /// The vehicle fences: it refuses every term below the highest accepted one, and one far above
+    /// it until no other term acts and its frames repeat.
+    pub(crate) fn vehicle_hears(&mut self, frame: ControlHeader) {
         assert_eq!(frame.role, Role::Master);
+        let ControlHeader { system, term, .. } = frame;
+        let at_us = self.now_us;
         let seen = Seen {
-            at_us: self.now_us,
-            system: frame.system,
-            term: frame.term,
+            at_us,
+            system,
+            term,
         };
-        if self
-            .accepted
-            .last()
-            .is_some_and(|last| frame.term < last.term)
-        {
+        let last = self.accepted.last();
+        // The vehicle explains twice as much as the systems.
+        let near = |last: Term| last.above(Term::EXPLAINED, term.system()).unwrap_or(Term::LAST);
+        let is_far = last.is_some_and(|last| term.is_far_from(near(last.term)));
+        if last.is_some_and(|last| term < last.term) {
             self.fenced.push(seen);
-        } else {
-            self.accepted.push(seen);
-            self.next_echo = self.now_us / 1_000 * 1_000 + 1_000;
+            return;
         }
+        if is_far {
+            let count = if self.far.0 == term { self.far.1 } else { 0 };
+            self.far = (term, count.saturating_add(1));
+            let is_silent = last.is_none_or(|last| at_us - last.at_us >= 100_000);
+            if self.far.1 < 5 || !is_silent || term > Term::LAST_UNEXPLAINED {
+                return;
+            }
+        }
+        self.far = (Term::NONE, 0);
+        self.accepted.push(seen);
+        self.next_echo = self.now_us / 1_000 * 1_000 + 1_000;
     }
 }
 

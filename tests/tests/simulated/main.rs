@@ -9,6 +9,7 @@ mod ability;
 mod download;
 mod faults;
 mod floods;
+mod forged;
 mod function;
 mod held_up;
 mod hung;

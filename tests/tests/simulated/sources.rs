@@ -27,21 +27,27 @@ fn with_fault(fault: HardwareFault) -> Drive {
     drive
 }
 
-/// Starts a drive whose flash records that all terms are used.
+/// Starts a drive in which B drives in the last term, and then loses its power.
 fn no_term_left() -> Drive {
     let mut drive = Drive::new("free-lane", 8);
     for system in SystemId::ALL {
         drive.pair.power_off(system);
+        let state = SystemState {
+            is_master: system == B,
+            term: Term::from_bits(Term::LAST.bits() - 2),
+            ..SystemState::factory(system)
+        };
+        drive.pair.edit_flash(system, |bytes| {
+            bytes.fill(0xFF);
+            bytes[..SystemState::BYTES].copy_from_slice(&state.encode(1));
+        });
     }
-    let state = SystemState {
-        term: Term::from_bits(u32::MAX - 1),
-        ..SystemState::factory(A)
-    };
-    drive.pair.edit_flash(A, |bytes| {
-        bytes.fill(0xFF);
-        bytes[..SystemState::BYTES].copy_from_slice(&state.encode(1));
-    });
-    drive.pair.power_on(A);
+    for system in SystemId::ALL {
+        drive.pair.power_on(system);
+    }
+    drive.run_for(MS(5_000));
+    assert_eq!(drive.masters(), [B]);
+    drive.pair.power_off(B);
     drive
 }
 

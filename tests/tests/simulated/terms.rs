@@ -13,7 +13,7 @@ const fn ms(ms: u64) -> Duration {
 const START: Duration = ms(6_000);
 
 /// Returns the last control frame that the vehicle accepted, if it is at most two periods old.
-fn obeyed(drive: &Drive) -> Option<Acceptance> {
+pub(crate) fn obeyed(drive: &Drive) -> Option<Acceptance> {
     let seen = drive.seen.borrow();
     let last = seen.world.gate().accepted()?;
     let age = drive.pair.now().as_ns().saturating_sub(last.at_ns);
