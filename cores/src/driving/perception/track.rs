@@ -48,6 +48,8 @@ const TENTATIVE_COAST_S: f32 = 0.12;
 const COAST_S: f32 = 0.8;
 /// The same for a track close beside the ego vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;
+/// Detections of one round lie within this time, s.
+const ROUND_S: f32 = 0.03;
 
 /// A detection in the vehicle frame, with velocities over ground.
 #[derive(Clone, Copy, Debug)]
@@ -328,8 +330,12 @@ impl Track {
         (self.confirmed, self.hits, other.id) > (other.confirmed, other.hits, self.id)
     }
 
-    /// Takes over the data of the duplicate.
+    /// Takes over the data of the duplicate. If only the duplicate was seen in this round, the
+    /// object has left this track's gate by a sudden manoeuvre: it continues from the duplicate.
     pub(crate) fn absorb(&mut self, double: &Self) {
+        if self.unseen_s > double.unseen_s + ROUND_S {
+            (self.x, self.y) = (double.x, double.y);
+        }
         self.sensors |= double.sensors;
         self.hits = self.hits.saturating_add(double.hits);
         self.confirmed |= double.confirmed || self.sensors.count_ones() >= CONFIRMING_SENSORS;
@@ -342,4 +348,35 @@ impl Track {
 
 const fn max_of(a: u8, b: u8) -> u8 {
     if a > b { a } else { b }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(vx: f32) -> Detection {
+        let object = SensorObject {
+            x: 50.0,
+            vx,
+            x_deviation: 0.2,
+            y_deviation: 0.2,
+            ..SensorObject::default()
+        };
+        Detection::new(SensorId::RadarFront, &object, &Ego::default())
+    }
+
+    /// A vehicle brakes so hard that its detections leave the gate of its track. They begin another
+    /// track at the same place: the confirmed one continues from it and keeps its identity.
+    #[test]
+    fn a_track_continues_from_detections_that_left_its_gate() {
+        let step = EgoPose::default();
+        for (passed_s, speed) in [(0.05, -2.0), (0.01, 0.0)] {
+            let mut track = Track::new(1, &seen(0.0));
+            track.predict(&Passage::new(passed_s, &step));
+            let double = Track::new(2, &seen(-2.0));
+            assert!(track.fit(&seen(-2.0)).is_none() && track.is_same(&double));
+            track.absorb(&double);
+            assert_eq!((track.id, track.x.velocity()), (1, speed));
+        }
+    }
 }
