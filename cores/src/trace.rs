@@ -267,7 +267,8 @@ pub enum Event {
     },
     /// The scene differs from what core 0 itself hears of the sensors. This system leaves.
     WrongScene {
-        /// 0 the lanes, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle of the vehicle.
+        /// 0 the lanes, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle of the vehicle, 5 place
+        /// and 6 speed of an object ahead, 7 an object that no sensor sees.
         what: u8,
         /// 0: the scene is wrong. 1: core 0 hears wrong values.
         hearing: bool,
@@ -277,7 +278,7 @@ pub enum Event {
     /// The largest difference between a scene and the sensors' frames has grown by a tenth of what
     /// one scene may differ. A finding takes at least three scenes beyond it.
     SceneCheck {
-        /// Share of the tolerance, %.
+        /// Share of the tolerance; of objects, the accumulated share of the finding's limit. %
         percent: u8,
     },
     /// The scenes of both systems differ.
@@ -288,6 +289,11 @@ pub enum Event {
         own: bool,
         /// The difference, in thousandths of m, m/s, rad/s or rad.
         thousandths: u32,
+    },
+    /// Most of the other sensors see an object ahead at another place than this one. No system leaves.
+    SensorContradicted {
+        /// [`SensorId::index`](tandem_bus::SensorId::index).
+        sensor: u8,
     },
     /// The vehicle's echo names a steering angle that the measured one contradicts. The command is
     /// right: no system leaves.
@@ -500,9 +506,10 @@ codec! {
     33 FramesLost { count: x };
     34 CanErrors { errors: x };
     35 Sensors { missing: a };
-    40 WrongScene { what: a, hearing: b, thousandths: x } 0..=4;
+    40 WrongScene { what: a, hearing: b, thousandths: x } 0..=7;
     41 SceneCheck { percent: a };
     42 WrongEcho {};
+    46 SensorContradicted { sensor: a } 0..=5;
     47 PeerScene { what: a, own: b, thousandths: x } 0..=4;
     48 Ability { bits: a, missing: b } 0..=3;
 }
@@ -648,6 +655,7 @@ mod tests {
                 bits: 2,
                 missing: 0x40,
             },
+            Event::SensorContradicted { sensor: 5 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -664,7 +672,7 @@ mod tests {
             0x021E,
             0x031F,
             0x0320,
-            0x0528,
+            0x0828,
             0x0430,
             36,
         ] {

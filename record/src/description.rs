@@ -140,6 +140,11 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::SceneCheck { percent } => {
             format!("the scene differs from the sensors by {percent} % of what is tolerated")
         }
+        Event::SensorContradicted { sensor } => {
+            let sensor = SensorId::ALL.get(usize::from(sensor));
+            let name = sensor.map_or("a sensor", |sensor| sensor.name());
+            format!("most other sensors see an object ahead at another place than {name}")
+        }
         Event::WrongEcho => {
             "the vehicle's echo is wrong: the measured steering angle follows the command"
                 .to_owned()
@@ -200,7 +205,10 @@ fn scene_value(what: u8, thousandths: u32) -> (&'static str, String) {
         1 => ("speed", "m/s"),
         2 => ("yaw rate", "rad/s"),
         3 => ("steering angle", "rad"),
-        _ => ("slip angle", "rad"),
+        4 => ("slip angle", "rad"),
+        5 => ("place of an object", "m"),
+        6 => ("speed of an object", "m/s"),
+        _ => ("object that no sensor sees", "m"),
     };
     (what, format!("{:.3} {unit}", f64::from(thousandths) / 1e3))
 }

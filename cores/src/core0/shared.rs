@@ -183,6 +183,8 @@ impl<'b, B: Board> SharedState<'b, B> {
                 }
             }
             Message::CameraLanes(lanes) => self.scene_check.on_lanes(at, &lanes),
+            Message::SensorHeader(of, header) => self.scene_check.on_header(at, of, &header),
+            Message::SensorObject(of, object) => self.scene_check.on_object(of, &object),
             Message::Control { system, control } if usize::from(system) != own => {
                 if let Some(frame) = frames::received_control(system, &control) {
                     let released = self.notify(Input::ControlFrame(frame));

@@ -15,6 +15,7 @@ mod held_up;
 mod hung;
 mod joins;
 mod mailboxes;
+mod objects;
 mod one_flow;
 mod sections;
 mod sources;

@@ -55,7 +55,7 @@ pub(super) struct LaneCheck {
 }
 
 /// Returns a line's offset at `x`, m.
-fn offset(c: &[f32; 4], x: f32) -> f32 {
+pub(super) fn offset(c: &[f32; 4], x: f32) -> f32 {
     c[0] + x * (c[1] + x * (c[2] + x * c[3]))
 }
 
@@ -100,8 +100,14 @@ impl LaneCheck {
     /// Returns core 0's line in the vehicle's frame at this time, earlier or later than the
     /// camera's newest.
     pub(super) fn line(&self, at: Instant, ego: &Ego) -> Option<[f32; 4]> {
+        self.view(at, ego).map(|(line, _)| line)
+    }
+
+    /// Returns this line, and how far the camera sees it, m.
+    pub(super) fn view(&self, at: Instant, ego: &Ego) -> Option<([f32; 4], f32)> {
         let time = self.time.filter(|time| at.since(*time) <= OLDEST)?;
-        Some(carried(&self.filter.lanes(time)?.c, time, at, ego))
+        let lanes = self.filter.lanes(time)?;
+        Some((carried(&lanes.c, time, at, ego), lanes.view_range))
     }
 
     /// Compares a scene's line. Returns the largest difference as a share of its tolerance, and

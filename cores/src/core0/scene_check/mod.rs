@@ -6,6 +6,7 @@
 
 mod ego;
 mod lanes;
+mod objects;
 mod peer;
 
 use crate::driving::odometry::motion;
@@ -13,10 +14,11 @@ use crate::driving::types::{Ego, Scene};
 use crate::trace::Event;
 use ego::EgoCheck;
 use lanes::LaneCheck;
+use objects::ObjectCheck;
 use peer::PeerCheck;
 pub(super) use peer::PeerScene;
 use tandem_board::{Duration, Instant};
-use tandem_bus::CameraLanes;
+use tandem_bus::{CameraLanes, SensorHeader, SensorId, SensorObject};
 
 /// The values on which two sources agreed are carried on for this long at most.
 const REMEMBERED: Duration = Duration::from_ms(2_000);
@@ -45,7 +47,7 @@ impl Difference {
 /// Something that the two cores do not hear alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Finding {
-    /// 0 the lanes, else the motion's value, as in [`Event::WrongScene`].
+    /// 0 the lanes, else a value of motion or objects, as in [`Event::WrongScene`].
     what: u8,
     /// Core 0 hears wrong values; otherwise the scene is wrong.
     pub(super) hearing: bool,
@@ -68,6 +70,7 @@ impl Finding {
 pub(super) struct SceneCheck {
     ego: EgoCheck,
     lanes: LaneCheck,
+    objects: ObjectCheck,
     peer: PeerCheck,
     /// What the newest scene said before it was corrected.
     own: Option<PeerScene>,
@@ -81,6 +84,7 @@ impl SceneCheck {
         Self {
             ego: EgoCheck::new(0.0),
             lanes: LaneCheck::new(),
+            objects: ObjectCheck::new(),
             peer: PeerCheck::new(),
             own: None,
             found: None,
@@ -99,6 +103,16 @@ impl SceneCheck {
         if let (true, Some(ego)) = (camera.valid, self.ego.newest_before(at)) {
             self.lanes.on_camera(at, camera, &ego);
         }
+    }
+
+    /// Takes the header of a sensor's list that core 0 has heard.
+    pub(super) fn on_header(&mut self, at: Instant, sensor: SensorId, header: &SensorHeader) {
+        self.objects.on_header(at, sensor, header);
+    }
+
+    /// Takes an object of a sensor's list that core 0 has heard.
+    pub(super) fn on_object(&mut self, sensor: SensorId, object: &SensorObject) {
+        self.objects.on_object(sensor, object);
     }
 
     /// Takes the other system's scene.
@@ -142,6 +156,7 @@ impl SceneCheck {
         let percent = (of_cores.max(of_systems) * 100.0) as u8;
         let is_worst = percent / 10 > self.worst_tenths;
         self.worst_tenths = self.worst_tenths.max(percent / 10);
+        let event = event.or_else(|| self.objects.contradiction());
         event.or(is_worst.then_some(Event::SceneCheck { percent }))
     }
 
@@ -178,7 +193,10 @@ impl SceneCheck {
             return (share, found.map(Difference::between_cores));
         }
         let (of_lanes, found) = self.lanes.check(scene);
-        (share.max(of_lanes), found.map(Difference::between_cores))
+        let found = found.map(Difference::between_cores);
+        let view = self.lanes.view(scene.at, &scene.ego);
+        let (of_objects, other) = self.objects.check(scene, view);
+        (share.max(of_lanes).max(of_objects), found.or(other))
     }
 
     fn correct(&self, scene: &mut Scene) {
@@ -188,6 +206,7 @@ impl SceneCheck {
         if let (Some(lanes), Some(c)) = (&mut scene.lanes, self.lanes.line(scene.at, &scene.ego)) {
             lanes.c = c;
         }
+        self.objects.correct(scene);
     }
 }
 

@@ -18,7 +18,7 @@ const DRIFT: Duration = Duration::from_ms(1);
 /// The sensors' clock as this core sees it. The smallest difference between arrival and measurement
 /// is the clocks' difference plus the shortest transfer time; a list's excess over it is its delay.
 #[derive(Clone, Copy, Debug, Default)]
-struct SensorClock {
+pub(crate) struct SensorClock {
     /// The smallest difference, modulo 2^32 µs, and when it was measured or last raised for the
     /// drift.
     smallest: Option<(u32, Instant)>,
@@ -27,7 +27,7 @@ struct SensorClock {
 impl SensorClock {
     /// Returns the time of a measurement with the stamp `measured_at` that arrives `now`; the stamp
     /// 0 means that there is none.
-    fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
+    pub(crate) fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
         if measured_at == 0 {
             return now;
         }

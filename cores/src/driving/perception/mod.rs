@@ -24,6 +24,7 @@ use super::types::{Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
 pub(crate) use lane::LaneFilter;
 use lists::Lists;
+pub(crate) use lists::SensorClock;
 use round::{LANES, Round};
 use scene::RoadView;
 use track::{Detection, Passage, Track};
