@@ -95,7 +95,9 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::CanSilent(true) => "hears nothing on CAN".to_owned(),
         Event::CanSilent(false) => "hears CAN again".to_owned(),
         Event::Ignored { term: 0 } => "ignored an implausible frame".to_owned(),
-        Event::Ignored { term } => format!("ignored the term {term}: outdated, or far and unexplained"),
+        Event::Ignored { term } => {
+            format!("ignored the term {term}: outdated, or far and unexplained")
+        }
         Event::TermRaised { term } => format!("raises its term to {term}"),
         Event::StateLost => "the state in flash was lost".to_owned(),
         Event::Refused { id: 0 } => "refused what the shared memory held".to_owned(),

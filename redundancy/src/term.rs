@@ -65,7 +65,9 @@ impl Term {
     #[must_use]
     pub const fn above(self, step: u32, system: SystemId) -> Option<Self> {
         match (self.0 >> 1).checked_add(if step == 0 { 1 } else { step }) {
-            Some(count) if count <= Self::LAST.0 >> 1 => Some(Self(count << 1 | system.index() as u32)),
+            Some(count) if count <= Self::LAST.0 >> 1 => {
+                Some(Self(count << 1 | system.index() as u32))
+            }
             _ => None,
         }
     }

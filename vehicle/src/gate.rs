@@ -283,9 +283,9 @@ impl Gate {
         }
         let count = if self.far.0 == term { self.far.1 } else { 0 };
         self.far = (term, count.saturating_add(1));
-        let is_silent = self.accepted.is_none_or(|last| {
-            now_ns.saturating_sub(last.at_ns) >= UNEXPLAINED_SILENCE_NS
-        });
+        let is_silent = self
+            .accepted
+            .is_none_or(|last| now_ns.saturating_sub(last.at_ns) >= UNEXPLAINED_SILENCE_NS);
         let acts = is_silent && self.far.1 >= UNEXPLAINED_FRAMES;
         (!acts).then_some(Ruling::Unexplained)
     }
@@ -478,7 +478,11 @@ mod tests {
         ] {
             let mut gate = Gate::new();
             let frames = [(0, 0, 2), (1, (term & 1) as u8, term), (10, 0, 2)];
-            let kept = if ruling == Accepted { Ruling::Fenced } else { Accepted };
+            let kept = if ruling == Accepted {
+                Ruling::Fenced
+            } else {
+                Accepted
+            };
             let rulings = verdicts(&mut gate, &frames);
             // Of two frames of A the second has the next counter.
             assert_eq!(rulings, [Accepted, ruling, kept], "{term:x}");
@@ -488,7 +492,10 @@ mod tests {
         let of_b = |from, to| (from..to).step_by(10).map(|at| (at, 1, far));
         let frames: Vec<_> = [(0, 0, 2)].into_iter().chain(of_b(10, 130)).collect();
         let rulings = verdicts(&mut Gate::new(), &frames);
-        assert_eq!((rulings[0], &rulings[1..10]), (Accepted, &[Unexplained; 9][..]));
+        assert_eq!(
+            (rulings[0], &rulings[1..10]),
+            (Accepted, &[Unexplained; 9][..])
+        );
         assert_eq!(rulings[10..], [Accepted; 3], "after 100 ms");
         // Each frame that acts begins the count anew.
         let last = [(0, 0, 2), (40, 0, 2)].into_iter().chain(of_b(110, 190));

@@ -256,7 +256,11 @@ mod tests {
     /// T-RED-9: one opinion, however wrong, is not a disagreement.
     #[test]
     fn one_wrong_opinion_is_no_disagreement() {
-        for wrong in [apart(300.0, 20.0), apart(-300.0, -20.0), apart(f32::NAN, f32::NAN)] {
+        for wrong in [
+            apart(300.0, 20.0),
+            apart(-300.0, -20.0),
+            apart(f32::NAN, f32::NAN),
+        ] {
             let after = (0..200).map(|_| apart(0.2, 0.5));
             assert_eq!(stages([wrong].into_iter().chain(after)), []);
         }

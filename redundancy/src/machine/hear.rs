@@ -18,13 +18,7 @@ impl Redundancy {
     /// Returns whether a received term may be used. A term far above the highest known one must
     /// have a second witness. A lower one is harmless; if it is far below and has two witnesses,
     /// the known term was wrong, and the lower one replaces it.
-    fn accepts(
-        &mut self,
-        now: Instant,
-        term: Term,
-        source: Source,
-        actions: &mut Actions,
-    ) -> bool {
+    fn accepts(&mut self, now: Instant, term: Term, source: Source, actions: &mut Actions) -> bool {
         if term.is_far_from(self.state.term) && term != Term::NONE {
             let enough = match self.phase.driving() {
                 _ if !self.term_known => Some(ECHOES_TO_A_STARTED_SYSTEM),

@@ -47,7 +47,11 @@ impl Claims {
         if source == Source::Vehicle {
             self.vehicle_heard = true;
             let again = before.is_some_and(|(last, _)| last == term);
-            self.echoes = if again { self.echoes.saturating_add(1) } else { 1 };
+            self.echoes = if again {
+                self.echoes.saturating_add(1)
+            } else {
+                1
+            };
         }
         let [vehicle, frame, link] = self.last.map(|claim| {
             claim.is_some_and(|(last, at)| last == term && now.since(at) <= REMEMBERED)
@@ -91,7 +95,11 @@ mod tests {
         assert!(last(&[(0, Link, TERM), (100, Vehicle, TERM)]));
         assert!(!last(&[(0, Vehicle, TERM), (101, Frame, TERM)]));
         assert!(!last(&[(0, Vehicle, other), (1, Frame, TERM)]));
-        assert!(!last(&[(0, Vehicle, other), (1, Frame, TERM), (2, Link, TERM)]));
+        assert!(!last(&[
+            (0, Vehicle, other),
+            (1, Frame, TERM),
+            (2, Link, TERM)
+        ]));
         assert!(last(&[(0, Frame, TERM), (1, Link, TERM)]), "no vehicle");
         let end = Term::from_bits(Term::LAST.bits() + 2);
         assert!(!last(&[(0, Vehicle, end), (1, Frame, end), (2, Link, end)]));

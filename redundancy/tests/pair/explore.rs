@@ -67,7 +67,9 @@ fn forged() -> impl Iterator<Item = Fault> {
     ];
     let terms = [Wrong::Near, Wrong::Far, Wrong::Ones];
     let of = move |id: SystemId| {
-        let pairs = words.into_iter().flat_map(move |word| terms.map(|term| (word, term)));
+        let pairs = words
+            .into_iter()
+            .flat_map(move |word| terms.map(|term| (word, term)));
         pairs.map(move |(word, term)| Fault::Forged(id, word, term))
     };
     of(A).chain(of(B))

@@ -84,7 +84,11 @@ pub(crate) fn forge(pair: &mut Pair, to: SystemId, word: Word, bits: u32) {
     let report = |role| PeerReport {
         role,
         mode: Mode::L3,
-        term: if role == Role::Master { header.term } else { Term::from_bits(bits) },
+        term: if role == Role::Master {
+            header.term
+        } else {
+            Term::from_bits(bits)
+        },
         can_alive: true,
     };
     let origin_us = [1_000_000, 77_000_000_000_u64][peer.index()];
@@ -160,7 +164,9 @@ fn one_word_with_a_near_term_costs_no_more_than_a_mute_master() {
             for word in WORDS {
                 let mut worst = 0;
                 for (seed, above) in (1..).zip([1, 2, 3, 41, 2_000, 4_095, 1, 2, 3, 1, 2, 3]) {
-                    for (hearers, on_bus) in [(&[A][..], false), (&[B], false), (&[A], true), (&[B], true)] {
+                    for (hearers, on_bus) in
+                        [(&[A][..], false), (&[B], false), (&[A], true), (&[B], true)]
+                    {
                         let mut pair = around.pair(config, seed);
                         let from = pair.now_us;
                         let term = pair.accepted.last().unwrap().term.bits() + above;
@@ -209,7 +215,10 @@ fn one_witness_that_repeats_itself_is_still_one() {
                 pair.run_ms(5);
             }
             let gap = pair.longest_gap_us(from);
-            assert!(gap <= us(config.control_period) + 2_000, "{word:?}: {gap} us");
+            assert!(
+                gap <= us(config.control_period) + 2_000,
+                "{word:?}: {gap} us"
+            );
             assert_eq!(pair.phases(), before, "{word:?}");
         }
     }
@@ -268,7 +277,11 @@ fn a_standby_with_an_inflated_term_learns_that_of_its_master() {
             pair.power_on(B);
             pair.run_ms(3_000);
             let phases = pair.phases();
-            assert_eq!(phases, [Some(Phase::Master), Some(Phase::Standby)], "{bits}");
+            assert_eq!(
+                phases,
+                [Some(Phase::Master), Some(Phase::Standby)],
+                "{bits}"
+            );
             assert_eq!(pair.state(B).term, term, "{bits}");
             assert!(pair.longest_gap_us(from) <= us(config.control_period) + 2_000);
             let from = pair.now_us;
@@ -285,7 +298,12 @@ fn a_standby_with_an_inflated_term_learns_that_of_its_master() {
 #[test]
 fn poisoned_records_are_healed_by_the_next_start() {
     for config in profiles() {
-        for bits in [u32::MAX, u32::MAX - 1, Term::LAST.bits(), Term::LAST.bits() + 1] {
+        for bits in [
+            u32::MAX,
+            u32::MAX - 1,
+            Term::LAST.bits(),
+            Term::LAST.bits() + 1,
+        ] {
             for sys_failure in [false, true] {
                 let mut pair = Pair::new(config, 5);
                 for id in SystemId::ALL {
@@ -300,7 +318,11 @@ fn poisoned_records_are_healed_by_the_next_start() {
                 }
                 pair.run_ms(300);
                 let phases = pair.phases();
-                assert_eq!(phases, [Some(Phase::Master), Some(Phase::Standby)], "{bits:x}");
+                assert_eq!(
+                    phases,
+                    [Some(Phase::Master), Some(Phase::Standby)],
+                    "{bits:x}"
+                );
                 assert!(pair.longest_gap_us(200_000) <= 12_000);
                 for id in SystemId::ALL {
                     assert!(!pair.state(id).sys_failure && pair.state(id).term.bits() < 9_000);
@@ -328,10 +350,15 @@ fn a_report_from_the_future_silences_the_link_for_a_second() {
             start,
             sent_us,
         };
-        pair.systems[B.index()].forged.push(Input::LinkReport(forged));
+        pair.systems[B.index()]
+            .forged
+            .push(Input::LinkReport(forged));
         pair.run_ms(1_100);
         let machine = pair.systems[B.index()].machine.as_ref().unwrap();
         let now = Instant::from_ns((pair.now_us + 77_000_000_000) * 1_000);
-        assert!(machine.may_leave(now), "{ahead_ms} ms: B hears that A drives");
+        assert!(
+            machine.may_leave(now),
+            "{ahead_ms} ms: B hears that A drives"
+        );
     }
 }

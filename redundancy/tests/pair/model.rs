@@ -582,7 +582,10 @@ impl Pair {
         };
         let last = self.accepted.last();
         // The vehicle explains twice as much as the systems.
-        let near = |last: Term| last.above(Term::EXPLAINED, term.system()).unwrap_or(Term::LAST);
+        let near = |last: Term| {
+            last.above(Term::EXPLAINED, term.system())
+                .unwrap_or(Term::LAST)
+        };
         let is_far = last.is_some_and(|last| term.is_far_from(near(last.term)));
         if last.is_some_and(|last| term < last.term) {
             self.fenced.push(seen);

@@ -38,10 +38,13 @@ impl Forger {
                 return poller(board, Config::rt());
             }
             let (waits, system) = (Rc::clone(&shared), of.system.index());
-            let hears = move |_, frame| {
-                altered_once(frame, &mut waits.borrow_mut()[system])
-            };
-            bent_core(board, Config::rt(), Box::new(|_, frame| vec![frame]), Box::new(hears))
+            let hears = move |_, frame| altered_once(frame, &mut waits.borrow_mut()[system]);
+            bent_core(
+                board,
+                Config::rt(),
+                Box::new(|_, frame| vec![frame]),
+                Box::new(hears),
+            )
         });
         let mut forger = Self { drive, waits };
         forger.drive.run_for(MS(6_000));
@@ -64,7 +67,8 @@ impl Forger {
         let times = seen.log.accepted().map(|frame| frame.at_ns);
         let times = Vec::from_iter(times.chain([self.drive.pair.now().as_ns()]));
         let gaps = times.windows(2).filter(|pair| pair[1] > from_ns);
-        gaps.map(|pair| (pair[1] - pair[0]) as f64 * 1e-6).fold(0.0, f64::max)
+        gaps.map(|pair| (pair[1] - pair[0]) as f64 * 1e-6)
+            .fold(0.0, f64::max)
     }
 
     fn now_ns(&self) -> u64 {
@@ -125,7 +129,11 @@ fn one_frame_with_a_far_term_changes_nothing() {
             forger.drive.pair.power_off(B);
             forger.drive.run_for(MS(500));
         }
-        let hearers: &[&[SystemId]] = if alone { &[&[A]] } else { &[&[A], &[B], &[A, B]] };
+        let hearers: &[&[SystemId]] = if alone {
+            &[&[A]]
+        } else {
+            &[&[A], &[B], &[A, B]]
+        };
         for kind in ["status", "echo", "control"] {
             for term in FAR {
                 for &hearers in hearers {
@@ -207,7 +215,10 @@ fn poisoned_records_are_healed() {
     assert!(last.term < 9_000, "{last:?}");
     for system in SystemId::ALL {
         let state = drive.state_in_flash(system);
-        assert!(!state.sys_failure && state.term.bits() == last.term, "{state:?}");
+        assert!(
+            !state.sys_failure && state.term.bits() == last.term,
+            "{state:?}"
+        );
     }
 }
 
@@ -260,34 +271,94 @@ fn no_forged_word_costs_more_than_a_mute_master() {
         status.term += 1;
     };
     let words: Vec<(&str, SystemId, Alter)> = vec![
-        ("echo: other system, next term", A, in_echo(move |it| (near(it, 1), it.term_age = 0.0).1)),
+        (
+            "echo: other system, next term",
+            A,
+            in_echo(move |it| (near(it, 1), it.term_age = 0.0).1),
+        ),
         ("echo: own next term", A, in_echo(move |it| near(it, 2))),
         ("echo: no term", A, in_echo(|it| it.term = 0)),
         ("echo: old", A, in_echo(|it| it.term_age = 500.0)),
-        ("echo: one refusal more", A, in_echo(|it| it.refused = it.refused.wrapping_add(1))),
-        ("echo: refusals", A, in_echo(|it| it.refused = it.refused.wrapping_add(77))),
-        ("echo: counter", A, in_echo(|it| it.obeyed_counter = it.obeyed_counter.wrapping_sub(9))),
+        (
+            "echo: one refusal more",
+            A,
+            in_echo(|it| it.refused = it.refused.wrapping_add(1)),
+        ),
+        (
+            "echo: refusals",
+            A,
+            in_echo(|it| it.refused = it.refused.wrapping_add(77)),
+        ),
+        (
+            "echo: counter",
+            A,
+            in_echo(|it| it.obeyed_counter = it.obeyed_counter.wrapping_sub(9)),
+        ),
         ("echo: steering", A, in_echo(|it| it.steering_angle = 0.3)),
-        ("echo: acceleration", A, in_echo(|it| it.acceleration = -9.0)),
-        ("echo: clock", A, in_echo(|it| it.sent_at = it.sent_at.wrapping_add(100))),
+        (
+            "echo: acceleration",
+            A,
+            in_echo(|it| it.acceleration = -9.0),
+        ),
+        (
+            "echo: clock",
+            A,
+            in_echo(|it| it.sent_at = it.sent_at.wrapping_add(100)),
+        ),
         ("echo: no term", B, in_echo(|it| it.term = 0)),
         ("echo: own next term", B, in_echo(move |it| near(it, 1))),
         ("echo: old", B, in_echo(|it| it.term_age = 500.0)),
         ("echo: steering", B, in_echo(|it| it.steering_angle = 0.3)),
-        ("echo: clock", B, in_echo(|it| it.sent_at = it.sent_at.wrapping_add(100))),
+        (
+            "echo: clock",
+            B,
+            in_echo(|it| it.sent_at = it.sent_at.wrapping_add(100)),
+        ),
         ("status: claims to drive", A, in_status(B, claims)),
-        ("status: starting", A, in_status(B, |it| it.role = RoleCode::Starting)),
-        ("status: standby, next term", A, in_status(B, |it| it.term += 1)),
-        ("status: stops", A, in_status(B, |it| it.agreement = AgreementCode::Unresolved)),
+        (
+            "status: starting",
+            A,
+            in_status(B, |it| it.role = RoleCode::Starting),
+        ),
+        (
+            "status: standby, next term",
+            A,
+            in_status(B, |it| it.term += 1),
+        ),
+        (
+            "status: stops",
+            A,
+            in_status(B, |it| it.agreement = AgreementCode::Unresolved),
+        ),
         ("status: resigns", B, in_status(A, resigns)),
-        ("status: standby", B, in_status(A, |it| it.role = RoleCode::Standby)),
+        (
+            "status: standby",
+            B,
+            in_status(A, |it| it.role = RoleCode::Standby),
+        ),
         ("status: next term", B, in_status(A, |it| it.term += 2)),
-        ("status: stops", B, in_status(A, |it| it.agreement = AgreementCode::Unresolved)),
-        ("control: standby", B, in_control(|it| it.role = RoleCode::Standby)),
+        (
+            "status: stops",
+            B,
+            in_status(A, |it| it.agreement = AgreementCode::Unresolved),
+        ),
+        (
+            "control: standby",
+            B,
+            in_control(|it| it.role = RoleCode::Standby),
+        ),
         ("control: next term", B, in_control(|it| it.term += 2)),
         ("control: old term", B, in_control(|it| it.term = 0)),
-        ("control: stops", B, in_control(|it| it.mode = ModeCode::SafeStop)),
-        ("control: steering", B, in_control(|it| it.steering_angle = 0.3)),
+        (
+            "control: stops",
+            B,
+            in_control(|it| it.mode = ModeCode::SafeStop),
+        ),
+        (
+            "control: steering",
+            B,
+            in_control(|it| it.steering_angle = 0.3),
+        ),
     ];
     let mut bad = vec![];
     for (what, hearer, alter) in words {
@@ -306,7 +377,9 @@ fn no_forged_word_costs_more_than_a_mute_master() {
             let (gap, masters) = (forger.gap_ms(from), forger.drive.masters());
             let resets = forger.drive.state_in_flash(A).abn_resets
                 + forger.drive.state_in_flash(B).abn_resets;
-            println!("{what} to {hearer}, alone {alone}: {gap:.1} ms, {masters:?}, {resets} resets");
+            println!(
+                "{what} to {hearer}, alone {alone}: {gap:.1} ms, {masters:?}, {resets} resets"
+            );
             let driven = obeyed(&forger.drive).is_some() && forger.suspended() == [false; 2];
             if gap > 21.0 || !driven {
                 bad.push(what);
