@@ -4,8 +4,8 @@ use crate::model::{Pair, us};
 use tandem_board::SystemId::{self, A, B};
 use tandem_board::{Duration, Instant, ResetCause};
 use tandem_redundancy::{
-    Config, ControlHeader, FailureMode, Input, LinkReport, Mode, ObeyedTerm, PeerReport, Phase,
-    Role, SystemState, Term,
+    Ability, Config, ControlHeader, FailureMode, Input, LinkReport, Mode, ObeyedTerm, PeerReport,
+    Phase, Role, SystemState, Term,
 };
 
 /// Longest time on the bus, plus the grid of the model.
@@ -90,6 +90,7 @@ pub(crate) fn forge(pair: &mut Pair, to: SystemId, word: Word, bits: u32) {
             Term::from_bits(bits)
         },
         can_alive: true,
+        ability: Ability::All,
     };
     let origin_us = [1_000_000, 77_000_000_000_u64][peer.index()];
     let input = match word {
@@ -342,6 +343,7 @@ fn a_report_from_the_future_silences_the_link_for_a_second() {
             mode: Mode::L3,
             term: pair.state(A).term,
             can_alive: true,
+            ability: Ability::All,
         };
         let sent_us = (pair.now_us + 1_000_000 + ahead_ms * 1_000) as u32;
         let start = 1;

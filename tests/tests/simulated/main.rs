@@ -6,6 +6,7 @@
 )]
 
 mod ability;
+mod both;
 mod download;
 mod faults;
 mod floods;
