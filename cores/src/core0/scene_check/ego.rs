@@ -92,6 +92,11 @@ impl EgoCheck {
         motions.find(|it| it.0 <= at).map(|it| it.1)
     }
 
+    /// Returns whether a motion was heard shortly before this time.
+    pub(super) fn is_heard(&self, at: Instant) -> bool {
+        self.motions.iter().any(|it| at.since(it.0) <= OLDEST)
+    }
+
     /// Compares a scene's motion. Returns the largest difference as a share of its limit, and the
     /// difference once it has lasted.
     pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Difference>) {

@@ -140,7 +140,9 @@ impl SceneCheck {
     /// scene's. `was_wrong`: this system left recently because it was wrong. Returns an event to
     /// trace.
     pub(super) fn on_scene(&mut self, scene: &mut Scene, was_wrong: bool) -> Option<Event> {
-        self.own = PeerScene::of(scene);
+        // Without motion, the scene keeps its last one.
+        let hears_motion = self.ego.is_heard(scene.at);
+        self.own = PeerScene::of(scene).filter(|_| hears_motion);
         let (of_cores, found) = self.check(scene);
         let (of_systems, event) = match self.found.or(found) {
             None => self.compare(scene, was_wrong),
@@ -164,6 +166,10 @@ impl SceneCheck {
     /// neither is known to have jumped, a system that has just left for such a fault leaves again;
     /// otherwise the comparison of commands decides.
     fn compare(&mut self, scene: &Scene, was_wrong: bool) -> (f32, Option<Event>) {
+        if self.own.is_none() {
+            self.peer = PeerCheck::new();
+            return (0.0, None);
+        }
         let (share, difference) = self.peer.check(scene);
         let Some(difference) = difference else {
             return (share, None);
