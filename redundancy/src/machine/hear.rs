@@ -236,8 +236,9 @@ impl Redundancy {
         } else if higher && drives {
             self.peer_drives(now, actions);
         } else if let Some(driving) = self.phase.driving()
-            && driving.note_refusal(higher)
+            && (driving.note_refusal(higher) || higher && !of_peer)
         {
+            // No other system drives in a term of this one: no second echo is needed.
             self.raise_term(actions);
         }
     }
