@@ -111,8 +111,8 @@ pub enum Event {
     LinesSplit,
     /// Nothing arrives on CAN, or frames arrive again.
     CanSilent(bool),
-    /// A frame that no correct peer sends, or one of a lower or an unexplained term, arrived and was
-    /// ignored.
+    /// A frame that no correct peer sends, or one of a lower or an unexplained term, arrived and
+    /// was ignored.
     Ignored {
         /// Its term; 0 if it was ignored for another reason.
         term: u32,
@@ -290,7 +290,8 @@ pub enum Event {
         /// The difference, in thousandths of m, m/s, rad/s or rad.
         thousandths: u32,
     },
-    /// Most of the other sensors see an object ahead at another place than this one. No system leaves.
+    /// Most of the other sensors see an object ahead at another place than this one. No system
+    /// leaves.
     SensorContradicted {
         /// [`SensorId::index`](tandem_bus::SensorId::index).
         sensor: u8,

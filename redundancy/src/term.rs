@@ -53,8 +53,8 @@ impl Term {
         }
     }
 
-    /// Returns whether no rule for a new term explains this one beside the highest known term: it is
-    /// far from it, or no term at all.
+    /// Returns whether no rule for a new term explains this one beside the highest known term: it
+    /// is far from it, or no term at all.
     #[must_use]
     pub const fn is_far_from(self, known: Self) -> bool {
         self.0 > Self::LAST.0 || (self.0 >> 1).abs_diff(known.0 >> 1) > Self::EXPLAINED

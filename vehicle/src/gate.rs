@@ -11,7 +11,7 @@
 //! | role other than master | `NotMaster` | no |
 //! | term near the end of all terms | `Invalid` | no |
 //! | term lower than the highest seen | `Fenced` | no |
-//! | term far above the highest seen, unless no other acts and frames of it repeat | `Unexplained` | no |
+//! | term far above the highest, unless no other acts and its frames repeat | `Unexplained` | no |
 //! | was on its way for too long, or rests on data that are too old | `Stale` | no |
 //! | requests more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
@@ -43,9 +43,9 @@ const DRIFT_NS: u64 = 1_000_000_000;
 /// A difference beyond this means that a clock was set, ms: the offset is measured anew.
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
-/// A term whose count exceeds that of the highest one by no more than this is explained by the rules
-/// of the systems: they believe half of this without a second witness, and raise it by 1, 8 or
-/// 1,024.
+/// A term whose count exceeds that of the highest one by no more than this is explained by the
+/// rules of the systems: they believe half of this without a second witness, and raise it by 1, 8
+/// or 1,024.
 pub const EXPLAINED: u32 = 4_096;
 /// The highest term. A number near the end, for instance with all bits set, is not a term, so no
 /// single frame uses the terms up.
@@ -460,8 +460,8 @@ mod tests {
         );
     }
 
-    /// T-RED-9: a far term acts only after the current one has been silent for 100 ms and its frames
-    /// repeat, and a term near the end never acts.
+    /// T-RED-9: a far term acts only after the current one has been silent for 100 ms and its
+    /// frames repeat, and a term near the end never acts.
     #[test]
     fn a_far_term_acts_only_when_no_other_does() {
         use Ruling::{Accepted, Invalid, Unexplained};

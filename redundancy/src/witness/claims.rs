@@ -105,7 +105,8 @@ mod tests {
         assert!(!last(&[(0, Vehicle, end), (1, Frame, end), (2, Link, end)]));
     }
 
-    /// T-RED-9: echoes alone count if enough of them in a row agree, and leave terms for the future.
+    /// T-RED-9: echoes alone count if enough of them in a row agree, and leave terms for the
+    /// future.
     #[test]
     fn echoes_in_a_row_count_together() {
         let echoes = |term| [(0, Vehicle, term), (10, Vehicle, term), (20, Vehicle, term)];

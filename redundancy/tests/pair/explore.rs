@@ -262,7 +262,7 @@ impl Model for Faults {
             Property::<Self>::eventually("healed: one drives, one stands by", |_, it| {
                 it.shown.healed
             }),
-            // Without a takeover the exploration would test nothing. One forged word causes it, too.
+            // Without a takeover the exploration would test nothing. A forged word causes it, too.
             Property::<Self>::sometimes("B takes over", |_, it| {
                 it.pair.phase(B).is_some_and(Phase::is_driving)
             }),
@@ -290,6 +290,7 @@ fn every_state_of_a_forged_word_is_safe_and_leads_to_a_driver() {
     }
 }
 
+#[expect(clippy::print_stdout, reason = "shows what was explored")]
 fn explore(kinds: &[Fault], most: usize) {
     let (window_ms, after_ms) = (20 / most as u64, 30);
     for (name, config) in [("chip", Config::chip()), ("rt", Config::rt())] {

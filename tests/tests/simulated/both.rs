@@ -75,7 +75,8 @@ fn all_hear(scenario: &str, alter: Alter) -> Drive {
 }
 
 /// T-RED-9: a sensor lies to both systems. The vehicle is driven all the time, by no more than one
-/// change of the driver, and leaves its lane by no more than the table of `docs/redundancy.md` says.
+/// change of the driver, and leaves its lane by no more than the table of `docs/redundancy.md`
+/// says.
 #[test]
 fn what_lies_to_both_systems_has_a_stated_effect() {
     let mut beyond = vec![];

@@ -12,8 +12,8 @@ use tandem_tests::bent::{altered, bent_core};
 use CoreId as Core;
 use SystemId::{A, B};
 
-/// An object is found wrong within this time, ms: for 0.8 s the scene still has it where it was seen
-/// last.
+/// An object is found wrong within this time, ms: for 0.8 s the scene still has it where it was
+/// seen last.
 const MOST_MS: u64 = 1_100;
 
 /// Alters an object of a list.
