@@ -358,6 +358,7 @@ mod tests {
                 peers(&mut peer);
             }
             check.on_peer(peer);
+            check.on_ego(own.at, own.ego);
             let lanes = crate::driving::types::Lanes {
                 c: own.c,
                 ..crate::driving::types::Lanes::alone(3.5, 80.0)
