@@ -5,8 +5,8 @@
 
 use crate::driving::knowledge::{Knowledge, KnownLine, KnownObject, KnownPlan, PLAN_POINTS};
 use crate::driving::types::{
-    ClassCode, Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, RouteCode,
-    Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
+    CameraLine, ClassCode, Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object,
+    RouteCode, Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -149,6 +149,7 @@ structs! {
         own_end: Unbounded, left_end: Unbounded, right_end: Unbounded, speed_limit: Unbounded,
         ends_domain: bool
     };
+    CameraLine { at: Instant, c: [f32; 4] };
     TrajectoryPoint { x: f32, y: f32, heading: f32, curvature: f32, speed: f32, acceleration: f32 };
     Command { steering_angle: f32, acceleration: f32 };
     ControlStep {
@@ -211,8 +212,16 @@ impl Part for Object {
 }
 
 impl Part for Scene {
-    const WORDS: usize =
-        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 2 + <Vec<Object, MAX_OBJECTS>>::WORDS;
+    const WORDS: usize = 2
+        + 2
+        + 1
+        + Ego::WORDS
+        + 1
+        + Lanes::WORDS
+        + CameraLine::WORDS
+        + 2
+        + 2
+        + <Vec<Object, MAX_OBJECTS>>::WORDS;
 
     fn put(scene: &Self, put: &mut impl FnMut(u32)) {
         [scene.at, scene.measured]
@@ -225,6 +234,7 @@ impl Part for Scene {
             Some(lanes) => Lanes::put(lanes, put),
             None => (0..Lanes::WORDS).for_each(|_| put(0)),
         }
+        CameraLine::put(&scene.camera, put);
         Option::put(&scene.set_speed, put);
         put(scene.route as u32 | u32::from(scene.near_gap) << 8);
         put(scene.lane_offset.to_bits());
@@ -238,6 +248,7 @@ impl Part for Scene {
         let seen = bool::take(&mut || seen_and_missing & 0xFF)?;
         let missing = u8::try_from(seen_and_missing >> 8).map_err(|_| Corrupt)?;
         let lanes = Lanes::take(take)?;
+        let camera = CameraLine::take(take)?;
         let set_speed = <Option<f32> as Part>::take(take)?;
         let route_and_gap = take();
         let route = (route_and_gap & 0xFF) as usize;
@@ -248,6 +259,7 @@ impl Part for Scene {
             missing,
             ego,
             lanes: seen.then_some(lanes),
+            camera,
             set_speed,
             route: *RouteCode::ALL.get(route).ok_or(Corrupt)?,
             near_gap: bool::take(&mut || route_and_gap >> 8)?,
@@ -351,6 +363,10 @@ mod tests {
                 ..Ego::default()
             },
             lanes: Some(lanes),
+            camera: CameraLine {
+                at: Instant::from_ns(0x1_2300_0001),
+                c: [0.1, -0.2, 1e-4, 0.0],
+            },
             set_speed: Some(30.0),
             route: RouteCode::Right,
             near_gap: true,

@@ -10,7 +10,9 @@ use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX
 use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::perception::Perception;
 use tandem_cores::driving::planning::Planner;
-use tandem_cores::driving::types::{Command, Ego, Lanes, Maneuver, Object, Scene, Trajectory};
+use tandem_cores::driving::types::{
+    CameraLine, Command, Ego, Lanes, Maneuver, Object, Scene, Trajectory,
+};
 
 const CYCLE: Duration = Duration::from_ms(50);
 
@@ -248,6 +250,7 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
             ..Ego::default()
         },
         lanes: Some(lanes()),
+        camera: CameraLine::default(),
         set_speed: Some(30.0),
         route: RouteCode::Free,
         near_gap: false,

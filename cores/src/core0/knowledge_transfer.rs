@@ -295,7 +295,7 @@ impl KnowledgeReceiver {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, RouteCode, Scene};
+    use crate::driving::types::{CameraLine, Ego, Lanes, MAX_OBJECTS, Object, RouteCode, Scene};
     use std::vec::Vec;
 
     fn at(ms: u64) -> Instant {
@@ -319,6 +319,7 @@ mod tests {
             missing: 0,
             ego,
             lanes: Some(lanes),
+            camera: CameraLine::default(),
             set_speed: None,
             route: RouteCode::Free,
             near_gap: false,

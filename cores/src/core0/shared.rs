@@ -14,7 +14,7 @@ use super::knowledge_transfer::KnowledgeTransfer;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::read_back::Verdict;
 use super::redundancy_port::{Outcome, RedundancyPort};
-use super::scene_check::SceneCheck;
+use super::scene_check::{SceneCheck, Suspect};
 use super::{Core0Task, TaskSet, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::Scene;
@@ -319,9 +319,13 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// Checks a new scene, and corrects it if it is wrong.
     pub(super) fn on_scene(&mut self, scene: &mut Scene) {
         let state = self.redundancy.running().map(Redundancy::state);
-        let was_wrong = state.is_some_and(|state| state.wrong_in_a_row > 0);
+        let suspect = state.and_then(|state| match state {
+            _ if state.cpsys_failure => Some(Suspect::Peer),
+            _ if state.wrong_in_a_row > 0 => Some(Suspect::Own),
+            _ => None,
+        });
         self.ability.on_scene(scene);
-        if let Some(event) = self.scene_check.on_scene(scene, was_wrong) {
+        if let Some(event) = self.scene_check.on_scene(scene, suspect) {
             self.trace(event);
         }
         if self.scene_check.is_deceived() {

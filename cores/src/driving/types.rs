@@ -6,6 +6,7 @@
 
 use heapless::Vec;
 use tandem_board::Instant;
+use tandem_bus::CameraLanes;
 pub use tandem_bus::{ClassCode, RouteCode};
 
 /// Largest number of objects in a scene; the nearest ones are kept.
@@ -76,6 +77,23 @@ impl Lanes {
     }
 }
 
+/// A line of the camera as it was received, without a filter.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraLine {
+    /// When its frame arrived, on this system's clock.
+    pub at: Instant,
+    /// Its coefficients, as in [`Lanes::c`].
+    pub c: [f32; 4],
+}
+
+impl CameraLine {
+    /// Returns the line of a frame that arrived at `at`; `None` if the camera saw none.
+    pub(crate) fn of(at: Instant, lanes: &CameraLanes) -> Option<Self> {
+        let c = [lanes.c0, lanes.c1, lanes.c2, lanes.c3];
+        lanes.valid.then_some(Self { at, c })
+    }
+}
+
 /// One confirmed track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
@@ -124,6 +142,9 @@ pub struct Scene {
     pub ego: Ego,
     /// Lanes; `None` while the camera sees none.
     pub lanes: Option<Lanes>,
+    /// The newest line of the camera that the scene uses: another core that hears the same frames
+    /// must have received the same line.
+    pub camera: CameraLine,
     /// Speed that the driver has set, m/s; `None` if automated driving is not asked for.
     pub set_speed: Option<f32>,
     /// Where the driver's route leads.

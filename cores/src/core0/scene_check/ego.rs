@@ -13,8 +13,9 @@ const OLDEST: Duration = Duration::from_ms(40);
 const SCENES: u8 = 3;
 
 /// Limits of the differences: speed in m/s, yaw rate in rad/s, steering angle and slip angle in
-/// rad. Both cores hear the same frames, so sound values are equal. A frame that one core has not
-/// read yet causes at most 5 standard deviations of the noise: 0.2, 0.011, 0.002 and 0.007.
+/// rad. They hold between two systems, whose motions may be of different frames: that causes at
+/// most 5 standard deviations of the noise, 0.2, 0.011, 0.002 and 0.007. Between two cores, which
+/// hear the same frames, one of the remembered motions must be equal to the last bit.
 const LIMITS: [f32; 4] = [0.4, 0.02, 0.005, 0.012];
 /// Fastest changes of these values per second.
 const CHANGES: [f32; 4] = [12.0, 1.5, 0.6, 0.5];
@@ -24,7 +25,8 @@ pub(super) struct EgoCheck {
     motions: Deque<(Instant, Ego), MOTIONS>,
     agreed: Option<(Instant, Ego)>,
     different: u8,
-    /// The compared motions are up to this much apart in time, s, besides one frame.
+    /// The motions of two systems are up to this much apart in time, s, besides one frame. 0 for
+    /// those of two cores.
     apart_s: f32,
 }
 
@@ -86,6 +88,11 @@ impl EgoCheck {
         let _fits = self.motions.push_back((at, ego));
     }
 
+    /// Returns whether the motions are of two cores that hear the same frames.
+    const fn between_cores(&self) -> bool {
+        self.apart_s == 0.0
+    }
+
     /// Returns the newest motion at or before this time.
     pub(super) fn newest_before(&self, at: Instant) -> Option<Ego> {
         let mut motions = self.motions.iter().rev();
@@ -98,7 +105,7 @@ impl EgoCheck {
     }
 
     /// Compares a scene's motion. Returns the largest difference as a share of its limit, and the
-    /// difference once it has lasted.
+    /// difference once it has lasted. Two cores must agree to the last bit.
     pub(super) fn check(&mut self, at: Instant, scene: &Ego) -> (f32, Option<Difference>) {
         let oldest = OLDEST + Duration::from_us((self.apart_s * 1e6) as u64);
         let near = self.motions.iter().filter(|it| at.since(it.0) <= oldest);
@@ -109,7 +116,12 @@ impl EgoCheck {
             // Core 0 hears no motion: that is found elsewhere.
             return (0.0, None);
         };
-        if share < 1.0 {
+        let is_equal = |(_, own): &(Instant, Ego)| difference(scene, own, 0.0).0 == 0.0;
+        let is_same = match self.between_cores() {
+            true => self.motions.iter().any(is_equal),
+            false => share < 1.0,
+        };
+        if is_same {
             (self.agreed, self.different) = (Some((at, *scene)), 0);
             return (share, None);
         }

@@ -3,7 +3,8 @@
 use super::{Difference, REMEMBERED, carried};
 use crate::driving::odometry::motion;
 use crate::driving::perception::LaneFilter;
-use crate::driving::types::{Ego, Lanes, Scene};
+use crate::driving::types::{CameraLine, Ego, Lanes, Scene};
+use heapless::Deque;
 use tandem_board::{Duration, Instant};
 use tandem_bus::CameraLanes;
 
@@ -47,7 +48,25 @@ pub(super) struct Comparison {
     agreed: Option<(Instant, [f32; 4])>,
 }
 
+/// Lines of the camera that are remembered: 200 ms.
+const LINES: usize = 4;
+/// So many new lines in succession must differ: 150 ms.
+const DIFFERENT: u8 = 3;
+
+/// Compares the camera's line in each scene with the lines that core 0 has received. They are of
+/// the same frames, so they are equal to the last bit.
+struct LineCheck {
+    /// Oldest first.
+    heard: Deque<CameraLine, LINES>,
+    /// The line of the last scene.
+    last: CameraLine,
+    /// The last line that both cores received.
+    agreed: Option<CameraLine>,
+    different: u8,
+}
+
 pub(super) struct LaneCheck {
+    lines: LineCheck,
     filter: LaneFilter,
     /// Time of the camera's newest line, up to which the filter is predicted.
     time: Option<Instant>,
@@ -82,13 +101,24 @@ pub(super) fn apart(c: &[f32; 4], other: &[f32; 4], range: f32) -> f32 {
 impl LaneCheck {
     pub(super) fn new() -> Self {
         Self {
+            lines: LineCheck {
+                heard: Deque::new(),
+                last: CameraLine::default(),
+                agreed: None,
+                different: 0,
+            },
             filter: LaneFilter::new(),
             time: None,
             comparison: Comparison::default(),
         }
     }
 
-    /// Takes the camera's line. `ego`: the vehicle's motion.
+    /// Takes the camera's line as it was received.
+    pub(super) fn on_line(&mut self, line: CameraLine) {
+        self.lines.on_line(line);
+    }
+
+    /// Takes the camera's line for the filter. `ego`: the vehicle's motion.
     pub(super) fn on_camera(&mut self, at: Instant, camera: &CameraLanes, ego: &Ego) {
         let before = self.time.replace(at);
         let seconds = at.since(before.unwrap_or(at)).as_secs_f32();
@@ -110,13 +140,67 @@ impl LaneCheck {
         Some((carried(&lanes.c, time, at, ego), lanes.view_range))
     }
 
-    /// Compares a scene's line. Returns the largest difference as a share of its tolerance, and
-    /// the difference once it has lasted.
+    /// Compares a scene's lines: the camera's newest, and the filtered one. Returns the largest
+    /// difference of the filtered line as a share of its tolerance, and a difference once it has
+    /// lasted.
     pub(super) fn check(&mut self, scene: &Scene) -> (f32, Option<Difference>) {
+        let unequal = self.lines.check(scene);
+        let (share, different) = self.check_filtered(scene);
+        (share, unequal.or(different))
+    }
+
+    fn check_filtered(&mut self, scene: &Scene) -> (f32, Option<Difference>) {
         let (Some(lanes), Some(own)) = (&scene.lanes, self.line(scene.at, &scene.ego)) else {
             return (0.0, None);
         };
         self.comparison.check(scene, lanes, &own)
+    }
+}
+
+impl LineCheck {
+    fn on_line(&mut self, line: CameraLine) {
+        if self.heard.is_full() {
+            let _oldest = self.heard.pop_front();
+        }
+        let _fits = self.heard.push_back(line);
+    }
+
+    /// Compares the camera's line in a scene, if it is a new one. Returns the difference once it
+    /// has lasted.
+    fn check(&mut self, scene: &Scene) -> Option<Difference> {
+        let line = scene.camera;
+        let before = core::mem::replace(&mut self.last, line);
+        // The same line again: core 1 does not hear the camera. That is found elsewhere.
+        if line.at <= before.at {
+            return None;
+        }
+        let newest = *self.heard.back()?;
+        let bits = |line: &CameraLine| line.c.map(f32::to_bits);
+        if self.heard.iter().any(|heard| bits(heard) == bits(&line)) {
+            (self.agreed, self.different) = (Some(line), 0);
+            return None;
+        }
+        self.different = self.different.saturating_add(1);
+        if self.different < DIFFERENT {
+            return None;
+        }
+        let near = |agreed: &CameraLine| scene.at.since(agreed.at) <= REMEMBERED;
+        let other = self.agreed.filter(near).map(|agreed| {
+            let far = |line: &CameraLine| {
+                let agreed = carried(&agreed.c, agreed.at, line.at, &scene.ego);
+                apart(
+                    &line.c,
+                    &agreed,
+                    scene.lanes.map_or(0.0, |it| it.view_range),
+                )
+            };
+            far(&newest) > far(&line)
+        });
+        Some(Difference {
+            what: 0,
+            other,
+            amount: line.c[0] - newest.c[0],
+        })
     }
 }
 

@@ -10,7 +10,7 @@ mod objects;
 mod peer;
 
 use crate::driving::odometry::motion;
-use crate::driving::types::{Ego, Scene};
+use crate::driving::types::{CameraLine, Ego, Scene};
 use crate::trace::Event;
 use ego::EgoCheck;
 use lanes::LaneCheck;
@@ -65,7 +65,16 @@ impl Finding {
     }
 }
 
-/// Both checks and what they have found. Costs about 400 multiplications in 50 ms, most of them for
+/// The system to suspect if two scenes differ and none is known to have jumped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Suspect {
+    /// This system has left recently because it was wrong.
+    Own,
+    /// The other system has left.
+    Peer,
+}
+
+/// All checks and what they have found. Costs about 400 multiplications in 50 ms, most of them for
 /// the filter of the lanes.
 pub(super) struct SceneCheck {
     ego: EgoCheck,
@@ -99,6 +108,9 @@ impl SceneCheck {
 
     /// Takes the camera's lanes that core 0 has heard.
     pub(super) fn on_lanes(&mut self, at: Instant, camera: &CameraLanes) {
+        if let Some(line) = CameraLine::of(at, camera) {
+            self.lanes.on_line(line);
+        }
         // No motion: that is found elsewhere.
         if let (true, Some(ego)) = (camera.valid, self.ego.newest_before(at)) {
             self.lanes.on_camera(at, camera, &ego);
@@ -137,15 +149,18 @@ impl SceneCheck {
     }
 
     /// Checks a new scene. Once it was found wrong, puts core 0's values in the place of the
-    /// scene's. `was_wrong`: this system left recently because it was wrong. Returns an event to
-    /// trace.
-    pub(super) fn on_scene(&mut self, scene: &mut Scene, was_wrong: bool) -> Option<Event> {
+    /// scene's. Returns an event to trace.
+    pub(super) fn on_scene(
+        &mut self,
+        scene: &mut Scene,
+        suspect: Option<Suspect>,
+    ) -> Option<Event> {
         // Without motion, the scene keeps its last one.
         let hears_motion = self.ego.is_heard(scene.at);
         self.own = PeerScene::of(scene).filter(|_| hears_motion);
         let (of_cores, found) = self.check(scene);
         let (of_systems, event) = match self.found.or(found) {
-            None => self.compare(scene, was_wrong),
+            None => self.compare(scene, suspect),
             found => {
                 let is_new = self.found.is_none();
                 self.found = found;
@@ -162,10 +177,10 @@ impl SceneCheck {
         event.or(is_worst.then_some(Event::SceneCheck { percent }))
     }
 
-    /// Compares the scene with the other system's. A system whose own scene jumped leaves. If
-    /// neither is known to have jumped, a system that has just left for such a fault leaves again;
-    /// otherwise the comparison of commands decides.
-    fn compare(&mut self, scene: &Scene, was_wrong: bool) -> (f32, Option<Event>) {
+    /// Compares the scene with the other system's. A system whose own scene jumped leaves, unless
+    /// the other one has just left. If neither is known to have jumped, a system that has just left
+    /// for such a fault leaves again; otherwise the comparison of commands decides.
+    fn compare(&mut self, scene: &Scene, suspect: Option<Suspect>) -> (f32, Option<Event>) {
         if self.own.is_none() {
             self.peer = PeerCheck::new();
             return (0.0, None);
@@ -174,7 +189,8 @@ impl SceneCheck {
         let Some(difference) = difference else {
             return (share, None);
         };
-        let own = !difference.other.unwrap_or(!was_wrong);
+        let jumped = difference.other.map(|other| !other);
+        let own = suspect != Some(Suspect::Peer) && jumped.unwrap_or(suspect == Some(Suspect::Own));
         let event = Event::PeerScene {
             what: difference.what,
             own,
@@ -194,7 +210,7 @@ impl SceneCheck {
     /// Returns the largest difference as a share of what is tolerated, and what was found.
     fn check(&mut self, scene: &Scene) -> (f32, Option<Finding>) {
         let (share, found) = self.ego.check(scene.at, &scene.ego);
-        if share >= 1.0 {
+        if share >= 1.0 || found.is_some() {
             // A wrong motion also bends the lanes of the scene: it is judged first.
             return (share, found.map(Difference::between_cores));
         }
@@ -272,7 +288,7 @@ mod tests {
                     perception.on_message(at, &Message::CameraLanes(lanes));
                     check.on_lanes(at, &own_lanes);
                     last = perception.cycle(at + Duration::from_ms(1)).clone();
-                    let _ = check.on_scene(&mut last, false);
+                    let _ = check.on_scene(&mut last, None);
                     let new = check.found().map(|it| (cycle.saturating_sub(100), it));
                     found = found.or(new);
                 }
@@ -321,6 +337,27 @@ mod tests {
         }
     }
 
+    /// T-RED-9: a difference of one bit is found too: both cores hear the same frames.
+    #[test]
+    fn the_smallest_difference_is_found() {
+        let faults: [(u8, Alter); 4] = [
+            (0, |_, lanes| lanes.c1 = -lanes.c1),
+            (0, |_, lanes| {
+                lanes.c2 = f32::from_bits(lanes.c2.to_bits() + 1)
+            }),
+            (4, |motion, _| motion.slip_angle += 1e-6),
+            (1, |motion, _| motion.speed += 1e-3),
+        ];
+        for (what, fault) in faults {
+            for (scene, own) in [(SOUND, fault), (fault, SOUND)] {
+                let (found, _) = drive(scene, own);
+                let (scenes, found) = found.expect("a finding");
+                assert!(scenes <= 3, "{what}: {scenes} scenes");
+                assert_eq!(found.what, what);
+            }
+        }
+    }
+
     /// T-RED-9: what both cores hear is no contradiction, even if the sensor itself jumps.
     #[test]
     fn a_sensor_that_is_wrong_for_both_cores_is_no_finding() {
@@ -335,7 +372,7 @@ mod tests {
     fn compared(
         alter: impl Fn(&mut PeerScene),
         peers: impl Fn(&mut PeerScene),
-        was_wrong: bool,
+        suspect: Option<Suspect>,
         from: u32,
     ) -> Option<bool> {
         let mut check = SceneCheck::new();
@@ -369,7 +406,7 @@ mod tests {
                 lanes: Some(lanes),
                 ..Perception::new().scene().clone()
             };
-            if let Some(Event::PeerScene { own, .. }) = check.on_scene(&mut scene, was_wrong) {
+            if let Some(Event::PeerScene { own, .. }) = check.on_scene(&mut scene, suspect) {
                 reported.get_or_insert(own);
                 assert_eq!(check.found().is_some(), own);
             }
@@ -389,14 +426,17 @@ mod tests {
             |it| it.ego.yaw_rate += 0.2,
             |it| it.c[0] = f32::NAN,
         ];
-        assert_eq!(compared(same, same, true, 0), None);
+        assert_eq!(compared(same, same, Some(Suspect::Own), 0), None);
         for (number, fault) in faults.into_iter().enumerate() {
-            assert_eq!(compared(fault, same, false, 100), Some(true), "{number}");
-            assert_eq!(compared(same, fault, false, 100), Some(false), "{number}");
-            for was_wrong in [false, true] {
-                let reported = compared(fault, same, was_wrong, 0);
-                assert_eq!(reported, Some(was_wrong), "{number}");
+            assert_eq!(compared(fault, same, None, 100), Some(true), "{number}");
+            assert_eq!(compared(same, fault, None, 100), Some(false), "{number}");
+            for suspect in [None, Some(Suspect::Own), Some(Suspect::Peer)] {
+                let reported = compared(fault, same, suspect, 0);
+                assert_eq!(reported, Some(suspect == Some(Suspect::Own)), "{number}");
             }
+            // A system that has just left does not make the other one leave.
+            let reported = compared(fault, same, Some(Suspect::Peer), 100);
+            assert_eq!(reported, Some(false), "{number}");
         }
     }
 }

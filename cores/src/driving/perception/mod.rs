@@ -20,7 +20,7 @@ use tandem_bus::{CameraLanes, DriverRequest, EgoMotion, Message, SensorId, Senso
 use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, STARTING_CYCLES};
 use super::odometry::{Odometry, motion};
-use super::types::{Ego, Object, RouteCode, Scene};
+use super::types::{CameraLine, Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
 pub(crate) use lane::LaneFilter;
 use lists::Lists;
@@ -87,6 +87,7 @@ impl Perception {
                 missing: 0,
                 ego: Ego::default(),
                 lanes: None,
+                camera: CameraLine::default(),
                 set_speed: None,
                 route: RouteCode::Free,
                 near_gap: false,
@@ -162,6 +163,7 @@ impl Perception {
             oldest = Some(oldest.map_or(at, |oldest| oldest.min(at)));
             self.advance(at);
             self.lanes.update(at, &lanes);
+            self.scene.camera = CameraLine::of(at, &lanes).unwrap_or(self.scene.camera);
         }
         self.scene.measured = oldest.unwrap_or(self.scene.measured);
         self.scene.missing = self.missing(now);
