@@ -275,6 +275,20 @@ pub enum Event {
         /// The difference, in thousandths of m, m/s, rad/s or rad.
         thousandths: u32,
     },
+    /// Two trajectories in succession were wrong. Core 0 does not follow them, and this system
+    /// leaves.
+    WrongTrajectory {
+        /// 0 its start, 1 the way from point to point, 2 the limits of the vehicle, 3 the lane, 4 a
+        /// vehicle ahead.
+        what: u8,
+        /// Share of the limit, %.
+        percent: u32,
+    },
+    /// The largest share of a limit that a right trajectory uses has grown by a tenth.
+    TrajectoryCheck {
+        /// %
+        percent: u8,
+    },
     /// The largest difference between a scene and the sensors' frames has grown by a tenth of what
     /// one scene may differ. A finding takes at least three scenes beyond it.
     SceneCheck {
@@ -513,6 +527,8 @@ codec! {
     46 SensorContradicted { sensor: a } 0..=5;
     47 PeerScene { what: a, own: b, thousandths: x } 0..=4;
     48 Ability { bits: a, missing: b } 0..=3;
+    49 WrongTrajectory { what: a, percent: x } 0..=4;
+    50 TrajectoryCheck { percent: a };
 }
 
 #[cfg(test)]
@@ -657,6 +673,11 @@ mod tests {
                 missing: 0x40,
             },
             Event::SensorContradicted { sensor: 5 },
+            Event::WrongTrajectory {
+                what: 4,
+                percent: 300,
+            },
+            Event::TrajectoryCheck { percent: 40 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));

@@ -139,6 +139,19 @@ pub fn core_event(event: Event) -> Option<String> {
             };
             format!("the scenes of both systems differ in {what}, by {amount}: {wrong}")
         }
+        Event::WrongTrajectory { what, percent } => {
+            let what = match what {
+                0 => "begins elsewhere than the vehicle is",
+                1 => "has points that no vehicle drives to",
+                2 => "is beyond the limits of the vehicle",
+                3 => "leaves the lane",
+                _ => "passes through a vehicle ahead",
+            };
+            format!("leaves: its trajectory {what}, {percent} % of the limit")
+        }
+        Event::TrajectoryCheck { percent } => {
+            format!("a right trajectory used {percent} % of a limit")
+        }
         Event::SceneCheck { percent } => {
             format!("the scene differs from the sensors by {percent} % of what is tolerated")
         }

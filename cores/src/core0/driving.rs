@@ -1,10 +1,12 @@
 //! Which function drives: trajectory control, the degraded L2 functions, or the safe stop.
 
+use super::plan_check::{Known, PlanCheck};
 use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
 use crate::driving::function::{Driver, Function, FunctionState, Inputs, stays_in_domain};
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
+use crate::trace::Event;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
@@ -29,6 +31,7 @@ pub(crate) struct Output {
 pub struct Driving {
     ego: Option<(Instant, Ego)>,
     trajectory: Option<Trajectory>,
+    check: PlanCheck,
     scene: Option<Scene>,
     motion: MotionControl,
     degraded: DegradedControl,
@@ -56,6 +59,7 @@ impl Driving {
         Self {
             ego: None,
             trajectory: None,
+            check: PlanCheck::default(),
             scene: None,
             motion: MotionControl::new(),
             degraded: DegradedControl::new(),
@@ -73,8 +77,20 @@ impl Driving {
         self.ego = Some((at, ego));
     }
 
-    pub(crate) fn on_trajectory(&mut self, trajectory: Trajectory) {
-        self.trajectory = Some(trajectory);
+    /// Takes a trajectory if it is right. Returns an event to trace.
+    pub(super) fn on_trajectory(&mut self, new: Trajectory) -> Option<Event> {
+        let last = self.trajectory.as_ref();
+        let moved = last.map(|last| self.motion.moved(last.at, new.at));
+        let known = Known {
+            scene: self.scene.as_ref().filter(|scene| scene.at == new.at),
+            last,
+            moved: moved.unwrap_or_default(),
+        };
+        let (is_right, event) = self.check.check(&new, &known);
+        if is_right {
+            self.trajectory = Some(new);
+        }
+        event
     }
 
     pub(crate) fn on_scene(&mut self, scene: Scene) {

@@ -21,6 +21,7 @@ mod frames;
 mod knowledge_transfer;
 mod limits;
 mod peer_command;
+mod plan_check;
 mod read_back;
 mod redundancy_port;
 mod run_to_completion;

@@ -48,6 +48,8 @@ pub struct SharedState<'b, B: Board> {
     pub(super) can: CanPort,
     pub(super) check: CommandCheck<'b>,
     pub(super) scene_check: SceneCheck,
+    /// Core 2 was found wrong in this incarnation.
+    pub(super) is_plan_wrong: bool,
     ability: AbilityCheck,
     pub(super) transfer: KnowledgeTransfer<'b>,
     pub(super) grid: ControlGrid,
@@ -71,6 +73,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             can: CanPort::new(),
             check: CommandCheck::new(),
             scene_check: SceneCheck::new(),
+            is_plan_wrong: false,
             ability: AbilityCheck::default(),
             transfer: KnowledgeTransfer::new(started, generation),
             grid: ControlGrid::new(started),
@@ -333,7 +336,13 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
     }
 
-    /// Called while the scene and what core 0 hears are known to contradict each other.
+    /// Takes what the check of a trajectory says.
+    pub(super) fn on_checked_trajectory(&mut self, event: Event) {
+        self.is_plan_wrong |= matches!(event, Event::WrongTrajectory { .. });
+        self.trace(event);
+    }
+
+    /// Called while the scene or the trajectory is known to be wrong.
     pub(super) fn on_wrong_scene(&mut self) -> TaskSet {
         self.notify(Input::OwnFault(FailureMode::WrongScene))
     }

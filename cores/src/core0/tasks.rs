@@ -218,11 +218,11 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         }
     }
 
-    /// Reports a scene that was found wrong, for as long as this system runs.
+    /// Reports a scene or a trajectory that was found wrong, for as long as this system runs.
     fn supervise_scene(&self, executor: &impl Executor<'b, B>) {
         let tasks = executor.shared(|shared| {
-            let found = shared.scene_check.found();
-            found.map(|_| shared.on_wrong_scene())
+            let is_wrong = shared.scene_check.found().is_some() || shared.is_plan_wrong;
+            is_wrong.then(|| shared.on_wrong_scene())
         });
         if let Some(tasks) = tasks {
             executor.release(tasks);
@@ -360,6 +360,19 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
         let (scene, trajectory) = (lmu.scenes.fetch(), lmu.trajectories.fetch());
         let asleep = lmu.from_planning.prepare_sleep();
         let now = self.board.now();
+        // The trajectory is checked against the scene for which it was planned.
+        match scene {
+            Ok(Some(mut scene)) => {
+                executor.shared(|shared| {
+                    shared.on_scene(&mut scene);
+                    shared.counters.tracks = scene.objects.len() as u8;
+                    shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
+                });
+                executor.drive(|drive| drive.on_scene(scene));
+            }
+            Ok(None) => {}
+            Err(_) => self.trace(Event::Refused { id: 0 }),
+        }
         match trajectory {
             Ok(Some(trajectory)) => {
                 let missed = self.cycles.missed(trajectory.cycle);
@@ -378,20 +391,13 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                         cycle: trajectory.cycle,
                     });
                 }
-                executor.drive(|drive| drive.on_trajectory(trajectory));
-                executor.shared(|shared| shared.grid.on_trajectory(shared.board.now()));
-            }
-            Ok(None) => {}
-            Err(_) => self.trace(Event::Refused { id: 0 }),
-        }
-        match scene {
-            Ok(Some(mut scene)) => {
+                let event = executor.drive(|drive| drive.on_trajectory(trajectory));
                 executor.shared(|shared| {
-                    shared.on_scene(&mut scene);
-                    shared.counters.tracks = scene.objects.len() as u8;
-                    shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
+                    shared.grid.on_trajectory(shared.board.now());
+                    if let Some(event) = event {
+                        shared.on_checked_trajectory(event);
+                    }
                 });
-                executor.drive(|drive| drive.on_scene(scene));
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),

@@ -5,7 +5,7 @@ pub mod degraded;
 pub mod function;
 mod idm;
 pub mod knowledge;
-mod math;
+pub(crate) mod math;
 pub mod odometry;
 pub mod perception;
 pub mod planning;

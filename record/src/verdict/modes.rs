@@ -63,6 +63,7 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
         Event::Agreement { stage, .. } => stage > 0,
         Event::WrongCommand { .. }
         | Event::WrongScene { .. }
+        | Event::WrongTrajectory { .. }
         | Event::ClockWrong { .. }
         | Event::CoreSilent { .. }
         | Event::OutputFault { .. } => true,

@@ -85,6 +85,11 @@ impl MotionControl {
         self.wish
     }
 
+    /// Returns how the vehicle has moved between these times, in the frame of the first.
+    pub(crate) fn moved(&self, from: Instant, to: Instant) -> EgoPose {
+        self.odometry.between(from, to)
+    }
+
     /// Takes the motion measured at `now`; to be called with every such message (100 Hz).
     pub fn on_ego(&mut self, now: Instant, ego: &Ego) {
         self.odometry.update(now, ego);
