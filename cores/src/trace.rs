@@ -275,7 +275,7 @@ pub enum Event {
         /// The difference, in thousandths of m, m/s, rad/s or rad.
         thousandths: u32,
     },
-    /// Two trajectories in succession were wrong. Core 0 does not follow them, and this system
+    /// Three trajectories in succession were wrong. Core 0 does not follow them, and this system
     /// leaves.
     WrongTrajectory {
         /// 0 its start, 1 the way from point to point, 2 the limits of the vehicle, 3 the lane, 4 a
@@ -286,6 +286,8 @@ pub enum Event {
     },
     /// The largest share of a limit that a right trajectory uses has grown by a tenth.
     TrajectoryCheck {
+        /// As in [`WrongTrajectory`](Self::WrongTrajectory).
+        what: u8,
         /// %
         percent: u8,
     },
@@ -528,7 +530,7 @@ codec! {
     47 PeerScene { what: a, own: b, thousandths: x } 0..=4;
     48 Ability { bits: a, missing: b } 0..=3;
     49 WrongTrajectory { what: a, percent: x } 0..=4;
-    50 TrajectoryCheck { percent: a };
+    50 TrajectoryCheck { what: a, percent: b } 0..=4;
 }
 
 #[cfg(test)]
@@ -677,7 +679,10 @@ mod tests {
                 what: 4,
                 percent: 300,
             },
-            Event::TrajectoryCheck { percent: 40 },
+            Event::TrajectoryCheck {
+                what: 0,
+                percent: 40,
+            },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));

@@ -149,7 +149,7 @@ pub fn core_event(event: Event) -> Option<String> {
             };
             format!("leaves: its trajectory {what}, {percent} % of the limit")
         }
-        Event::TrajectoryCheck { percent } => {
+        Event::TrajectoryCheck { percent, .. } => {
             format!("a right trajectory used {percent} % of a limit")
         }
         Event::SceneCheck { percent } => {

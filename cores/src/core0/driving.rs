@@ -73,16 +73,26 @@ impl Driving {
     }
 
     pub(crate) fn on_ego(&mut self, at: Instant, ego: Ego) {
+        if !self
+            .ego
+            .is_some_and(|(last, _)| at.since(last) <= EGO_MAX_AGE)
+        {
+            self.check.interrupt();
+        }
         self.motion.on_ego(at, &ego);
         self.ego = Some((at, ego));
     }
 
     /// Takes a trajectory if it is right. Returns an event to trace.
     pub(super) fn on_trajectory(&mut self, new: Trajectory) -> Option<Event> {
+        let moves = self
+            .ego
+            .is_some_and(|(at, _)| new.at.since(at) <= EGO_MAX_AGE);
         let last = self.trajectory.as_ref();
         let moved = last.map(|last| self.motion.moved(last.at, new.at));
         let known = Known {
             scene: self.scene.as_ref().filter(|scene| scene.at == new.at),
+            moves,
             last,
             moved: moved.unwrap_or_default(),
         };

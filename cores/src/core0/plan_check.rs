@@ -17,8 +17,8 @@ use crate::driving::vehicle::WIDTH_M;
 use crate::trace::Event;
 use tandem_board::Duration;
 
-/// This many trajectories in succession must be wrong: 100 ms.
-const WRONG: u8 = 2;
+/// This many trajectories in succession must be wrong: 150 ms. A wrong scene is found before.
+const WRONG: u8 = 3;
 /// An older trajectory is not continued, as in planning.
 const CONTINUED: Duration = Duration::from_ms(300);
 /// Largest distance of the first point from the vehicle: along and across in m, heading in rad,
@@ -29,11 +29,13 @@ const NEAR: [f32; 4] = [6.5, 1.3, 0.2, 4.0];
 const JOINS: [f32; 4] = [0.8, 0.15, 0.03, 0.6];
 /// Errors between two points, 0.1 s apart: way and sideward step in m, turn in rad, change of speed
 /// in m/s.
-const STEP: [f32; 4] = [0.15, 0.1, 0.02, 0.2];
+const STEP: [f32; 4] = [0.3, 0.2, 0.05, 0.45];
 /// Lateral and longitudinal acceleration, m/s², and speed, m/s.
 const MOST: [f32; 3] = [8.0, 10.0, 70.0];
-/// The trajectory may leave the range from its present offset to its goal by this much, m.
+/// The trajectory may leave the range from its present offset to its goal by this much, m, and by
+/// its first sideward speed times this, s: it first has to turn back.
 const ASIDE: f32 = 0.5;
+const TURNS_BACK_S: f32 = 1.5;
 /// Every fifth point is compared with the lane.
 const LANE_STEP: usize = 5;
 /// The paths of two vehicles that overlap sideways by less do not count as one, m.
@@ -57,6 +59,8 @@ type Worst = (f32, Part);
 pub(super) struct Known<'k> {
     /// The scene for which it was planned, as core 0 has checked it; `None` if that is another one.
     pub(super) scene: Option<&'k Scene>,
+    /// The vehicle's motion is known.
+    pub(super) moves: bool,
     /// The last trajectory that was right.
     pub(super) last: Option<&'k Trajectory>,
     /// How the vehicle has moved from the start of that trajectory to that of this one.
@@ -67,25 +71,39 @@ pub(super) struct Known<'k> {
 #[derive(Default)]
 pub(super) struct PlanCheck {
     wrong: u8,
+    /// The vehicle's motion is known since the last trajectory.
+    is_continued: bool,
     /// The largest share that was traced, in tenths.
     worst_tenths: u8,
 }
 
 impl PlanCheck {
+    /// The vehicle's motion was unknown for a while: the next trajectory need not join the last.
+    pub(super) fn interrupt(&mut self) {
+        self.is_continued = false;
+    }
+
     /// Checks a trajectory. Returns whether it may be followed, and an event to trace:
     /// [`Event::WrongTrajectory`] if core 2 is wrong. Then no further one is followed in this
     /// incarnation.
     pub(super) fn check(&mut self, new: &Trajectory, known: &Known<'_>) -> (bool, Option<Event>) {
-        let (share, part) = worst(new, known);
+        let last = known.last.filter(|_| self.is_continued);
+        let (share, part) = worst(new, &Known { last, ..*known });
         if self.wrong >= WRONG {
             return (false, None);
         }
         if share <= 1.0 {
-            self.wrong = 0;
+            (self.wrong, self.is_continued) = (0, known.moves);
             let percent = (share * 100.0) as u8;
             let is_worst = percent / 10 > self.worst_tenths;
             self.worst_tenths = self.worst_tenths.max(percent / 10);
-            return (true, is_worst.then_some(Event::TrajectoryCheck { percent }));
+            return (
+                true,
+                is_worst.then_some(Event::TrajectoryCheck {
+                    what: part as u8,
+                    percent,
+                }),
+            );
         }
         self.wrong += 1;
         let event = Event::WrongTrajectory {
@@ -125,7 +143,7 @@ fn worst(new: &Trajectory, known: &Known<'_>) -> Worst {
 /// Compares the first point with the vehicle, and with the last trajectory.
 fn start(new: &Trajectory, known: &Known<'_>) -> Worst {
     let first = &new.points[0];
-    let Some(ego) = known.scene.map(|scene| &scene.ego) else {
+    let Some(ego) = known.scene.filter(|_| known.moves).map(|scene| &scene.ego) else {
         return (0.0, Part::Start);
     };
     let aside = [
@@ -176,20 +194,21 @@ fn step(from: &TrajectoryPoint, to: &TrajectoryPoint) -> Worst {
     share(errors, STEP, Part::Step)
 }
 
+/// Tests the limits of the vehicle. A trajectory within them uses no share: hard braking is right.
 fn limits(point: &TrajectoryPoint) -> Worst {
     let lateral = point.curvature * point.speed * point.speed;
-    share(
-        [lateral, point.acceleration, point.speed],
-        MOST,
-        Part::Limit,
-    )
+    let values = [lateral, point.acceleration, point.speed];
+    let (share, part) = share(values, MOST, Part::Limit);
+    (if share > 1.0 { share } else { 0.0 }, part)
 }
 
 /// Tests that the trajectory stays between its present offset and that of its goal.
 fn lane(new: &Trajectory, lanes: &Lanes, lane_offset: f32) -> Worst {
     let line = CentreLine::new(lanes);
     let offset = |point: &TrajectoryPoint| line.project(point.x, point.y).1;
-    let now = offset(&new.points[0]);
+    let first = &new.points[0];
+    let now = offset(first);
+    let sideward = abs(sin(first.heading - line.heading(first.x))) * first.speed;
     let centre_of = |beside: Option<f32>| 0.5 * (lanes.width + beside.unwrap_or(0.0));
     // A change that was begun goes on although the other lane has just ended.
     let [to_left, to_right] = match new.maneuver {
@@ -213,7 +232,7 @@ fn lane(new: &Trajectory, lanes: &Lanes, lane_offset: f32) -> Worst {
     };
     let points = new.points.iter().step_by(LANE_STEP);
     let most = points.map(beyond).fold(0.0, max);
-    share([most], [ASIDE], Part::Lane)
+    share([most], [ASIDE + TURNS_BACK_S * sideward], Part::Lane)
 }
 
 /// Returns whether the trajectory passes through a vehicle ahead that keeps its motion.
@@ -321,6 +340,7 @@ mod tests {
             };
             let known = Known {
                 scene: Some(&scene),
+                moves: true,
                 last: last.as_ref(),
                 moved,
             };

@@ -246,7 +246,7 @@ fn two_healthy_systems_agree_in_every_scenario() {
             });
             let worst = used.max().unwrap_or(0);
             let scenes = drive.events.iter().filter_map(|(.., event)| match event {
-                Event::SceneCheck { percent } | Event::TrajectoryCheck { percent } => {
+                Event::SceneCheck { percent } | Event::TrajectoryCheck { percent, .. } => {
                     Some(*percent)
                 }
                 Event::WrongTrajectory { .. } => Some(100),

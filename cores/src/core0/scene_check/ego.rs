@@ -9,6 +9,8 @@ use tandem_board::{Duration, Instant};
 const MOTIONS: usize = 8;
 /// Core 1's newest motion was on the bus at most this long before the scene.
 const OLDEST: Duration = Duration::from_ms(40);
+/// Period of the frame with the motion.
+const PERIOD: Duration = Duration::from_ms(10);
 /// So many scenes in succession must differ: 150 ms.
 const SCENES: u8 = 3;
 
@@ -123,6 +125,11 @@ impl EgoCheck {
         };
         if is_same {
             (self.agreed, self.different) = (Some((at, *scene)), 0);
+            return (share, None);
+        }
+        let newest = self.motions.back().map_or(at, |it| it.0);
+        if self.between_cores() && at.since(newest) >= PERIOD {
+            // Core 0 has not read the newest frame yet.
             return (share, None);
         }
         self.different = self.different.saturating_add(1);

@@ -50,6 +50,8 @@ pub(super) struct Comparison {
 
 /// Lines of the camera that are remembered: 200 ms.
 const LINES: usize = 4;
+/// Two cores receive a frame at times that are less apart than this.
+const SAME_FRAME: Duration = Duration::from_ms(5);
 /// So many new lines in succession must differ: 150 ms.
 const DIFFERENT: u8 = 3;
 
@@ -178,6 +180,10 @@ impl LineCheck {
         let bits = |line: &CameraLine| line.c.map(f32::to_bits);
         if self.heard.iter().any(|heard| bits(heard) == bits(&line)) {
             (self.agreed, self.different) = (Some(line), 0);
+            return None;
+        }
+        // Core 0 has not read this frame yet.
+        if newest.at + SAME_FRAME < line.at {
             return None;
         }
         self.different = self.different.saturating_add(1);
