@@ -1,9 +1,9 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
-use crate::driving::control::is_right;
+use crate::driving::control::{is_right, is_right_by_scene};
 use crate::driving::knowledge::Knowledge;
 use crate::driving::planning::Planner;
-use crate::driving::types::{ControlStep, Scene, Trajectory};
+use crate::driving::types::{ControlStep, Scene, StepFunction, Trajectory};
 use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE,
     TRAJECTORY, TRAJECTORY_READY,
@@ -24,6 +24,8 @@ struct Planning<'b, B: Board> {
     board: &'b B,
     map: ControllerMap<'b>,
     scenes: Reader<'b, Scene>,
+    /// The last scene.
+    scene: Option<Scene>,
     planner: Planner,
     cycles: Cycles,
     trajectories: Writer<'b, Trajectory>,
@@ -40,14 +42,26 @@ impl<B: Board> Planning<'_, B> {
         self.trace(Event::TaskOut { task, leaves });
     }
 
-    /// Computes core 0's newest step again, from this core's copy of the trajectory.
+    /// Computes core 0's newest step again, from this core's copy of the trajectory or the scene.
     fn judge_control(&mut self) {
-        if let Ok(Some(step)) = self.control_steps.fetch()
-            && let Some((trajectory, ego)) = self.planner.last()
-            && trajectory.cycle == step.cycle
-        {
-            self.map.judge_control(is_right(&step, trajectory, ego));
-        }
+        let Ok(Some(step)) = self.control_steps.fetch() else {
+            return;
+        };
+        let is_right = match (step.function, self.planner.last(), &self.scene) {
+            (StepFunction::Trajectory, Some((trajectory, ego)), _)
+                if trajectory.cycle == step.cycle =>
+            {
+                is_right(&step, trajectory, ego)
+            }
+            (StepFunction::Keep | StepFunction::Stop, _, Some(scene))
+                if scene.cycle == step.cycle =>
+            {
+                is_right_by_scene(&step, scene)
+            }
+            (StepFunction::Blind, _, Some(scene)) => is_right_by_scene(&step, scene),
+            _ => return,
+        };
+        self.map.judge_control(is_right);
     }
 
     fn plan(&mut self) {
@@ -70,6 +84,7 @@ impl<B: Board> Planning<'_, B> {
                     flow,
                 });
                 let trajectory = self.planner.plan(&scene);
+                self.scene = Some(scene);
                 self.trajectories.publish(&trajectory);
                 self.map.count_cycle();
                 let (core, task) = (CoreId::CONTROL, TaskCode::TRAJECTORY_INPUT);
@@ -119,6 +134,7 @@ impl<'b, B: Board> Core2<'b, B> {
             board: self.board,
             map: lmu,
             scenes: SCENE.reader(&map).ok()?,
+            scene: None,
             planner: Planner::new(),
             cycles: Cycles::default(),
             trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,

@@ -6,7 +6,7 @@
 use crate::driving::knowledge::{Knowledge, KnownLine, KnownObject, KnownPlan, PLAN_POINTS};
 use crate::driving::types::{
     CameraLine, ClassCode, Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object,
-    RouteCode, Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
+    RouteCode, Scene, StepFunction, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -48,6 +48,9 @@ words! {
     bool as bool: u32::from, |word| (word <= 1).then_some(word == 1);
     Memory as Memory: Memory::bits, Memory::from_bits;
     f32 as f32: f32::to_bits, |word| Some(f32::from_bits(word)).filter(|it| it.abs() <= LIMIT);
+    StepFunction as StepFunction: |function| function as u32, |word: u32| {
+        StepFunction::ALL.get(word as usize).copied()
+    };
     Unbounded as f32: f32::to_bits, |word| {
         Some(f32::from_bits(word)).filter(|it| *it == f32::INFINITY || it.abs() <= LIMIT)
     };
@@ -153,7 +156,8 @@ structs! {
     TrajectoryPoint { x: f32, y: f32, heading: f32, curvature: f32, speed: f32, acceleration: f32 };
     Command { steering_angle: f32, acceleration: f32 };
     ControlStep {
-        cycle: u32, age_s: f32, pose: [f32; 3], ego: Ego, last: Command, command: Command
+        function: StepFunction, cycle: u32, age_s: f32, pose: [f32; 3], ego: Ego, last: Command,
+        command: Command
     };
     KnownLine { c: [f32; 4], view_range: f32 };
     KnownPlan { memory: Memory, points: [TrajectoryPoint; PLAN_POINTS] };

@@ -10,7 +10,7 @@ use super::frames;
 use super::peer_command::{PeerCommand, PeerCommandLink};
 use super::read_back::{ReadBack, Verdict};
 use super::scene_check::PeerScene;
-use crate::driving::types::{Command, ControlStep};
+use crate::driving::types::{Command, ControlStep, StepFunction};
 use tandem_board::Instant;
 use tandem_bus::{GateEcho, ModeCode};
 use tandem_redundancy::{Mode, Phase, Redundancy};
@@ -95,12 +95,13 @@ impl CommandCheck<'_> {
     }
 
     /// Compares this system's command with the other's and publishes the step for core 2. `output`:
-    /// the output of this cycle.
+    /// the output of this cycle. `same_scene`: core 2 has the scene that the step used.
     pub(super) fn cycle(
         &mut self,
         now: Instant,
         phase: Option<Phase>,
         output: &Output,
+        same_scene: bool,
     ) -> Option<Change> {
         let last = self.last_output.replace(*output);
         let received = self.received.take();
@@ -119,7 +120,10 @@ impl CommandCheck<'_> {
                 let alike = drives && frames::bus_mode(mode) == their_mode;
                 alike.then(|| Deviation::of(&own, &theirs, output.speed))
             });
-        if let (Some(steps), Some(step)) = (&mut self.steps, &output.step) {
+        let is_known =
+            |step: &&ControlStep| same_scene || step.function == StepFunction::Trajectory;
+        if let (Some(steps), Some(step)) = (&mut self.steps, output.step.as_ref().filter(is_known))
+        {
             steps.publish(step);
         }
         let phase = phase.unwrap_or(Phase::Starting);

@@ -129,7 +129,9 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// system drives.
     fn send_control(&mut self, output: &Output, begin: Instant, release: Instant) {
         let phase = self.redundancy.phase();
-        let change = self.check.cycle(begin, phase, output);
+        // Core 2 does not know the corrections of a scene that was found wrong.
+        let is_corrected = self.scene_check.found().is_some();
+        let change = self.check.cycle(begin, phase, output, !is_corrected);
         self.trace_agreement(change);
         let Some(may_transmit) = self.redundancy.may_transmit() else {
             return;

@@ -22,7 +22,7 @@ pub(crate) struct Output {
     pub(crate) standalone: Command,
     /// m/s
     pub(crate) speed: f32,
-    /// The step of the motion control, if the motion control gave the command.
+    /// The step that gave the command, if this system drives.
     pub(crate) step: Option<ControlStep>,
     pub(crate) state: FunctionState,
 }
@@ -192,7 +192,11 @@ impl Driving {
             age,
             standalone,
             speed: ego.speed,
-            step: (mode == Mode::L3).then(|| *self.motion.last_step()),
+            step: match mode {
+                Mode::None => None,
+                Mode::L3 => Some(*self.motion.last_step()),
+                Mode::DegradedL2 | Mode::SafeStop => Some(*self.degraded.last_step()),
+            },
             state,
         }
     }

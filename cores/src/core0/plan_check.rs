@@ -29,7 +29,7 @@ const NEAR: [f32; 4] = [6.5, 1.3, 0.2, 4.0];
 const JOINS: [f32; 4] = [0.8, 0.15, 0.03, 0.6];
 /// Errors between two points, 0.1 s apart: way and sideward step in m, turn in rad, change of speed
 /// in m/s.
-const STEP: [f32; 4] = [0.3, 0.2, 0.05, 0.45];
+const STEP: [f32; 4] = [0.3, 0.2, 0.02, 0.45];
 /// Lateral and longitudinal acceleration, m/s², and speed, m/s.
 const MOST: [f32; 3] = [8.0, 10.0, 70.0];
 /// The trajectory may leave the range from its present offset to its goal by this much, m, and by
@@ -372,7 +372,7 @@ mod tests {
                 aside(it, |i| if i > 20 { 0.3 } else { 0.0 })
             }),
             (Part::Step, |it, _| {
-                it.points.iter_mut().for_each(|p| p.curvature = 0.05)
+                it.points.iter_mut().for_each(|p| p.curvature = 0.012)
             }),
             (Part::Step, |it, _| it.points[7].acceleration = -30.0),
             (Part::Lane, |it, _| {

@@ -13,7 +13,7 @@ use super::idm::{self, Driver, Leader};
 use super::math::{abs, max, min, sqrt, wrap_angle};
 use super::odometry::{EgoPose, motion};
 use super::road::CentreLine;
-use super::types::{Command, Ego, Object, Scene};
+use super::types::{Command, ControlStep, Ego, Lanes, Object, Scene, StepFunction};
 use super::vehicle::{LENGTH_M, WIDTH_M};
 
 /// A scene is used for this long. After that the functions have only the chassis sensors.
@@ -49,6 +49,7 @@ pub struct DegradedControl {
     slip: SlipFilter,
     shaper: Shaper,
     wish: Wish,
+    last_step: ControlStep,
 }
 
 impl Default for DegradedControl {
@@ -65,6 +66,7 @@ impl DegradedControl {
             slip: SlipFilter::default(),
             shaper: Shaper::new(),
             wish: Wish::default(),
+            last_step: ControlStep::default(),
         }
     }
 
@@ -85,19 +87,23 @@ impl DegradedControl {
         self.shaper.last()
     }
 
+    /// Returns the last step, with its inputs.
+    pub(crate) fn last_step(&self) -> &ControlStep {
+        &self.last_step
+    }
+
     /// Returns the command for `now`; to be called every 10 ms. A scene older than
     /// [`SCENE_MAX_AGE`] leads to [`DegradedControl::safe_stop`].
     pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
-        self.drive(now, ego, scene, DRIVER.max_acceleration)
+        self.drive(now, ego, scene, StepFunction::Keep)
     }
 
     /// As [`Self::step`], but brakes to standstill in the lane: a minimal-risk stop with the scene.
     pub fn stop(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
-        self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
+        self.drive(now, ego, scene, StepFunction::Stop)
     }
 
-    /// Keeps lane and distance, and accelerates by no more than `limit`, m/s².
-    fn drive(&mut self, now: Instant, ego: &Ego, scene: &Scene, limit: f32) -> Command {
+    fn drive(&mut self, now: Instant, ego: &Ego, scene: &Scene, function: StepFunction) -> Command {
         let ego = &Ego {
             slip_angle: self.slip.filter(ego.slip_angle),
             ..*ego
@@ -107,86 +113,112 @@ impl DegradedControl {
             return self.safe_stop(ego);
         }
         let pose = motion(&scene.ego, ego, age.as_secs_f32());
-        let Some(lanes) = &scene.lanes else {
-            return self.without_lanes(ego, scene, age.as_secs_f32(), &pose);
+        let step = ControlStep {
+            function,
+            cycle: scene.cycle,
+            age_s: age.as_secs_f32(),
+            pose: [pose.x, pose.y, pose.heading],
+            ego: *ego,
+            last: self.shaper.last(),
+            command: Command::default(),
         };
-        let line = CentreLine::new(lanes);
-        let steering_angle = keep(&line, &pose, ego);
-
-        let signed = min(lanes.speed_limit, scene.set_speed.unwrap_or(SPEED_CAP));
-        let desired = min(min(signed, SPEED_CAP), curve_speed(&line, ego.speed));
-        let driver = Driver {
-            desired_speed: max(desired, 0.1),
-            ..DRIVER
-        };
-        let mut acceleration = min(limit, idm::acceleration(&driver, ego.speed, None));
-        let now_at = (age.as_secs_f32(), &pose);
-        acceleration = min(
-            acceleration,
-            keep_distance(&driver, ego, scene, &line, lanes.width, now_at),
-        );
-        if lanes.own_end.is_finite() {
-            let gap = lanes.own_end - pose.x - 0.5 * LENGTH_M - END_MARGIN_M;
-            let end = Leader {
-                gap: gap + driver.standstill_gap,
-                speed: 0.0,
-            };
-            acceleration = min(
-                acceleration,
-                idm::acceleration(&driver, ego.speed, Some(end)),
-            );
-        }
-        self.shape(
-            ego,
-            Command {
-                steering_angle,
-                acceleration,
-            },
-        )
+        self.finish(step, Some(scene))
     }
 
     /// Stops with the chassis sensors alone: brakes moderately and slowly straightens the wheels.
     pub fn safe_stop(&mut self, ego: &Ego) -> Command {
-        // The steering angle decays within a few seconds: better than driving straight at once or
-        // circling for ever.
-        let steering_angle = 0.995 * self.shaper.last().steering_angle;
-        self.shape(
-            ego,
-            Command {
-                steering_angle,
-                acceleration: -SAFE_STOP_BRAKING,
-            },
-        )
+        let step = ControlStep {
+            function: StepFunction::Blind,
+            ego: *ego,
+            last: self.shaper.last(),
+            ..ControlStep::default()
+        };
+        self.finish(step, None)
     }
 
-    /// No lane is seen: continues the present curve, keeps the distance, and slows down to a stop.
-    fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &EgoPose) -> Command {
-        let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
-        let distance = keep_distance(&DRIVER, ego, scene, &line, WIDTH_M + 1.0, (age_s, pose));
-        let acceleration = min(-BLIND_BRAKING, distance);
-        let steering_angle = 0.998 * self.shaper.last().steering_angle;
-        self.shape(
-            ego,
-            Command {
-                steering_angle,
-                acceleration,
-            },
-        )
-    }
-
-    fn shape(&mut self, ego: &Ego, mut command: Command) -> Command {
-        if ego.speed < 0.3 && command.acceleration < 0.2 {
-            command.acceleration = STANDSTILL_BRAKE;
-        }
-        self.wish = wish(command);
-        self.shaper.shape(&self.wish, ego)
+    fn finish(&mut self, step: ControlStep, scene: Option<&Scene>) -> Command {
+        self.wish = wish(&step, scene);
+        let command = self.shaper.shape(&self.wish, &step.ego);
+        self.last_step = ControlStep { command, ..step };
+        command
     }
 }
 
-/// Without a plan, hard braking is an emergency.
-fn wish(command: Command) -> Wish {
+/// The command of this step before its limits. Without a scene, the vehicle stops by the chassis
+/// sensors.
+pub(crate) fn wish(step: &ControlStep, scene: Option<&Scene>) -> Wish {
+    let seen = scene.filter(|_| step.function != StepFunction::Blind);
+    let mut command = match seen.map(|scene| (scene, &scene.lanes)) {
+        Some((scene, Some(lanes))) => within_lanes(step, scene, lanes),
+        Some((scene, None)) => without_lanes(step, scene),
+        // The steering angle decays within a few seconds: better than driving straight at once or
+        // circling for ever.
+        None => Command {
+            steering_angle: 0.995 * step.last.steering_angle,
+            acceleration: -SAFE_STOP_BRAKING,
+        },
+    };
+    if step.ego.speed < 0.3 && command.acceleration < 0.2 {
+        command.acceleration = STANDSTILL_BRAKE;
+    }
+    // Without a plan, hard braking is an emergency.
     let urgent = command.acceleration < HARD_BRAKING;
     Wish { command, urgent }
+}
+
+fn pose_of(step: &ControlStep) -> EgoPose {
+    let [x, y, heading] = step.pose;
+    EgoPose { x, y, heading }
+}
+
+/// Keeps lane and distance; a stop brakes as well.
+fn within_lanes(step: &ControlStep, scene: &Scene, lanes: &Lanes) -> Command {
+    let (ego, pose) = (&step.ego, pose_of(step));
+    let line = CentreLine::new(lanes);
+    let steering_angle = keep(&line, &pose, ego);
+
+    let signed = min(lanes.speed_limit, scene.set_speed.unwrap_or(SPEED_CAP));
+    let desired = min(min(signed, SPEED_CAP), curve_speed(&line, ego.speed));
+    let driver = Driver {
+        desired_speed: max(desired, 0.1),
+        ..DRIVER
+    };
+    let limit = match step.function {
+        StepFunction::Stop => -SAFE_STOP_BRAKING,
+        _ => DRIVER.max_acceleration,
+    };
+    let mut acceleration = min(limit, idm::acceleration(&driver, ego.speed, None));
+    let now_at = (step.age_s, &pose);
+    acceleration = min(
+        acceleration,
+        keep_distance(&driver, ego, scene, &line, lanes.width, now_at),
+    );
+    if lanes.own_end.is_finite() {
+        let gap = lanes.own_end - pose.x - 0.5 * LENGTH_M - END_MARGIN_M;
+        let end = Leader {
+            gap: gap + driver.standstill_gap,
+            speed: 0.0,
+        };
+        acceleration = min(
+            acceleration,
+            idm::acceleration(&driver, ego.speed, Some(end)),
+        );
+    }
+    Command {
+        steering_angle,
+        acceleration,
+    }
+}
+
+/// No lane is seen: continues the present curve, keeps the distance, and slows down to a stop.
+fn without_lanes(step: &ControlStep, scene: &Scene) -> Command {
+    let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
+    let now_at = (step.age_s, &pose_of(step));
+    let distance = keep_distance(&DRIVER, &step.ego, scene, &line, WIDTH_M + 1.0, now_at);
+    Command {
+        steering_angle: 0.998 * step.last.steering_angle,
+        acceleration: min(-BLIND_BRAKING, distance),
+    }
 }
 
 /// Road wheel angle that keeps the vehicle, now at `pose`, on the line.

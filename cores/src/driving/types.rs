@@ -235,15 +235,37 @@ pub struct Command {
     pub acceleration: f32,
 }
 
-/// One step of the motion control with its inputs (core 0 to 2): a core that has the trajectory can
-/// compute it again.
+/// The function that computed a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum StepFunction {
+    /// It follows the trajectory.
+    #[default]
+    Trajectory,
+    /// It keeps lane and distance by the scene.
+    Keep,
+    /// It stops in the lane by the scene.
+    Stop,
+    /// It stops without a scene.
+    Blind,
+}
+
+impl StepFunction {
+    /// All functions, in the order of their numbers.
+    pub(crate) const ALL: [Self; 4] = [Self::Trajectory, Self::Keep, Self::Stop, Self::Blind];
+}
+
+/// One step of the control with its inputs (core 0 to 2): a core that has the trajectory and the
+/// scene can compute it again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControlStep {
-    /// The trajectory's cycle.
+    /// The function that computed it.
+    pub function: StepFunction,
+    /// The cycle of the trajectory, or of the scene.
     pub cycle: u32,
-    /// Age of the trajectory at the step, s.
+    /// Age of the trajectory or of the scene at the step, s.
     pub age_s: f32,
-    /// The vehicle in the trajectory's frame: x and y in m, heading in rad.
+    /// The vehicle in their frame: x and y in m, heading in rad.
     pub pose: [f32; 3],
     /// Motion of the ego vehicle, its slip angle without noise.
     pub ego: Ego,

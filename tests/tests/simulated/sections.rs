@@ -127,7 +127,6 @@ fn a_system_that_becomes_master_within_a_control_cycle_sends_in_its_new_term() {
             drive.run_for(START);
             drive.pair.kill_core(SystemId::B, CoreId::PERCEPTION);
             drive.run_for(MS(500));
-
             assert_eq!(drive.masters(), [SystemId::A, SystemId::B, SystemId::A]);
             assert_eq!(drive.seen.borrow().world.gate().counts().fenced, 0);
             gained += changes_within_a_cycle(&drive).gained;
