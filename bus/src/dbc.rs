@@ -78,7 +78,7 @@ layouts! {
         acceleration: f32 = ACCELERATION("Acceleration", 80, 16, -32768..=32767; 0.001),
         /// Age of the sensor data on which the command is based. 0 ..= 6553.5 ms in steps of 0.1
         command_age: f32 = COMMAND_AGE("CommandAge", 96, 16, 0..=65535; 0.1),
-        /// Time at which the frame was made, on the sender's clock; wraps around; 0 = unknown. 0 ..= 65535 ms
+        /// Time at which the frame was made, on the vehicle's clock as the echo tells it; wraps around; 0 = unknown. 0 ..= 65535 ms
         sent_at: u16 = SENT_AT("SentAt", 112, 16, 0..=65535),
     }
     /// The mastership term that the vehicle obeys: the term of the last accepted control frame.
@@ -93,12 +93,12 @@ layouts! {
         term_age: f32 = TERM_AGE("TermAge", 64, 16, 0..=65535; 0.1),
         /// Counter of the last accepted control frame. 0 ..= 255
         obeyed_counter: u8 = OBEYED_COUNTER("ObeyedCounter", 80, 8, 0..=255),
-        /// Time at which the frame was made, on the vehicle's clock; wraps around. 0 ..= 255 ms
-        sent_at: u8 = SENT_AT("SentAt", 88, 8, 0..=255),
         /// Requested road wheel angle of the last accepted control frame, left positive. -0.65536 ..= 0.65534 rad in steps of 0.00002
         steering_angle: f32 = STEERING_ANGLE("SteeringAngle", 96, 16, -32768..=32767; 2e-5),
         /// Requested longitudinal acceleration of the last accepted control frame. -32.768 ..= 32.767 m/s2 in steps of 0.001
         acceleration: f32 = ACCELERATION("Acceleration", 112, 16, -32768..=32767; 0.001),
+        /// Time at which the frame was made, on the vehicle's clock; wraps around. 0 ..= 65535 ms
+        sent_at: u16 = SENT_AT("SentAt", 128, 16, 0..=65535),
     }
     /// Redundancy state.
     ///
@@ -349,7 +349,7 @@ impl Message {
 pub const FRAMES: [FrameInfo; 20] = [
     FrameInfo::new(0x0A0, "ControlA", 16, 10),
     FrameInfo::new(0x0A1, "ControlB", 16, 10),
-    FrameInfo::new(0x0A8, "GateEcho", 16, 10),
+    FrameInfo::new(0x0A8, "GateEcho", 20, 10),
     FrameInfo::new(0x0B0, "StatusA", 16, 100),
     FrameInfo::new(0x0B1, "StatusB", 16, 100),
     FrameInfo::new(0x110, "EgoMotion", 16, 10),

@@ -1,6 +1,7 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
-use crate::driving::control::{is_right, is_right_by_scene};
+use crate::driving::control::is_right;
+use crate::driving::degraded::is_right_by_scene;
 use crate::driving::knowledge::Knowledge;
 use crate::driving::planning::Planner;
 use crate::driving::types::{ControlStep, Scene, StepFunction, Trajectory};

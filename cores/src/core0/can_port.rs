@@ -1,5 +1,6 @@
 //! CAN at core 0: end-to-end checks, counters, and inputs that the drive has not used yet.
 
+use super::vehicle_clock::VehicleClock;
 use super::{Driving, frames};
 use crate::driving::function::Driver;
 use crate::driving::types::{Command, Ego};
@@ -44,6 +45,7 @@ pub(super) struct CanPort {
     pub(super) third_party_frames: u32,
     /// Emptied at the beginning of each control cycle.
     pub(super) inbox: Inbox,
+    pub(super) vehicle_clock: VehicleClock,
     /// The vehicle does not move.
     pub(super) stands: bool,
 }
@@ -55,6 +57,7 @@ impl CanPort {
             transmitter: FrameTransmitter::new(),
             third_party_frames: 0,
             inbox: Inbox::default(),
+            vehicle_clock: VehicleClock::default(),
             stands: false,
         }
     }

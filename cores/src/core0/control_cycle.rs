@@ -152,7 +152,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         let Some(redundancy) = self.redundancy.running() else {
             return false;
         };
-        let control = frames::control(redundancy, output, self.board.now());
+        let sent_at = self.can.vehicle_clock.at(self.board.now());
+        let control = frames::control(redundancy, output, sent_at);
         let message = Message::Control {
             system: self.system.index() as u8,
             control,

@@ -4,7 +4,7 @@
 use super::driving::Output;
 use crate::driving::function::{Driver, FunctionState};
 use crate::driving::types::Command;
-use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
+use tandem_board::{Board, Can, CanFrame, CanId, Duration, SystemId};
 use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Status};
 use tandem_redundancy::{
     Ability, ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term,
@@ -37,8 +37,8 @@ pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::ModeCode {
     }
 }
 
-/// Returns the control frame for this output. `now`: when it is made.
-pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) -> Control {
+/// Returns the control frame for this output. `sent_at`: when it is made, on the vehicle's clock.
+pub(super) fn control(redundancy: &Redundancy, output: &Output, sent_at: Option<u16>) -> Control {
     Control {
         role: bus_role(redundancy.role()),
         mode: bus_mode(output.mode),
@@ -49,7 +49,7 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
         // The largest number that the signal can carry stands for "rests on no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
         // 0 means "not known".
-        sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
+        sent_at: sent_at.map_or(0, |sent_at| sent_at.max(1)),
     }
 }
 
@@ -120,7 +120,7 @@ pub(super) fn received_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm
     ObeyedTerm {
         term: Term::from_bits(echo.term),
         age: Duration::from_us((echo.term_age * 1e3) as u64) + on_the_way,
-        sent: Some((echo.sent_at, on_the_way)),
+        sent: Some((echo.sent_at as u8, on_the_way)),
     }
 }
 

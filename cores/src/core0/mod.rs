@@ -29,6 +29,7 @@ mod scene_check;
 mod shared;
 mod state_flash;
 mod tasks;
+mod vehicle_clock;
 mod wheel;
 
 use crate::Config;

@@ -155,6 +155,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         let own = self.system.index();
         match message {
             Message::GateEcho(echo) => {
+                self.can.vehicle_clock.on_echo(at, echo.sent_at);
                 let on_the_way = self.board.now().since(at);
                 let obeyed = frames::received_echo(&echo, on_the_way);
                 let mut released = self.notify(Input::VehicleTerm(obeyed));

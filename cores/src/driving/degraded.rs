@@ -7,7 +7,8 @@
 use tandem_board::{Duration, Instant};
 
 use super::control::{
-    HARD_BRAKING, PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, Wish, driven_curvature, steer,
+    HARD_BRAKING, PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, Wish, driven_curvature, fits,
+    follows, steer,
 };
 use super::idm::{self, Driver, Leader};
 use super::math::{abs, max, min, sqrt, wrap_angle};
@@ -144,9 +145,18 @@ impl DegradedControl {
     }
 }
 
+/// Returns whether a step without a trajectory follows from its inputs, and its inputs fit the
+/// scene of this core. T-RED-9
+#[must_use]
+pub fn is_right_by_scene(step: &ControlStep, scene: &Scene) -> bool {
+    let is_blind = step.function == StepFunction::Blind;
+    let wish = wish(step, Some(scene));
+    (is_blind || fits(step, &scene.ego)) && follows(step, &wish)
+}
+
 /// The command of this step before its limits. Without a scene, the vehicle stops by the chassis
 /// sensors.
-pub(crate) fn wish(step: &ControlStep, scene: Option<&Scene>) -> Wish {
+fn wish(step: &ControlStep, scene: Option<&Scene>) -> Wish {
     let seen = scene.filter(|_| step.function != StepFunction::Blind);
     let mut command = match seen.map(|scene| (scene, &scene.lanes)) {
         Some((scene, Some(lanes))) => within_lanes(step, scene, lanes),
@@ -300,4 +310,76 @@ fn keep_distance(
         );
     }
     acceleration
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::driving::perception::Perception;
+
+    /// T-RED-9: another core that has the scene accepts a right step of the functions without a
+    /// trajectory, and rejects one with any wrong part.
+    #[test]
+    fn a_step_without_a_trajectory_is_computed_again() {
+        let ego = Ego {
+            speed: 25.0,
+            ..Ego::default()
+        };
+        let at = Instant::from_ns(1_000_000_000);
+        let scene = Scene {
+            at,
+            cycle: 7,
+            ego,
+            lanes: Some(Lanes {
+                c: [0.4, 0.002, 1e-4, 0.0],
+                ..Lanes::alone(3.5, 80.0)
+            }),
+            ..Perception::new().scene().clone()
+        };
+        let blind = Scene {
+            lanes: None,
+            ..scene.clone()
+        };
+        let functions: [fn(&mut DegradedControl, Instant, &Ego, &Scene); 3] = [
+            |control, now, ego, scene| _ = control.step(now, ego, scene),
+            |control, now, ego, scene| _ = control.stop(now, ego, scene),
+            |control, _, ego, _| _ = control.safe_stop(ego),
+        ];
+        for (scene, function) in [&scene, &blind].into_iter().flat_map(|it| {
+            let of = move |function| (it, function);
+            functions.map(of)
+        }) {
+            let mut control = DegradedControl::new();
+            control.resume(&Command {
+                steering_angle: 0.01,
+                acceleration: -1.0,
+            });
+            for cycle in 0..15 {
+                function(
+                    &mut control,
+                    at + Duration::from_ms(10 * cycle),
+                    &ego,
+                    scene,
+                );
+                assert!(is_right_by_scene(control.last_step(), scene), "{cycle}");
+            }
+            let good = *control.last_step();
+            let faults: [fn(&mut ControlStep); 4] = [
+                |step| step.command.steering_angle += 1e-4,
+                |step| step.command.acceleration += 0.01,
+                |step| step.command.steering_angle = f32::NAN,
+                |step| step.last.steering_angle += 0.01,
+            ];
+            for (index, fault) in faults.iter().enumerate() {
+                let mut step = good;
+                fault(&mut step);
+                assert!(!is_right_by_scene(&step, scene), "fault {index}");
+            }
+            if good.function != StepFunction::Blind {
+                let mut step = good;
+                step.ego.speed -= 4.0;
+                assert!(!is_right_by_scene(&step, scene));
+            }
+        }
+    }
 }

@@ -8,12 +8,11 @@ pub(crate) use shaping::{HARD_BRAKING, STANDSTILL_BRAKE, Shaper, Wish};
 
 use tandem_board::{Duration, Instant};
 
-use super::degraded;
 use super::math::{abs, atan, bound, cos, lerp, max, min, sin, wrap_angle};
 use super::odometry::{EgoPose, Odometry, motion};
 use super::types::{
-    Command, ControlStep, Ego, Maneuver, Scene, StepFunction, TRAJECTORY_SAMPLES,
-    TRAJECTORY_STEP_S, Trajectory, TrajectoryPoint,
+    Command, ControlStep, Ego, Maneuver, StepFunction, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S,
+    Trajectory, TrajectoryPoint,
 };
 
 /// A trajectory is followed for this long: six cycles of cores 1 and 2. Afterwards the traffic may
@@ -162,17 +161,8 @@ pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool 
     wish.is_some_and(|wish| fits(step, ego) && follows(step, &wish))
 }
 
-/// Returns whether a step without a trajectory follows from its inputs, and its inputs fit the scene
-/// of this core. T-RED-9
-#[must_use]
-pub fn is_right_by_scene(step: &ControlStep, scene: &Scene) -> bool {
-    let is_blind = step.function == StepFunction::Blind;
-    let wish = degraded::wish(step, Some(scene));
-    (is_blind || fits(step, &scene.ego)) && follows(step, &wish)
-}
-
 /// Returns whether the inputs of the step fit the motion at the start of its trajectory or scene.
-fn fits(step: &ControlStep, ego: &Ego) -> bool {
+pub(crate) fn fits(step: &ControlStep, ego: &Ego) -> bool {
     let expected = motion(ego, &step.ego, step.age_s);
     let pose = [expected.x, expected.y, expected.heading];
     let pairs = [
@@ -187,7 +177,7 @@ fn fits(step: &ControlStep, ego: &Ego) -> bool {
 }
 
 /// Returns whether the command of the step is this wish within the limits of the actuators.
-fn follows(step: &ControlStep, wish: &Wish) -> bool {
+pub(crate) fn follows(step: &ControlStep, wish: &Wish) -> bool {
     let mut shaper = Shaper::new();
     shaper.resume(&step.last);
     let (given, due) = (step.command, shaper.shape(wish, &step.ego));
@@ -337,65 +327,5 @@ mod tests {
         let mut other = trajectory.clone();
         other.points.iter_mut().for_each(|point| point.y = -0.5);
         assert!(!is_right(&good, &other, &EGO));
-    }
-
-    /// T-RED-9: another core that has the scene accepts a right step of the functions without a
-    /// trajectory, and rejects one with any wrong part.
-    #[test]
-    fn a_step_without_a_trajectory_is_computed_again() {
-        use crate::driving::degraded::DegradedControl;
-        use crate::driving::perception::Perception;
-        use crate::driving::types::Lanes;
-        let at = Instant::from_ns(1_000_000_000);
-        let scene = Scene {
-            at,
-            cycle: 7,
-            ego: EGO,
-            lanes: Some(Lanes {
-                c: [0.4, 0.002, 1e-4, 0.0],
-                ..Lanes::alone(3.5, 80.0)
-            }),
-            ..Perception::new().scene().clone()
-        };
-        let blind = Scene {
-            lanes: None,
-            ..scene.clone()
-        };
-        let functions: [fn(&mut DegradedControl, Instant, &Scene); 3] = [
-            |control, now, scene| _ = control.step(now, &EGO, scene),
-            |control, now, scene| _ = control.stop(now, &EGO, scene),
-            |control, _, _| _ = control.safe_stop(&EGO),
-        ];
-        for (scene, function) in [&scene, &blind].into_iter().flat_map(|it| {
-            let of = move |function| (it, function);
-            functions.map(of)
-        }) {
-            let mut control = DegradedControl::new();
-            control.resume(&Command {
-                steering_angle: 0.01,
-                acceleration: -1.0,
-            });
-            for cycle in 0..15 {
-                function(&mut control, at + Duration::from_ms(10 * cycle), scene);
-                assert!(is_right_by_scene(control.last_step(), scene), "{cycle}");
-            }
-            let good = *control.last_step();
-            let faults: [fn(&mut ControlStep); 4] = [
-                |step| step.command.steering_angle += 1e-4,
-                |step| step.command.acceleration += 0.01,
-                |step| step.command.steering_angle = f32::NAN,
-                |step| step.last.steering_angle += 0.01,
-            ];
-            for (index, fault) in faults.iter().enumerate() {
-                let mut step = good;
-                fault(&mut step);
-                assert!(!is_right_by_scene(&step, scene), "fault {index}");
-            }
-            if good.function != StepFunction::Blind {
-                let mut step = good;
-                step.ego.speed -= 4.0;
-                assert!(!is_right_by_scene(&step, scene));
-            }
-        }
     }
 }
