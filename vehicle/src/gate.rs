@@ -35,7 +35,7 @@ const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for an early echo, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
-/// A frame that was made longer ago is refused, ms: four control periods.
+/// A frame that was made this long ago is refused, ms: four control periods.
 pub const MAX_DELAY_MS: u16 = 40;
 /// A frame whose time is further in the future is refused, ms: its sender's clock is wrong.
 const EARLY_MS: i16 = 20;
@@ -140,10 +140,10 @@ pub struct Gate {
     mastership: Mastership,
 }
 
-/// Returns whether a frame was made within the last [`MAX_DELAY_MS`], or its time is unknown (0).
+/// Returns whether a frame was made less than [`MAX_DELAY_MS`] ago, or its time is unknown (0).
 fn is_fresh(now_ns: u64, sent_at: u16) -> bool {
     let age_ms = ms(now_ns).wrapping_sub(sent_at) as i16;
-    sent_at == 0 || (-EARLY_MS..=MAX_DELAY_MS as i16).contains(&age_ms)
+    sent_at == 0 || (-EARLY_MS..MAX_DELAY_MS as i16).contains(&age_ms)
 }
 
 /// Returns the time on the vehicle's clock as frames carry it.
@@ -541,7 +541,7 @@ mod tests {
         };
         let queue = |at: u64| (at - 60_000) * 99 / 100_000;
         for at in (60_000..160_000).step_by(10) {
-            let fresh = queue(at) <= u64::from(MAX_DELAY_MS);
+            let fresh = queue(at) < u64::from(MAX_DELAY_MS);
             let expected = if fresh {
                 Ruling::Accepted
             } else {
@@ -552,7 +552,7 @@ mod tests {
         for at in (161_000..161_500).step_by(10) {
             assert_eq!(ruling(at, 160), Ruling::Stale);
         }
-        assert_eq!(ruling(161_500, 40), Ruling::Accepted);
+        assert_eq!(ruling(161_500, 39), Ruling::Accepted);
         // A time in the future is no time of this clock.
         assert_eq!(ruling(161_510, 0x1_0000 - 20), Ruling::Accepted);
         assert_eq!(ruling(161_520, 0x1_0000 - 21), Ruling::Stale);

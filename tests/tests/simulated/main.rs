@@ -15,6 +15,7 @@ mod function;
 mod held_up;
 mod hung;
 mod joins;
+mod late;
 mod mailboxes;
 mod objects;
 mod one_flow;
