@@ -1,6 +1,6 @@
 //! Encodes messages as frames, and decodes frames.
 
-use crate::signal::{Decode, Encode, List, MAX_LEN};
+use crate::signal::{Alter, Decode, Encode, List, MAX_LEN};
 use crate::{CameraLanes, FRAMES, FrameError, FrameInfo, Message, e2e};
 
 impl Message {
@@ -36,6 +36,41 @@ impl Message {
         let _ok = message.walk(&mut Encode(&mut bytes));
         e2e::protect(id, counter, &mut bytes[..len]);
         Encoded { id, len, bytes }
+    }
+
+    /// Replaces the value of one signal in a frame, by its DBC name, and protects the frame again
+    /// with its own counter. `with` gets the physical value. NaN sets all bits of the signal; other
+    /// values saturate. For faults: no product code alters a frame.
+    ///
+    /// # Errors
+    /// [`FrameError`]: the DBC does not contain the frame or the signal, or not with this length.
+    pub fn alter(
+        id: u32,
+        data: &mut [u8],
+        name: &str,
+        with: impl FnMut(f64) -> f64,
+    ) -> Result<(), FrameError> {
+        let blank = u16::try_from(id).ok().and_then(Self::blank);
+        let mut message = blank.ok_or(FrameError::UnknownId)?;
+        let FrameInfo { id, len, .. } = *message.frame();
+        if data.len() != len {
+            return Err(FrameError::WrongLength);
+        }
+        let mut bytes = [0; MAX_LEN];
+        bytes[..len].copy_from_slice(data);
+        let mut alter = Alter {
+            data: &mut bytes,
+            name,
+            with,
+            is_found: false,
+        };
+        message.walk(&mut alter)?;
+        if !alter.is_found {
+            return Err(FrameError::UnknownSignal);
+        }
+        e2e::protect(id, data[2], &mut bytes[..len]);
+        data.copy_from_slice(&bytes[..len]);
+        Ok(())
     }
 
     /// Returns the id of the frame.

@@ -35,6 +35,8 @@ pub enum FrameError {
     UnknownId,
     /// The frame is not as long as the DBC says.
     WrongLength,
+    /// The frame has no signal of this name.
+    UnknownSignal,
     /// The signal of this name holds a value that is out of its range or not in its value table, or
     /// that contradicts the frame's id.
     InvalidSignal(&'static str),
@@ -45,6 +47,7 @@ impl fmt::Display for FrameError {
         match self {
             Self::UnknownId => f.write_str("no frame of the vehicle bus has this id"),
             Self::WrongLength => f.write_str("the frame does not have the length of the DBC"),
+            Self::UnknownSignal => f.write_str("the frame has no signal of this name"),
             Self::InvalidSignal(name) => write!(f, "the signal {name} has an invalid value"),
         }
     }
@@ -333,6 +336,45 @@ impl Walk for Decode<'_> {
         let raw = signal.get(self.0)?;
         *value = F::from_raw(signal, raw).ok_or(signal.invalid())?;
         Ok(())
+    }
+}
+
+/// Replaces the value of the signal of this name.
+pub(crate) struct Alter<'a, C> {
+    pub(crate) data: &'a mut [u8; MAX_LEN],
+    pub(crate) name: &'a str,
+    pub(crate) with: C,
+    pub(crate) is_found: bool,
+}
+
+impl<C: FnMut(f64) -> f64> Walk for Alter<'_, C> {
+    fn field<F: Field>(&mut self, signal: &Signal, _: &mut F) -> Result<(), FrameError> {
+        if signal.name == self.name {
+            self.is_found = true;
+            let factor = f64::from(signal.factor);
+            let value = (self.with)(signal.get(self.data)? as f64 * factor);
+            let mask = signal.mask() << (signal.start % 8);
+            let bits = if value.is_nan() {
+                signal.mask()
+            } else {
+                let steps = value / factor;
+                let raw = (if steps < 0.0 {
+                    steps - 0.5
+                } else {
+                    steps + 0.5
+                }) as i64;
+                raw.clamp(signal.min, signal.max) as u64 & signal.mask()
+            };
+            let window = bits << (signal.start % 8);
+            for (i, byte) in self.data[signal.bytes()].iter_mut().enumerate() {
+                *byte = *byte & !((mask >> (8 * i)) as u8) | (window >> (8 * i)) as u8;
+            }
+        }
+        Ok(())
+    }
+
+    fn implied(&mut self, signal: &Signal, mut raw: u8) -> Result<(), FrameError> {
+        self.field(signal, &mut raw)
     }
 }
 

@@ -164,3 +164,50 @@ fn the_system_saturates() {
         })
     );
 }
+
+/// Each signal of each frame is altered alone, and the frame stays valid.
+#[test]
+fn one_signal_is_altered_alone() {
+    for frame in FRAMES {
+        let good = blank(frame);
+        let Ok(message) = Message::decode(frame.id.into(), &good) else {
+            continue;
+        };
+        let mut names = vec![];
+        message.values(|name, value| names.push((name, value)));
+        for (name, before) in names {
+            let mut data = good.clone();
+            let altered = Message::alter(frame.id.into(), &mut data, name, |value| {
+                assert_eq!(value as f32, before as f32, "{name}");
+                1.0
+            });
+            assert_eq!(altered, Ok(()), "{name}");
+            assert!(
+                tandem_bus::e2e::Checker::new(frame.id)
+                    .check(&data)
+                    .is_accepted()
+            );
+            if let Ok(message) = Message::decode(frame.id.into(), &data) {
+                message.values(|other, value| {
+                    let is_one = (value - 1.0).abs() < 0.05 || value < 1.0 && value > 0.5;
+                    assert!(other != name || is_one, "{name}: {value}");
+                });
+            }
+            let _ = Message::alter(frame.id.into(), &mut data, name, |_| before);
+            assert_eq!(data[3..], good[3..], "{name}");
+            assert_eq!(
+                Message::alter(frame.id.into(), &mut data, name, |_| f64::NAN),
+                Ok(())
+            );
+            let is_all_ones = data[3..] == good[3..];
+            assert!(!is_all_ones || name == "System", "{name}");
+        }
+        let mut data = good;
+        let unknown = Message::alter(frame.id.into(), &mut data, "Nothing", |it| it);
+        assert_eq!(unknown, Err(FrameError::UnknownSignal));
+    }
+    let unknown = Message::alter(0x7FF, &mut [0; 8], "Term", |it| it);
+    assert_eq!(unknown, Err(FrameError::UnknownId));
+    let short = Message::alter(0x0A0, &mut [0; 8], "Term", |it| it);
+    assert_eq!(short, Err(FrameError::WrongLength));
+}
