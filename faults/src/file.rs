@@ -15,6 +15,7 @@
 use crate::entry::Fault;
 use crate::kind::Kind;
 use crate::sequence::{Group, Sequence};
+use crate::value::{How, Signal};
 use crate::words::{ms, wire};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -62,12 +63,28 @@ fn fault(given: Table) -> Result<Fault, String> {
     }
 }
 
+fn names<T: Copy>(all: &[T], name: fn(T) -> &'static str) -> String {
+    let names: Vec<&str> = all.iter().map(|it| name(*it)).collect();
+    names.join(", ")
+}
+
 /// Returns the keys of this kind and their values, in words.
 fn keys(kind: Kind) -> String {
     let mut keys = Vec::new();
     if let Kind::Cut { .. } | Kind::Flap { .. } = kind {
         keys.push(format!("`wire`: {}", wire::NAMES.join(", ")));
     }
+    let own = match kind {
+        Kind::WrongValue(_) => format!(
+            "`signal`: {}; `core`; `how`: {}; `amount`, a number",
+            names(Signal::ALL, Signal::name),
+            names(How::ALL, How::name)
+        ),
+        Kind::DeafTo(_) => "`frame`, a frame of the DBC; `core`: 0 or 1".to_owned(),
+        Kind::Forged(_) => "`frame` and `field` of the DBC; `value`, a number".to_owned(),
+        _ => String::new(),
+    };
+    keys.extend((!own.is_empty()).then_some(own));
     keys.extend(kind.amount().map(|it| format!("`amount`: {it}")));
     match keys.len() {
         0 => "has no further keys".to_owned(),
@@ -100,6 +117,7 @@ impl Sequence {
             faults: faults.collect::<Result<_, _>>()?,
             from_power_on: file.from_power_on,
             span: file.mended_at_ms,
+            setting: None,
         })
     }
 

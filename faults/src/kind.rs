@@ -6,6 +6,7 @@
 use crate::amount::{Amount, Given, just};
 use crate::loss::Loss;
 use crate::site::Site;
+use crate::value::{DeafTo, Forged, FrameName, How, Real, Signal, WrongValue};
 use crate::words::wire;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -90,6 +91,12 @@ pub enum Kind {
     Poison,
     /// The vehicle sends nothing.
     VehicleSilent,
+    /// One signal of one core is wrong, with correct protection.
+    WrongValue(WrongValue),
+    /// One core does not hear a frame.
+    DeafTo(DeafTo),
+    /// Another node sends a forged frame each 10 ms.
+    Forged(Forged),
 }
 
 /// The end of a fault.
@@ -194,6 +201,9 @@ impl Kind {
             Self::FlashLost => row(SIM_RUN, System, After(Duration::from_ms(20)), Power),
             Self::Poison => row(SIM, Shared, AsGiven, Power),
             Self::VehicleSilent => row(SIM, Shared, AsGiven, Loss::None),
+            Self::WrongValue(_) => row(SIM, System, AsGiven, Mute),
+            Self::DeafTo(_) => row(SIM, System, AsGiven, Mute),
+            Self::Forged(_) => row(SIM, Shared, AsGiven, Mute),
         }
     }
 
@@ -240,6 +250,11 @@ impl Kind {
             (Self::Cut { wire } | Self::Flap { wire, .. }, _) => {
                 format!("{} {}", self.word(), wire::name(wire))
             }
+            (Self::WrongValue(wrong), _) => format!("{} {}", self.word(), wrong.signal.name()),
+            (Self::DeafTo(to), _) => format!("{} {}", self.word(), to.frame.info().name),
+            (Self::Forged(forged), _) => {
+                format!("{} {}", self.word(), forged.frame.info().name)
+            }
             (
                 _,
                 Some(Given {
@@ -261,18 +276,43 @@ impl Kind {
         labels
     }
 
+    /// Returns one wrong value, one deafness and one forged frame.
+    fn of_values() -> Vec<Self> {
+        let wrong = WrongValue {
+            signal: Signal::LaneHeading,
+            core: 1,
+            how: How::Offset,
+            amount: Real::thousandths(50),
+        };
+        let deaf =
+            FrameName::of("CameraLanes").map(|frame| Self::DeafTo(DeafTo { frame, core: 1 }));
+        let forged = FrameName::of("GateEcho").and_then(|frame| {
+            let last_term = Real::thousandths(0xFFFF_FFFE_i64 * 1_000);
+            Forged::of(frame, "Term", last_term).map(Self::Forged)
+        });
+        let all = [Some(Self::WrongValue(wrong)), deaf, forged];
+        all.into_iter().flatten().collect()
+    }
+
     /// Returns at least one of each kind, in the order of the documentation.
     pub fn samples() -> impl Iterator<Item = Self> {
         let lists = [&Self::OF_ONE_SYSTEM[..], &Self::OF_PROCESSES];
         let lists = lists
             .into_iter()
             .chain([&Self::FURTHER[..], &Self::OF_BOTH]);
-        lists.flatten().copied().chain([Self::ResetByTrap])
+        let further = Self::of_values().into_iter().chain([Self::ResetByTrap]);
+        lists.flatten().copied().chain(further)
     }
 }
 
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongValue(wrong) => return write!(f, "{} {wrong}", self.word()),
+            Self::DeafTo(to) => return write!(f, "{} {to}", self.word()),
+            Self::Forged(forged) => return write!(f, "{} {forged}", self.word()),
+            _ => {}
+        }
         f.write_str(&self.label())?;
         match self.amount().filter(|amount| amount.unit != CORE) {
             Some(Given { number, unit, .. }) => write!(f, " {number} {unit}"),

@@ -14,7 +14,10 @@ mod kind;
 mod loss;
 mod plan;
 mod sequence;
+mod setting;
 mod site;
+mod value;
+mod values;
 mod words;
 
 pub use amount::{Amount, Given, just};
@@ -25,4 +28,6 @@ pub use kind::{Ends, Facts, Kind, Scope};
 pub use loss::Loss;
 pub use plan::{DISTANCES, PHASES};
 pub use sequence::{Group, Sequence};
+pub use setting::{Road, Setting};
 pub use site::Site;
+pub use value::{Bend, DeafTo, Forged, FrameName, How, Real, Signal, WrongValue};

@@ -6,6 +6,7 @@ use crate::entry::{Fault, Way};
 use crate::kind::{Kind, Scope};
 use crate::sequence::{Group, Sequence};
 use crate::site::Site;
+use crate::values;
 use tandem_board::{Duration, SystemId};
 
 /// The number of moments of the control cycle at which a single fault can begin.
@@ -54,7 +55,13 @@ fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
 
 impl Group {
     /// All groups whose sequences have numbers.
-    pub const ALL: [Self; 4] = [Self::Single, Self::Pair, Self::Random, Self::Swarm];
+    pub const ALL: [Self; 5] = [
+        Self::Single,
+        Self::Pair,
+        Self::Random,
+        Self::Swarm,
+        Self::Values,
+    ];
 
     /// Returns the name of the group on a command line.
     #[must_use]
@@ -64,6 +71,7 @@ impl Group {
             Self::Pair => "pair",
             Self::Random => "random",
             Self::Swarm => "swarm",
+            Self::Values => "values",
             Self::File => "file",
         }
     }
@@ -84,6 +92,7 @@ impl Group {
                 let pairs = within.map(|count| count * count).iter().sum::<u64>();
                 Some(pairs * DISTANCES.len() as u64)
             }
+            Self::Values => Some(values::count()),
             Self::Random | Self::Swarm | Self::File => None,
         }
     }
@@ -99,6 +108,7 @@ impl Group {
             Self::Pair => pair(number),
             Self::Random => random(number),
             Self::Swarm => swarm(number),
+            Self::Values => values::sequence(number),
             Self::File => panic!("the faults of a file have no number"),
         }
     }
@@ -124,6 +134,7 @@ fn single(number: u64) -> Sequence {
         faults: vec![lasting(fault, at_us)],
         from_power_on: false,
         span: Duration::from_ms(1_500),
+        setting: None,
     }
 }
 
@@ -148,6 +159,7 @@ fn pair(number: u64) -> Sequence {
         faults: vec![first, second],
         from_power_on: false,
         span: Duration::from_ms(1_000),
+        setting: None,
     }
 }
 
@@ -205,6 +217,7 @@ fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> 
         faults,
         from_power_on: draw.below(5) == 0,
         span: Duration::from_us(at_us + 50_000 + draw.below(500_000)),
+        setting: None,
     }
 }
 
@@ -268,6 +281,7 @@ fn at_the_beginning(number: u64, kind: Kind, way: Way, draw: &mut Draw) -> Seque
         }],
         from_power_on: false,
         span: longest + Duration::from_ms(AFTERWARDS_MS),
+        setting: None,
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::entry::{Fault, Way};
 use crate::kind::{Kind, Scope};
 use crate::loss::Loss;
+use crate::setting::Setting;
 use std::fmt;
 use tandem_board::{Duration, SystemId};
 use tandem_peripherals::network::Wire;
@@ -20,6 +21,8 @@ pub enum Group {
     /// Like [`Group::Random`], but the number also selects which kinds occur, so that some
     /// sequences have many faults of few kinds.
     Swarm,
+    /// One wrong value, deafness or forgery, in one [`Setting`].
+    Values,
     /// The faults of a file, or of [`Site::drawn`] or [`Site::cell`].
     File,
 }
@@ -37,6 +40,8 @@ pub struct Sequence {
     pub from_power_on: bool,
     /// The time from the start of the faults until everything is restored.
     pub span: Duration,
+    /// Where the faults begin; `None`: in the first second, on the road of the campaign.
+    pub setting: Option<Setting>,
 }
 
 impl Fault {
@@ -78,7 +83,7 @@ impl Sequence {
         };
         let is_silent = |fault: &Fault| fault.kind == Kind::VehicleSilent;
         match (self.group, &self.faults[..]) {
-            (Group::Random | Group::Swarm, _) => None,
+            (Group::Random | Group::Swarm | Group::Values, _) => None,
             (Group::Pair, _) => self.bound_within_a_system(limits),
             (Group::File, _) if self.from_power_on => None,
             (_, faults) if faults.iter().any(is_silent) => None,

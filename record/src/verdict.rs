@@ -135,6 +135,14 @@ rules! {
     TooClose, "", Given("1.6 s behind it"), Campaign,
         "the vehicle came too close to the one in front";
     Chatters, "", Given("never"), Campaign, "a system that was no master sent a control frame";
+    SoundDrives, "", Given("20 ms after the finding"), Campaign,
+        "a sound system did not drive, or not for good";
+    Untold, "", Given("never"), Campaign,
+        "a wrong or missing value changed the drive, and no system told it";
+    DriverSuspended, "", Given("never"), Campaign,
+        "a system that could drive was suspended by the fault of another";
+    OffLane, "", Given("0.1 m beyond the line"), Campaign,
+        "a side of the vehicle was off its lane outside a lane change";
 }
 
 impl Rule {

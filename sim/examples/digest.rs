@@ -9,7 +9,7 @@ use tandem_sim::{Around, Profile};
 
 fn main() {
     let count = std::env::args().nth(1).and_then(|count| count.parse().ok());
-    let arounds = [Around::Core0, Around::ClosedLoop];
+    let arounds = [Around::Core0, Around::CLOSED_LOOP];
     for (around, time) in arounds
         .into_iter()
         .flat_map(|around| Time::ALL.map(|time| (around, time)))

@@ -1,5 +1,6 @@
 //! Both systems and a vehicle in virtual time, with faults applied to them.
 
+use crate::bend::{self, Bends, Trajectories};
 use crate::outside::{OutsideVehicle, POISON, another_command};
 use crate::timing::Time;
 use crate::{drive, timed};
@@ -16,7 +17,7 @@ use tandem_board_sim::{
 use tandem_cores::Config;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
-use tandem_faults::{BusFaults, CannotSuffer, Effect, Fault, Kind, Site, Suffer, effects};
+use tandem_faults::{BusFaults, CannotSuffer, Effect, Fault, Kind, Road, Site, Suffer, effects};
 use tandem_record::log::VehicleRecord;
 use tandem_record::verdict::Limits;
 use tandem_record::{Entry, RunLog, description};
@@ -29,8 +30,13 @@ pub enum Around {
     /// Core 0 only. Cores 1 and 2 only count cycles, and no vehicle moves.
     #[default]
     Core0,
-    /// All cores, and a vehicle in its lane.
-    ClosedLoop,
+    /// All cores, and a vehicle in its lane on this road.
+    ClosedLoop(Road),
+}
+
+impl Around {
+    /// The road of all campaigns but that of wrong values.
+    pub const CLOSED_LOOP: Self = Self::ClosedLoop(Road::StopAndGo);
 }
 
 /// The simulated machine of a sequence.
@@ -66,7 +72,7 @@ impl Profile {
         let boot_limit = match self.around {
             // The cores need not wait for sensors.
             Around::Core0 => Duration::from_ms(60),
-            Around::ClosedLoop => Config::rt().boot_limit,
+            Around::ClosedLoop(_) => Config::rt().boot_limit,
         };
         Config {
             redundancy: tandem_redundancy::Config {
@@ -80,12 +86,17 @@ impl Profile {
 }
 
 /// Creates the software of the core of this board. A [`POISON`] frame ends core 1.
-fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Poller {
+fn poller(
+    board: &SimBoard,
+    config: Config,
+    (time, around): (Time, Around),
+    trajectories: &Trajectories,
+) -> Poller {
     // A reset ends the core but not this process, so each incarnation leaks one board.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match (board.identity().core, around) {
         (CoreId::CONTROL, _) if time != Time::Ideal => timed::core_0(board, config, time),
-        (CoreId::PERCEPTION, Around::ClosedLoop) => {
+        (CoreId::PERCEPTION, Around::ClosedLoop(_)) => {
             let mut core = timed::core_1(board, time);
             let mut dead = false;
             Box::new(move |_| {
@@ -93,7 +104,10 @@ fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Polle
                 if dead { Instant::NEVER } else { core(board) }
             })
         }
-        (CoreId::PLANNING, Around::ClosedLoop) => timed::core_2(board, time),
+        (CoreId::PLANNING, Around::ClosedLoop(_)) => {
+            let core = timed::core_2(board, time);
+            bend::planner(board, core, Rc::clone(trajectories))
+        }
         (core, Around::Core0) if core != CoreId::CONTROL => counter(board),
         _ => drive::poller(board, config),
     }
@@ -172,6 +186,7 @@ pub struct Bench {
     /// The trace records read so far.
     traced: Vec<Traced>,
     bus: BusFaults,
+    bends: Bends,
     /// The time at which the run began.
     pub(crate) born: Instant,
 }
@@ -181,7 +196,16 @@ impl Bench {
     /// `keeps_events`: whether to keep the events of the cores.
     #[must_use]
     pub fn new(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
-        let profile = profile.into();
+        Self::with(profile.into(), seed, keeps_events, keeps_events)
+    }
+
+    /// Like [`Bench::new`], but always keeps the events of the cores. `keeps_frames`: whether to
+    /// keep each frame.
+    pub(crate) fn tracing(profile: Profile, seed: u64, keeps_frames: bool) -> Self {
+        Self::with(profile, seed, keeps_frames, true)
+    }
+
+    fn with(profile: Profile, seed: u64, keeps_frames: bool, keeps_events: bool) -> Self {
         let (config, Profile { time, around, .. }) = (profile.config(), profile);
         // Start far from zero, so that a clock can run behind.
         let clock = |offset_s: u64, of| Clock {
@@ -195,11 +219,17 @@ impl Bench {
             trace_records: if keeps_events { 1 << 20 } else { 0 },
             ..BoardConfig::default()
         };
+        let bends = Bends::default();
+        let trajectories = Rc::clone(&bends.trajectories);
         let mut pair = SimPair::new(board_config, move |board| {
-            poller(board, config, time, around)
+            poller(board, config, (time, around), &trajectories)
         });
         let born = pair.now();
-        let vehicle = OutsideVehicle::new(around == Around::ClosedLoop, keeps_events);
+        let road = match around {
+            Around::Core0 => None,
+            Around::ClosedLoop(road) => Some(road),
+        };
+        let vehicle = OutsideVehicle::new(road, keeps_frames);
         let vehicle = Rc::new(RefCell::new(vehicle));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
@@ -209,6 +239,7 @@ impl Bench {
             config,
             profile,
             bus: BusFaults::default(),
+            bends,
             born,
             covered: Vec::new(),
             traced: Vec::new(),
@@ -225,7 +256,7 @@ impl Bench {
         bench.power_on();
         bench.pair.run_for(match bench.profile.around {
             Around::Core0 => Duration::from_ms(300),
-            Around::ClosedLoop => Duration::from_ms(700),
+            Around::ClosedLoop(_) => Duration::from_ms(700),
         });
         let roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
         let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
@@ -308,7 +339,13 @@ impl Bench {
         self.vehicle.borrow().frames()
     }
 
-    fn trace(&mut self) -> &[Traced] {
+    /// Forgets the events so far.
+    pub(crate) fn forget_trace(&mut self) {
+        self.trace();
+        self.traced.clear();
+    }
+
+    pub(crate) fn trace(&mut self) -> &[Traced] {
         self.traced.extend(self.pair.take_trace().0);
         &self.traced
     }
@@ -413,6 +450,9 @@ impl Suffer for Bench {
             pair.disturb_bus(of, fault);
             return Ok(());
         }
+        if self.bends.follow(pair, kind, of, on) {
+            return Ok(());
+        }
         match kind {
             Kind::Cut { wire } if on => pair.cut(wire, of),
             Kind::Cut { wire } => pair.restore(wire, of),
@@ -448,6 +488,7 @@ impl Suffer for Bench {
             Kind::Scribble => pair.scribble(of, 0x5EED),
             Kind::FlashHangs => pair.hang_flash(of, on),
             Kind::FlashLost => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
+            Kind::Forged(forged) => self.vehicle.borrow_mut().forge(forged, on),
             Kind::Poison => self.vehicle.borrow_mut().poison = on,
             Kind::VehicleSilent => self.vehicle.borrow_mut().silent = on,
             _ => {
@@ -462,6 +503,8 @@ impl Suffer for Bench {
         self.bus = BusFaults::default();
         self.vehicle.borrow_mut().poison = false;
         self.vehicle.borrow_mut().silent = false;
+        self.vehicle.borrow_mut().forged.clear();
+        self.bends.clear(&mut self.pair);
         let pair = &mut self.pair;
         for of in SystemId::ALL {
             Wire::ALL

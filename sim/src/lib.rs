@@ -10,13 +10,16 @@
 )]
 
 mod bench;
+mod bend;
 pub mod drive;
 mod outside;
 mod sequence_judge;
 pub mod timed;
 pub mod timing;
 mod trial;
+mod value_judge;
 
 pub use bench::{Around, Bench, Profile, SequenceState};
 pub use outside::OutsideVehicle;
 pub use trial::Tried;
+pub use value_judge::Found;

@@ -1,18 +1,16 @@
 //! The world outside the systems: a gate without a vehicle, or a whole vehicle in its lane.
 
+use std::collections::HashMap;
 use std::sync::OnceLock;
-use tandem_board::{CanFrame, CanId, VehicleBus as _};
+use tandem_board::{CanFrame, CanId, Instant, VehicleBus as _};
 use tandem_board_sim::WorldTick;
 use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
+use tandem_faults::{Forged, Road};
 use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
 /// Ends core 1 of each system that receives it. It is not a frame of the DBC.
 pub(crate) const POISON: CanId = CanId::Standard(0x7E0);
-
-/// The scenario of the closed loop: after three seconds the leader brakes to a stop. The road is
-/// straight for the length of any sequence.
-const SCENARIO: &str = "stop-and-go";
 
 /// The world outside the systems, and the frames that it received from them.
 pub struct OutsideVehicle {
@@ -30,6 +28,10 @@ pub struct OutsideVehicle {
     ticks: u64,
     pub(crate) silent: bool,
     pub(crate) poison: bool,
+    /// What another node forges.
+    pub(crate) forged: Vec<Forged>,
+    /// The last frame of each id, while something is forged.
+    newest: HashMap<u16, Vec<u8>>,
     /// Every frame on the bus, if the cores' events are kept.
     frames: Option<Vec<LoggedFrame>>,
 }
@@ -49,12 +51,14 @@ struct Alone {
 }
 
 impl OutsideVehicle {
-    /// Creates a vehicle in a lane of the embedded scenario if `moves`, otherwise only a gate.
+    /// Creates a vehicle on this road, or only a gate.
     /// `keeps_frames`: whether to keep each frame.
-    pub(crate) fn new(moves: bool, keeps_frames: bool) -> Self {
-        static LOADED: OnceLock<Scenario> = OnceLock::new();
-        let outside = if moves {
-            let loaded = LOADED.get_or_init(|| Scenario::load(SCENARIO).expect("embedded"));
+    pub(crate) fn new(road: Option<Road>, keeps_frames: bool) -> Self {
+        static LOADED: [OnceLock<Scenario>; Road::ALL.len()] =
+            [const { OnceLock::new() }; Road::ALL.len()];
+        let outside = if let Some(road) = road {
+            let loaded = LOADED[road as usize]
+                .get_or_init(|| Scenario::load(road.scenario()).expect("embedded"));
             let config = tandem_vehicle::WorldConfig::default();
             Outside::World(Box::new(World::new(loaded, config)))
         } else {
@@ -74,6 +78,8 @@ impl OutsideVehicle {
             ticks: 0,
             silent: false,
             poison: false,
+            forged: Vec::new(),
+            newest: HashMap::new(),
             frames: keeps_frames.then(Vec::new),
         }
     }
@@ -90,14 +96,20 @@ impl OutsideVehicle {
     /// Returns whether the last accepted frame stops the vehicle because its sender has a fault.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
+        self.mode() == Some(ModeCode::SafeStop)
+    }
+
+    /// Returns the mode of the last accepted frame.
+    #[must_use]
+    pub fn mode(&self) -> Option<ModeCode> {
         let message = self.last.and_then(|frame| match frame.id() {
             CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
             CanId::Extended(_) => None,
         });
-        let Some(Message::Control { control, .. }) = message else {
-            return false;
-        };
-        control.mode == ModeCode::SafeStop
+        match message {
+            Some(Message::Control { control, .. }) => Some(control.mode),
+            _ => None,
+        }
     }
 
     /// Returns every frame so far, if they are kept.
@@ -105,34 +117,68 @@ impl OutsideVehicle {
         self.frames.clone().unwrap_or_default()
     }
 
+    /// Begins or ends a forgery.
+    pub(crate) fn forge(&mut self, forged: Forged, on: bool) {
+        self.forged.retain(|it| *it != forged);
+        if on {
+            self.forged.push(forged);
+        }
+    }
+
+    /// Judges a frame on the bus.
+    fn hear(&mut self, at: Instant, frame: CanFrame) {
+        let judged = match frame.id() {
+            CanId::Standard(id) => self.outside.hear(at.as_ns(), id.into(), frame.data()),
+            CanId::Extended(_) => None,
+        };
+        if let Some(frames) = &mut self.frames {
+            frames.push(LoggedFrame {
+                at,
+                sent: at,
+                frame,
+                ruling: judged.map(|judged| judged.ruling),
+            });
+        }
+        match judged {
+            Some(judged) if judged.ruling == Ruling::Accepted => {
+                self.accepted.push(judged);
+                self.last = Some(frame);
+            }
+            Some(judged) if judged.ruling == Ruling::Fenced => self.fenced.push(judged),
+            Some(judged) => self.chatters |= judged.ruling == Ruling::NotMaster,
+            None => {}
+        }
+    }
+
+    /// Sends each forged frame once. The gate hears it as well.
+    fn send_forged(&mut self, tick: &mut WorldTick) {
+        for forged in self.forged.clone() {
+            let id = forged.frame.info().id;
+            let Some(data) = self.newest.get(&id).and_then(|last| forged.after(last)) else {
+                continue;
+            };
+            let frame = frame_of(CanId::Standard(id), &data);
+            let at = tick.broadcast(&frame);
+            self.hear(at, frame);
+            self.newest.insert(id, data);
+        }
+    }
+
     /// Runs one millisecond: judges the received frames, then sends the vehicle's frames.
     pub(crate) fn tick(&mut self, tick: &mut WorldTick) {
-        for on_bus in &tick.heard {
-            let (at, frame) = (on_bus.at, on_bus.frame);
-            let judged = match frame.id() {
-                CanId::Standard(id) => self.outside.hear(at.as_ns(), id.into(), frame.data()),
-                CanId::Extended(_) => None,
-            };
-            if let Some(frames) = &mut self.frames {
-                frames.push(LoggedFrame {
-                    at,
-                    sent: at,
-                    frame,
-                    ruling: judged.map(|judged| judged.ruling),
-                });
+        for on_bus in core::mem::take(&mut tick.heard) {
+            if let (CanId::Standard(id), false) = (on_bus.frame.id(), self.forged.is_empty()) {
+                self.newest.insert(id, on_bus.frame.data().to_vec());
             }
-            match judged {
-                Some(judged) if judged.ruling == Ruling::Accepted => {
-                    self.accepted.push(judged);
-                    self.last = Some(frame);
-                }
-                Some(judged) if judged.ruling == Ruling::Fenced => self.fenced.push(judged),
-                Some(judged) => self.chatters |= judged.ruling == Ruling::NotMaster,
-                None => {}
-            }
+            self.hear(on_bus.at, on_bus.frame);
         }
         let (at_ns, silent) = (tick.at.as_ns(), self.silent);
+        let forges = !self.forged.is_empty();
+        let newest = &mut self.newest;
         let mut send = |id, data: &[u8]| {
+            if forges {
+                newest.insert(id, data.to_vec());
+            }
             if !silent {
                 tick.broadcast(&frame_of(CanId::Standard(id), data));
             }
@@ -145,6 +191,9 @@ impl OutsideVehicle {
             }
             Outside::Gate(_) if silent => {}
             Outside::Gate(alone) => alone.step(at_ns, self.ticks, &mut send),
+        }
+        if self.ticks.is_multiple_of(10) {
+            self.send_forged(tick);
         }
         if self.ticks.is_multiple_of(100) && self.poison {
             tick.broadcast(&frame_of(POISON, &[0; 8]));

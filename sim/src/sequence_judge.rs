@@ -3,6 +3,7 @@
 
 use crate::bench::{Bench, SequenceState};
 use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
+use crate::value_judge::Found;
 use std::fmt;
 use tandem_board::{Duration, Instant, RoleLamp, SystemId};
 use tandem_faults::{Fault, Kind, Loss, Observed};
@@ -29,6 +30,10 @@ pub struct Tried {
     pub covered: Vec<(Kind, SequenceState)>,
     /// The rules that were broken.
     pub violations: Vec<Rule>,
+    /// Of wrong values: the first finding.
+    pub found: Option<Found>,
+    /// Of wrong values: the largest offset from the lane outside lane changes, m.
+    pub aside_m: Option<f64>,
 }
 
 impl fmt::Display for Tried {
@@ -38,7 +43,13 @@ impl fmt::Display for Tried {
         write!(
             f,
             "gap {gap:.1} ms, {changes} changes of driver, {suspended} suspended, {violations:?}"
-        )
+        )?;
+        if let Some(found) = self.found {
+            let (after, by) = (found.after.as_ms_f64(), found.by);
+            write!(f, ", found by {by} after {after:.0} ms: {:?}", found.event)?;
+        }
+        self.aside_m
+            .map_or(Ok(()), |m| write!(f, ", {m:.2} m aside"))
     }
 }
 
@@ -99,6 +110,8 @@ impl Bench {
             digest: self.pair.digest(),
             covered: self.covered.clone(),
             violations,
+            found: None,
+            aside_m: None,
         }
     }
 
@@ -176,7 +189,7 @@ impl Bench {
 const STEADY: Duration = Duration::from_ms(200);
 
 /// Returns the longest time without an accepted control frame between these times.
-fn longest_gap(accepted: &[Acceptance], from: Instant, until: Instant) -> Duration {
+pub(crate) fn longest_gap(accepted: &[Acceptance], from: Instant, until: Instant) -> Duration {
     let (from_ns, until_ns) = (from.as_ns(), until.as_ns());
     let before = accepted.iter().rev().find(|frame| frame.at_ns <= from_ns);
     let mut last = before.map_or(from_ns, |frame| frame.at_ns);

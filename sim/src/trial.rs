@@ -14,6 +14,9 @@ impl Profile {
     /// Runs a sequence. `keeps_events`: whether to keep the events of the cores.
     #[must_use]
     pub fn run(self, sequence: &Sequence, keeps_events: bool) -> (Tried, Bench) {
+        if let Some(setting) = sequence.setting {
+            return self.run_values(sequence, setting, keeps_events);
+        }
         let mut bench = if sequence.from_power_on {
             let mut bench = Bench::new(self, 0, keeps_events);
             bench.power_on();

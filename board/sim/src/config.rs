@@ -1,6 +1,6 @@
 //! The configuration of a simulated run.
 
-use tandem_board::{CanFrame, Duration};
+use tandem_board::{CanFrame, Duration, Instant};
 use tandem_peripherals::network::{LINK_DATAGRAMS, WireTimes};
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
@@ -50,6 +50,9 @@ impl Clock {
 
 /// Changes a frame that a system sends.
 pub type Tamper = fn(&CanFrame) -> CanFrame;
+/// Changes a frame between the bus and one core. Gets the time on the system's clock. `None`: the
+/// frame is lost.
+pub type Filter = Box<dyn FnMut(Instant, CanFrame) -> Option<CanFrame> + Send>;
 
 /// The order in which cores run if they are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

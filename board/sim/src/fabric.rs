@@ -79,7 +79,15 @@ impl Machine {
     ) -> Result<(), TransmitFull> {
         let now = self.at();
         let tamper = self.systems[from.system.index()].tamper;
-        let frame = &tamper.map_or(*frame, |tamper| tamper(frame));
+        let mut frame = tamper.map_or(*frame, |tamper| tamper(frame));
+        let local = self.local(from.system);
+        if let Some(filter) = &mut self.system(from.system).sent[from.core.index()] {
+            let Some(filtered) = filter(local, frame) else {
+                return Ok(());
+            };
+            frame = filtered;
+        }
+        let frame = &frame;
         let sent = self
             .network
             .send_frame(from, frame, now, now, &mut self.noise);
@@ -114,6 +122,14 @@ impl Machine {
     fn hear_can(&mut self, place: CoreAddress, frame: CanFrame) {
         let at = self.local(place.system);
         let depth = self.config.can_fifo_frames;
+        let filter = &mut self.system(place.system).heard[place.core.index()];
+        let frame = match filter {
+            Some(filter) => match filter(at, frame) {
+                Some(frame) => frame,
+                None => return,
+            },
+            None => frame,
+        };
         let core = self.core(place);
         if !core.alive {
             return;

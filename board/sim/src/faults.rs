@@ -1,6 +1,6 @@
 //! Faults of power, cores, wires, bus, flash and clock.
 
-use crate::config::{Clock, Tamper};
+use crate::config::{Clock, Filter, Tamper};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
@@ -109,6 +109,16 @@ impl SimPair {
     /// Changes each frame that a system sends from now on; `None` ends the changes.
     pub fn tamper(&mut self, system: SystemId, with: Option<Tamper>) {
         self.shared.lock().system(system).tamper = with;
+    }
+
+    /// Changes each frame that a core hears from now on; `None` ends the changes.
+    pub fn filter_heard(&mut self, system: SystemId, core: CoreId, filter: Option<Filter>) {
+        self.shared.lock().system(system).heard[core.index()] = filter;
+    }
+
+    /// Changes each frame that a core sends from now on; `None` ends the changes.
+    pub fn filter_sent(&mut self, system: SystemId, core: CoreId, filter: Option<Filter>) {
+        self.shared.lock().system(system).sent[core.index()] = filter;
     }
 
     /// Overwrites the LMU of a system, as one of its cores could.

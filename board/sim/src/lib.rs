@@ -28,7 +28,7 @@ mod world;
 pub use baton::CoreKilled;
 pub use blocking::blocking;
 pub use board::{Poller, SimBoard, SimLink, SimPort};
-pub use config::{Clock, Config, Order, Tamper};
+pub use config::{Clock, Config, Filter, Order, Tamper};
 pub use event::{OnBus, SystemEvent, SystemEventKind};
 pub use pair::SimPair;
 pub use tandem_peripherals::codec::Sender;

@@ -1,6 +1,6 @@
 //! The state of the two systems and of their connections.
 
-use crate::config::{Config, Tamper};
+use crate::config::{Config, Filter, Tamper};
 use crate::digest::Digest;
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use crate::flash_medium::Flash;
@@ -108,6 +108,10 @@ pub(crate) struct System {
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
     pub(crate) tamper: Option<Tamper>,
+    /// Changes what each core hears.
+    pub(crate) heard: [Option<Filter>; CoreId::COUNT],
+    /// Changes what each core sends.
+    pub(crate) sent: [Option<Filter>; CoreId::COUNT],
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
 
@@ -120,6 +124,8 @@ impl System {
             flash_bytes_to_live: None,
             lamp: RoleLamp::Starting,
             tamper: None,
+            heard: [const { None }; CoreId::COUNT],
+            sent: [const { None }; CoreId::COUNT],
             inbox: VecDeque::new(),
         }
     }

@@ -53,7 +53,7 @@ pub(crate) struct SimArgs {
     faults: Option<PathBuf>,
 
     /// Which sequences: each single fault at 20 moments of the control cycle, all pairs within one
-    /// system, or random ones
+    /// system, random ones, or each wrong value
     #[arg(long, value_parser = named(Group::ALL, Group::name), default_value = "random")]
     group: Vec<Group>,
 
@@ -113,6 +113,7 @@ everything works again: gap, terms, role, flash; lane, distance and collisions.
   tandem sim --faults my.toml --seeds 20       that file
   tandem sim --group swarm --time typical      each seed chooses kinds of faults; things take time
   tandem sim --group swarm --closed-loop       all cores, and a vehicle behind another one
+  tandem sim --group values --closed-loop      each wrong value of each core, 60 s each
   tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
   tandem sim --merge a.json b.json             both thousands as one
 
@@ -149,7 +150,7 @@ impl SimArgs {
         Profile {
             time: self.time,
             around: if self.closed_loop {
-                Around::ClosedLoop
+                Around::CLOSED_LOOP
             } else {
                 Around::Core0
             },
@@ -235,6 +236,11 @@ impl Source {
 /// Runs the command.
 pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     let sources = sources(arguments).map_err(Failure::Usage)?;
+    let of_values = |source: &Source| matches!(source, Source::Numbered(Group::Values));
+    if sources.iter().any(of_values) && !arguments.closed_loop {
+        let what = "wrong values need a vehicle: add --closed-loop";
+        return Err(Failure::Usage(anyhow::anyhow!(what)));
+    }
     if let Some(one) = &arguments.only {
         return story(one, &sources, arguments);
     }
@@ -324,7 +330,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
         }
         let (group, number) = one.split_once(':').context("--only GROUP:NUMBER")?;
         let Some(group) = Group::of_name(group) else {
-            bail!("the groups are single, pair, random and swarm, not {group}");
+            bail!("the groups are single, pair, random, swarm and values, not {group}");
         };
         Source::Numbered(group).sequence(number.parse().context("--only: a number")?)
     };

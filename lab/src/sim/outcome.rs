@@ -7,7 +7,7 @@ use tandem_record::verdict::Rule;
 use tandem_sim::{SequenceState, Tried};
 
 /// The outcome of one sequence.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outcome {
     pub(super) number: u64,
     /// The longest time without control, ns.
@@ -22,6 +22,12 @@ pub(super) struct Outcome {
     /// The faults and the states of the systems that they hit: the label of the kind, and the
     /// index of the state in [`SequenceState::ALL`].
     pub(super) covered: Vec<(String, usize)>,
+    /// Of wrong values: the time from the fault to the finding, ns, and the offset from the lane,
+    /// m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) found_ns: Option<u64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) aside_m: Option<f64>,
 }
 
 impl Outcome {
@@ -38,6 +44,8 @@ impl Outcome {
             digest: trial.digest,
             violations: trial.violations,
             covered: trial.covered.into_iter().filter_map(hit).collect(),
+            found_ns: trial.found.map(|found| found.after.as_ns()),
+            aside_m: trial.aside_m,
         }
     }
 

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use anyhow::Result;
+use serde::Serialize;
 use serde_json::json;
 use tandem_faults::{Group, PHASES, Sequence, known};
 use tandem_record::verdict::Rule;
@@ -33,6 +34,65 @@ pub(super) struct Summary {
     /// Sum of the digests of all sequences, independent of their order.
     pub(super) digest: u64,
     pub(super) covered: Coverage,
+    /// What each wrong signal led to.
+    signals: BTreeMap<String, OfSignal>,
+}
+
+/// What the faults of one signal or frame led to.
+#[derive(Default, Serialize)]
+struct OfSignal {
+    rows: u64,
+    violated: u64,
+    /// How many were found, and the longest time from the fault to the finding, ms.
+    found: u64,
+    found_max_ms: f64,
+    /// The largest offset from the lane, m.
+    aside_max_m: f64,
+    gap_max_ms: f64,
+}
+
+impl OfSignal {
+    fn add(&mut self, outcome: &Outcome, is_violated: bool) {
+        self.rows += 1;
+        self.violated += u64::from(is_violated);
+        self.found += u64::from(outcome.found_ns.is_some());
+        let ms = |ns: u64| ns as f64 * 1e-6;
+        self.found_max_ms = self.found_max_ms.max(outcome.found_ns.map_or(0.0, ms));
+        self.aside_max_m = self.aside_max_m.max(outcome.aside_m.unwrap_or(0.0));
+        self.gap_max_ms = self.gap_max_ms.max(ms(outcome.gap_ns));
+    }
+}
+
+/// Returns what each signal led to. `bad`: the numbers of the violated sequences.
+fn signals(
+    source: &Source,
+    outcomes: &[Outcome],
+    bad: &BTreeSet<u64>,
+) -> Result<BTreeMap<String, OfSignal>> {
+    let mut signals: BTreeMap<String, OfSignal> = BTreeMap::new();
+    for outcome in outcomes {
+        let sequence = source.sequence(outcome.number)?;
+        let label = sequence.faults.first().map(|fault| fault.kind.label());
+        let of_signal = signals.entry(label.unwrap_or_default()).or_default();
+        of_signal.add(outcome, bad.contains(&outcome.number));
+    }
+    Ok(signals)
+}
+
+fn signal_table(signals: &BTreeMap<String, OfSignal>, text: &mut String) -> Result<()> {
+    writeln!(
+        text,
+        "| fault | rows | violated | found | found after at most ms | aside at most m | gap at most ms |"
+    )?;
+    writeln!(text, "|---|---|---|---|---|---|---|")?;
+    for (label, it) in signals {
+        writeln!(
+            text,
+            "| {label} | {} | {} | {} | {:.0} | {:.2} | {:.1} |",
+            it.rows, it.violated, it.found, it.found_max_ms, it.aside_max_m, it.gap_max_ms
+        )?;
+    }
+    Ok(())
 }
 
 impl Summary {
@@ -41,6 +101,7 @@ impl Summary {
             "sequences": self.sequences, "violated": self.violated, "suspended": self.suspended,
             "violations": self.violations, "known": self.known,
             "gap_max_ms": self.gap_ns as f64 * 1e-6, "covered": self.covered.json(),
+            "signals": self.signals,
         })
     }
 
@@ -93,6 +154,10 @@ pub(super) fn of(
         }
     }
     summary.violated = bad.len() as u64;
+    if matches!(source, Source::Numbered(Group::Values)) {
+        summary.signals = signals(source, outcomes, &bad)?;
+        signal_table(&summary.signals, &mut text)?;
+    }
     let (count, suspended) = (summary.sequences, summary.suspended);
     let gap = summary.gap_ns as f64 * 1e-6;
     writeln!(
@@ -120,7 +185,10 @@ fn classes(
     arguments: &SimArgs,
     text: &mut String,
 ) -> Result<()> {
-    let numbered = matches!(source, Source::Numbered(Group::Single | Group::Pair));
+    let numbered = matches!(
+        source,
+        Source::Numbered(Group::Single | Group::Pair | Group::Values)
+    );
     let mut classes: BTreeMap<String, Vec<u64>> = BTreeMap::new();
     for (index, sequence) in sequences.iter().enumerate() {
         let kinds = match numbered {

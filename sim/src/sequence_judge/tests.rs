@@ -51,7 +51,7 @@ fn of_standby(bench: &Bench) -> Acceptance {
 
 #[test]
 fn a_sound_machine_breaks_no_rule() {
-    for around in [Around::Core0, Around::ClosedLoop] {
+    for around in [Around::Core0, Around::CLOSED_LOOP] {
         assert_eq!(broken_by(around, |_| ()), []);
         assert_eq!(dual(around).judge_roles(true), []);
     }
@@ -103,7 +103,7 @@ fn steered_left(frame: &CanFrame) -> CanFrame {
 
 #[test]
 fn a_vehicle_that_is_steered_out_of_its_lane_is_found() {
-    let rules = broken_by(Around::ClosedLoop, |bench| {
+    let rules = broken_by(Around::CLOSED_LOOP, |bench| {
         // Change the frames of both systems, so that neither can take over and correct the error.
         for system in SystemId::ALL {
             bench.pair.tamper(system, Some(steered_left));
@@ -117,7 +117,7 @@ fn a_vehicle_that_is_steered_out_of_its_lane_is_found() {
 
 #[test]
 fn a_vehicle_too_close_to_the_one_in_front_is_found() {
-    let rules = broken_by(Around::ClosedLoop, |bench| {
+    let rules = broken_by(Around::CLOSED_LOOP, |bench| {
         bench.vehicle.borrow_mut().headway_s = 1.59;
     });
     assert_eq!(rules, [Rule::TooClose]);
@@ -197,7 +197,7 @@ fn a_system_that_stays_alone_is_found() {
 /// Without core 1 in both systems the vehicle stops, which is a finding if a system could drive.
 #[test]
 fn a_stop_although_a_system_may_drive_is_found() {
-    let mut bench = dual(Around::ClosedLoop);
+    let mut bench = dual(Around::CLOSED_LOOP);
     bench.vehicle.borrow_mut().poison = true;
     bench.pair.run_for(Duration::from_ms(20_000));
     assert!(!bench.judge_roles(false).contains(&Rule::Stopped));

@@ -103,7 +103,7 @@ fn the_bounds_hold_where_things_take_time() {
 #[test]
 fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
     let chains_us = |time| {
-        let around = Around::ClosedLoop;
+        let around = Around::CLOSED_LOOP;
         let profile = Profile { around, ..at(time) };
         let mut bench = Bench::dual(profile, 0, true);
         bench.pair.run_for(Duration::from_ms(400));
@@ -141,7 +141,7 @@ fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
 #[test]
 fn the_vehicle_keeps_lane_and_distance_under_faults() {
     let profile = Profile {
-        around: Around::ClosedLoop,
+        around: Around::CLOSED_LOOP,
         ..Config::rt().into()
     };
     let count = Group::Single.count().expect("a finite group");
@@ -160,6 +160,7 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
         }],
         from_power_on: false,
         span: Duration::from_ms(7_000),
+        setting: None,
     };
     let verdict = profile.try_run(&sequence);
     assert!(verdict.violations.is_empty(), "{verdict}");
@@ -171,7 +172,7 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
 #[test]
 fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
     let profile = Profile {
-        around: Around::ClosedLoop,
+        around: Around::CLOSED_LOOP,
         ..Config::rt().into()
     };
     for (of, lasts_ms, stops) in [
@@ -191,6 +192,7 @@ fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
             faults: of.iter().map(fault).collect(),
             from_power_on: false,
             span: Duration::from_ms(12_000),
+            setting: None,
         };
         let (verdict, bench) = profile.run(&sequence, false);
         let what = format!("{of:?} for {lasts_ms} ms: {verdict}");
@@ -280,6 +282,7 @@ fn frames_of_the_other_system_do_not_make_a_bus_alive() {
         ],
         from_power_on: false,
         span: Duration::from_ms(1_500),
+        setting: None,
     };
     let verdict = Profile::from(Config::rt()).try_run(&sequence);
     assert!(verdict.violations.is_empty(), "{verdict}");
@@ -310,6 +313,7 @@ fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
             ],
             from_power_on: false,
             span: Duration::from_ms(1_000),
+            setting: None,
         };
         let (verdict, mut bench) = Profile::from(Config::rt()).run(&sequence, true);
         let mut story = || format!("B off at {at_ms} ms: {verdict} {:#?}", bench.story());
@@ -333,6 +337,7 @@ fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Tried, Bench) 
         faults: faults.iter().map(fault).collect(),
         from_power_on: false,
         span: Duration::from_ms(1_000),
+        setting: None,
     };
     Profile::from(limits).run(&sequence, true)
 }

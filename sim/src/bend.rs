@@ -1,0 +1,176 @@
+//! Wrong values in a simulated machine: what each core hears and sends, and what core 2 publishes.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex, PoisonError};
+use tandem_board::{Board as _, CanFrame, CanId, CoreId, Instant, SystemId};
+use tandem_board_sim::{Poller, SimBoard, SimPair};
+use tandem_cores::driving::types::{Trajectory, TrajectoryPoint};
+use tandem_cores::layout::{ControllerMap, TRAJECTORY};
+use tandem_faults::{Bend, DeafTo, How, Kind, Signal, WrongValue};
+
+/// What bends the trajectories of each system.
+pub(crate) type Trajectories = Rc<RefCell<[Option<Bend>; 2]>>;
+
+/// Part of what a core hears or sends.
+enum Part {
+    Bends(Bend),
+    IsDeafTo(u16),
+}
+
+/// The faults of values that are present.
+#[derive(Default)]
+pub(crate) struct Bends {
+    present: Vec<(Kind, SystemId)>,
+    pub(crate) trajectories: Trajectories,
+}
+
+impl Bends {
+    /// Begins or ends a fault. Returns `false` if it is none of values.
+    pub(crate) fn follow(
+        &mut self,
+        pair: &mut SimPair,
+        kind: Kind,
+        of: SystemId,
+        on: bool,
+    ) -> bool {
+        let core = match kind {
+            Kind::WrongValue(wrong) if wrong.signal == Signal::Trajectory => {
+                let bend = on.then(|| Bend::new(wrong));
+                self.trajectories.borrow_mut()[of.index()] = bend;
+                return true;
+            }
+            Kind::WrongValue(wrong) => wrong.core,
+            Kind::DeafTo(to) => to.core,
+            _ => return false,
+        };
+        self.present.retain(|present| *present != (kind, of));
+        if on {
+            self.present.push((kind, of));
+        }
+        self.install(pair, of, CoreId::ALL[usize::from(core)]);
+        true
+    }
+
+    /// Ends all faults.
+    pub(crate) fn clear(&mut self, pair: &mut SimPair) {
+        self.present.clear();
+        *self.trajectories.borrow_mut() = [None, None];
+        for of in SystemId::ALL {
+            CoreId::ALL
+                .into_iter()
+                .for_each(|core| self.install(pair, of, core));
+        }
+    }
+
+    fn install(&self, pair: &mut SimPair, of: SystemId, core: CoreId) {
+        let parts = |sent: bool| {
+            let part = |(kind, system): &(Kind, SystemId)| match *kind {
+                _ if *system != of => None,
+                Kind::WrongValue(wrong)
+                    if wrong.core() == core && wrong.signal.is_sent() == sent =>
+                {
+                    Some(Part::Bends(Bend::new(wrong)))
+                }
+                Kind::DeafTo(DeafTo { frame, core: at })
+                    if !sent && usize::from(at) == core.index() =>
+                {
+                    Some(Part::IsDeafTo(frame.info().id))
+                }
+                _ => None,
+            };
+            self.present.iter().filter_map(part).collect::<Vec<_>>()
+        };
+        pair.filter_heard(of, core, filter(parts(false)));
+        pair.filter_sent(of, core, filter(parts(true)));
+    }
+}
+
+fn filter(parts: Vec<Part>) -> Option<tandem_board_sim::Filter> {
+    if parts.is_empty() {
+        return None;
+    }
+    let parts = Arc::new(Mutex::new(parts));
+    Some(Box::new(move |now, frame: CanFrame| {
+        let CanId::Standard(id) = frame.id() else {
+            return Some(frame);
+        };
+        let mut data = frame.data().to_vec();
+        for part in parts
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .iter_mut()
+        {
+            match part {
+                Part::IsDeafTo(deaf) if *deaf == id => return None,
+                Part::IsDeafTo(_) => {}
+                Part::Bends(bend) => bend.frame(now, id.into(), &mut data),
+            }
+        }
+        CanFrame::new(frame.id(), true, &data).ok()
+    }))
+}
+
+/// Creates a core 2 whose trajectories may be bent: after each new one, a wrong one is published
+/// before core 0 runs.
+pub(crate) fn planner(
+    board: &'static SimBoard,
+    mut core: Poller,
+    trajectories: Trajectories,
+) -> Poller {
+    let mut bent = None;
+    Box::new(move |polled| {
+        let next = core(polled);
+        let of = board.identity().system;
+        if let Some(bend) = &mut trajectories.borrow_mut()[of.index()] {
+            let _none = publish_wrong(board, bend, &mut bent);
+        }
+        next
+    })
+}
+
+fn publish_wrong(board: &SimBoard, bend: &mut Bend, bent: &mut Option<u32>) -> Option<()> {
+    let lmu = ControllerMap::attach(board).ok()?;
+    let (_, right) = TRAJECTORY.reader(&lmu.map).ok()?.read().ok()?;
+    if bent.replace(right.cycle) == Some(right.cycle) {
+        return None;
+    }
+    let wrong = wrong(right, bend, board.now());
+    TRAJECTORY
+        .writer(&lmu.map, lmu.incarnation)
+        .ok()?
+        .publish(&wrong);
+    Some(())
+}
+
+/// Bends the place across the road; a factor and a sign also bend heading and curvature, and a
+/// value that is stuck or late all parts.
+fn wrong(mut trajectory: Trajectory, bend: &mut Bend, now: Instant) -> Trajectory {
+    let WrongValue { how, .. } = bend.what();
+    let all = matches!(how, How::Stuck | How::LateMs);
+    let shape = all || matches!(how, How::Factor | How::Sign);
+    for (index, point) in (0_u32..).zip(&mut trajectory.points) {
+        let TrajectoryPoint {
+            x,
+            y,
+            heading,
+            curvature,
+            speed,
+            acceleration,
+        } = point;
+        let parts = [
+            (true, y),
+            (shape, heading),
+            (shape, curvature),
+            (all, x),
+            (all, speed),
+            (all, acceleration),
+        ];
+        for (part, (is_bent, value)) in (0..).zip(parts) {
+            if is_bent {
+                *value = bend.value(now, index * 8 + part, f64::from(*value)) as f32;
+            }
+        }
+    }
+    trajectory
+}
