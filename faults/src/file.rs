@@ -15,7 +15,6 @@
 use crate::entry::Fault;
 use crate::kind::Kind;
 use crate::sequence::{Group, Sequence};
-use crate::value::{How, Signal};
 use crate::words::{ms, wire};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -63,28 +62,13 @@ fn fault(given: Table) -> Result<Fault, String> {
     }
 }
 
-fn names<T: Copy>(all: &[T], name: fn(T) -> &'static str) -> String {
-    let names: Vec<&str> = all.iter().map(|it| name(*it)).collect();
-    names.join(", ")
-}
-
 /// Returns the keys of this kind and their values, in words.
 fn keys(kind: Kind) -> String {
     let mut keys = Vec::new();
     if let Kind::Cut { .. } | Kind::Flap { .. } = kind {
         keys.push(format!("`wire`: {}", wire::NAMES.join(", ")));
     }
-    let own = match kind {
-        Kind::WrongValue(_) => format!(
-            "`signal`: {}; `core`; `how`: {}; `amount`, a number",
-            names(Signal::ALL, Signal::name),
-            names(How::ALL, How::name)
-        ),
-        Kind::DeafTo(_) => "`frame`, a frame of the DBC; `core`: 0 or 1".to_owned(),
-        Kind::Forged(_) => "`frame` and `field` of the DBC; `value`, a number".to_owned(),
-        _ => String::new(),
-    };
-    keys.extend((!own.is_empty()).then_some(own));
+    keys.extend(kind.own_keys());
     keys.extend(kind.amount().map(|it| format!("`amount`: {it}")));
     match keys.len() {
         0 => "has no further keys".to_owned(),
@@ -206,6 +190,34 @@ mod tests {
             (
                 &one("what = \"mute\"\namount = 3\nof = \"a\"\nat-ms = 1.0"),
                 "`mute` has no `amount`",
+            ),
+            (
+                &one("what = \"deaf-to\"\nframe = \"Radar\"\ncore = 1\nof = \"a\"\nat-ms = 1.0"),
+                "there is no frame `Radar`; `deaf-to` needs `frame`",
+            ),
+            (
+                &one(
+                    "what = \"deaf-to\"\nframe = \"EgoMotion\"\ncore = 2\nof = \"a\"\nat-ms = 1.0",
+                ),
+                "core 2 hears no frames",
+            ),
+            (
+                &one(
+                    "what = \"forged\"\nframe = \"GateEcho\"\nfield = \"Role\"\nvalue = 1\nof = \"a\"\nat-ms = 1.0",
+                ),
+                "`GateEcho` has no `Role`, only Counter, Refused, Term",
+            ),
+            (
+                &one(
+                    "what = \"wrong-value\"\nsignal = \"trajectory\"\ncore = 1\nhow = \"nan\"\nof = \"a\"\nat-ms = 1.0",
+                ),
+                "`trajectory` is not on core 1, only on [2]",
+            ),
+            (
+                &one(
+                    "what = \"wrong-value\"\nsignal = \"yaw-rate\"\ncore = 1\nhow = \"late-ms\"\nof = \"a\"\nat-ms = 1.0",
+                ),
+                "`late-ms` is 1 to 5000 ms",
             ),
             (
                 &one("what = \"mute\"\nwhen = 3\nof = \"a\"\nat-ms = 1.0"),

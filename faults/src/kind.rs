@@ -276,6 +276,23 @@ impl Kind {
         labels
     }
 
+    /// Returns the further keys of wrong values, deafness and forgeries in words; `None` for other
+    /// kinds.
+    #[must_use]
+    pub fn own_keys(self) -> Option<String> {
+        Some(match self {
+            Self::WrongValue(_) => {
+                let signals: Vec<&str> = Signal::ALL.iter().map(|it| it.name()).collect();
+                let hows: Vec<&str> = How::ALL.iter().map(|it| it.name()).collect();
+                let (signals, hows) = (signals.join(", "), hows.join(", "));
+                format!("`signal`: {signals}; `core`; `how`: {hows}; `amount`, a number")
+            }
+            Self::DeafTo(_) => "`frame`, of the DBC; `core`: 0 or 1".to_owned(),
+            Self::Forged(_) => "`frame` and `field`, of the DBC; `value`, a number".to_owned(),
+            _ => return None,
+        })
+    }
+
     /// Returns one wrong value, one deafness and one forged frame.
     fn of_values() -> Vec<Self> {
         let wrong = WrongValue {

@@ -62,7 +62,8 @@ fn table() -> String {
             .unwrap_or_else(|| panic!("no sample of {word}"));
         let wire = matches!(first, Kind::Cut { .. } | Kind::Flap { .. }).then_some("`wire`");
         let amount = first.amount().map(|amount| format!("`amount`: {amount}"));
-        let keys: Vec<String> = wire.map(str::to_owned).into_iter().chain(amount).collect();
+        let wire = wire.map(str::to_owned).into_iter();
+        let keys: Vec<String> = wire.chain(amount).chain(first.own_keys()).collect();
         let losses: BTreeSet<&str> = kinds.iter().map(|kind| loss(kind.facts().loss)).collect();
         let losses: Vec<&str> = losses.into_iter().collect();
         let sites = [Site::Simulator, Site::Processes, Site::Machines].map(|site| {

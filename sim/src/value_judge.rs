@@ -136,8 +136,9 @@ impl Bench {
         let mut check = |broken: bool, rule| violations.extend(broken.then_some(rule));
         let sound = faulty.filter(|_| !setting.is_alone).map(SystemId::peer);
         if let (Some(faulty), Some(sound)) = (faulty, sound) {
-            let taken = since(begin).iter().find(|it| it.system == index(sound));
-            let taken = taken.map(|it| Instant::from_ns(it.at_ns));
+            let frames = since(begin);
+            let taken = frames.iter().position(|it| it.system == index(sound));
+            let taken_at = taken.map(|first| Instant::from_ns(frames[first].at_ns));
             let late = own(faulty)
                 .filter(|_| faulty == setting.driver)
                 .is_some_and(|found| {
@@ -147,10 +148,10 @@ impl Bench {
                         }
                         _ => SOUND_DRIVES,
                     };
-                    taken.is_none_or(|at| at > begin + found.after + limit)
+                    taken_at.is_none_or(|at| at > begin + found.after + limit)
                 });
             // Once the sound system drives, it drives on.
-            let after = taken.map_or(&[][..], since);
+            let after = taken.map_or(&[][..], |first| &frames[first..]);
             let again = after.iter().any(|it| it.system == index(faulty));
             check(late || again, Rule::SoundDrives);
         }
