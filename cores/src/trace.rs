@@ -281,7 +281,7 @@ pub enum Event {
         /// 0 its start, 1 the way from point to point, 2 the limits of the vehicle, 3 the lane, 4 a
         /// vehicle ahead.
         what: u8,
-        /// Share of the limit, %.
+        /// Share of the limit, %; `u32::MAX` if the words were no trajectory.
         percent: u32,
     },
     /// The largest share of a limit that a right trajectory uses has grown by a tenth.

@@ -23,7 +23,7 @@ impl Real {
     /// Returns the number.
     #[must_use]
     pub fn get(self) -> f64 {
-        self.0 as f64 * 1e-6
+        self.0 as f64 / 1e6
     }
 }
 

@@ -2,11 +2,13 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, PoisonError};
-use tandem_board::{Board as _, CanFrame, CanId, CoreId, Instant, SystemId};
+use tandem_board::{Board as _, CanFrame, CanId, CoreId, Instant, LmuWord, SystemId};
 use tandem_board_sim::{Poller, SimBoard, SimPair};
 use tandem_cores::driving::types::{Trajectory, TrajectoryPoint};
 use tandem_cores::layout::{ControllerMap, TRAJECTORY};
+use tandem_cores::words::Payload as _;
 use tandem_faults::{Bend, DeafTo, How, Kind, Signal, WrongValue};
 
 /// What bends the trajectories of each system.
@@ -111,7 +113,7 @@ fn filter(parts: Vec<Part>) -> Option<tandem_board_sim::Filter> {
     }))
 }
 
-/// Creates a core 2 whose trajectories may be bent: after each new one, a wrong one is published
+/// Creates a core 2 whose trajectories may be bent: each new one is overwritten in shared memory
 /// before core 0 runs.
 pub(crate) fn planner(
     board: &'static SimBoard,
@@ -123,24 +125,35 @@ pub(crate) fn planner(
         let next = core(polled);
         let of = board.identity().system;
         if let Some(bend) = &mut trajectories.borrow_mut()[of.index()] {
-            let _none = publish_wrong(board, bend, &mut bent);
+            let _none = overwrite(board, bend, &mut bent);
         }
         next
     })
 }
 
-fn publish_wrong(board: &SimBoard, bend: &mut Bend, bent: &mut Option<u32>) -> Option<()> {
+fn overwrite(board: &SimBoard, bend: &mut Bend, bent: &mut Option<u32>) -> Option<()> {
     let lmu = ControllerMap::attach(board).ok()?;
     let (_, right) = TRAJECTORY.reader(&lmu.map).ok()?.read().ok()?;
     if bent.replace(right.cycle) == Some(right.cycle) {
         return None;
     }
-    let wrong = wrong(right, bend, board.now());
-    TRAJECTORY
-        .writer(&lmu.map, lmu.incarnation)
-        .ok()?
-        .publish(&wrong);
+    let published = words(&right);
+    let wrong = words(&wrong(right, bend, board.now()));
+    let is_here = |place: &&[LmuWord]| {
+        let mut pairs = place.iter().zip(&published);
+        pairs.all(|(word, expected)| word.load(Relaxed) == *expected)
+    };
+    let place = board.lmu().windows(published.len()).find(is_here)?;
+    for (word, value) in place.iter().zip(wrong) {
+        word.store(value, Relaxed);
+    }
     Some(())
+}
+
+fn words(trajectory: &Trajectory) -> Vec<u32> {
+    let mut words = vec![];
+    trajectory.store(&mut |word| words.push(word));
+    words
 }
 
 /// Bends the place across the road; a factor and a sign also bend heading and curvature, and a

@@ -319,11 +319,20 @@ impl<'b> Lmu<'b> {
     }
 }
 
+/// Core 2 is wrong after this many trajectories that are no values.
+const REFUSED: u8 = 3;
+const UNREADABLE: Event = Event::WrongTrajectory {
+    what: 1,
+    percent: u32::MAX,
+};
+
 /// Fetches what cores 1 and 2 have published.
 pub struct TrajectoryInputTask<'b, B> {
     board: &'b B,
     lmu: Option<Lmu<'b>>,
     cycles: Cycles,
+    /// Trajectories in succession that were no values.
+    refused: u8,
 }
 
 impl<'b, B: Board> TrajectoryInputTask<'b, B> {
@@ -332,6 +341,7 @@ impl<'b, B: Board> TrajectoryInputTask<'b, B> {
             board,
             lmu: None,
             cycles: Cycles::default(),
+            refused: 0,
         }
     }
 
@@ -391,6 +401,7 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                         cycle: trajectory.cycle,
                     });
                 }
+                self.refused = 0;
                 let event = executor.drive(|drive| drive.on_trajectory(trajectory));
                 executor.shared(|shared| {
                     shared.grid.on_trajectory(shared.board.now());
@@ -400,7 +411,13 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                 });
             }
             Ok(None) => {}
-            Err(_) => self.trace(Event::Refused { id: 0 }),
+            Err(_) => {
+                self.trace(Event::Refused { id: 0 });
+                self.refused += u8::from(signalled && self.refused < REFUSED);
+                if signalled && self.refused == REFUSED {
+                    executor.shared(|shared| shared.on_checked_trajectory(UNREADABLE));
+                }
+            }
         }
         if signalled {
             executor.ends(Self::ID);
