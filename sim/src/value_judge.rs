@@ -53,6 +53,20 @@ const fn tells(event: &Event) -> bool {
     }
 }
 
+/// Returns whether this event says that its own system is the wrong one, or the less able.
+const fn locates(event: &Event) -> bool {
+    match event {
+        Event::WrongScene { .. }
+        | Event::WrongTrajectory { .. }
+        | Event::WrongCommand { .. }
+        | Event::Ability { .. }
+        | Event::Sensors { .. } => true,
+        Event::PeerScene { own, .. } => *own,
+        Event::ClockWrong { of } => *of == 0,
+        _ => false,
+    }
+}
+
 impl Profile {
     /// Runs a sequence in its setting.
     pub(crate) fn run_values(
@@ -126,7 +140,7 @@ impl Bench {
     ) -> Tried {
         let now = self.pair.now();
         let found: Vec<Found> = self.findings(begin);
-        let own = |of: SystemId| found.iter().find(|it| it.by == of);
+        let own = |of: SystemId| found.iter().find(|it| it.by == of && locates(&it.event));
         let vehicle = self.vehicle.borrow();
         let since = |at: Instant| {
             let from = vehicle.accepted.partition_point(|it| it.at_ns < at.as_ns());

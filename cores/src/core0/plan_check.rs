@@ -189,7 +189,12 @@ fn step(from: &TrajectoryPoint, to: &TrajectoryPoint) -> Worst {
         cosine * dx + sine * dy - way,
         cosine * dy - sine * dx,
         turn - 0.5 * (from.curvature + to.curvature) * way,
-        to.speed - from.speed - 0.5 * (from.acceleration + to.acceleration) * TRAJECTORY_STEP_S,
+        // The braking ends when the vehicle stands.
+        if to.speed > 0.0 {
+            to.speed - from.speed - 0.5 * (from.acceleration + to.acceleration) * TRAJECTORY_STEP_S
+        } else {
+            0.0
+        },
     ];
     share(errors, STEP, Part::Step)
 }

@@ -320,8 +320,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.notify(Input::OwnFault(FailureMode::WrongCommand))
     }
 
-    /// Checks a new scene, and corrects it if it is wrong.
-    pub(super) fn on_scene(&mut self, scene: &mut Scene) {
+    /// Checks a new scene, and corrects it if it is wrong. Returns the tasks to run.
+    pub(super) fn on_scene(&mut self, scene: &mut Scene) -> TaskSet {
         let state = self.redundancy.running().map(Redundancy::state);
         let suspect = state.and_then(|state| match state {
             _ if state.cpsys_failure => Some(Suspect::Peer),
@@ -329,18 +329,27 @@ impl<'b, B: Board> SharedState<'b, B> {
             _ => None,
         });
         self.ability.on_scene(scene);
+        let was_right = self.scene_check.found().is_none();
         if let Some(event) = self.scene_check.on_scene(scene, suspect) {
             self.trace(event);
         }
         if self.scene_check.is_deceived() {
             self.can.on_ego(scene.at, scene.ego);
         }
+        match self.scene_check.found() {
+            Some(_) if was_right => self.on_wrong_scene(),
+            _ => TaskSet::NONE,
+        }
     }
 
-    /// Takes what the check of a trajectory says.
-    pub(super) fn on_checked_trajectory(&mut self, event: Event) {
-        self.is_plan_wrong |= matches!(event, Event::WrongTrajectory { .. });
+    /// Takes what the check of a trajectory says. Returns the tasks to run.
+    pub(super) fn on_checked_trajectory(&mut self, event: Event) -> TaskSet {
         self.trace(event);
+        if !matches!(event, Event::WrongTrajectory { .. }) {
+            return TaskSet::NONE;
+        }
+        self.is_plan_wrong = true;
+        self.on_wrong_scene()
     }
 
     /// Called while the scene or the trajectory is known to be wrong.

@@ -1,7 +1,7 @@
 //! The bodies of core 0's tasks: each does all due work and returns when it is due next.
 
 use super::alive::Alive;
-use super::{Core0Task, Executor, SharedState, TaskBody, frames};
+use super::{Core0Task, Executor, SharedState, TaskBody, TaskSet, frames};
 use crate::doorbell::DOORBELL_DISTANCE;
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
@@ -373,11 +373,13 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
         // The trajectory is checked against the scene for which it was planned.
         match scene {
             Ok(Some(mut scene)) => {
-                executor.shared(|shared| {
-                    shared.on_scene(&mut scene);
+                let tasks = executor.shared(|shared| {
+                    let tasks = shared.on_scene(&mut scene);
                     shared.counters.tracks = scene.objects.len() as u8;
                     shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
+                    tasks
                 });
+                executor.release(tasks);
                 executor.drive(|drive| drive.on_scene(scene));
             }
             Ok(None) => {}
@@ -403,19 +405,19 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                 }
                 self.refused = 0;
                 let event = executor.drive(|drive| drive.on_trajectory(trajectory));
-                executor.shared(|shared| {
+                let tasks = executor.shared(|shared| {
                     shared.grid.on_trajectory(shared.board.now());
-                    if let Some(event) = event {
-                        shared.on_checked_trajectory(event);
-                    }
+                    event.map_or(TaskSet::NONE, |event| shared.on_checked_trajectory(event))
                 });
+                executor.release(tasks);
             }
             Ok(None) => {}
             Err(_) => {
                 self.trace(Event::Refused { id: 0 });
                 self.refused += u8::from(signalled && self.refused < REFUSED);
                 if signalled && self.refused == REFUSED {
-                    executor.shared(|shared| shared.on_checked_trajectory(UNREADABLE));
+                    let tasks = executor.shared(|shared| shared.on_checked_trajectory(UNREADABLE));
+                    executor.release(tasks);
                 }
             }
         }
