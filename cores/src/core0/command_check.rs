@@ -76,12 +76,10 @@ impl CommandCheck<'_> {
 
     /// Takes the vehicle's echo. Returns what it says of this system's command.
     pub(super) fn on_echo(&mut self, redundancy: &Redundancy, echo: &GateEcho) -> Verdict {
-        // The speed of the vehicle, if this system stops it because no reset repaired the command.
         let stops = redundancy.stops_for_its_command();
-        let speed = self.last_output.filter(|_| stops).map(|last| last.speed);
         let term = redundancy.term().bits();
         let has_standby = redundancy.phase() == Phase::Master;
-        self.read_back.on_echo(term, echo, has_standby, speed)
+        self.read_back.on_echo(term, echo, has_standby, stops)
     }
 
     /// Returns the mode that the redundancy and the agreement permit; [`Driving`](super::Driving)

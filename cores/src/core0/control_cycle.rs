@@ -129,9 +129,9 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// system drives.
     fn send_control(&mut self, output: &Output, begin: Instant, release: Instant) {
         let phase = self.redundancy.phase();
-        // Core 2 does not know the corrections of a scene that was found wrong.
-        let is_corrected = self.scene_check.found().is_some();
-        let change = self.check.cycle(begin, phase, output, !is_corrected);
+        // Core 2 does not know the corrections of a scene.
+        let same_scene = !self.scene_check.is_changed();
+        let change = self.check.cycle(begin, phase, output, same_scene);
         self.trace_agreement(change);
         let Some(may_transmit) = self.redundancy.may_transmit() else {
             return;
@@ -153,7 +153,12 @@ impl<'b, B: Board> SharedState<'b, B> {
             return false;
         };
         let sent_at = self.can.vehicle_clock.at(self.board.now());
-        let control = frames::control(redundancy, output, sent_at);
+        let mut control = frames::control(redundancy, output, sent_at);
+        if redundancy.stops_for_its_command() {
+            let corrected = self.check.read_back.corrected(output.command);
+            control.steering_angle = corrected.steering_angle;
+            control.acceleration = corrected.acceleration;
+        }
         let message = Message::Control {
             system: self.system.index() as u8,
             control,

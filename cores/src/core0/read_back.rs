@@ -8,7 +8,6 @@
 //! If the steering angles differ, the measured angle says which one is wrong, the command or the
 //! echo.
 
-use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
 use super::frames;
 use super::wheel::{Follows, Wheel};
 use crate::driving::types::Command;
@@ -23,14 +22,11 @@ const UNDECIDED_ECHOES: u8 = 6;
 /// The measured angle cannot tell smaller differences from noise soon, rad. In the lane they have
 /// an effect of some centimetres.
 const DISTINCT: f32 = 2e-3;
+/// A command of less than this tells nothing of its sign, m/s².
+const DISTINCT_BRAKING: f32 = 0.5;
 /// Half a step of the signals plus the rounding error, rad and m/s².
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
-/// Limits for a stop with a wrong command, besides the tolerance that applies to two systems: error
-/// of the wheel angle, rad, and the least share of the braking that was sent.
-const ASIDE: f32 = 5e-3;
-const LEAST_BRAKING: f32 = 0.5;
-
 /// The commands that were sent, and the vehicle's echoes of them.
 #[derive(Clone, Debug)]
 pub(super) struct ReadBack {
@@ -47,6 +43,7 @@ pub(super) struct ReadBack {
     pub(super) wheel: Wheel,
     /// The echo was named wrong, and differs since.
     is_echo_wrong: bool,
+    correction: Correction,
 }
 
 impl ReadBack {
@@ -64,7 +61,14 @@ impl ReadBack {
             obeyed: 0,
             wheel: Wheel::default(),
             is_echo_wrong: false,
+            correction: Correction::default(),
         }
+    }
+
+    /// Returns the command to send so that the vehicle obeys `wanted`, as far as the last echoes show
+    /// how it differs. For a system that is alone and that no reset cures.
+    pub(super) fn corrected(&mut self, wanted: Command) -> Command {
+        self.correction.apply(wanted)
     }
 
     /// Called before this frame is sent with this counter.
@@ -79,15 +83,15 @@ impl ReadBack {
     }
 
     /// Takes the vehicle's echo. `term`: the term in which this system drives. `has_standby`: a
-    /// system is there that can drive instead. `stops_at`: the vehicle's speed, m/s, if this system
-    /// stops the vehicle although the command is wrong. In that case, a difference does not count
-    /// if the vehicle still stops in its lane.
+    /// system is there that can drive instead. `stops`: this system stops the vehicle because no
+    /// reset cured its command. The echo then only corrects the command: silence would not stop the
+    /// vehicle in its lane either.
     pub(super) fn on_echo(
         &mut self,
         term: u32,
         echo: &GateEcho,
         has_standby: bool,
-        stops_at: Option<f32>,
+        stops: bool,
     ) -> Verdict {
         // If the echo has a lower term, the vehicle has not yet accepted a frame of this term: it
         // has refused every frame sent.
@@ -101,18 +105,20 @@ impl ReadBack {
         };
         self.wheel
             .on_echo(sent.steering_angle, obeyed.steering_angle);
-        if echo.term > term || self.term != term {
-            (self.wrong, self.refused) = (0, None);
+        if is_known && self.obeyed != echo.obeyed_counter {
+            self.correction.on_echo(&sent, &obeyed);
+        }
+        if stops || echo.term > term || self.term != term {
+            (self.wrong, self.refused, self.obeyed) = (0, None, echo.obeyed_counter);
             return Verdict::Right;
         }
         let before = self.refused.replace(echo.refused);
         // A count that goes back was wrong before, and one wrong count must not count twice.
         let more = before.map_or(0, |count| echo.refused.wrapping_sub(count));
         let refuses = (1..128).contains(&more);
-        let stops = stops_at.is_some_and(|speed| stops_with(&sent, &obeyed, speed));
         let aside = (sent.steering_angle - obeyed.steering_angle).abs();
         let brakes_alike = (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP;
-        let by_angle = if aside < STEERING_STEP || stops {
+        let by_angle = if aside < STEERING_STEP {
             Steering::Obeyed
         } else {
             self.steering(aside, has_standby)
@@ -125,7 +131,7 @@ impl ReadBack {
             Steering::Unknown => (true, UNDECIDED_ECHOES),
             Steering::Obeyed | Steering::EchoWrong => (false, WRONG_ECHOES),
         };
-        let otherwise = !brakes_alike && !stops;
+        let otherwise = !brakes_alike;
         let limit = if otherwise || refuses {
             WRONG_ECHOES
         } else {
@@ -162,6 +168,81 @@ impl ReadBack {
     }
 }
 
+/// The difference between a command and what the vehicle obeys, learned from the echoes: a sign and
+/// an offset for each actuator. A factor is an offset that follows the command.
+#[derive(Clone, Debug, Default)]
+struct Correction {
+    steering: Axis,
+    acceleration: Axis,
+}
+
+/// One actuator.
+#[derive(Clone, Copy, Debug, Default)]
+struct Axis {
+    /// The vehicle obeys the command with the other sign.
+    is_turned: bool,
+    /// Echoes in succession that show the other sign than assumed.
+    turned: u8,
+    offset: f32,
+    applied: f32,
+}
+
+/// Echoes in succession that show a turned sign.
+const TURNED_ECHOES: u8 = 3;
+
+impl Axis {
+    fn on_echo(&mut self, sent: f32, obeyed: f32, least: f32) {
+        // A value that is obeyed with the other sign is nearer to its opposite.
+        let seems_turned = (obeyed + sent).abs() < (obeyed - sent).abs();
+        if sent.abs() > least {
+            self.turned = match seems_turned == self.is_turned {
+                true => 0,
+                false => self.turned.saturating_add(1),
+            };
+        }
+        if self.turned >= TURNED_ECHOES {
+            *self = Self {
+                is_turned: seems_turned,
+                ..Self::default()
+            };
+        }
+        self.offset = obeyed - self.signed(sent);
+    }
+
+    fn signed(&self, value: f32) -> f32 {
+        if self.is_turned { -value } else { value }
+    }
+
+    /// `step`: the most by which the correction changes in a cycle, so that no command jumps.
+    fn apply(&mut self, wanted: f32, step: f32, most: f32) -> f32 {
+        let due = if self.offset.is_finite() {
+            self.offset
+        } else {
+            0.0
+        };
+        self.applied += (due - self.applied).clamp(-step, step);
+        self.applied = self.applied.clamp(-most, most);
+        self.signed(wanted - self.applied)
+    }
+}
+
+impl Correction {
+    fn on_echo(&mut self, sent: &Command, obeyed: &Command) {
+        let least = DISTINCT;
+        self.steering
+            .on_echo(sent.steering_angle, obeyed.steering_angle, least);
+        self.acceleration
+            .on_echo(sent.acceleration, obeyed.acceleration, DISTINCT_BRAKING);
+    }
+
+    fn apply(&mut self, wanted: Command) -> Command {
+        Command {
+            steering_angle: self.steering.apply(wanted.steering_angle, 1e-3, 0.1),
+            acceleration: self.acceleration.apply(wanted.acceleration, 0.3, 6.0),
+        }
+    }
+}
+
 /// What an echo says of this system's command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
@@ -180,18 +261,6 @@ enum Steering {
     Disobeyed,
     EchoWrong,
     Unknown,
-}
-
-/// Returns whether the vehicle, at this speed in m/s, still stops in its lane although it obeys a
-/// command other than the one sent.
-fn stops_with(sent: &Command, obeyed: &Command, speed: f32) -> bool {
-    let deviation = Deviation::of(sent, obeyed, speed);
-    let in_lane = (sent.steering_angle - obeyed.steering_angle).abs() <= ASIDE
-        && deviation.lateral.abs() <= LATERAL.tolerance;
-    let brakes = sent.acceleration < 0.0
-        && obeyed.acceleration <= LEAST_BRAKING * sent.acceleration
-        && deviation.longitudinal <= LONGITUDINAL.tolerance;
-    in_lane && brakes
 }
 
 #[cfg(test)]
@@ -227,15 +296,15 @@ mod tests {
     /// Sends 400 frames; `obeyed` makes the echo of each. Returns the first cycle that is found
     /// wrong.
     fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
-        found_at(None, obeyed)
+        found_at(false, obeyed)
     }
 
-    fn found_at(stops_at: Option<f32>, obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
+    fn found_at(stops: bool, obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
         let mut read_back = ReadBack::new();
         (0..400).find(|cycle| {
             read_back.on_sent(*cycle as u8, &control(*cycle));
             let echo = obeyed(*cycle, echo(*cycle));
-            read_back.on_echo(TERM, &echo, true, stops_at) == Verdict::Wrong
+            read_back.on_echo(TERM, &echo, true, stops) == Verdict::Wrong
         })
     }
 
@@ -276,30 +345,9 @@ mod tests {
             };
             assert_eq!(found(once), None, "{forged}");
         }
-        // A system stops the vehicle with -1 m/s² because no reset repaired the command.
-        let differs = |aside: f32, more: f32| {
-            move |_, it: GateEcho| GateEcho {
-                steering_angle: it.steering_angle + aside,
-                acceleration: it.acceleration + more,
-                ..it
-            }
-        };
-        for (aside, more, stops_at, at) in [
-            (0.001, -0.5, None, Some(1)),
-            (0.001, -0.5, Some(25.0), None),
-            (0.001, -0.5, Some(40.0), Some(1)),
-            (0.004, 0.0, Some(10.0), None),
-            (-0.004, 0.0, Some(20.0), Some(5)),
-            // Nearly standing, or the speed is not known.
-            (0.1, 0.0, Some(0.0), Some(5)),
-            (0.0, 0.45, Some(25.0), None),
-            (0.0, 0.55, Some(25.0), Some(1)),
-            (0.0, -1.6, Some(25.0), Some(1)),
-        ] {
-            let found = found_at(stops_at, differs(aside, more));
-            assert_eq!(found, at, "{aside} {more} {stops_at:?}");
-        }
-        assert_eq!(found_at(Some(5.0), refused), Some(12));
+        // A system that stops the vehicle because no reset cured its command is not silent.
+        assert_eq!(found_at(true, refused), None);
+        assert_eq!(found_at(true, stuck), None);
         let others = |_, it| GateEcho {
             steering_angle: 0.5,
             term: TERM + 1,
@@ -332,7 +380,7 @@ mod tests {
                 acceleration: 0.0,
                 ..echo(cycle)
             };
-            let verdict = read_back.on_echo(TERM, &echo, has_standby, None);
+            let verdict = read_back.on_echo(TERM, &echo, has_standby, false);
             for (place, kind) in [(0, Verdict::Wrong), (1, Verdict::EchoWrong)] {
                 if verdict == kind && found[place].is_none() {
                     found[place] = Some(cycle.saturating_sub(100));
@@ -369,5 +417,52 @@ mod tests {
         let little = |angle: f32| angle + 5e-4;
         assert_eq!(judged(true, same, little), [Some(1), None]);
         assert_eq!(judged(false, same, little), [None, None]);
+    }
+
+    /// T-RED-9: no reset cures a wrong output. The command is corrected by the echoes until the
+    /// vehicle obeys what is wanted: with an offset, a drift, a factor, and a turned sign.
+    #[test]
+    fn a_wrong_output_is_corrected_by_the_echoes() {
+        type Output = fn(f32, u32) -> f32;
+        let outputs: [(&str, Output); 5] = [
+            ("right", |sent, _| sent),
+            ("offset", |sent, _| sent + 0.01),
+            ("drift", |sent, cycle| sent + 2e-5 * cycle as f32),
+            ("factor", |sent, _| 0.4 * sent),
+            ("sign", |sent, _| -sent),
+        ];
+        for (name, output) in outputs {
+            let mut read_back = ReadBack::new();
+            let mut last = (0.0_f32, 0.0_f32);
+            for cycle in 0..400_u32 {
+                let wanted = Command {
+                    steering_angle: 0.02 + 0.01 * (cycle as f32 * 0.02).sin(),
+                    acceleration: -2.5,
+                };
+                let sent = read_back.corrected(wanted);
+                let control = Control {
+                    term: TERM,
+                    steering_angle: sent.steering_angle,
+                    acceleration: sent.acceleration,
+                    ..Control::default()
+                };
+                read_back.on_sent(cycle as u8, &control);
+                let echo = GateEcho {
+                    term: TERM,
+                    steering_angle: output(sent.steering_angle, cycle),
+                    acceleration: output(sent.acceleration, cycle),
+                    obeyed_counter: cycle as u8,
+                    ..GateEcho::default()
+                };
+                let verdict = read_back.on_echo(TERM, &echo, false, true);
+                assert_eq!(verdict, Verdict::Right);
+                last = (
+                    echo.steering_angle - wanted.steering_angle,
+                    echo.acceleration - wanted.acceleration,
+                );
+            }
+            assert!(last.0.abs() < 1e-3, "{name}: {last:?}");
+            assert!(last.1.abs() < 0.05, "{name}: {last:?}");
+        }
     }
 }

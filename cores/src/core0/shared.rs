@@ -329,12 +329,14 @@ impl<'b, B: Board> SharedState<'b, B> {
             _ => None,
         });
         self.ability.on_scene(scene);
+        self.redundancy.ready.lanes_seen = scene.lanes.is_some();
+        let heard_by_scene = self.scene_check.heard_by_scene(scene);
         let was_right = self.scene_check.found().is_none();
         if let Some(event) = self.scene_check.on_scene(scene, suspect) {
             self.trace(event);
         }
-        if self.scene_check.is_deceived() {
-            self.can.on_ego(scene.at, scene.ego);
+        if let Some(ego) = heard_by_scene {
+            self.can.on_ego(scene.at, ego);
         }
         match self.scene_check.found() {
             Some(_) if was_right => self.on_wrong_scene(),

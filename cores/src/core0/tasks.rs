@@ -376,7 +376,6 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                 let tasks = executor.shared(|shared| {
                     let tasks = shared.on_scene(&mut scene);
                     shared.counters.tracks = scene.objects.len() as u8;
-                    shared.redundancy.ready.lanes_seen = scene.lanes.is_some();
                     tasks
                 });
                 executor.release(tasks);

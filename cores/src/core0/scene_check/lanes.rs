@@ -142,6 +142,14 @@ impl LaneCheck {
         Some((carried(&lanes.c, time, at, ego), lanes.view_range))
     }
 
+    /// Returns core 0's lanes in the vehicle's frame at this time.
+    pub(super) fn lanes(&self, at: Instant, ego: &Ego) -> Option<Lanes> {
+        let time = self.time.filter(|time| at.since(*time) <= OLDEST)?;
+        let lanes = self.filter.lanes(time)?;
+        let c = carried(&lanes.c, time, at, ego);
+        Some(Lanes { c, ..lanes })
+    }
+
     /// Compares a scene's lines: the camera's newest, and the filtered one. Returns the largest
     /// difference of the filtered line as a share of its tolerance, and a difference once it has
     /// lasted.

@@ -84,6 +84,10 @@ pub(super) struct SceneCheck {
     /// What the newest scene said before it was corrected.
     own: Option<PeerScene>,
     found: Option<Finding>,
+    /// The newest scene is not that of core 1: it was corrected or completed.
+    is_changed: bool,
+    /// The motion in the last scene.
+    last_ego: Ego,
     /// The largest share that was traced, in tenths.
     worst_tenths: u8,
 }
@@ -97,6 +101,8 @@ impl SceneCheck {
             peer: PeerCheck::new(),
             own: None,
             found: None,
+            is_changed: false,
+            last_ego: Ego::default(),
             worst_tenths: 0,
         }
     }
@@ -148,6 +154,17 @@ impl SceneCheck {
             .is_some_and(|found| found.hearing && found.what != 0)
     }
 
+    /// Returns whether core 2 has another scene than core 0: this one was corrected or completed.
+    pub(super) const fn is_changed(&self) -> bool {
+        self.is_changed
+    }
+
+    /// Returns the scene's motion if core 0 hears none of its own, but core 1 does.
+    pub(super) fn heard_by_scene(&self, scene: &Scene) -> Option<Ego> {
+        let is_needed = self.is_deceived() || !self.ego.is_heard(scene.at);
+        (is_needed && scene.ego != self.last_ego).then_some(scene.ego)
+    }
+
     /// Checks a new scene. Once it was found wrong, puts core 0's values in the place of the
     /// scene's. Returns an event to trace.
     pub(super) fn on_scene(
@@ -155,6 +172,7 @@ impl SceneCheck {
         scene: &mut Scene,
         suspect: Option<Suspect>,
     ) -> Option<Event> {
+        self.last_ego = scene.ego;
         // Without motion, the scene keeps its last one.
         let hears_motion = self.ego.is_heard(scene.at);
         self.own = PeerScene::of(scene).filter(|_| hears_motion);
@@ -167,8 +185,13 @@ impl SceneCheck {
                 (0.0, found.filter(|_| is_new).map(Finding::event))
             }
         };
-        if self.found.is_some_and(|found| !found.hearing) {
+        self.is_changed = self.found.is_some_and(|found| !found.hearing);
+        if self.is_changed {
             self.correct(scene);
+        } else if scene.lanes.is_none() && hears_motion {
+            // Core 1 does not hear the camera, but core 0 does.
+            scene.lanes = self.lanes.lanes(scene.at, &scene.ego);
+            self.is_changed = scene.lanes.is_some();
         }
         let percent = (of_cores.max(of_systems) * 100.0) as u8;
         let is_worst = percent / 10 > self.worst_tenths;

@@ -162,7 +162,7 @@ pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool 
 }
 
 /// Returns whether the inputs of the step fit the motion at the start of its trajectory or scene.
-pub(crate) fn fits(step: &ControlStep, ego: &Ego) -> bool {
+fn fits(step: &ControlStep, ego: &Ego) -> bool {
     let expected = motion(ego, &step.ego, step.age_s);
     let pose = [expected.x, expected.y, expected.heading];
     let pairs = [
