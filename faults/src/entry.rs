@@ -129,6 +129,10 @@ impl BusFaults {
             Kind::Late(amount) => {
                 fault.late = if on { amount.ms() } else { Duration::ZERO };
             }
+            Kind::DeafTo(to) => {
+                let id = on.then_some(to.frame.info().id);
+                fault.deaf_to[usize::from(to.core)] = id;
+            }
             _ => return None,
         }
         Some(*fault)

@@ -202,7 +202,7 @@ impl Kind {
             Self::Poison => row(SIM, Shared, AsGiven, Power),
             Self::VehicleSilent => row(SIM, Shared, AsGiven, Loss::None),
             Self::WrongValue(_) => row(SIM, System, AsGiven, Mute),
-            Self::DeafTo(_) => row(SIM, System, AsGiven, Mute),
+            Self::DeafTo(_) => row(SIM_RUN, System, AsGiven, Mute),
             Self::Forged(_) => row(SIM, Shared, AsGiven, Mute),
         }
     }

@@ -226,6 +226,7 @@ fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> 
 impl Site {
     fn kinds(self) -> Vec<Kind> {
         let mut kinds = Kind::OF_PROCESSES.to_vec();
+        kinds.extend(values::of_processes());
         kinds.retain(|kind| kind.is_for(self));
         kinds
     }

@@ -66,6 +66,15 @@ const DEAF: [(&str, u8); 10] = [
     ("DriverRequest", 1),
 ];
 
+/// Returns the faults of values that processes can suffer.
+pub(crate) fn of_processes() -> Vec<Kind> {
+    kinds()
+        .iter()
+        .copied()
+        .filter(|kind| matches!(kind, Kind::DeafTo(_) | Kind::Forged(_)))
+        .collect()
+}
+
 /// Forged words. The frames of A are those of the driver if A drives.
 const FORGED: [(&str, &str, i64); 18] = [
     ("GateEcho", "Term", 0),

@@ -3,22 +3,15 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, PoisonError};
 use tandem_board::{Board as _, CanFrame, CanId, CoreId, Instant, LmuWord, SystemId};
 use tandem_board_sim::{Poller, SimBoard, SimPair};
 use tandem_cores::driving::types::{Trajectory, TrajectoryPoint};
 use tandem_cores::layout::{ControllerMap, TRAJECTORY};
 use tandem_cores::words::Payload as _;
-use tandem_faults::{Bend, DeafTo, How, Kind, Signal, WrongValue};
+use tandem_faults::{Bend, How, Kind, Signal, WrongValue};
 
 /// What bends the trajectories of each system.
 pub(crate) type Trajectories = Rc<RefCell<[Option<Bend>; 2]>>;
-
-/// Part of what a core hears or sends.
-enum Part {
-    Bends(Bend),
-    IsDeafTo(u16),
-}
 
 /// The faults of values that are present.
 #[derive(Default)]
@@ -43,7 +36,6 @@ impl Bends {
                 return true;
             }
             Kind::WrongValue(wrong) => wrong.core,
-            Kind::DeafTo(to) => to.core,
             _ => return false,
         };
         self.present.retain(|present| *present != (kind, of));
@@ -66,48 +58,34 @@ impl Bends {
     }
 
     fn install(&self, pair: &mut SimPair, of: SystemId, core: CoreId) {
-        let parts = |sent: bool| {
-            let part = |(kind, system): &(Kind, SystemId)| match *kind {
-                _ if *system != of => None,
-                Kind::WrongValue(wrong)
-                    if wrong.core() == core && wrong.signal.is_sent() == sent =>
-                {
-                    Some(Part::Bends(Bend::new(wrong)))
-                }
-                Kind::DeafTo(DeafTo { frame, core: at })
-                    if !sent && usize::from(at) == core.index() =>
-                {
-                    Some(Part::IsDeafTo(frame.info().id))
-                }
+        let parts = |sent: bool| -> Vec<Bend> {
+            let bend = |(kind, system): &(Kind, SystemId)| match *kind {
+                Kind::WrongValue(wrong) if *system == of => Some(Bend::new(wrong)),
                 _ => None,
             };
-            self.present.iter().filter_map(part).collect::<Vec<_>>()
+            let bends = self.present.iter().filter_map(bend);
+            let is_here = |bend: &Bend| {
+                let wrong = bend.what();
+                wrong.core() == core && wrong.signal.is_sent() == sent
+            };
+            bends.filter(is_here).collect()
         };
         pair.filter_heard(of, core, filter(parts(false)));
         pair.filter_sent(of, core, filter(parts(true)));
     }
 }
 
-fn filter(parts: Vec<Part>) -> Option<tandem_board_sim::Filter> {
-    if parts.is_empty() {
+fn filter(mut bends: Vec<Bend>) -> Option<tandem_board_sim::Filter> {
+    if bends.is_empty() {
         return None;
     }
-    let parts = Arc::new(Mutex::new(parts));
     Some(Box::new(move |now, frame: CanFrame| {
         let CanId::Standard(id) = frame.id() else {
             return Some(frame);
         };
         let mut data = frame.data().to_vec();
-        for part in parts
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .iter_mut()
-        {
-            match part {
-                Part::IsDeafTo(deaf) if *deaf == id => return None,
-                Part::IsDeafTo(_) => {}
-                Part::Bends(bend) => bend.frame(now, id.into(), &mut data),
-            }
+        for bend in &mut bends {
+            bend.frame(now, id.into(), &mut data);
         }
         CanFrame::new(frame.id(), true, &data).ok()
     }))

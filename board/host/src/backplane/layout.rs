@@ -58,6 +58,10 @@ pub(super) enum System {
     HeldLow,
     LostOut,
     LostIn,
+    /// The id of a frame that core 0 does not hear, plus 1; 0 for none.
+    DeafTo0,
+    /// The same for core 1.
+    DeafTo1,
     LateMs,
 }
 

@@ -236,6 +236,13 @@ impl Backplane {
             .set(fault.lost_out.into());
         self.system(system, System::LostIn)
             .set(fault.lost_in.into());
+        for (register, id) in [System::DeafTo0, System::DeafTo1]
+            .into_iter()
+            .zip(fault.deaf_to)
+        {
+            let id = id.map_or(0, |id| u32::from(id) + 1);
+            self.system(system, register).set(id);
+        }
         self.system(system, System::LateMs)
             .set((fault.late.as_us() / 1_000) as u32);
     }
@@ -246,6 +253,8 @@ impl Backplane {
             lost_out: of(System::LostOut) as u16,
             lost_in: of(System::LostIn) as u16,
             late: Duration::from_ms(of(System::LateMs).into()).min(LATE_MOST),
+            deaf_to: [System::DeafTo0, System::DeafTo1]
+                .map(|register| of(register).checked_sub(1).map(|id| id as u16)),
         }
     }
 

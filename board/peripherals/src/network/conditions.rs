@@ -74,6 +74,8 @@ pub struct BusFault {
     pub lost_in: u16,
     /// Delay with which its frames reach the bus.
     pub late: Duration,
+    /// The standard id of a frame that core 0, and one that core 1 does not hear.
+    pub deaf_to: [Option<u16>; 2],
 }
 
 /// Everything that disturbs the network. By default nothing does.

@@ -264,7 +264,10 @@ impl Network {
             // Drawn for every core, so that the random numbers do not depend on the sender.
             let is_lost = is_lost(self.conditions.bus[system].lost_in, noise);
             let is_cut = self.conditions.cuts.is_cut(Wire::Can, place.system);
-            if is_lost || is_cut || sender == Sender::Core(place) {
+            let deaf_to = self.conditions.bus[system].deaf_to;
+            let deaf_to = deaf_to.get(place.core.index()).copied().flatten();
+            let is_deaf = deaf_to.is_some_and(|id| frame.id() == CanId::Standard(id));
+            if is_lost || is_cut || is_deaf || sender == Sender::Core(place) {
                 continue;
             }
             let fails = self.conditions.hardware[system].has(HardwareFault::CanReceive);
