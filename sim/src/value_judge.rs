@@ -8,6 +8,7 @@ use tandem_bus::ModeCode;
 use tandem_cores::trace::Event;
 use tandem_faults::{Effect, Loss, Road, Sequence, Setting, Suffer as _};
 use tandem_record::verdict::{HEADWAY_MIN_S, Rule};
+use tandem_redundancy::Evidence;
 
 /// The sound system drives at most this long after the finding.
 const SOUND_DRIVES: Duration = Duration::from_ms(20);
@@ -46,6 +47,14 @@ const fn tells(event: &Event) -> bool {
         | Event::ClockWrong { .. }
         | Event::SensorContradicted { .. }
         | Event::Ignored { .. } => true,
+        // The other system is not there, or not able.
+        Event::Phase { on, .. } => matches!(
+            on,
+            Evidence::PeerOff
+                | Evidence::BeatsSilent
+                | Evidence::StandbyMute
+                | Evidence::StandbyUnable
+        ),
         Event::Agreement { stage, .. } => *stage > 0,
         Event::Ability { bits, .. } => *bits != 0,
         Event::Sensors { missing } => *missing != 0,

@@ -27,6 +27,8 @@ pub(super) struct EgoCheck {
     motions: Deque<(Instant, Ego), MOTIONS>,
     agreed: Option<(Instant, Ego)>,
     different: u8,
+    /// How much farther core 0's motions are from `agreed` than the scene's.
+    evidence: f32,
     /// The motions of two systems are up to this much apart in time, s, besides one frame. 0 for
     /// those of two cores.
     apart_s: f32,
@@ -57,20 +59,25 @@ fn difference(one: &Ego, other: &Ego, apart_s: f32) -> (f32, u8, f32) {
     worst
 }
 
-/// Returns by how much `ego` leaves the range that vehicles reach `seconds` after `before`, in
-/// shares of the limits.
-fn jump(before: &Ego, ego: &Ego, seconds: f32) -> f32 {
-    let mut worst = 0.0_f32;
+/// The most that one motion counts as evidence, in limits.
+const FAR: f32 = 100.0;
+
+/// Returns how far `ego` is from the motion `before`, in limits; what a vehicle does not reach in
+/// `seconds` counts tenfold. Values that are equal in two motions cancel in the difference.
+fn far(before: &Ego, ego: &Ego, seconds: f32) -> f32 {
     let limits = LIMITS.into_iter().zip(CHANGES);
     let pairs = values(before).into_iter().zip(values(ego));
-    for ((before, now), (limit, change)) in pairs.zip(limits) {
-        let beyond = (now - before).abs() - change * seconds;
-        worst = worst.max(beyond / limit);
-        if !now.is_finite() {
-            return f32::MAX;
+    let shares = pairs.zip(limits).map(|((before, now), (limit, change))| {
+        let aside = (now - before).abs();
+        let beyond = (aside - change * seconds).max(0.0);
+        let share = (aside + 10.0 * beyond) / limit;
+        if share.is_finite() {
+            share.min(FAR)
+        } else {
+            FAR
         }
-    }
-    worst
+    });
+    shares.sum()
 }
 
 impl EgoCheck {
@@ -79,6 +86,7 @@ impl EgoCheck {
             motions: Deque::new(),
             agreed: None,
             different: 0,
+            evidence: 0.0,
             apart_s,
         }
     }
@@ -124,7 +132,7 @@ impl EgoCheck {
             false => share < 1.0,
         };
         if is_same {
-            (self.agreed, self.different) = (Some((at, *scene)), 0);
+            (self.agreed, self.different, self.evidence) = (Some((at, *scene)), 0, 0.0);
             return (share, None);
         }
         let newest = self.motions.back().map_or(at, |it| it.0);
@@ -132,21 +140,17 @@ impl EgoCheck {
             // Core 0 has not read the newest frame yet.
             return (share, None);
         }
+        let agreed = self.agreed.filter(|it| at.since(it.0) <= REMEMBERED);
+        if let Some((since, before)) = agreed {
+            let seconds = at.since(since).as_secs_f32();
+            let [own, scene] = [own, scene].map(|it| far(&before, it, seconds));
+            self.evidence += own - scene;
+        }
         self.different = self.different.saturating_add(1);
         if self.different < SCENES {
             return (share, None);
         }
-        let agreed = self.agreed.filter(|it| at.since(it.0) <= REMEMBERED);
-        let other = agreed.map(|(since, before)| {
-            let seconds = at.since(since).as_secs_f32();
-            let jumps = [own, scene].map(|it| jump(&before, it, seconds));
-            match jumps[0].total_cmp(&jumps[1]) {
-                core::cmp::Ordering::Equal => {
-                    difference(&before, own, 0.0).0 > difference(&before, scene, 0.0).0
-                }
-                order => order.is_gt(),
-            }
-        });
+        let other = agreed.map(|_| self.evidence > 0.0);
         let found = Difference {
             what,
             other,

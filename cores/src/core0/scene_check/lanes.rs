@@ -52,6 +52,8 @@ pub(super) struct Comparison {
 const LINES: usize = 4;
 /// Two cores receive a frame at times that are less apart than this.
 const SAME_FRAME: Duration = Duration::from_ms(5);
+/// The most that one line counts as evidence, in tolerances.
+const FAR: f32 = 10.0;
 /// So many new lines in succession must differ: 150 ms.
 const DIFFERENT: u8 = 3;
 
@@ -65,6 +67,8 @@ struct LineCheck {
     /// The last line that both cores received.
     agreed: Option<CameraLine>,
     different: u8,
+    /// How much farther core 0's lines are from the carried line of `agreed` than the scene's.
+    evidence: f32,
 }
 
 pub(super) struct LaneCheck {
@@ -108,6 +112,7 @@ impl LaneCheck {
                 last: CameraLine::default(),
                 agreed: None,
                 different: 0,
+                evidence: 0.0,
             },
             filter: LaneFilter::new(),
             time: None,
@@ -187,19 +192,16 @@ impl LineCheck {
         let newest = *self.heard.back()?;
         let bits = |line: &CameraLine| line.c.map(f32::to_bits);
         if self.heard.iter().any(|heard| bits(heard) == bits(&line)) {
-            (self.agreed, self.different) = (Some(line), 0);
+            (self.agreed, self.different, self.evidence) = (Some(line), 0, 0.0);
             return None;
         }
         // Core 0 has not read this frame yet.
         if newest.at + SAME_FRAME < line.at {
             return None;
         }
-        self.different = self.different.saturating_add(1);
-        if self.different < DIFFERENT {
-            return None;
-        }
         let near = |agreed: &CameraLine| scene.at.since(agreed.at) <= REMEMBERED;
-        let other = self.agreed.filter(near).map(|agreed| {
+        let agreed = self.agreed.filter(near);
+        if let Some(agreed) = agreed {
             let far = |line: &CameraLine| {
                 let agreed = carried(&agreed.c, agreed.at, line.at, &scene.ego);
                 apart(
@@ -207,9 +209,15 @@ impl LineCheck {
                     &agreed,
                     scene.lanes.map_or(0.0, |it| it.view_range),
                 )
+                .min(FAR)
             };
-            far(&newest) > far(&line)
-        });
+            self.evidence += far(&newest) - far(&line);
+        }
+        self.different = self.different.saturating_add(1);
+        if self.different < DIFFERENT {
+            return None;
+        }
+        let other = agreed.map(|_| self.evidence > 0.0);
         Some(Difference {
             what: 0,
             other,

@@ -39,6 +39,7 @@ impl Difference {
         Finding {
             what: self.what,
             hearing: self.other == Some(true),
+            is_located: self.other.is_some(),
             amount: self.amount,
         }
     }
@@ -51,11 +52,25 @@ pub(super) struct Finding {
     what: u8,
     /// Core 0 hears wrong values; otherwise the scene is wrong.
     pub(super) hearing: bool,
+    /// The values on which both agreed tell which core is wrong.
+    is_located: bool,
     /// The difference: m, m/s, rad/s or rad.
     amount: f32,
 }
 
 impl Finding {
+    /// Returns the finding with the core that hears wrongly by the newest evidence: a difference
+    /// that is small at first does not tell at once which core it is.
+    fn relocated(self, again: Option<Self>) -> Self {
+        let is_motion = |what| (1..=4).contains(&what);
+        let same = |it: &Self| it.what == self.what || is_motion(it.what) && is_motion(self.what);
+        let located = again.filter(|it| it.is_located && same(it));
+        Self {
+            hearing: located.map_or(self.hearing, |it| it.hearing),
+            ..self
+        }
+    }
+
     pub(super) fn event(self) -> Event {
         Event::WrongScene {
             what: self.what,
@@ -177,11 +192,12 @@ impl SceneCheck {
         let hears_motion = self.ego.is_heard(scene.at);
         self.own = PeerScene::of(scene).filter(|_| hears_motion);
         let (of_cores, found) = self.check(scene);
+        let again = found;
         let (of_systems, event) = match self.found.or(found) {
             None => self.compare(scene, suspect),
             found => {
                 let is_new = self.found.is_none();
-                self.found = found;
+                self.found = found.map(|it| it.relocated(again));
                 (0.0, found.filter(|_| is_new).map(Finding::event))
             }
         };

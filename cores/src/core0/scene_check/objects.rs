@@ -202,6 +202,7 @@ impl ObjectCheck {
         let finding = |(what, amount)| Finding {
             what,
             hearing: false,
+            is_located: true,
             amount,
         };
         (used, found.map(finding))
