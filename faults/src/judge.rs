@@ -1,7 +1,8 @@
 //! The judge of a campaign: what must hold under any faults on any board.
 
 use crate::entry::Fault;
-use crate::sequence::Sequence;
+use crate::kind::Kind;
+use crate::sequence::{Group, Sequence};
 use tandem_record::verdict::{Finding, Rule};
 use tandem_vehicle::gate::Acceptance;
 use tandem_vehicle::mastership::Mastership;
@@ -58,9 +59,37 @@ impl Observed<'_> {
     }
 }
 
+/// An excuse of a wrong value holds up to this offset from the lane, m.
+const EXCUSED_ASIDE_M: f64 = 2.0;
+
+/// Returns why a wrong value may break this rule with this offset from the lane, m; `None` if it
+/// must not. Both reasons are of a system that is alone: nobody else can drive.
+fn known_of_values(sequence: &Sequence, rule: Rule, aside_m: f64) -> Option<&'static str> {
+    let setting = sequence.setting.filter(|setting| setting.is_alone)?;
+    let excused = matches!(rule, Rule::OffLane | Rule::Collision | Rule::TooClose);
+    if !excused || aside_m > EXCUSED_ASIDE_M {
+        return None;
+    }
+    match sequence.faults.first()?.kind {
+        Kind::WrongValue(wrong) if wrong.signal.is_sent() => {
+            Some("the output of the only system is wrong, and is corrected as far as echoes tell")
+        }
+        Kind::Forged(forged) => {
+            let own = ["ControlA", "ControlB"][setting.driver.index()];
+            (forged.frame.info().name == own)
+                .then_some("another node sends in the name of the only system that drives")
+        }
+        _ => None,
+    }
+}
+
 /// Returns why these faults may break this rule (`docs/redundancy.md`); `None` if they must not.
+/// `aside_m`: of wrong values, the largest offset from the lane.
 #[must_use]
-pub fn known(sequence: &Sequence, rule: Rule) -> Option<&'static str> {
+pub fn known(sequence: &Sequence, rule: Rule, aside_m: Option<f64>) -> Option<&'static str> {
+    if sequence.group == Group::Values {
+        return known_of_values(sequence, rule, aside_m.unwrap_or(f64::INFINITY));
+    }
     (rule == Rule::Changes && sequence.spoils_frames_of_both())
         .then_some("frames of both systems are lost or wrong, so each relieves the other rightly")
 }
@@ -70,7 +99,6 @@ mod tests {
     use super::*;
     use crate::amount::just;
     use crate::entry::Way;
-    use crate::kind::Kind;
     use tandem_board::Duration;
     use tandem_vehicle::gate::Ruling;
 

@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     let count = group.count().unwrap_or(u64::MAX);
     for seed in (0..seeds).take_while(|seed| seed * step < count) {
         let sequence = group.sequence(seed * step);
-        let new = |rule: &_| known(&sequence, *rule).is_none();
+        let new = |rule: &_| known(&sequence, *rule, None).is_none();
         let trial = profile.try_run(&sequence);
         if let Some(rule) = trial.violations.into_iter().find(new) {
             let least = profile.shrunk(&sequence, rule);

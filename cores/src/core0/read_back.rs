@@ -174,7 +174,22 @@ impl ReadBack {
 struct Correction {
     steering: Axis,
     acceleration: Axis,
+    /// The steering angle that was wanted last, rad.
+    wanted: f32,
+    /// Echoes in succession whose steering angle is far from it.
+    astray: u8,
+    /// Braking because the vehicle cannot be steered, m/s².
+    braking: f32,
 }
+
+/// The vehicle cannot be steered if its angle is this far from the wanted one, rad, …
+const ASTRAY: f32 = 5e-3;
+/// … in this many echoes in succession: 0.3 s.
+const ASTRAY_ECHOES: u8 = 30;
+/// Then it brakes hard, m/s²: the sooner it stands, the less it leaves its lane.
+const ASTRAY_BRAKING: f32 = 7.0;
+/// Change of this braking in a cycle, m/s².
+const ASTRAY_STEP: f32 = 0.4;
 
 /// One actuator.
 #[derive(Clone, Copy, Debug, Default)]
@@ -229,6 +244,12 @@ impl Axis {
 impl Correction {
     fn on_echo(&mut self, sent: &Command, obeyed: &Command) {
         let least = DISTINCT;
+        let is_astray = (obeyed.steering_angle - self.wanted).abs() > ASTRAY;
+        self.astray = if is_astray {
+            self.astray.saturating_add(1)
+        } else {
+            0
+        };
         self.steering
             .on_echo(sent.steering_angle, obeyed.steering_angle, least);
         self.acceleration
@@ -236,9 +257,14 @@ impl Correction {
     }
 
     fn apply(&mut self, wanted: Command) -> Command {
+        self.wanted = wanted.steering_angle;
+        if self.astray >= ASTRAY_ECHOES {
+            self.braking = (self.braking + ASTRAY_STEP).min(ASTRAY_BRAKING);
+        }
+        let acceleration = wanted.acceleration.min(-self.braking);
         Command {
             steering_angle: self.steering.apply(wanted.steering_angle, 1e-3, 0.1),
-            acceleration: self.acceleration.apply(wanted.acceleration, 0.3, 6.0),
+            acceleration: self.acceleration.apply(acceleration, 0.3, 6.0),
         }
     }
 }

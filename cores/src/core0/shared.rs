@@ -166,7 +166,11 @@ impl<'b, B: Board> SharedState<'b, B> {
                         Verdict::EchoWrong => self.trace(Event::WrongEcho),
                     }
                 }
-                if echo.term != 0 && !self.redundancy.is_driving() {
+                // The vehicle may still obey the system that drove before, and refuse a command that
+                // jumps from that.
+                let own_term = self.redundancy.running().map(|it| it.term().bits());
+                let obeys_other = own_term != Some(echo.term);
+                if echo.term != 0 && (obeys_other || !self.redundancy.is_driving()) {
                     let mut obeyed = frames::obeyed(&echo);
                     if let Some(measured) = self.check.read_back.wheel.contradicts_echo() {
                         obeyed.steering_angle = measured;

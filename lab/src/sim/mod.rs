@@ -362,7 +362,7 @@ fn story(one: &str, sources: &[Source], arguments: &SimArgs) -> Result<(), Failu
     text.push_str(&format!("{trial}, digest {:016x}\n", trial.digest));
     print(&text)?;
     let new = trial.violations.iter();
-    let new = new.filter(|rule| known(&sequence, **rule).is_none());
+    let new = new.filter(|rule| known(&sequence, **rule, trial.aside_m).is_none());
     let new: Vec<String> = new.map(|rule| format!("{rule:?}")).collect();
     if new.is_empty() {
         Ok(())

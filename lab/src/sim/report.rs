@@ -141,7 +141,7 @@ pub(super) fn of(
         let mut new = Vec::new();
         for outcome in outcomes.iter().filter(|it| it.violations.contains(&rule)) {
             let sequence = source.sequence(outcome.number)?;
-            match known(&sequence, rule) {
+            match known(&sequence, rule, outcome.aside_m) {
                 Some(why) => *summary.known.entry(why.to_owned()).or_insert(0) += 1,
                 None => new.push(sequence),
             }

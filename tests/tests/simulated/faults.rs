@@ -24,7 +24,7 @@ fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item
         let sequence: Sequence = group.sequence(number);
         let trial = profile.try_run(&sequence);
         let mut broken = trial.violations.iter();
-        if broken.any(|rule| known(&sequence, *rule).is_none()) {
+        if broken.any(|rule| known(&sequence, *rule, None).is_none()) {
             bad.push(format!("{sequence}: {trial}"));
         }
     }
