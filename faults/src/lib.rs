@@ -28,6 +28,6 @@ pub use kind::{Ends, Facts, Kind, Scope};
 pub use loss::Loss;
 pub use plan::{DISTANCES, PHASES};
 pub use sequence::{Group, Sequence};
-pub use setting::{Road, Setting};
+pub use setting::{DriveRoad, DriveSetting};
 pub use site::Site;
 pub use value::{Bend, DeafTo, Forged, FrameName, How, Real, Signal, WrongValue};

@@ -3,7 +3,7 @@
 use crate::entry::{Fault, Way};
 use crate::kind::{Kind, Scope};
 use crate::loss::Loss;
-use crate::setting::Setting;
+use crate::setting::DriveSetting;
 use std::fmt;
 use tandem_board::{Duration, SystemId};
 use tandem_peripherals::network::Wire;
@@ -21,7 +21,7 @@ pub enum Group {
     /// Like [`Group::Random`], but the number also selects which kinds occur, so that some
     /// sequences have many faults of few kinds.
     Swarm,
-    /// One wrong value, deafness or forgery, in one [`Setting`].
+    /// One wrong value, deafness or forgery, in one [`DriveSetting`].
     Values,
     /// The faults of a file, or of [`Site::drawn`] or [`Site::cell`].
     File,
@@ -41,7 +41,7 @@ pub struct Sequence {
     /// The time from the start of the faults until everything is restored.
     pub span: Duration,
     /// Where the faults begin; `None`: in the first second, on the road of the campaign.
-    pub setting: Option<Setting>,
+    pub setting: Option<DriveSetting>,
 }
 
 impl Fault {

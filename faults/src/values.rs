@@ -3,7 +3,7 @@
 use crate::entry::{Fault, Way};
 use crate::kind::Kind;
 use crate::sequence::{Group, Sequence};
-use crate::setting::Setting;
+use crate::setting::DriveSetting;
 use crate::value::{DeafTo, Forged, FrameName, How, Real, Signal, WrongValue};
 use std::sync::OnceLock;
 use tandem_board::{Duration, SystemId};
@@ -124,7 +124,7 @@ const STATES: [(SystemId, bool, SystemId); 6] = [
 
 /// Returns the number of sequences.
 pub(crate) fn count() -> u64 {
-    (kinds().len() * STATES.len() * Setting::PLACES.len()) as u64
+    (kinds().len() * STATES.len() * DriveSetting::PLACES.len()) as u64
 }
 
 /// Returns a sequence by its number.
@@ -132,9 +132,9 @@ pub(crate) fn count() -> u64 {
 /// # Panics
 /// If the number is not below [`count`].
 pub(crate) fn sequence(number: u64) -> Sequence {
-    let (places, states) = (Setting::PLACES.len(), STATES.len());
+    let (places, states) = (DriveSetting::PLACES.len(), STATES.len());
     let index = number as usize;
-    let (_, road, driven) = Setting::PLACES[index % places];
+    let (_, road, driven) = DriveSetting::PLACES[index % places];
     let (driver, is_alone, faulty) = STATES[index / places % states];
     let kind = kinds()[index / places / states];
     let way = match kind {
@@ -152,7 +152,7 @@ pub(crate) fn sequence(number: u64) -> Sequence {
         }],
         from_power_on: false,
         span: LASTS,
-        setting: Some(Setting {
+        setting: Some(DriveSetting {
             road,
             driver,
             is_alone,
@@ -171,7 +171,7 @@ mod tests {
         let of_signals: usize = Signal::ALL.iter().map(|it| it.cores().len()).sum();
         let expected = of_signals * How::ALL.len() + DEAF.len() + FORGED.len();
         assert_eq!(kinds().len(), expected);
-        for number in (0..count()).step_by(STATES.len() * Setting::PLACES.len()) {
+        for number in (0..count()).step_by(STATES.len() * DriveSetting::PLACES.len()) {
             let sequence = sequence(number);
             let text = sequence.to_toml().expect("TOML");
             let read = Sequence::from_toml(&text, 0).expect("what was written can be read");

@@ -17,7 +17,9 @@ use tandem_board_sim::{
 use tandem_cores::Config;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
-use tandem_faults::{BusFaults, CannotSuffer, Effect, Fault, Kind, Road, Site, Suffer, effects};
+use tandem_faults::{
+    BusFaults, CannotSuffer, DriveRoad, Effect, Fault, Kind, Site, Suffer, effects,
+};
 use tandem_record::log::VehicleRecord;
 use tandem_record::verdict::Limits;
 use tandem_record::{Entry, RunLog, description};
@@ -31,12 +33,12 @@ pub enum Around {
     #[default]
     Core0,
     /// All cores, and a vehicle in its lane on this road.
-    ClosedLoop(Road),
+    ClosedLoop(DriveRoad),
 }
 
 impl Around {
     /// The road of all campaigns but that of wrong values.
-    pub const CLOSED_LOOP: Self = Self::ClosedLoop(Road::StopAndGo);
+    pub const CLOSED_LOOP: Self = Self::ClosedLoop(DriveRoad::StopAndGo);
 }
 
 /// The simulated machine of a sequence.

@@ -21,5 +21,5 @@ mod value_judge;
 
 pub use bench::{Around, Bench, Profile, SequenceState};
 pub use outside::OutsideVehicle;
+pub use sequence_judge::Found;
 pub use trial::Tried;
-pub use value_judge::Found;

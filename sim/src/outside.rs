@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, Instant, VehicleBus as _};
 use tandem_board_sim::WorldTick;
 use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
-use tandem_faults::{Forged, Road};
+use tandem_faults::{DriveRoad, Forged};
 use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
@@ -53,9 +53,9 @@ struct Alone {
 impl OutsideVehicle {
     /// Creates a vehicle on this road, or only a gate.
     /// `keeps_frames`: whether to keep each frame.
-    pub(crate) fn new(road: Option<Road>, keeps_frames: bool) -> Self {
-        static LOADED: [OnceLock<Scenario>; Road::ALL.len()] =
-            [const { OnceLock::new() }; Road::ALL.len()];
+    pub(crate) fn new(road: Option<DriveRoad>, keeps_frames: bool) -> Self {
+        static LOADED: [OnceLock<Scenario>; DriveRoad::ALL.len()] =
+            [const { OnceLock::new() }; DriveRoad::ALL.len()];
         let outside = if let Some(road) = road {
             let loaded = LOADED[road as usize]
                 .get_or_init(|| Scenario::load(road.scenario()).expect("embedded"));

@@ -3,15 +3,26 @@
 
 use crate::bench::{Bench, SequenceState};
 use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
-use crate::value_judge::Found;
 use std::fmt;
 use tandem_board::{Duration, Instant, RoleLamp, SystemId};
+use tandem_cores::trace::Event;
 use tandem_faults::{Fault, Kind, Loss, Observed};
 use tandem_record::verdict::required_limits::CONTROL_PERIOD;
 use tandem_record::verdict::{HEADWAY_MIN_S, LATERAL_ERROR_MAX_M, Rule};
 use tandem_redundancy::{Loaded, SystemState};
 use tandem_vehicle::World;
 use tandem_vehicle::gate::Acceptance;
+
+/// The first finding after the fault.
+#[derive(Clone, Copy, Debug)]
+pub struct Found {
+    /// The system that tells it.
+    pub by: SystemId,
+    /// Time since the fault.
+    pub after: Duration,
+    /// The event.
+    pub event: Event,
+}
 
 /// The outcome of one sequence.
 #[derive(Clone, Debug, Default)]

@@ -1,12 +1,12 @@
 //! Runs and judges a sequence of wrong values: a sound system drives, and what was found is told.
 
 use crate::bench::{Around, Bench, Profile};
-use crate::sequence_judge::{Tried, longest_gap};
+use crate::sequence_judge::{Found, Tried, longest_gap};
 use tandem_board::{Duration, Instant, ResetCause, SystemId};
 use tandem_board_sim::Power;
 use tandem_bus::ModeCode;
 use tandem_cores::trace::Event;
-use tandem_faults::{Effect, Loss, Road, Sequence, Setting, Suffer as _};
+use tandem_faults::{DriveRoad, DriveSetting, Effect, Loss, Sequence, Suffer as _};
 use tandem_record::verdict::{HEADWAY_MIN_S, Rule};
 use tandem_redundancy::Evidence;
 
@@ -24,17 +24,6 @@ const STEERED_M: f64 = 0.5;
 const STARTED: Duration = Duration::from_ms(300);
 /// The other system loses its power this long before the fault.
 const ALONE: Duration = Duration::from_ms(2_000);
-
-/// The first finding after the fault.
-#[derive(Clone, Copy, Debug)]
-pub struct Found {
-    /// The system that tells it.
-    pub by: SystemId,
-    /// Time since the fault.
-    pub after: Duration,
-    /// The event.
-    pub event: Event,
-}
 
 /// Returns whether this event tells of a wrong value, or of one that is missing.
 const fn tells(event: &Event) -> bool {
@@ -81,7 +70,7 @@ impl Profile {
     pub(crate) fn run_values(
         self,
         sequence: &Sequence,
-        setting: Setting,
+        setting: DriveSetting,
         keeps: bool,
     ) -> (Tried, Bench) {
         let profile = Self {
@@ -118,7 +107,7 @@ impl Bench {
     ///
     /// # Panics
     /// If another system drives than the setting says.
-    fn drive_into(&mut self, setting: Setting) {
+    fn drive_into(&mut self, setting: DriveSetting) {
         let born = self.pair.now();
         self.power_on();
         if setting.driver == SystemId::B {
@@ -143,7 +132,7 @@ impl Bench {
 
     fn judge_values(
         &mut self,
-        setting: Setting,
+        setting: DriveSetting,
         faulty: Option<SystemId>,
         (begin, mode): (Instant, Option<ModeCode>),
     ) -> Tried {
@@ -192,7 +181,7 @@ impl Bench {
         check(suspended(driver), Rule::DriverSuspended);
         check(drive.lateral_error_max_m > OFF_LANE_M, Rule::OffLane);
         check(drive.collisions_by_ego > 0, Rule::Collision);
-        let too_close = setting.road == Road::StopAndGo && vehicle.headway_s < HEADWAY_MIN_S;
+        let too_close = setting.road == DriveRoad::StopAndGo && vehicle.headway_s < HEADWAY_MIN_S;
         check(too_close, Rule::TooClose);
         let gap = longest_gap(&vehicle.accepted, begin, now);
         let bound = Loss::Refused(Duration::from_ms(10)).bound(&self.profile.bounds());

@@ -524,8 +524,8 @@ mod tests {
         judged.unwrap().acceptance.ruling
     }
 
-    /// T-RED-9: a frame that was made more than 40 ms ago is refused, although it is valid, in order,
-    /// and reports fresh data: behind a queue that grows by 0.99 ms a second, and with a step after a
+    /// T-RED-9: a frame that was made 40 ms ago is refused, although it is valid, in order, and
+    /// reports fresh data: behind a queue that grows by 0.99 ms a second, and with a step after a
     /// pause. The clock wraps around.
     #[test]
     fn old_frames_are_refused() {

@@ -24,7 +24,7 @@ benches: board board-host page rtos shm two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy vehicle
-faults: board peripherals record vehicle
+faults: board bus peripherals record vehicle
 sim: board board-sim bus cores faults record redundancy vehicle
 board-conformance: board
 board-sim: board peripherals

@@ -65,8 +65,8 @@ impl ReadBack {
         }
     }
 
-    /// Returns the command to send so that the vehicle obeys `wanted`, as far as the last echoes show
-    /// how it differs. For a system that is alone and that no reset cures.
+    /// Returns the command to send so that the vehicle obeys `wanted`, as far as the last echoes
+    /// show how it differs. For a system that is alone and that no reset cures.
     pub(super) fn corrected(&mut self, wanted: Command) -> Command {
         self.correction.apply(wanted)
     }

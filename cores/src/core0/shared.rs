@@ -166,8 +166,8 @@ impl<'b, B: Board> SharedState<'b, B> {
                         Verdict::EchoWrong => self.trace(Event::WrongEcho),
                     }
                 }
-                // The vehicle may still obey the system that drove before, and refuse a command that
-                // jumps from that.
+                // The vehicle may still obey the system that drove before, and refuse a command
+                // that jumps from that.
                 let own_term = self.redundancy.running().map(|it| it.term().bits());
                 let obeys_other = own_term != Some(echo.term);
                 if echo.term != 0 && (obeys_other || !self.redundancy.is_driving()) {
