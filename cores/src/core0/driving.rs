@@ -73,10 +73,8 @@ impl Driving {
     }
 
     pub(crate) fn on_ego(&mut self, at: Instant, ego: Ego) {
-        if !self
-            .ego
-            .is_some_and(|(last, _)| at.since(last) <= EGO_MAX_AGE)
-        {
+        let last = self.ego.map(|(last, _)| last);
+        if last.is_none_or(|last| at.since(last) > EGO_MAX_AGE) {
             self.check.interrupt();
         }
         self.motion.on_ego(at, &ego);
