@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::bench::{Around, Profile};
-use tandem_board::{CanFrame, HardwareFault};
+use tandem_board::{CanFrame, CanId, HardwareFault};
 use tandem_board_sim::Wire;
+use tandem_bus::Message;
 use tandem_faults::{Group, Way, just};
 use tandem_redundancy::Config;
 use tandem_vehicle::gate::Ruling;
@@ -96,9 +97,16 @@ fn a_flash_that_is_programmed_too_often_is_found() {
     assert_eq!(rules, [Rule::FlashWorn]);
 }
 
-/// Returns the control frame with a constant angle: a left curve of about 700 m radius.
+/// Returns the control frame with a constant angle, a left curve of about 700 m radius, and without
+/// braking.
 fn steered_left(frame: &CanFrame) -> CanFrame {
-    crate::outside::steered(frame, |_| 0.004)
+    let frame = crate::outside::steered(frame, |_| 0.004);
+    let CanId::Standard(id) = frame.id() else {
+        return frame;
+    };
+    let mut data = frame.data().to_vec();
+    let _other_frame = Message::alter(id.into(), &mut data, "Acceleration", |_| 0.0);
+    CanFrame::new(frame.id(), true, &data).expect("as long as before")
 }
 
 #[test]
