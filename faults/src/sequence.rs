@@ -94,6 +94,36 @@ impl Sequence {
         }
     }
 
+    /// Returns until when the other system is sound, counted from the start of the faults, and the
+    /// longest gap until then: until a fault hits the second system, all are within one. `None` if
+    /// no gap is judged.
+    #[must_use]
+    pub fn bound_while_one_is_sound(&self, limits: &Limits) -> Option<(Duration, Duration)> {
+        if self.from_power_on || !matches!(self.group, Group::Random | Group::Swarm) {
+            return None;
+        }
+        let mut faults = self.faults.clone();
+        faults.sort_by_key(|fault| fault.at);
+        let is_judged = |count: usize| {
+            let within = Self {
+                faults: faults.iter().take(count).copied().collect(),
+                ..self.clone()
+            };
+            let silent = within
+                .faults
+                .iter()
+                .any(|it| it.kind == Kind::VehicleSilent);
+            let bound = within.bound_within_a_system(limits);
+            bound.filter(|_| within.is_within_a_system() && !silent)
+        };
+        let count = (1..=faults.len())
+            .rev()
+            .find(|count| is_judged(*count).is_some())?;
+        let (_, bound) = is_judged(count)?;
+        let until = faults.get(count).map_or(self.span, |next| next.at);
+        Some((until, bound))
+    }
+
     /// Returns whether all faults are within one system.
     fn is_within_a_system(&self) -> bool {
         let within = |way: Way| {

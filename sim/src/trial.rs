@@ -2,6 +2,7 @@
 
 use crate::bench::{Bench, Profile};
 pub use crate::sequence_judge::Tried;
+use crate::sequence_judge::longest_gap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use tandem_faults::Sequence;
 use tandem_record::verdict::Rule;
@@ -32,6 +33,12 @@ impl Profile {
         let bound = sequence.bound(&self.bounds());
         let bound = bound.map(|(_, bound)| bound + self.time.allowance());
         let mut trial = bench.judge(&sequence.faults, [begin, restored], bound);
+        if let Some((until, bound)) = sequence.bound_while_one_is_sound(&self.bounds()) {
+            let accepted = &bench.vehicle.borrow().accepted;
+            let gap = longest_gap(accepted, begin, begin + until.min(sequence.span));
+            let is_too_long = gap > bound + self.time.allowance();
+            trial.violations.extend(is_too_long.then_some(Rule::Gap));
+        }
         trial.violations.extend(bench.judge_roles(bound.is_some()));
         (trial, bench)
     }

@@ -5,7 +5,8 @@ use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_faults::{
-    Fault, Group, Kind, Loss, Sequence, Site, Suffer as _, Way, effects, just, known,
+    DriveSetting, Fault, Group, How, Kind, Loss, Real, Sequence, Signal, Site, Suffer as _, Way,
+    WrongValue, effects, just, known,
 };
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Config;
@@ -24,7 +25,7 @@ fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item
         let sequence: Sequence = group.sequence(number);
         let trial = profile.try_run(&sequence);
         let mut broken = trial.violations.iter();
-        if broken.any(|rule| known(&sequence, *rule, None).is_none()) {
+        if broken.any(|rule| known(&sequence, *rule, trial.aside_m).is_none()) {
             bad.push(format!("{sequence}: {trial}"));
         }
     }
@@ -55,6 +56,92 @@ fn two_faults_within_one_system_are_contained() {
 #[test]
 fn in_the_end_the_vehicle_obeys_a_master() {
     try_all(Group::Random, 0..200);
+}
+
+/// T-RED-9: a sample of the wrong values, deafnesses and forgeries, each for 60 s.
+#[test]
+fn a_sound_system_drives_whatever_value_is_wrong() {
+    let count = Group::Values.count().expect("a finite group");
+    try_all(Group::Values, (0..count).step_by(227));
+}
+
+/// Runs a wrong value of A, which drives, on a straight road.
+fn wrong(signal: Signal, core: u8, thousandths: i64, is_alone: bool) -> Tried {
+    let (_, road, driven) = DriveSetting::PLACES[0];
+    let sequence = Sequence {
+        group: Group::Values,
+        number: 0,
+        faults: vec![Fault {
+            kind: Kind::WrongValue(WrongValue {
+                signal,
+                core,
+                how: How::Offset,
+                amount: Real::thousandths(thousandths),
+            }),
+            way: Way::A,
+            at: Duration::ZERO,
+            lasts: None,
+        }],
+        from_power_on: false,
+        span: Duration::from_ms(20_000),
+        setting: Some(DriveSetting {
+            road,
+            driver: SystemId::A,
+            is_alone,
+            driven,
+        }),
+    };
+    let tried = Profile::from(Config::rt()).try_run(&sequence);
+    println!("{sequence}: {tried}");
+    assert_eq!(tried.violations, [], "{tried}");
+    tried
+}
+
+/// T-RED-9: the core that is wrong is named, and the vehicle stays in its lane.
+#[test]
+fn a_wrong_value_is_found_by_the_check_of_its_core() {
+    type Names = fn(&Event) -> bool;
+    let faults: [(Signal, u8, i64, Names); 4] = [
+        (Signal::LaneOffset, 1, 300, |it| {
+            matches!(
+                it,
+                Event::WrongScene {
+                    what: 0,
+                    hearing: false,
+                    ..
+                }
+            )
+        }),
+        // Core 2 computes the step again with the motion of the scene.
+        (Signal::EgoSpeed, 0, 5_000, |it| {
+            matches!(it, Event::WrongCommand { witness: 1 })
+        }),
+        (Signal::Trajectory, 2, 500, |it| {
+            matches!(it, Event::WrongTrajectory { what: 0, .. })
+        }),
+        (Signal::CommandSteering, 0, 10, |it| {
+            matches!(it, Event::WrongCommand { witness: 0 })
+        }),
+    ];
+    for (signal, core, amount, names) in faults {
+        let tried = wrong(signal, core, amount, false);
+        let found = tried.found.expect("a finding");
+        assert!(names(&found.event), "{signal:?}: {found:?}");
+        assert!(tried.aside_m.is_some_and(|m| m < 0.2), "{tried}");
+    }
+}
+
+/// T-RED-9: the output of a system that is alone is wrong, and no reset cures it. The system stops
+/// the vehicle in its lane.
+#[test]
+fn a_wrong_output_of_the_only_system_is_corrected() {
+    for (signal, amount) in [
+        (Signal::CommandSteering, 10),
+        (Signal::CommandAcceleration, 1_000),
+    ] {
+        let tried = wrong(signal, 0, amount, true);
+        assert!(tried.aside_m.is_some_and(|m| m < 0.5), "{tried}");
+    }
 }
 
 /// The simulator injects each fault that the table assigns to it, and rejects all others.
