@@ -2,7 +2,7 @@
 //! knows how old they are.
 
 use heapless::HistoryBuf;
-use tandem_board::Instant;
+use tandem_board::{Duration, Instant};
 
 /// One forged or late echo among this many has no effect.
 const ECHOES: usize = 3;
@@ -15,7 +15,13 @@ const ECHOES: usize = 3;
 pub(super) struct VehicleClock {
     /// Differences of the clocks, ms modulo 2^16.
     behind: HistoryBuf<u16, ECHOES>,
+    /// When the last echo arrived.
+    last: Option<Instant>,
 }
+
+/// Without an echo for longer, the time is not known: the vehicle is silent, or this system's clock
+/// has jumped.
+const SILENCE: Duration = Duration::from_ms(100);
 
 fn ms(at: Instant) -> u16 {
     (at.as_ns() / 1_000_000) as u16
@@ -24,11 +30,23 @@ fn ms(at: Instant) -> u16 {
 impl VehicleClock {
     /// Takes an echo that arrived at `at` and was sent at `sent_ms` on the vehicle's clock.
     pub(super) fn on_echo(&mut self, at: Instant, sent_ms: u16) {
+        if !self.is_known(at) {
+            self.behind = HistoryBuf::new();
+        }
+        self.last = Some(at);
         self.behind.write(ms(at).wrapping_sub(sent_ms));
     }
 
-    /// Returns the time on the vehicle's clock, ms modulo 2^16; `None` before the first echo.
+    fn is_known(&self, now: Instant) -> bool {
+        self.last
+            .is_some_and(|last| now >= last && now.since(last) <= SILENCE)
+    }
+
+    /// Returns the time on the vehicle's clock, ms modulo 2^16; `None` if no echo was heard lately.
     pub(super) fn at(&self, now: Instant) -> Option<u16> {
+        if !self.is_known(now) {
+            return None;
+        }
         let newest = *self.behind.recent()?;
         let behind = self.behind.as_slice();
         // The median: differences modulo 2^16 have an order only relative to one of them.
@@ -46,7 +64,6 @@ impl VehicleClock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tandem_board::Duration;
 
     const fn at(ms: u64) -> Instant {
         Instant::from_ns(ms * 1_000_000)
@@ -65,6 +82,20 @@ mod tests {
                 clock.at(now + Duration::from_ms(4)),
                 Some(sent.wrapping_add(4))
             );
+        }
+    }
+
+    /// A clock that has jumped says nothing until the next echo, and then the right time.
+    #[test]
+    fn a_clock_that_jumps_does_not_tell_a_wrong_time() {
+        for jumped in [10_540, 9_540] {
+            let mut clock = VehicleClock::default();
+            for step in 0..4_u16 {
+                clock.on_echo(at(10_000 + u64::from(step) * 10), 100 + step * 10);
+            }
+            assert_eq!(clock.at(at(jumped)), None);
+            clock.on_echo(at(jumped), 140);
+            assert_eq!(clock.at(at(jumped + 3)), Some(143));
         }
     }
 
