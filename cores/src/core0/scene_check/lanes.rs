@@ -3,6 +3,7 @@
 use super::{Difference, REMEMBERED, carried};
 use crate::driving::odometry::motion;
 use crate::driving::perception::LaneFilter;
+use crate::driving::road::shifted;
 use crate::driving::types::{CameraLine, Ego, Lanes, Scene};
 use heapless::Deque;
 use tandem_board::{Duration, Instant};
@@ -40,12 +41,40 @@ impl Excess {
     }
 }
 
+/// The last line on which two sources agreed, moved along with the vehicle.
+#[derive(Clone, Copy)]
+struct Agreed {
+    since: Instant,
+    /// The time of the coefficients, and the motion then.
+    at: Instant,
+    ego: Ego,
+    c: [f32; 4],
+}
+
+impl Agreed {
+    const fn new(at: Instant, ego: Ego, c: [f32; 4]) -> Self {
+        Self {
+            since: at,
+            at,
+            ego,
+            c,
+        }
+    }
+
+    /// Moves the line to this time, scene by scene: so the noise of the motion averages out.
+    /// Returns it if it is not older than `oldest`.
+    fn moved(&mut self, at: Instant, ego: &Ego, oldest: Duration) -> Option<[f32; 4]> {
+        let step = motion(&self.ego, ego, at.since(self.at).as_secs_f32());
+        (self.at, self.ego, self.c) = (at, *ego, shifted(&self.c, &step));
+        (at.since(self.since) <= oldest).then_some(self.c)
+    }
+}
+
 /// Compares a line with another one of the same lane, scene by scene.
 #[derive(Default)]
 pub(super) struct Comparison {
     excess: [Excess; PLACES.len()],
-    /// The last line on which both agreed, and the time of its scene.
-    agreed: Option<(Instant, [f32; 4])>,
+    agreed: Option<Agreed>,
 }
 
 /// Lines of the camera that are remembered: 200 ms.
@@ -54,6 +83,9 @@ const LINES: usize = 4;
 const SAME_FRAME: Duration = Duration::from_ms(5);
 /// The most that one line counts as evidence, in tolerances.
 const FAR: f32 = 10.0;
+/// A line on which both agreed tells for this long which one goes on from it: the error of its
+/// fourth coefficient grows with the cube of the way.
+const TELLS: Duration = Duration::from_ms(1_000);
 /// So many new lines in succession must differ: 150 ms.
 const DIFFERENT: u8 = 3;
 
@@ -65,7 +97,7 @@ struct LineCheck {
     /// The line of the last scene.
     last: CameraLine,
     /// The last line that both cores received.
-    agreed: Option<CameraLine>,
+    agreed: Option<Agreed>,
     different: u8,
     /// How much farther core 0's lines are from the carried line of `agreed` than the scene's.
     evidence: f32,
@@ -159,7 +191,11 @@ impl LaneCheck {
     /// difference of the filtered line as a share of its tolerance, and a difference once it has
     /// lasted.
     pub(super) fn check(&mut self, scene: &Scene) -> (f32, Option<Difference>) {
-        let unequal = self.lines.check(scene);
+        let own = |at| {
+            let time = self.time?;
+            Some(carried(&self.filter.lanes(time)?.c, time, at, &scene.ego))
+        };
+        let unequal = self.lines.check(scene, own);
         let (share, different) = self.check_filtered(scene);
         (share, unequal.or(different))
     }
@@ -180,9 +216,13 @@ impl LineCheck {
         let _fits = self.heard.push_back(line);
     }
 
-    /// Compares the camera's line in a scene, if it is a new one. Returns the difference once it
-    /// has lasted.
-    fn check(&mut self, scene: &Scene) -> Option<Difference> {
+    /// Compares the camera's line in a scene, if it is a new one. `own`: core 0's filtered line at
+    /// a time. Returns the difference once it has lasted.
+    fn check(
+        &mut self,
+        scene: &Scene,
+        own: impl Fn(Instant) -> Option<[f32; 4]>,
+    ) -> Option<Difference> {
         let line = scene.camera;
         let before = core::mem::replace(&mut self.last, line);
         // The same line again: core 1 does not hear the camera. That is found elsewhere.
@@ -192,32 +232,41 @@ impl LineCheck {
         let newest = *self.heard.back()?;
         let bits = |line: &CameraLine| line.c.map(f32::to_bits);
         if self.heard.iter().any(|heard| bits(heard) == bits(&line)) {
-            (self.agreed, self.different, self.evidence) = (Some(line), 0, 0.0);
+            // A value that is zero has no sign: nothing new of a difference that has lasted.
+            if self.different >= DIFFERENT {
+                return None;
+            }
+            // The filtered line has less noise than the camera's.
+            let lanes = scene.lanes.as_ref();
+            let filtered = lanes.map(|it| carried(&it.c, scene.at, line.at, &scene.ego));
+            let agreed = Agreed::new(line.at, scene.ego, filtered.unwrap_or(line.c));
+            (self.agreed, self.different, self.evidence) = (Some(agreed), 0, 0.0);
             return None;
         }
         // Core 0 has not read this frame yet.
         if newest.at + SAME_FRAME < line.at {
             return None;
         }
-        let near = |agreed: &CameraLine| scene.at.since(agreed.at) <= REMEMBERED;
-        let agreed = self.agreed.filter(near);
-        if let Some(agreed) = agreed {
-            let far = |line: &CameraLine| {
-                let agreed = carried(&agreed.c, agreed.at, line.at, &scene.ego);
-                apart(
-                    &line.c,
-                    &agreed,
-                    scene.lanes.map_or(0.0, |it| it.view_range),
-                )
-                .min(FAR)
-            };
-            self.evidence += far(&newest) - far(&line);
+        let agreed = self
+            .agreed
+            .as_mut()
+            .and_then(|it| it.moved(line.at, &scene.ego, TELLS));
+        let range = scene.lanes.map_or(0.0, |it| it.view_range);
+        let far = |line: &CameraLine, other: &[f32; 4]| apart(&line.c, other, range).min(FAR);
+        if let Some(agreed) = &agreed {
+            self.evidence += far(&newest, agreed) - far(&line, agreed);
+        }
+        // A wrong line does not move as the vehicle does, so its filter follows it with a lag.
+        let lanes = scene.lanes.as_ref();
+        let filtered = lanes.map(|it| carried(&it.c, scene.at, line.at, &scene.ego));
+        if let (Some(own), Some(filtered)) = (own(newest.at), filtered) {
+            self.evidence += far(&newest, &own) - far(&line, &filtered);
         }
         self.different = self.different.saturating_add(1);
         if self.different < DIFFERENT {
             return None;
         }
-        let other = agreed.map(|_| self.evidence > 0.0);
+        let other = (self.evidence != 0.0).then_some(self.evidence > 0.0);
         Some(Difference {
             what: 0,
             other,
@@ -244,15 +293,15 @@ impl Comparison {
                 (sum, amount) = (used, aside);
             }
         }
+        let moved = |it: &mut Agreed| it.moved(scene.at, &scene.ego, REMEMBERED);
+        let agreed = self.agreed.as_mut().and_then(moved);
         if sum == 0.0 {
-            self.agreed = Some((scene.at, lanes.c));
+            self.agreed = Some(Agreed::new(scene.at, scene.ego, lanes.c));
         }
         if sum < LIMIT {
             return (share, None);
         }
-        let agreed = self.agreed.filter(|it| scene.at.since(it.0) <= REMEMBERED);
-        let other = agreed.map(|(at, c)| {
-            let agreed = carried(&c, at, scene.at, &scene.ego);
+        let other = agreed.map(|agreed| {
             let far = |c: &[f32; 4]| apart(c, &agreed, lanes.view_range);
             far(other) > far(&lanes.c)
         });
