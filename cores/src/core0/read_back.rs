@@ -176,7 +176,7 @@ struct Correction {
     acceleration: Axis,
     /// The steering angle that was wanted last, rad.
     wanted: f32,
-    /// Echoes in succession whose steering angle is far from it.
+    /// Echoes whose steering angle is far from it, less those whose angle is near.
     astray: u8,
     /// Braking because the vehicle cannot be steered, m/s².
     braking: f32,
@@ -184,7 +184,7 @@ struct Correction {
 
 /// The vehicle cannot be steered if its angle is this far from the wanted one, rad, …
 const ASTRAY: f32 = 5e-3;
-/// … in this many echoes in succession: 0.3 s.
+/// … in this many more echoes than not: 0.3 s at least. A late angle swings through the right one.
 const ASTRAY_ECHOES: u8 = 30;
 /// Then it brakes hard, m/s²: the sooner it stands, the less it leaves its lane.
 const ASTRAY_BRAKING: f32 = 7.0;
@@ -198,6 +198,8 @@ struct Axis {
     is_turned: bool,
     /// Echoes in succession that show the other sign than assumed.
     turned: u8,
+    /// How often the sign seemed to turn. Twice: the actuator follows no sign, but is late.
+    turns: u8,
     offset: f32,
     applied: f32,
 }
@@ -210,18 +212,25 @@ impl Axis {
         // A value that is obeyed with the other sign is nearer to its opposite.
         let seems_turned = (obeyed + sent).abs() < (obeyed - sent).abs();
         if sent.abs() > least {
-            self.turned = match seems_turned == self.is_turned {
+            self.turned = match seems_turned == self.is_turned || self.is_late() {
                 true => 0,
                 false => self.turned.saturating_add(1),
             };
         }
         if self.turned >= TURNED_ECHOES {
+            let turns = self.turns.saturating_add(1);
             *self = Self {
-                is_turned: seems_turned,
+                is_turned: seems_turned && turns == 1,
+                turns,
                 ..Self::default()
             };
         }
         self.offset = obeyed - self.signed(sent);
+    }
+
+    /// No sign and offset explain what is obeyed: correcting it makes it worse.
+    const fn is_late(&self) -> bool {
+        self.turns > 1
     }
 
     fn signed(&self, value: f32) -> f32 {
@@ -230,7 +239,7 @@ impl Axis {
 
     /// `step`: the most by which the correction changes in a cycle, so that no command jumps.
     fn apply(&mut self, wanted: f32, step: f32, most: f32) -> f32 {
-        let due = if self.offset.is_finite() {
+        let due = if self.offset.is_finite() && !self.is_late() {
             self.offset
         } else {
             0.0
@@ -248,7 +257,7 @@ impl Correction {
         self.astray = if is_astray {
             self.astray.saturating_add(1)
         } else {
-            0
+            self.astray.saturating_sub(1)
         };
         self.steering
             .on_echo(sent.steering_angle, obeyed.steering_angle, least);
@@ -258,7 +267,7 @@ impl Correction {
 
     fn apply(&mut self, wanted: Command) -> Command {
         self.wanted = wanted.steering_angle;
-        if self.astray >= ASTRAY_ECHOES {
+        if self.astray >= ASTRAY_ECHOES || self.steering.is_late() {
             self.braking = (self.braking + ASTRAY_STEP).min(ASTRAY_BRAKING);
         }
         let acceleration = wanted.acceleration.min(-self.braking);
@@ -489,6 +498,44 @@ mod tests {
             }
             assert!(last.0.abs() < 1e-3, "{name}: {last:?}");
             assert!(last.1.abs() < 0.05, "{name}: {last:?}");
+        }
+    }
+
+    /// T-RED-9: an angle that is late seems to turn its sign again and again. It is not corrected,
+    /// and the vehicle brakes hard.
+    #[test]
+    fn a_late_output_is_not_corrected_but_braked() {
+        let mut read_back = ReadBack::new();
+        let mut sent = [Command::default(); 400];
+        for cycle in 0..400_u32 {
+            let wanted = Command {
+                steering_angle: 0.02 * (cycle as f32 * 0.05).sin(),
+                acceleration: -2.5,
+            };
+            let command = read_back.corrected(wanted);
+            sent[cycle as usize] = command;
+            let control = Control {
+                term: TERM,
+                steering_angle: command.steering_angle,
+                acceleration: command.acceleration,
+                ..Control::default()
+            };
+            read_back.on_sent(cycle as u8, &control);
+            let echo = GateEcho {
+                term: TERM,
+                steering_angle: sent[cycle.saturating_sub(50) as usize].steering_angle,
+                acceleration: command.acceleration,
+                obeyed_counter: cycle as u8,
+                ..GateEcho::default()
+            };
+            let _verdict = read_back.on_echo(TERM, &echo, false, true);
+            if cycle > 300 {
+                let braked = Command {
+                    acceleration: -ASTRAY_BRAKING,
+                    ..wanted
+                };
+                assert_eq!(command, braked, "{cycle}");
+            }
         }
     }
 }
