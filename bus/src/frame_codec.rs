@@ -73,6 +73,33 @@ impl Message {
         Ok(())
     }
 
+    /// Makes of a frame the one that would follow it, with another value of one signal: the
+    /// `field`-th of [`Self::values`], or the counter if there is none. For faults, as
+    /// [`Self::alter`].
+    ///
+    /// # Errors
+    /// [`FrameError`]: the DBC does not contain the frame, or not with this length.
+    pub fn forge(id: u32, data: &mut [u8], field: u8, value: f64) -> Result<(), FrameError> {
+        let blank = u16::try_from(id).ok().and_then(Self::blank);
+        let info = *blank.ok_or(FrameError::UnknownId)?.frame();
+        if data.len() != info.len {
+            return Err(FrameError::WrongLength);
+        }
+        let (mut index, mut name) = (0, None);
+        if let Some(message) = blank {
+            message.values(|signal, _| {
+                name = if index == field { Some(signal) } else { name };
+                index = index.saturating_add(1);
+            });
+        }
+        let counter = match name {
+            Some(_) => data[2].wrapping_add(1),
+            None => value as u8,
+        };
+        e2e::protect(info.id, counter, data);
+        name.map_or(Ok(()), |name| Self::alter(id, data, name, |_| value))
+    }
+
     /// Returns the id of the frame.
     #[must_use]
     pub const fn id(&self) -> u16 {

@@ -13,6 +13,7 @@ mod core_process;
 pub mod dflash;
 pub mod failure;
 pub mod files;
+mod forging;
 pub mod injection;
 pub mod live;
 pub mod metrics;

@@ -3,7 +3,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{Instant, Pass, SystemId, VehiclePort};
+use tandem_board::{Carried, Instant, Pass, SystemId, VehiclePort};
 use tandem_board_host::process_list::role_name;
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
@@ -11,6 +11,7 @@ use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig, WorldSnapshot};
 
 use crate::files::RunFiles;
+use crate::forging::Forging;
 use crate::live::Live;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
@@ -25,6 +26,8 @@ const ROAD_TICKS: u64 = 5_000;
 const HAND_OVER_TICKS: u64 = 100;
 /// A period that begins later than this counts as delayed, ns.
 const HELD_UP_NS: u64 = 2_000_000;
+/// Ticks between two forged frames.
+const FORGED_TICKS: u64 = 10;
 /// The run ends if no control frame was accepted within this number of ticks of 1 ms.
 const GIVE_UP_TICKS: u64 = 15_000;
 
@@ -73,6 +76,7 @@ pub enum DriveEnd {
 struct Drive<'p, P> {
     world: World,
     update: Option<Update>,
+    forging: Forging,
     port: &'p mut P,
     recorder: Recorder,
     duration_s: f64,
@@ -118,6 +122,7 @@ where
         Ok(Self {
             world,
             update,
+            forging: Forging::default(),
             port,
             recorder,
             duration_s: run.duration_s,
@@ -134,9 +139,11 @@ where
         self.port.set_ignition(true);
         loop {
             let now = self.port.now();
-            // A programming host sends in every period.
+            // A programming host and a foreign node send in every period.
+            let forges = self.forging.follow(self.port.forgery());
             let event = match self.update {
                 Some(_) => now,
+                None if forges => now,
                 None => Instant::from_ns(self.world.next_frame(now.as_ns())),
             };
             let pass = self.port.wait_for(event)?;
@@ -151,12 +158,14 @@ where
                 port,
                 recorder,
                 update,
+                forging,
                 ..
             } = self;
             let mut seen = |logged: LoggedFrame| {
                 if let Some(update) = update {
                     update.on_frame(logged.at, &logged.frame);
                 }
+                forging.hear(&logged.frame);
                 recorder.record(Entry::Frame(logged));
             };
             let due = match pass {
@@ -180,6 +189,7 @@ where
                 }
             };
             self.update();
+            self.forge();
             if let Pass::Period(_) = pass {
                 self.drain_traces();
             }
@@ -222,6 +232,21 @@ where
             }));
         });
         port.ring_receivers();
+    }
+
+    /// Sends the next frame of a foreign node. The vehicle's gate hears it as well.
+    fn forge(&mut self) {
+        if !self.ticks.is_multiple_of(FORGED_TICKS) {
+            return;
+        }
+        let Some(frame) = self.forging.next() else {
+            return;
+        };
+        let at = self.port.broadcast(&frame);
+        let sent = at;
+        let logged = self.world.hear(at, Carried { frame, sent, at });
+        self.recorder.record(Entry::Frame(logged));
+        self.port.ring_receivers();
     }
 
     /// Records the state of the world and the power of the systems after a period.

@@ -203,7 +203,7 @@ impl Kind {
             Self::VehicleSilent => row(SIM, Shared, AsGiven, Loss::None),
             Self::WrongValue(_) => row(SIM, System, AsGiven, Mute),
             Self::DeafTo(_) => row(SIM_RUN, System, AsGiven, Mute),
-            Self::Forged(_) => row(SIM, Shared, AsGiven, Mute),
+            Self::Forged(_) => row(SIM_RUN, Shared, AsGiven, Mute),
         }
     }
 
@@ -227,6 +227,13 @@ impl Kind {
             Self::ClockJumps(amount) => amount.given("ms"),
             _ => return None,
         })
+    }
+
+    /// Returns whether a foreign node sends control frames: those on the bus then do not tell which
+    /// system transmits.
+    #[must_use]
+    pub fn forges_control(self) -> bool {
+        matches!(self, Self::Forged(forged) if forged.frame.info().name.starts_with("Control"))
     }
 
     /// Returns whether this kind of fault can be injected on this board.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
-use tandem_board::{CoreId, Duration, Instant};
+use tandem_board::{CoreId, Duration, Forgery, Instant};
 use tandem_bus::{FRAMES, FrameInfo, Message};
 
 /// A real number of a fault file, in millionths.
@@ -380,19 +380,20 @@ impl Forged {
     /// Returns the forged frame that follows the last such frame on the bus.
     #[must_use]
     pub fn after(self, last: &[u8]) -> Option<Vec<u8>> {
-        let info = self.frame.info();
+        let Forgery { id, field, value } = self.forgery();
         let mut data = last.to_vec();
-        let counter = data.get_mut(2)?;
-        *counter = counter.wrapping_add(1);
-        let (_, field) = self.field;
-        if field == COUNTER {
-            *counter = self.value.get() as u8;
-            tandem_bus::e2e::protect(info.id, self.value.get() as u8, &mut data);
-        } else {
-            let name = name_of(self.frame, field);
-            Message::alter(info.id.into(), &mut data, name, |_| self.value.get()).ok()?;
-        }
+        Message::forge(id.into(), &mut data, field, value).ok()?;
         Some(data)
+    }
+
+    /// Returns the forgery in numbers.
+    #[must_use]
+    pub fn forgery(self) -> Forgery {
+        Forgery {
+            id: self.frame.info().id,
+            field: self.field.1,
+            value: self.value.get(),
+        }
     }
 }
 

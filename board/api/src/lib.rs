@@ -38,7 +38,7 @@ pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
-pub use vehicle::{Carried, Pass, VehicleBus, VehiclePort};
+pub use vehicle::{Carried, Forgery, Pass, VehicleBus, VehiclePort};
 
 /// A word of the LMU: the standard 32-bit atomic. In a build with `--cfg stepped`, a test can stop
 /// a core before each access to the word.

@@ -44,6 +44,18 @@ pub enum Pass {
     Frames,
 }
 
+/// A further node of the bus that sends frames in the name of another: after such a frame that
+/// it hears, each 10 ms, the next one with one wrong value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Forgery {
+    /// The id of the frame.
+    pub id: u16,
+    /// The number of the signal in the frame.
+    pub field: u8,
+    /// Its value, in the unit of the DBC.
+    pub value: f64,
+}
+
 /// A whole run as the vehicle sees it.
 pub trait VehiclePort: VehicleBus {
     /// Why the board failed.
@@ -70,6 +82,11 @@ pub trait VehiclePort: VehicleBus {
 
     /// Returns whether a person has asked to end the run early.
     fn stop_requested(&self) -> bool;
+
+    /// Returns what a foreign node forges. On most boards there is no such node.
+    fn forgery(&self) -> Option<Forgery> {
+        None
+    }
 
     /// Takes the cores' trace records since the last call, in order for each core, and returns how
     /// many were lost.

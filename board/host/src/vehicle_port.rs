@@ -5,7 +5,7 @@ use core::convert::Infallible;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use tandem_board::{
-    CanFrame, Carried, CoreAddress, CoreId, Duration, Instant, Pass, Received, RoleLamp,
+    CanFrame, Carried, CoreAddress, CoreId, Duration, Forgery, Instant, Pass, Received, RoleLamp,
     SupplyEvent, SystemId, TraceRecord, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
@@ -328,6 +328,10 @@ impl VehiclePort for HostVehiclePort {
 
     fn stop_requested(&self) -> bool {
         self.backplane.stop_requested()
+    }
+
+    fn forgery(&self) -> Option<Forgery> {
+        self.backplane.forgery()
     }
 
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {

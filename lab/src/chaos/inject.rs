@@ -91,6 +91,7 @@ impl Suffer for Injector<'_> {
         };
         let core = |core| Target::Core(of, core);
         match kind {
+            Kind::Forged(forged) => injection.backplane().forge(on.then(|| forged.forgery())),
             Kind::Cut { wire } => injection.set_cut(wire, &[of], on),
             Kind::LevelLow => injection.hold_level_low(of, on),
             Kind::PowerLoss if on => {
@@ -124,6 +125,7 @@ impl Suffer for Injector<'_> {
         let injection = self.injection;
         injection.signal(Target::Vehicle, Signal::CONT);
         self.bus = BusFaults::default();
+        injection.backplane().forge(None);
         for system in SystemId::ALL {
             for wire in Wire::ALL {
                 injection.set_cut(wire, &[system], false);

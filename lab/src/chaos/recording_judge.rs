@@ -215,7 +215,10 @@ impl Run<'_> {
             // The repaired master sends until it receives the next frame.
             Hears::WhenRepaired => takeovers.len() as f64 * HAND_OVER_MS,
         };
-        found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
+        let mut kinds = sequence.faults.iter().map(|fault| fault.kind);
+        if !kinds.any(Kind::forges_control) {
+            found.extend(both_transmitted(both_transmitted_ms(&log), permitted_ms));
+        }
         let stale = stale_frames(&log, &takeovers, &self.stalls);
         found.extend(Rule::StaleFrames.exceeded(stale as f64));
         found

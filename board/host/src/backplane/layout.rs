@@ -39,6 +39,12 @@ pub(super) enum Run {
     Ignition,
     Stop,
     Cuts,
+    /// The id of a forged frame, plus 1; 0 for none.
+    ForgedId,
+    ForgedField,
+    /// Both halves of the value's bits.
+    ForgedHigh,
+    ForgedLow,
 }
 
 /// Registers of a system, grouped by writer: supply (and launcher), then core 0.
@@ -253,6 +259,7 @@ mod tests {
             }
         }
         places.push((run(Run::Magic), 1));
+        places.push((run(Run::ForgedLow), 1));
         places.push((run(Run::Cuts), 1));
         places.sort_unstable();
         for pair in places.windows(2) {

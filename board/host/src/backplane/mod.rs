@@ -11,8 +11,8 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{
-    CanErrors, CoreId, Duration, Edge, Generation, HardwareFault, HardwareFaults, Line, ResetCause,
-    ResetRequest, RoleLamp, SystemId,
+    CanErrors, CoreId, Duration, Edge, Forgery, Generation, HardwareFault, HardwareFaults, Line,
+    ResetCause, ResetRequest, RoleLamp, SystemId,
 };
 use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
 
@@ -208,6 +208,31 @@ impl Backplane {
     pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
         self.run(Run::Cuts)
             .change_bits(Cuts::bit(wire, from), is_cut);
+    }
+
+    /// Begins or ends a forgery by a foreign node of the bus.
+    pub fn forge(self, forgery: Option<Forgery>) {
+        // Never a half of one forgery with the id of another.
+        self.run(Run::ForgedId).set(0);
+        if let Some(Forgery { id, field, value }) = forgery {
+            let bits = value.to_bits();
+            self.run(Run::ForgedField).set(field.into());
+            self.run(Run::ForgedHigh).set((bits >> 32) as u32);
+            self.run(Run::ForgedLow).set(bits as u32);
+            self.run(Run::ForgedId).set(u32::from(id) + 1);
+        }
+    }
+
+    /// Returns what a foreign node forges.
+    pub(crate) fn forgery(self) -> Option<Forgery> {
+        let id = self.run(Run::ForgedId).get().checked_sub(1)?;
+        let of = |register| self.run(register).get();
+        let bits = u64::from(of(Run::ForgedHigh)) << 32 | u64::from(of(Run::ForgedLow));
+        Some(Forgery {
+            id: id as u16,
+            field: of(Run::ForgedField) as u8,
+            value: f64::from_bits(bits),
+        })
     }
 
     /// Makes this system's level line read low at the other system, even while this system is on.

@@ -49,3 +49,21 @@ fn a_delay_of_the_bus_is_at_most_that_of_a_fault() {
         assert_eq!(late_ms(ms), u64::from(ms.min(most)));
     }
 }
+
+/// What the vehicle's process forges is what was asked for, to the last bit of the value.
+#[test]
+fn a_forgery_crosses_the_backplane() {
+    let (_run, backplane) = ScratchRun::create();
+    assert_eq!(backplane.forgery(), None);
+    for value in [0.0, -3.5, 4_294_967_294.0, f64::MAX] {
+        let forgery = Some(Forgery {
+            id: 0x7FF,
+            field: u8::MAX,
+            value,
+        });
+        backplane.forge(forgery);
+        assert_eq!(backplane.forgery(), forgery);
+    }
+    backplane.forge(None);
+    assert_eq!(backplane.forgery(), None);
+}
