@@ -198,8 +198,12 @@ struct Axis {
     is_turned: bool,
     /// Echoes in succession that show the other sign than assumed.
     turned: u8,
-    /// How often the sign seemed to turn. Twice: the actuator follows no sign, but is late.
+    /// How often the sign seemed to turn.
     turns: u8,
+    /// The least and the greatest that was obeyed beyond what was sent.
+    beyond: Option<(f32, f32)>,
+    /// No sign and offset explain what is obeyed: correcting it makes it worse.
+    is_late: bool,
     offset: f32,
     applied: f32,
 }
@@ -212,7 +216,7 @@ impl Axis {
         // A value that is obeyed with the other sign is nearer to its opposite.
         let seems_turned = (obeyed + sent).abs() < (obeyed - sent).abs();
         if sent.abs() > least {
-            self.turned = match seems_turned == self.is_turned || self.is_late() {
+            self.turned = match seems_turned == self.is_turned || self.is_late {
                 true => 0,
                 false => self.turned.saturating_add(1),
             };
@@ -220,17 +224,22 @@ impl Axis {
         if self.turned >= TURNED_ECHOES {
             let turns = self.turns.saturating_add(1);
             *self = Self {
-                is_turned: seems_turned && turns == 1,
+                is_turned: seems_turned && !self.is_late,
                 turns,
+                beyond: self.beyond,
+                is_late: self.is_late,
                 ..Self::default()
             };
         }
+        let by = obeyed - sent;
+        let (low, high) = self.beyond.unwrap_or((by, by));
+        let (low, high) = (low.min(by), high.max(by));
+        self.beyond = Some((low, high));
+        // A turned sign turns once, and an offset beyond what is sent stays equal.
+        if self.turns > 1 && high - low > least && !self.is_late {
+            (self.is_late, self.is_turned) = (true, false);
+        }
         self.offset = obeyed - self.signed(sent);
-    }
-
-    /// No sign and offset explain what is obeyed: correcting it makes it worse.
-    const fn is_late(&self) -> bool {
-        self.turns > 1
     }
 
     fn signed(&self, value: f32) -> f32 {
@@ -239,7 +248,7 @@ impl Axis {
 
     /// `step`: the most by which the correction changes in a cycle, so that no command jumps.
     fn apply(&mut self, wanted: f32, step: f32, most: f32) -> f32 {
-        let due = if self.offset.is_finite() && !self.is_late() {
+        let due = if self.offset.is_finite() && !self.is_late {
             self.offset
         } else {
             0.0
@@ -267,7 +276,7 @@ impl Correction {
 
     fn apply(&mut self, wanted: Command) -> Command {
         self.wanted = wanted.steering_angle;
-        if self.astray >= ASTRAY_ECHOES || self.steering.is_late() {
+        if self.astray >= ASTRAY_ECHOES || self.steering.is_late {
             self.braking = (self.braking + ASTRAY_STEP).min(ASTRAY_BRAKING);
         }
         let acceleration = wanted.acceleration.min(-self.braking);
