@@ -233,6 +233,14 @@ enum Campaign {
         #[arg(long, default_value_t = 20)]
         count: u64,
     },
+    /// Drive without a fault in virtual time. Fails if a system finds anything wrong
+    FreeDrives {
+        /// How many hours in all, in drives of 10 minutes
+        #[arg(long, default_value_t = 8)]
+        hours: u32,
+        /// The scenarios, by name or CommonRoad file [default: the embedded ones]
+        scenarios: Vec<String>,
+    },
     /// Stop a core of a system at each access to shared memory, while it drives and while it starts
     Stops {
         /// Stop only at each N-th access
@@ -405,6 +413,11 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             let name = "every_state_of_bounded_faults_is_safe_and_leads_to_a_driver";
             let faults = ("TANDEM_EXPLORE", faults.into());
             test("tandem-redundancy", "pair", name, &[faults])
+        }
+        Campaign::FreeDrives { hours, scenarios } => {
+            let mut command = trial("free_drives", &[])?;
+            command.arg(hours.to_string()).args(scenarios);
+            command
         }
         Campaign::SimDigest { count } => return sim_digest(root, count),
         Campaign::Mutants {
