@@ -6,27 +6,12 @@
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tandem_board::Duration;
-use tandem_cores::trace::Event;
 use tandem_sim::drive::Drive;
+use tandem_sim::is_finding;
 use tandem_vehicle::Scenario;
 
 /// The length of one drive.
 const DRIVE: Duration = Duration::from_ms(600_000);
-
-/// Returns whether this event says that a value, a core or a system is wrong.
-const fn is_finding(event: &Event) -> bool {
-    match event {
-        Event::WrongScene { .. }
-        | Event::PeerScene { .. }
-        | Event::WrongTrajectory { .. }
-        | Event::WrongCommand { .. }
-        | Event::WrongEcho
-        | Event::ClockWrong { .. }
-        | Event::SensorContradicted { .. } => true,
-        Event::Agreement { stage, .. } => *stage > 0,
-        _ => false,
-    }
-}
 
 /// Drives a scenario. Returns what was found.
 fn drive(scenario: &str, seed: u64) -> Vec<String> {

@@ -23,3 +23,4 @@ pub use bench::{Around, Bench, Profile, SequenceState};
 pub use outside::OutsideVehicle;
 pub use sequence_judge::Found;
 pub use trial::Tried;
+pub use value_judge::is_finding;

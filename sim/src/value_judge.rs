@@ -25,8 +25,9 @@ const STARTED: Duration = Duration::from_ms(300);
 /// The other system loses its power this long before the fault.
 const ALONE: Duration = Duration::from_ms(2_000);
 
-/// Returns whether this event tells of a wrong value, or of one that is missing.
-const fn tells(event: &Event) -> bool {
+/// Returns whether this event says that a value or a system is wrong.
+#[must_use]
+pub const fn is_finding(event: &Event) -> bool {
     match event {
         Event::WrongScene { .. }
         | Event::PeerScene { .. }
@@ -34,8 +35,16 @@ const fn tells(event: &Event) -> bool {
         | Event::WrongCommand { .. }
         | Event::WrongEcho
         | Event::ClockWrong { .. }
-        | Event::SensorContradicted { .. }
-        | Event::Ignored { .. } => true,
+        | Event::SensorContradicted { .. } => true,
+        Event::Agreement { stage, .. } => *stage > 0,
+        _ => false,
+    }
+}
+
+/// Returns whether this event tells of a wrong value, or of one that is missing.
+const fn tells(event: &Event) -> bool {
+    match event {
+        Event::Ignored { .. } => true,
         // The other system is not there, or not able.
         Event::Phase { on, .. } => matches!(
             on,
@@ -44,10 +53,9 @@ const fn tells(event: &Event) -> bool {
                 | Evidence::StandbyMute
                 | Evidence::StandbyUnable
         ),
-        Event::Agreement { stage, .. } => *stage > 0,
         Event::Ability { bits, .. } => *bits != 0,
         Event::Sensors { missing } => *missing != 0,
-        _ => false,
+        _ => is_finding(event),
     }
 }
 

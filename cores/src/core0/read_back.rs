@@ -222,21 +222,15 @@ impl Axis {
             };
         }
         if self.turned >= TURNED_ECHOES {
-            let turns = self.turns.saturating_add(1);
-            *self = Self {
-                is_turned: seems_turned && !self.is_late,
-                turns,
-                beyond: self.beyond,
-                is_late: self.is_late,
-                ..Self::default()
-            };
+            self.turns = self.turns.saturating_add(1);
+            (self.is_turned, self.turned, self.applied) = (seems_turned, 0, 0.0);
         }
         let by = obeyed - sent;
         let (low, high) = self.beyond.unwrap_or((by, by));
         let (low, high) = (low.min(by), high.max(by));
         self.beyond = Some((low, high));
         // A turned sign turns once, and an offset beyond what is sent stays equal.
-        if self.turns > 1 && high - low > least && !self.is_late {
+        if self.turns > 1 && high - low > least {
             (self.is_late, self.is_turned) = (true, false);
         }
         self.offset = obeyed - self.signed(sent);

@@ -99,7 +99,7 @@ struct LineCheck {
     /// The last line that both cores received.
     agreed: Option<Agreed>,
     different: u8,
-    /// How much farther core 0's lines are from the carried line of `agreed` than the scene's.
+    /// How much farther core 0's lines are from `agreed`, and from their filter, than the scene's.
     evidence: f32,
 }
 
@@ -230,6 +230,8 @@ impl LineCheck {
             return None;
         }
         let newest = *self.heard.back()?;
+        let lanes = scene.lanes.as_ref();
+        let filtered = || lanes.map(|it| carried(&it.c, scene.at, line.at, &scene.ego));
         let bits = |line: &CameraLine| line.c.map(f32::to_bits);
         if self.heard.iter().any(|heard| bits(heard) == bits(&line)) {
             // A value that is zero has no sign: nothing new of a difference that has lasted.
@@ -237,8 +239,7 @@ impl LineCheck {
                 return None;
             }
             // The filtered line has less noise than the camera's.
-            let lanes = scene.lanes.as_ref();
-            let filtered = lanes.map(|it| carried(&it.c, scene.at, line.at, &scene.ego));
+            let filtered = filtered();
             let agreed = Agreed::new(line.at, scene.ego, filtered.unwrap_or(line.c));
             (self.agreed, self.different, self.evidence) = (Some(agreed), 0, 0.0);
             return None;
@@ -251,15 +252,13 @@ impl LineCheck {
             .agreed
             .as_mut()
             .and_then(|it| it.moved(line.at, &scene.ego, TELLS));
-        let range = scene.lanes.map_or(0.0, |it| it.view_range);
+        let range = lanes.map_or(0.0, |it| it.view_range);
         let far = |line: &CameraLine, other: &[f32; 4]| apart(&line.c, other, range).min(FAR);
         if let Some(agreed) = &agreed {
             self.evidence += far(&newest, agreed) - far(&line, agreed);
         }
         // A wrong line does not move as the vehicle does, so its filter follows it with a lag.
-        let lanes = scene.lanes.as_ref();
-        let filtered = lanes.map(|it| carried(&it.c, scene.at, line.at, &scene.ego));
-        if let (Some(own), Some(filtered)) = (own(newest.at), filtered) {
+        if let (Some(own), Some(filtered)) = (own(newest.at), filtered()) {
             self.evidence += far(&newest, &own) - far(&line, &filtered);
         }
         self.different = self.different.saturating_add(1);
