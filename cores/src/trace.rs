@@ -312,6 +312,15 @@ pub enum Event {
         /// [`SensorId::index`](tandem_bus::SensorId::index).
         sensor: u8,
     },
+    /// A sensor contradicts the others for all cores. No system leaves: each reports that it can
+    /// only stop, and does so by what the other sensors say.
+    SensorLies {
+        /// 0 the camera's line, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle, 5 acceleration
+        /// of the vehicle.
+        what: u8,
+        /// How far it is from what the others say, in thousandths of m, m/s, rad/s or rad.
+        thousandths: u32,
+    },
     /// The vehicle's echo names a steering angle that the measured one contradicts. The command is
     /// right: no system leaves.
     WrongEcho,
@@ -531,6 +540,7 @@ codec! {
     48 Ability { bits: a, missing: b } 0..=3;
     49 WrongTrajectory { what: a, percent: x } 0..=4;
     50 TrajectoryCheck { what: a, percent: b } 0..=4;
+    51 SensorLies { what: a, thousandths: x } 0..=5;
 }
 
 #[cfg(test)]

@@ -155,6 +155,16 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::SceneCheck { percent } => {
             format!("the scene differs from the sensors by {percent} % of what is tolerated")
         }
+        Event::SensorLies { what, thousandths } => {
+            let (what, amount) = match what {
+                5 => (
+                    "acceleration",
+                    format!("{:.3} m/s", f64::from(thousandths) / 1e3),
+                ),
+                _ => scene_value(what, thousandths),
+            };
+            format!("stops: the sensor of {what} contradicts the others, by {amount}")
+        }
         Event::SensorContradicted { sensor } => {
             let sensor = SensorId::ALL.get(usize::from(sensor));
             let name = sensor.map_or("a sensor", |sensor| sensor.name());

@@ -35,6 +35,7 @@ pub const fn is_finding(event: &Event) -> bool {
         | Event::WrongCommand { .. }
         | Event::WrongEcho
         | Event::ClockWrong { .. }
+        | Event::SensorLies { .. }
         | Event::SensorContradicted { .. } => true,
         Event::Agreement { stage, .. } => *stage > 0,
         _ => false,
@@ -65,6 +66,7 @@ const fn locates(event: &Event) -> bool {
         Event::WrongScene { .. }
         | Event::WrongTrajectory { .. }
         | Event::WrongCommand { .. }
+        | Event::SensorLies { .. }
         | Event::Ability { .. }
         | Event::Sensors { .. } => true,
         Event::PeerScene { own, .. } => *own,

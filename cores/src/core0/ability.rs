@@ -33,9 +33,11 @@ impl AbilityCheck {
         self.motion_at = Some(at);
     }
 
-    pub(super) fn on_scene(&mut self, scene: &Scene) {
+    /// Takes a scene. `is_lied_to`: a sensor of lanes or motion is wrong, so there is nothing to
+    /// check the others by.
+    pub(super) fn on_scene(&mut self, scene: &Scene, is_lied_to: bool) {
         self.scene_at = Some(scene.at);
-        self.lacks = scene.missing | (LANES * u8::from(scene.lanes.is_none()));
+        self.lacks = scene.missing | (LANES * u8::from(scene.lanes.is_none() || is_lied_to));
     }
 
     /// Returns what is missing now: a bit for each sensor, and those of lanes and motion.
@@ -111,7 +113,7 @@ mod tests {
             }
             if ms % 50 == 0 && (ms <= scene_ms || is_back) {
                 scene.at = MS(ms);
-                check.on_scene(&scene);
+                check.on_scene(&scene, false);
             }
             let (ability, event) = check.poll(MS(ms));
             if event.is_some() {
@@ -148,7 +150,7 @@ mod tests {
             check.on_motion(MS(ms));
             scene.at = MS(ms);
             scene.missing = u8::from(ms % 700 < 100);
-            check.on_scene(&scene);
+            check.on_scene(&scene, false);
             changes += u32::from(check.poll(MS(ms)).1.is_some());
         }
         assert_eq!(changes, 1);

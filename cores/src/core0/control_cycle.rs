@@ -115,7 +115,11 @@ impl<'b, B: Board> SharedState<'b, B> {
         let driving = self.redundancy.running().map(|redundancy| {
             let mode = redundancy.mode();
             let inbox = core::mem::take(&mut self.can.inbox);
-            (self.check.permits(mode), inbox)
+            let permitted = match self.scene_check.is_lied_to() && mode != Mode::None {
+                true => Mode::SafeStop,
+                false => self.check.permits(mode),
+            };
+            (permitted, inbox)
         });
         Inputs {
             release: release.at,

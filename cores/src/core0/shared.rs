@@ -187,7 +187,7 @@ impl<'b, B: Board> SharedState<'b, B> {
                 self.scene_check.on_ego(at, ego);
                 self.check.read_back.wheel.on_measured(ego.steering_angle);
                 if !self.scene_check.is_deceived() {
-                    self.can.on_ego(at, ego);
+                    self.can.on_ego(at, self.scene_check.corrected(ego));
                 }
             }
             Message::CameraLanes(lanes) => self.scene_check.on_lanes(at, &lanes),
@@ -332,7 +332,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             _ if state.wrong_in_a_row > 0 => Some(Suspect::Own),
             _ => None,
         });
-        self.ability.on_scene(scene);
+        self.ability.on_scene(scene, self.scene_check.is_lied_to());
         self.redundancy.ready.lanes_seen = scene.lanes.is_some();
         let heard_by_scene = self.scene_check.heard_by_scene(scene);
         let was_right = self.scene_check.found().is_none();
@@ -340,7 +340,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             self.trace(event);
         }
         if let Some(ego) = heard_by_scene {
-            self.can.on_ego(scene.at, ego);
+            self.can.on_ego(scene.at, self.scene_check.corrected(ego));
         }
         match self.scene_check.found() {
             Some(_) if was_right => self.on_wrong_scene(),
@@ -350,6 +350,10 @@ impl<'b, B: Board> SharedState<'b, B> {
 
     /// Takes what the check of a trajectory says. Returns the tasks to run.
     pub(super) fn on_checked_trajectory(&mut self, event: Event) -> TaskSet {
+        // Core 2 plans by the scene that the sensor made wrong; nothing follows its trajectory.
+        if self.scene_check.is_lied_to() {
+            return TaskSet::NONE;
+        }
         self.trace(event);
         if !matches!(event, Event::WrongTrajectory { .. }) {
             return TaskSet::NONE;

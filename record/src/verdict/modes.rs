@@ -64,6 +64,7 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
         Event::WrongCommand { .. }
         | Event::WrongScene { .. }
         | Event::WrongTrajectory { .. }
+        | Event::SensorLies { .. }
         | Event::ClockWrong { .. }
         | Event::CoreSilent { .. }
         | Event::OutputFault { .. } => true,

@@ -24,32 +24,32 @@ fn ego(message: &mut Message, alter: impl Fn(&mut EgoMotion)) {
     }
 }
 
-/// What the sensor says wrongly, the largest offset from the lane in 20 s that
-/// `docs/redundancy.md` states, m, and whether the vehicle stops.
+/// What the sensor says wrongly, and the largest offset from the lane in 20 s that
+/// `docs/redundancy.md` states, m.
 const LIES: [(&str, f64, Alter); 11] = [
     ("lane offset +0.3 m", 0.5, |it| lanes(it, |it| it.c0 += 0.3)),
-    ("lane offset +1.0 m", 1.3, |it| lanes(it, |it| it.c0 += 1.0)),
-    ("lane heading +0.05", 6.0, |it| {
+    ("lane offset +1.0 m", 0.3, |it| lanes(it, |it| it.c0 += 1.0)),
+    ("lane heading +0.05", 0.3, |it| {
         lanes(it, |it| it.c1 += 0.05)
     }),
-    ("lane curvature +0.002", 6.0, |it| {
+    ("lane curvature +0.002", 0.6, |it| {
         lanes(it, |it| it.c2 += 0.001)
     }),
-    ("lane signs", 250.0, |it| {
+    ("lane signs", 2.5, |it| {
         lanes(it, |it| {
             (it.c0, it.c1, it.c2, it.c3) = (-it.c0, -it.c1, -it.c2, -it.c3);
         });
     }),
-    ("speed x 0.4", 1.5, |it| ego(it, |it| it.speed *= 0.4)),
-    ("speed x 1.2", 0.5, |it| ego(it, |it| it.speed *= 1.2)),
-    ("yaw rate +0.1", 7.0, |it| ego(it, |it| it.yaw_rate += 0.1)),
-    ("steering angle +0.02", 0.2, |it| {
+    ("speed x 0.4", 0.1, |it| ego(it, |it| it.speed *= 0.4)),
+    ("speed x 1.2", 0.1, |it| ego(it, |it| it.speed *= 1.2)),
+    ("yaw rate +0.1", 0.7, |it| ego(it, |it| it.yaw_rate += 0.1)),
+    ("steering angle +0.02", 0.1, |it| {
         ego(it, |it| it.steering_angle += 0.02)
     }),
-    ("slip angle +0.05", 80.0, |it| {
+    ("slip angle +0.05", 0.85, |it| {
         ego(it, |it| it.slip_angle += 0.05)
     }),
-    ("acceleration +3", 0.5, |it| {
+    ("acceleration +3", 0.2, |it| {
         ego(it, |it| it.long_acceleration += 3.0)
     }),
 ];
@@ -74,9 +74,9 @@ fn all_hear(scenario: &str, alter: Alter) -> Drive {
     drive
 }
 
-/// T-RED-9: a sensor lies to both systems. The vehicle is driven all the time, by no more than one
-/// change of the driver, and leaves its lane by no more than the table of `docs/redundancy.md`
-/// says.
+/// T-RED-9: a sensor lies to both systems. Both find it by the other sensors, none leaves, and the
+/// vehicle stops where the table of `docs/redundancy.md` says. The smallest lie is not found: the
+/// vehicle drives beside the middle of its lane.
 #[test]
 fn what_lies_to_both_systems_has_a_stated_effect() {
     let mut beyond = vec![];
@@ -85,11 +85,13 @@ fn what_lies_to_both_systems_has_a_stated_effect() {
         let aside = aside(&mut drive, MS(20_000));
         let (masters, gap) = (drive.masters(), drive.gap_max());
         let speed = drive.seen.borrow().world.snapshot().speed;
-        let told = first(&drive, |event| {
-            matches!(event, Event::WrongScene { .. } | Event::Role { .. })
-        });
-        println!("{name}: {aside:.2} m aside, {masters:?}, gap {gap:?}, {speed:.1} m/s, {told:?}");
-        if aside > most || masters.len() > 2 || gap > MS(20) {
+        let lies = |it: &Event| matches!(it, Event::SensorLies { .. });
+        let told = drive.events.iter().filter(|it| lies(&it.3)).count();
+        let after = first(&drive, lies);
+        println!("{name}: {aside:.2} m aside, {masters:?}, gap {gap:?}, {speed:.1} m/s, {after:?}");
+        let is_found = told == 2 && speed < 0.1;
+        let is_small = told == 0 && most == 0.5;
+        if aside > most || masters.len() > 1 || gap > MS(20) || is_found == is_small {
             beyond.push(name);
         }
     }

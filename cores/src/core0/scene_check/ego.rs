@@ -103,6 +103,11 @@ impl EgoCheck {
         self.apart_s == 0.0
     }
 
+    /// Returns whether the last scene's motion was one of those that were heard.
+    pub(super) const fn is_same(&self) -> bool {
+        self.different == 0
+    }
+
     /// Returns the newest motion at or before this time.
     pub(super) fn newest_before(&self, at: Instant) -> Option<Ego> {
         let mut motions = self.motions.iter().rev();

@@ -152,6 +152,11 @@ impl LaneCheck {
         }
     }
 
+    /// Returns whether the last new line of a scene was one of those that were heard.
+    pub(super) const fn is_same(&self) -> bool {
+        self.lines.different == 0
+    }
+
     /// Takes the camera's line as it was received.
     pub(super) fn on_line(&mut self, line: CameraLine) {
         self.lines.on_line(line);

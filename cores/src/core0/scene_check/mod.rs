@@ -8,6 +8,7 @@ mod ego;
 mod lanes;
 mod objects;
 mod peer;
+mod sources;
 
 use crate::driving::odometry::motion;
 use crate::driving::types::{CameraLine, Ego, Scene};
@@ -17,6 +18,7 @@ use lanes::LaneCheck;
 use objects::ObjectCheck;
 use peer::PeerCheck;
 pub(super) use peer::PeerScene;
+use sources::SourceCheck;
 use tandem_board::{Duration, Instant};
 use tandem_bus::{CameraLanes, SensorHeader, SensorId, SensorObject};
 
@@ -89,13 +91,14 @@ pub(super) enum Suspect {
     Peer,
 }
 
-/// All checks and what they have found. Costs about 400 multiplications in 50 ms, most of them for
+/// All checks and what they have found. Costs about 600 multiplications in 50 ms, most of them for
 /// the filter of the lanes.
 pub(super) struct SceneCheck {
     ego: EgoCheck,
     lanes: LaneCheck,
     objects: ObjectCheck,
     peer: PeerCheck,
+    sources: SourceCheck,
     /// What the newest scene said before it was corrected.
     own: Option<PeerScene>,
     found: Option<Finding>,
@@ -114,6 +117,7 @@ impl SceneCheck {
             lanes: LaneCheck::new(),
             objects: ObjectCheck::new(),
             peer: PeerCheck::new(),
+            sources: SourceCheck::new(),
             own: None,
             found: None,
             is_changed: false,
@@ -169,6 +173,17 @@ impl SceneCheck {
             .is_some_and(|found| found.hearing && found.what != 0)
     }
 
+    /// Returns whether a sensor is wrong for all: then the vehicle stops.
+    pub(super) fn is_lied_to(&self) -> bool {
+        self.sources.liar().is_some()
+    }
+
+    /// Returns the motion that was heard, with what the other sensors say in the place of one that
+    /// is wrong for all.
+    pub(super) fn corrected(&self, ego: Ego) -> Ego {
+        self.sources.corrected(ego)
+    }
+
     /// Returns whether core 2 has another scene than core 0: this one was corrected or completed.
     pub(super) const fn is_changed(&self) -> bool {
         self.is_changed
@@ -201,9 +216,20 @@ impl SceneCheck {
                 (0.0, found.filter(|_| is_new).map(Finding::event))
             }
         };
+        let lie = match self.found {
+            None if hears_motion && self.hears_alike() => self.sources.on_scene(scene),
+            _ => None,
+        };
+        let event = event.or(lie.map(|it| Event::SensorLies {
+            what: it.what,
+            thousandths: (it.amount.abs() * 1e3) as u32,
+        }));
         self.is_changed = self.found.is_some_and(|found| !found.hearing);
         if self.is_changed {
             self.correct(scene);
+        } else if self.sources.liar().is_some() {
+            self.sources.correct(scene);
+            self.is_changed = true;
         } else if scene.lanes.is_none() && hears_motion {
             // Core 1 does not hear the camera, but core 0 does.
             scene.lanes = self.lanes.lanes(scene.at, &scene.ego);
@@ -214,6 +240,11 @@ impl SceneCheck {
         self.worst_tenths = self.worst_tenths.max(percent / 10);
         let event = event.or_else(|| self.objects.contradiction());
         event.or(is_worst.then_some(Event::SceneCheck { percent }))
+    }
+
+    /// Returns whether both cores hear the same motion and the same line.
+    const fn hears_alike(&self) -> bool {
+        self.ego.is_same() && self.lanes.is_same()
     }
 
     /// Compares the scene with the other system's. A system whose own scene jumped leaves, unless

@@ -1,0 +1,478 @@
+//! The sensors of the vehicle against each other: what one of them says wrongly to all cores of
+//! both systems. T-RED-9
+//!
+//! A single-track model says what yaw rate belongs to a steering angle, and what slip angle to a
+//! yaw rate; the acceleration says how the speed changes, and the motion how the camera's line
+//! moves. Each sensor that is wrong contradicts other ones, which tells which it is. The residuals,
+//! their limits, and what cannot be found: `docs/decisions/0037-sensors-against-each-other.md`.
+
+use super::{Difference, carried};
+use crate::driving::odometry::motion;
+use crate::driving::road::shifted;
+use crate::driving::types::{CameraLine, Ego, Scene};
+use crate::driving::vehicle::{slip_for, steering_for, yaw_rate_for};
+use tandem_board::{Duration, Instant};
+
+/// The observers start again after a gap between two scenes that is longer.
+const LONGEST_STEP: Duration = Duration::from_ms(150);
+/// The models hold above this speed, m/s.
+const SLOWEST: f32 = 5.0;
+/// The line is compared above this speed, m/s, and on bends of more than 150 m radius: slower and
+/// sharper roads are recorded with kinks.
+const SLOWEST_LINE: f32 = 15.0;
+const SHARPEST: f32 = 1.0 / 300.0;
+/// The vehicle reaches a steady turn with this lag, s.
+const LAG_S: f32 = 0.15;
+/// Yaw rate and slip angle are averaged over this time, s.
+const MEAN_S: f32 = 0.4;
+/// The observers of speed and line follow the measurements with this time constant, s.
+const MEMORY_S: f32 = 1.0;
+
+/// Limits of the residuals, in the order of [`Residual`]; the last one is that of the line's second
+/// coefficient, 1/m. Fault-free driving uses at most 0.0068,
+/// 0.0013, 0.12, 0.15, 0.013 and 4.5e-4; on recorded roads with sharp kinks, 0.027, 0.0054 and 0.12
+/// of the first three.
+const LIMITS: [f32; 6] = [0.045, 0.02, 1.5, 0.35, 0.04, 9e-4];
+/// So many scenes pass between the first residual above its limit and the decision which sensor is
+/// wrong: the other residuals need time.
+const SETTLE: u8 = 4;
+/// Share of a limit that counts as a contradiction once one residual is above its limit.
+const CONTRADICTS: f32 = 0.5;
+/// The line's heading contradicts a wrong yaw rate with this residual, rad.
+const TURNS: f32 = 0.02;
+/// A line this much aside is that of another lane, m.
+const OTHER_LANE: f32 = 1.4;
+/// A line is remembered every half second, and so many are.
+const REMEMBER: Duration = Duration::from_ms(500);
+const REMEMBERED: usize = 4;
+/// The camera's bends are used if they differ from the remembered line's by no more, 1/m.
+const SAME_BEND: f32 = 2.5e-4;
+/// What two sources say differently.
+#[derive(Clone, Copy)]
+enum Residual {
+    /// The yaw rate and that of the steering angle, rad/s.
+    Yaw,
+    /// The slip angle and that of the yaw rate, rad.
+    Slip,
+    /// The speed and the sum of the accelerations, m/s.
+    Speed,
+    /// The line's offset and the sum of the motions, m.
+    Aside,
+    /// The line's heading and the sum of the turns, rad.
+    Heading,
+}
+
+/// A sensor that contradicts the others. The numbers are those of
+/// [`Event::SensorLies`](crate::trace::Event::SensorLies).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Liar {
+    Line = 0,
+    Speed = 1,
+    YawRate = 2,
+    SteeringAngle = 3,
+    SlipAngle = 4,
+    Acceleration = 5,
+}
+
+/// A line, moved along with the vehicle.
+#[derive(Clone, Copy)]
+struct Moved {
+    line: CameraLine,
+    ego: Ego,
+}
+
+impl Moved {
+    fn to(&mut self, at: Instant, ego: &Ego) {
+        let dt = at.since(self.line.at).as_secs_f32();
+        let c = shifted(&self.line.c, &motion(&self.ego, ego, dt));
+        (self.line, self.ego) = (CameraLine { at, c }, *ego);
+    }
+}
+
+/// The lines by the motion.
+#[derive(Clone, Copy)]
+struct Lines {
+    /// Follows the camera.
+    followed: Moved,
+    /// What was followed, the older one first.
+    remembered: [Moved; REMEMBERED],
+    since: Instant,
+}
+
+/// Returns the distance to an end of the lane at which the distance keeping brakes with 6 m/s² from
+/// this speed, m/s, and softer later: more leaves the tyres no force to steer with.
+fn stops_within(speed: f32) -> f32 {
+    0.145 * speed * speed + 0.8 * speed + 8.0
+}
+
+/// The observers, and what they have found. Costs about 200 multiplications in 50 ms.
+pub(super) struct SourceCheck {
+    before: Option<(Instant, Ego)>,
+    /// What the models say: rad/s, rad, m/s.
+    yaw_rate: f32,
+    slip_angle: f32,
+    speed: f32,
+    lines: Option<Lines>,
+    residuals: [f32; 6],
+    /// Their last shares of the limits.
+    shares: [f32; 6],
+    /// Speed or line has jumped since the residuals were last small.
+    has_jumped: bool,
+    /// The remembered line by which the vehicle stops: from before the fault.
+    known: usize,
+    settles: u8,
+    liar: Option<Liar>,
+    /// Where the vehicle stops if the line is wrong: distance from the newest scene, m.
+    end: f32,
+}
+
+impl SourceCheck {
+    pub(super) const fn new() -> Self {
+        Self {
+            before: None,
+            yaw_rate: 0.0,
+            slip_angle: 0.0,
+            speed: 0.0,
+            lines: None,
+            residuals: [0.0; 6],
+            shares: [0.0; 6],
+            has_jumped: false,
+            known: 0,
+            settles: 0,
+            liar: None,
+            end: f32::INFINITY,
+        }
+    }
+
+    /// Returns the sensor that is wrong. It stays until the next start.
+    pub(super) const fn liar(&self) -> Option<Liar> {
+        self.liar
+    }
+
+    /// Takes a scene whose motion and line both cores have heard alike. Returns the sensor that was
+    /// found wrong.
+    pub(super) fn on_scene(&mut self, scene: &Scene) -> Option<Difference> {
+        let last = self.before.replace((scene.at, scene.ego));
+        let step = |(at, before): (Instant, Ego)| {
+            let step = scene.at.since(at);
+            let is_near = step > Duration::ZERO && step <= LONGEST_STEP;
+            is_near.then(|| (step.as_secs_f32(), before))
+        };
+        let moves = scene.ego.speed >= SLOWEST;
+        let Some((dt, before)) = last.and_then(step).filter(|_| moves || self.is_found()) else {
+            self.restart(&scene.ego);
+            return None;
+        };
+        let ego = self.corrected(scene.ego);
+        self.end -= ego.speed * dt;
+        self.on_motion(&before, &scene.ego, dt);
+        self.on_line(&scene.camera, &ego);
+        if self.is_found() || !self.contradicts() {
+            return None;
+        }
+        let (liar, residual) = self.locate();
+        self.liar = Some(liar);
+        // What has jumped is new; what has grown began some time ago.
+        self.known = match self.has_jumped {
+            true => REMEMBERED - 2,
+            false => 0,
+        };
+        self.end = stops_within(self.corrected(scene.ego).speed);
+        Some(Difference {
+            what: liar as u8,
+            other: Some(false),
+            amount: self.residuals[residual as usize],
+        })
+    }
+
+    const fn is_found(&self) -> bool {
+        self.liar.is_some()
+    }
+
+    /// Returns whether a residual was above its limit long enough to tell which sensor is wrong.
+    fn contradicts(&mut self) -> bool {
+        let shares = self.used();
+        let rises = shares.iter().zip(self.shares).map(|(new, old)| new - old);
+        let jumps = rises.fold(0.0, f32::max) >= CONTRADICTS;
+        self.shares = shares;
+        if shares.iter().all(|share| *share < CONTRADICTS) {
+            (self.has_jumped, self.settles) = (false, 0);
+            return false;
+        }
+        self.has_jumped |= jumps;
+        if self.settles > 0 || shares.iter().any(|share| *share >= 1.0) {
+            self.settles += 1;
+        }
+        self.settles >= SETTLE
+    }
+
+    fn restart(&mut self, ego: &Ego) {
+        if self.is_found() {
+            return;
+        }
+        self.yaw_rate = yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration);
+        self.slip_angle = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
+        self.speed = ego.speed;
+        (self.residuals, self.shares) = ([0.0; 6], [0.0; 6]);
+        (self.lines, self.has_jumped, self.settles) = (None, false, 0);
+    }
+
+    fn on_motion(&mut self, before: &Ego, ego: &Ego, dt: f32) {
+        let [yaw, slip, speed, ..] = &mut self.residuals;
+        let lag = dt / (LAG_S + dt);
+        let steady = yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration);
+        self.yaw_rate += (steady - self.yaw_rate) * lag;
+        *yaw += (ego.yaw_rate - self.yaw_rate - *yaw) * dt / MEAN_S;
+        let steady = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
+        self.slip_angle += (steady - self.slip_angle) * lag;
+        *slip += (ego.slip_angle - self.slip_angle - *slip) * dt / MEAN_S;
+        self.speed += 0.5 * (before.acceleration + ego.acceleration) * dt;
+        *speed = ego.speed - self.speed;
+        // A speed that seems wrong is not followed.
+        if speed.abs() < CONTRADICTS * LIMITS[Residual::Speed as usize] {
+            self.speed += *speed * dt / MEMORY_S;
+        }
+    }
+
+    fn on_line(&mut self, seen: &CameraLine, ego: &Ego) {
+        let (line, ego) = (*seen, *ego);
+        let first = Moved { line, ego };
+        let start = Lines {
+            followed: first,
+            remembered: [first; REMEMBERED],
+            since: seen.at,
+        };
+        let lines = self.lines.get_or_insert(start);
+        let step = seen.at.since(lines.followed.line.at);
+        if step == Duration::ZERO {
+            return;
+        }
+        let all = lines.remembered.iter_mut();
+        all.for_each(|it| it.to(seen.at, &ego));
+        lines.followed.to(seen.at, &ego);
+        let dt = step.as_secs_f32();
+        if self.liar == Some(Liar::Line) {
+            // The road ahead is seen rightly if only the vehicle's place in it is wrong.
+            let known = &mut lines.remembered[self.known].line.c;
+            if self.has_jumped && (seen.c[2] - known[2]).abs() < SAME_BEND {
+                known[2] += (seen.c[2] - known[2]) * dt / MEAN_S;
+                known[3] += (seen.c[3] - known[3]) * dt / MEAN_S;
+            }
+            return;
+        }
+        let c = &mut lines.followed.line.c;
+        let apart = [seen.c[0] - c[0], seen.c[1] - c[1], seen.c[2] - c[2]];
+        let is_other = step > LONGEST_STEP || apart[0].abs() > OTHER_LANE;
+        let is_rough = ego.speed < SLOWEST_LINE || c[2].abs() > SHARPEST;
+        let [.., aside, heading, bend] = &mut self.residuals;
+        [*aside, *heading, *bend] = match is_other || is_rough {
+            true => [0.0; 3],
+            false => apart,
+        };
+        if is_other {
+            *lines = start;
+            return;
+        }
+        for (c, seen) in c.iter_mut().zip(seen.c) {
+            *c += (seen - *c) * dt / MEMORY_S;
+        }
+        if seen.at.since(lines.since) >= REMEMBER {
+            lines.since = seen.at;
+            lines.remembered.rotate_left(1);
+            lines.remembered[REMEMBERED - 1] = lines.followed;
+        }
+    }
+
+    /// Returns the residuals in shares of their limits.
+    fn used(&self) -> [f32; 6] {
+        let mut shares = LIMITS;
+        for (share, residual) in shares.iter_mut().zip(self.residuals) {
+            // NaN is no number of a sound sensor.
+            *share = match residual.is_finite() {
+                true => residual.abs() / *share,
+                false => f32::MAX,
+            };
+        }
+        shares
+    }
+
+    /// Returns the sensor that explains the residuals, and one of them.
+    fn locate(&self) -> (Liar, Residual) {
+        let contradicts = |it: Residual| self.shares[it as usize] >= CONTRADICTS;
+        let turns = self.residuals[Residual::Heading as usize].abs() >= TURNS;
+        if contradicts(Residual::Speed) {
+            let liar = match self.has_jumped {
+                true => Liar::Speed,
+                false => Liar::Acceleration,
+            };
+            (liar, Residual::Speed)
+        } else if contradicts(Residual::Yaw) {
+            let liar = match turns || contradicts(Residual::Slip) {
+                true => Liar::YawRate,
+                false => Liar::SteeringAngle,
+            };
+            (liar, Residual::Yaw)
+        } else if contradicts(Residual::Slip) {
+            (Liar::SlipAngle, Residual::Slip)
+        } else {
+            (Liar::Line, Residual::Aside)
+        }
+    }
+
+    /// Returns the motion with what the other sensors say in the place of the wrong one.
+    pub(super) fn corrected(&self, ego: Ego) -> Ego {
+        match self.liar {
+            None | Some(Liar::Line) => ego,
+            Some(Liar::Speed) => Ego {
+                speed: self.speed.max(0.0),
+                ..ego
+            },
+            Some(Liar::YawRate) => Ego {
+                yaw_rate: yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration),
+                ..ego
+            },
+            Some(Liar::SteeringAngle) => Ego {
+                steering_angle: steering_for(
+                    ego.yaw_rate / ego.speed.max(SLOWEST),
+                    ego.speed,
+                    ego.acceleration,
+                ),
+                ..ego
+            },
+            Some(Liar::SlipAngle) => Ego {
+                slip_angle: slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration),
+                ..ego
+            },
+            Some(Liar::Acceleration) => Ego {
+                acceleration: 0.0,
+                ..ego
+            },
+        }
+    }
+
+    /// Puts what the other sensors say into a scene.
+    pub(super) fn correct(&self, scene: &mut Scene) {
+        scene.ego = self.corrected(scene.ego);
+        let line = self.lines.filter(|_| self.liar == Some(Liar::Line));
+        if let (Some(lanes), Some(lines)) = (&mut scene.lanes, line) {
+            let CameraLine { at, c } = lines.remembered[self.known].line;
+            lanes.c = carried(&c, at, scene.at, &scene.ego);
+            lanes.own_end = lanes.own_end.min(self.end.max(0.0));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::driving::perception::Perception;
+    use crate::driving::types::Lanes;
+
+    const SPEED: f32 = 30.0;
+    const YAW_RATE: f32 = 0.03;
+
+    /// The motion and the line of a steady turn in the middle of the lane.
+    fn turn() -> (Ego, [f32; 4]) {
+        let ego = Ego {
+            speed: SPEED,
+            yaw_rate: YAW_RATE,
+            acceleration: 0.0,
+            steering_angle: steering_for(YAW_RATE / SPEED, SPEED, 0.0),
+            slip_angle: slip_for(YAW_RATE, SPEED, 0.0),
+        };
+        (ego, [0.0, ego.slip_angle, 0.5 * YAW_RATE / SPEED, 0.0])
+    }
+
+    type Alter = fn(&mut Ego, &mut [f32; 4]);
+
+    /// Drives 10 s, with the fault after 5 s and with `noise` in shares of the sensors' standard
+    /// deviations. Returns what was found after how many scenes, and the last scene, corrected.
+    fn drive(noise: f32, step_ms: u32, alter: Alter) -> (Option<(u32, Liar)>, Scene) {
+        let mut check = SourceCheck::new();
+        let mut found = None;
+        let mut scene = Perception::new().scene().clone();
+        for cycle in 0..10_000 / step_ms {
+            let wave = |phase: f32| noise * (cycle as f32 * (1.0 + phase)).sin() * 1.4;
+            let (mut ego, mut c) = turn();
+            ego.speed += 0.03 * wave(0.1);
+            ego.yaw_rate += 0.0015 * wave(0.2);
+            ego.acceleration += 0.04 * wave(0.3);
+            ego.steering_angle += 3e-4 * wave(0.4);
+            ego.slip_angle += 1e-3 * wave(0.5);
+            c[0] += 0.025 * wave(0.6);
+            c[1] += 0.0015 * wave(0.7);
+            c[2] += 3e-5 * wave(0.8);
+            if cycle * step_ms >= 5_000 {
+                alter(&mut ego, &mut c);
+            }
+            let at = Instant::ORIGIN + Duration::from_ms(u64::from(1_000 + cycle * step_ms));
+            (scene.at, scene.ego) = (at, ego);
+            scene.camera = CameraLine { at, c };
+            scene.lanes = Some(Lanes {
+                c,
+                ..Lanes::alone(3.5, 80.0)
+            });
+            if check.on_scene(&scene).is_some() {
+                let liar = check.liar().expect("what was found");
+                assert_eq!(found, None, "found twice");
+                found = Some((cycle - 5_000 / step_ms, liar));
+            }
+            check.correct(&mut scene);
+        }
+        (found, scene)
+    }
+
+    /// T-RED-9: each sensor that lies to all is found within a second and named, and what the scene
+    /// then says is near the truth.
+    #[test]
+    fn a_sensor_that_contradicts_the_others_is_found() {
+        const LIES: [(Liar, Alter); 12] = [
+            (Liar::Speed, |ego, _| ego.speed *= 0.4),
+            (Liar::Speed, |ego, _| ego.speed += 3.0),
+            (Liar::YawRate, |ego, _| ego.yaw_rate += 0.1),
+            (Liar::YawRate, |ego, _| ego.yaw_rate = -0.5),
+            (Liar::SteeringAngle, |ego, _| ego.steering_angle -= 0.02),
+            (Liar::SlipAngle, |ego, _| ego.slip_angle += 0.05),
+            (Liar::SlipAngle, |ego, _| ego.slip_angle = f32::NAN),
+            (Liar::Acceleration, |ego, _| ego.acceleration += 4.0),
+            (Liar::Line, |_, c| c[0] -= 0.5),
+            (Liar::Line, |_, c| c[1] += 0.05),
+            (Liar::Line, |_, c| c[2] += 0.001),
+            (Liar::Line, |_, c| *c = c.map(|it| -it)),
+        ];
+        let (sound, line) = turn();
+        for (number, (liar, alter)) in LIES.into_iter().enumerate() {
+            let (found, scene) = drive(1.0, 50, alter);
+            let (scenes, named) = found.unwrap_or_else(|| panic!("{number} is not found"));
+            assert_eq!(named, liar, "{number}");
+            assert!(scenes < 20, "{number}: {scenes} scenes");
+            let ego = scene.ego;
+            assert!((ego.speed - sound.speed).abs() < 0.5, "{number}: {ego:?}");
+            assert!(
+                (ego.yaw_rate - sound.yaw_rate).abs() < 0.01,
+                "{number}: {ego:?}"
+            );
+            assert!(
+                (ego.slip_angle - sound.slip_angle).abs() < 0.01,
+                "{number}: {ego:?}"
+            );
+            let c = scene.lanes.expect("lanes").c;
+            assert!((c[0] - line[0]).abs() < 1.0, "{number}: {c:?}");
+        }
+    }
+
+    /// T-RED-9: noise of three standard deviations is no finding, and neither is the line of the
+    /// next lane, a wrong value in scenes too far apart, or one at standstill.
+    #[test]
+    fn what_driving_does_is_no_finding() {
+        let quiet: [(f32, u32, Alter); 4] = [
+            (3.0, 50, |_, _| {}),
+            (1.0, 50, |_, c| c[0] -= 3.5),
+            (1.0, 200, |ego, _| ego.slip_angle += 0.05),
+            (1.0, 50, |ego, _| (ego.speed, ego.yaw_rate) = (0.0, 0.1)),
+        ];
+        for (number, (noise, step_ms, alter)) in quiet.into_iter().enumerate() {
+            assert_eq!(drive(noise, step_ms, alter).0, None, "{number}");
+        }
+    }
+}
