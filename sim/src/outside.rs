@@ -25,6 +25,8 @@ pub struct OutsideVehicle {
     pub(crate) headway_s: f64,
     /// The last accepted control frame.
     last: Option<CanFrame>,
+    /// The mode in the last status frame of each system.
+    stated: [ModeCode; 2],
     ticks: u64,
     pub(crate) silent: bool,
     pub(crate) poison: bool,
@@ -75,6 +77,7 @@ impl OutsideVehicle {
             chatters: false,
             headway_s: f64::INFINITY,
             last: None,
+            stated: [ModeCode::None; 2],
             ticks: 0,
             silent: false,
             poison: false,
@@ -94,19 +97,18 @@ impl OutsideVehicle {
     }
 
     /// Returns whether the last accepted frame stops the vehicle because its sender has a fault.
+    /// Without a scene the functions of core 0 are off; then the status frame of that system tells.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
-        self.mode() == Some(ModeCode::SafeStop)
+        let stops = |mode| mode == ModeCode::SafeStop;
+        let driver = self.accepted.last().map(|frame| usize::from(frame.system));
+        self.mode().is_some_and(stops) || driver.is_some_and(|of| stops(self.stated[of]))
     }
 
     /// Returns the mode of the last accepted frame.
     #[must_use]
     pub fn mode(&self) -> Option<ModeCode> {
-        let message = self.last.and_then(|frame| match frame.id() {
-            CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
-            CanId::Extended(_) => None,
-        });
-        match message {
+        match self.last.as_ref().and_then(decoded) {
             Some(Message::Control { control, .. }) => Some(control.mode),
             _ => None,
         }
@@ -127,6 +129,9 @@ impl OutsideVehicle {
 
     /// Judges a frame on the bus.
     fn hear(&mut self, at: Instant, frame: CanFrame) {
+        if let Some(Message::Status { system, status }) = decoded(&frame) {
+            self.stated[usize::from(system & 1)] = status.mode;
+        }
         let judged = match frame.id() {
             CanId::Standard(id) => self.outside.hear(at.as_ns(), id.into(), frame.data()),
             CanId::Extended(_) => None,
@@ -229,6 +234,14 @@ impl Alone {
             let frame = self.transmitter.encode(&message);
             send(frame.id, frame.data());
         }
+    }
+}
+
+/// Returns the message of a frame; `None` if it is none.
+fn decoded(frame: &CanFrame) -> Option<Message> {
+    match frame.id() {
+        CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
+        CanId::Extended(_) => None,
     }
 }
 
