@@ -20,6 +20,7 @@ mod dbc;
 pub mod e2e;
 mod endpoint;
 mod frame_codec;
+mod freshness;
 mod sensor;
 mod signal;
 

@@ -3,6 +3,8 @@
 use crate::entry::Fault;
 use crate::kind::Kind;
 use crate::sequence::{Group, Sequence};
+use tandem_board::Line;
+use tandem_peripherals::network::Wire;
 use tandem_record::verdict::{Finding, Rule};
 use tandem_vehicle::gate::Acceptance;
 use tandem_vehicle::mastership::Mastership;
@@ -90,8 +92,23 @@ pub fn known(sequence: &Sequence, rule: Rule, aside_m: Option<f64>) -> Option<&'
     if sequence.group == Group::Values {
         return known_of_values(sequence, rule, aside_m.unwrap_or(f64::INFINITY));
     }
-    (rule == Rule::Changes && sequence.spoils_frames_of_both())
-        .then_some("frames of both systems are lost or wrong, so each relieves the other rightly")
+    let only = |is: fn(&Kind) -> bool| matches!(&sequence.faults[..], [one] if is(&one.kind));
+    let start_line = |kind: &Kind| {
+        let start = Wire::Line(Line::Start);
+        matches!(kind, Kind::Flap { wire, .. } if *wire == start)
+    };
+    match rule {
+        Rule::Changes if sequence.spoils_frames_of_both() => {
+            Some("frames of both systems are lost or wrong, so each relieves the other rightly")
+        }
+        Rule::Stopped | Rule::Changes | Rule::Gap if only(|kind| *kind == Kind::Poison) => {
+            Some("one frame kills core 1 of both systems again and again: none sees its lane")
+        }
+        Rule::Needless if sequence.from_power_on && only(start_line) => {
+            Some("both systems start at the same time, and the newer term drives after 1 ms")
+        }
+        _ => None,
+    }
 }
 
 #[cfg(test)]

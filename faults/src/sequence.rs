@@ -153,11 +153,11 @@ impl Sequence {
         kinds.join(" + ")
     }
 
-    /// Returns whether frames of both systems are lost on CAN, or contain a wrong command.
+    /// Returns whether frames of both systems are lost on CAN, late, or contain a wrong command.
     #[must_use]
     pub fn spoils_frames_of_both(&self) -> bool {
         let spoils = |fault: &Fault| match fault.kind {
-            Kind::LosesSent(_) | Kind::Mute | Kind::WrongResults => true,
+            Kind::LosesSent(_) | Kind::Mute | Kind::WrongResults | Kind::Clock(_) => true,
             Kind::Cut { wire } | Kind::Flap { wire, .. } => wire == Wire::Can,
             _ => false,
         };

@@ -2,11 +2,11 @@
 //! of a time without control; and the times in which both systems transmitted.
 
 use tandem_board::{CoreId, Duration, ResetCause, SupplyEvent, SystemId};
+use tandem_bus::Control;
 use tandem_bus::RoleCode;
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::Ruling;
-use tandem_vehicle::gate::MAX_DELAY_MS;
 use tandem_vehicle::mastership::Mastership;
 
 use crate::required_limits::Limits;
@@ -403,7 +403,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover], stalls: &[Stall]) -> u
 
 /// Tests whether stalls of the bus and of the sender's CPU explain the delay of this frame.
 fn was_held_up(log: &RunLog, frame: &ControlFrame, stalls: &[Stall]) -> bool {
-    let max_delay_ms = f64::from(MAX_DELAY_MS);
+    let max_delay_ms = f64::from(Control::MAX_DELAY_MS);
     let cpu = log.control_cpu(frame.system).map(Stood::Cpu);
     let reaching = stalls
         .iter()

@@ -1,7 +1,7 @@
 //! Both systems and a vehicle in virtual time, with faults applied to them.
 
 use crate::bend::{self, Bends, Trajectories};
-use crate::outside::{OutsideVehicle, POISON, another_command};
+use crate::outside::{ALONE_SPEED, OutsideVehicle, POISON, another_command};
 use crate::timing::Time;
 use crate::{drive, timed};
 use std::cell::RefCell;
@@ -15,7 +15,9 @@ use tandem_board_sim::{
     SystemEventKind, Wire,
 };
 use tandem_cores::Config;
-use tandem_cores::layout::ControllerMap;
+use tandem_cores::driving::perception::Perception;
+use tandem_cores::driving::types::Lanes;
+use tandem_cores::layout::{ControllerMap, SCENE};
 use tandem_cores::trace::Event;
 use tandem_faults::{
     BusFaults, CannotSuffer, DriveRoad, Effect, Fault, Kind, Site, Suffer, effects,
@@ -29,7 +31,8 @@ use tandem_vehicle::gate::Acceptance;
 /// Which cores run the real software, and what surrounds them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Around {
-    /// Core 0 only. Cores 1 and 2 only count cycles, and no vehicle moves.
+    /// Core 0 only. Cores 1 and 2 only count cycles, the former sees an empty lane, and no vehicle
+    /// moves.
     #[default]
     Core0,
     /// All cores, and a vehicle in its lane on this road.
@@ -115,10 +118,18 @@ fn poller(
     }
 }
 
-/// Creates a core that only counts cycles.
+/// Without a vehicle, core 1 sees its lane this long after its start.
+const SEES_AFTER: Duration = Duration::from_ms(50);
+
+/// Creates a core that counts cycles. Core 1 also sees an empty straight lane, without which no
+/// system would be able to drive.
 fn counter(board: &'static SimBoard) -> Poller {
     let core = board.identity().core;
-    let (mut map, mut dead) = (None, false);
+    let (mut map, mut scenes, mut dead) = (None, None, false);
+    let sees_at = board.now() + SEES_AFTER;
+    let mut scene = Perception::new().scene().clone();
+    scene.ego.speed = ALONE_SPEED;
+    scene.lanes = Some(Lanes::alone(3.5, 80.0));
     Box::new(move |_| {
         while let Some(received) = board.can().try_receive() {
             dead |= received.frame.id() == POISON && core == CoreId::PERCEPTION;
@@ -127,10 +138,26 @@ fn counter(board: &'static SimBoard) -> Poller {
             return Instant::NEVER;
         }
         map = map.take().or_else(|| ControllerMap::attach(board).ok());
-        let Some(map) = &map else {
+        let Some(ControllerMap {
+            map: lmu,
+            incarnation,
+            ..
+        }) = &map
+        else {
             return board.now() + Duration::from_ms(1);
         };
-        map.count_cycle();
+        if core == CoreId::PERCEPTION && board.now() >= sees_at {
+            (scene.at, scene.measured) = (board.now(), board.now());
+            scene.cycle = scene.cycle.wrapping_add(1);
+            scenes = scenes
+                .take()
+                .or_else(|| SCENE.writer(lmu, *incarnation).ok());
+            if let Some(scenes) = &mut scenes {
+                scenes.publish(&scene);
+                board.ring(CoreId::CONTROL);
+            }
+        }
+        map.iter().for_each(ControllerMap::count_cycle);
         board.now() + Duration::from_ms(50)
     })
 }

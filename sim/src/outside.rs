@@ -44,6 +44,9 @@ enum Outside {
     World(Box<World>),
 }
 
+/// What it reports, m/s.
+pub(crate) const ALONE_SPEED: f32 = 20.0;
+
 /// A gate without a vehicle, which reports a constant speed.
 struct Alone {
     gate: Gate,
@@ -219,7 +222,7 @@ impl Outside {
 impl Alone {
     fn step(&mut self, at_ns: u64, ticks: u64, send: &mut dyn FnMut(u16, &[u8])) {
         let motion = EgoMotion {
-            speed: 20.0,
+            speed: ALONE_SPEED,
             ..EgoMotion::default()
         };
         let cycle = ticks.is_multiple_of(10);

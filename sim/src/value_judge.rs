@@ -174,9 +174,9 @@ impl Bench {
                 .filter(|_| faulty == setting.driver)
                 .is_some_and(|found| {
                     let limit = match found.event {
-                        Event::Ability { .. } | Event::Sensors { .. } => {
-                            SOUND_DRIVES + ABILITY_LASTS
-                        }
+                        Event::Ability { .. }
+                        | Event::Sensors { .. }
+                        | Event::SensorLies { .. } => SOUND_DRIVES + ABILITY_LASTS,
                         _ => SOUND_DRIVES,
                     };
                     taken_at.is_none_or(|at| at > begin + found.after + limit)

@@ -35,11 +35,6 @@ const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for an early echo, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
-/// A frame that was made this long ago is refused, ms: four control periods.
-pub const MAX_DELAY_MS: u16 = 40;
-/// A frame whose time is further in the future is refused, ms: its sender's clock is wrong.
-const EARLY_MS: i16 = 20;
-
 /// A term whose count exceeds that of the highest one by no more than this is explained by the
 /// rules of the systems: they believe half of this without a second witness, and raise it by 1, 8
 /// or 1,024.
@@ -138,12 +133,6 @@ pub struct Gate {
     far: (u32, u8),
     counts: FrameCounts,
     mastership: Mastership,
-}
-
-/// Returns whether a frame was made less than [`MAX_DELAY_MS`] ago, or its time is unknown (0).
-fn is_fresh(now_ns: u64, sent_at: u16) -> bool {
-    let age_ms = ms(now_ns).wrapping_sub(sent_at) as i16;
-    sent_at == 0 || (-EARLY_MS..MAX_DELAY_MS as i16).contains(&age_ms)
 }
 
 /// Returns the time on the vehicle's clock as frames carry it.
@@ -249,7 +238,7 @@ impl Gate {
         if let Some(refusal) = self.refuses_term(now_ns, control.term) {
             return (refusal, Some(control));
         }
-        if !is_fresh(now_ns, control.sent_at) {
+        if !control.is_fresh(ms(now_ns)) {
             self.refused = self.refused.wrapping_add(1);
             return (Ruling::Stale, Some(control));
         }
@@ -541,7 +530,7 @@ mod tests {
         };
         let queue = |at: u64| (at - 60_000) * 99 / 100_000;
         for at in (60_000..160_000).step_by(10) {
-            let fresh = queue(at) < u64::from(MAX_DELAY_MS);
+            let fresh = queue(at) < u64::from(Control::MAX_DELAY_MS);
             let expected = if fresh {
                 Ruling::Accepted
             } else {

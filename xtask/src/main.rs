@@ -241,6 +241,9 @@ enum Campaign {
         /// The scenarios, by name or CommonRoad file [default: the embedded ones]
         scenarios: Vec<String>,
     },
+    /// Lie to all cores of both systems, one signal after the other. Fails if the vehicle gets
+    /// farther off its lane than documented
+    WrongInBoth,
     /// Stop a core of a system at each access to shared memory, while it drives and while it starts
     Stops {
         /// Stop only at each N-th access
@@ -419,6 +422,7 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command.arg(hours.to_string()).args(scenarios);
             command
         }
+        Campaign::WrongInBoth => trial("wrong_in_both", &[])?,
         Campaign::SimDigest { count } => return sim_digest(root, count),
         Campaign::Mutants {
             packages,

@@ -195,6 +195,11 @@ impl<'b, B: Board> SharedState<'b, B> {
             Message::SensorObject(of, object) => self.scene_check.on_object(of, &object),
             Message::Control { system, control } if usize::from(system) != own => {
                 if let Some(frame) = frames::received_control(system, &control) {
+                    let vehicle_ms = self.can.vehicle_clock.at(at);
+                    if vehicle_ms.is_some_and(|now_ms| !control.is_fresh(now_ms)) {
+                        // The vehicle refuses it, too.
+                        return self.notify(Input::StaleFrame(frame));
+                    }
                     let released = self.notify(Input::ControlFrame(frame));
                     if self.is_of_master(frame) {
                         let command = frames::command(&control);

@@ -50,6 +50,9 @@ fn single_faults_keep_their_bounds() {
 fn two_faults_within_one_system_are_contained() {
     let count = Group::Pair.count().expect("a finite group");
     try_all(Group::Pair, (0..count).step_by(491));
+    // A master that is deaf and whose clock is fast: the vehicle refuses its frames, so they must
+    // not count as heard. The gap was 24.3 and 24.8 ms.
+    try_all(Group::Pair, [23_982, 37_254].into_iter());
 }
 
 /// T-RED-9: after any faults in both systems, one of the systems drives at the end.

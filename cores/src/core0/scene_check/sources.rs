@@ -17,9 +17,11 @@ use tandem_board::{Duration, Instant};
 const LONGEST_STEP: Duration = Duration::from_ms(150);
 /// The models hold above this speed, m/s.
 const SLOWEST: f32 = 5.0;
-/// The line is compared above this speed, m/s, and on bends of more than 150 m radius: slower and
-/// sharper roads are recorded with kinks.
+/// Below this speed, m/s, this share of the line's residuals counts: slow roads are recorded with
+/// kinks.
 const SLOWEST_LINE: f32 = 15.0;
+const ROUGH: f32 = 0.25;
+/// The line is not compared on bends with a larger second coefficient, 1/m: 150 m radius.
 const SHARPEST: f32 = 1.0 / 300.0;
 /// The vehicle reaches a steady turn with this lag, s.
 const LAG_S: f32 = 0.15;
@@ -29,24 +31,24 @@ const MEAN_S: f32 = 0.4;
 const MEMORY_S: f32 = 1.0;
 
 /// Limits of the residuals, in the order of [`Residual`]; the last one is that of the line's second
-/// coefficient, 1/m. Fault-free driving uses at most 0.0068,
-/// 0.0013, 0.12, 0.15, 0.013 and 4.5e-4; on recorded roads with sharp kinks, 0.027, 0.0054 and 0.12
-/// of the first three.
-const LIMITS: [f32; 6] = [0.045, 0.02, 1.5, 0.35, 0.04, 9e-4];
+/// coefficient, 1/m. Fault-free driving uses at most 0.0068, 0.0013, 0.12, 0.17, 0.017 and 4.5e-4.
+const LIMITS: [f32; 6] = [0.045, 0.02, 1.5, 0.35, 0.035, 9e-4];
 /// So many scenes pass between the first residual above its limit and the decision which sensor is
 /// wrong: the other residuals need time.
 const SETTLE: u8 = 4;
 /// Share of a limit that counts as a contradiction once one residual is above its limit.
 const CONTRADICTS: f32 = 0.5;
+/// Yaw rate and slip angle contradict a model with this share of their limits, if the line, which
+/// is moved by them, is above its own: 1.6 and 3 times the largest of fault-free driving.
+const CONTRADICTS_LINE: f32 = 0.25;
 /// The line's heading contradicts a wrong yaw rate with this residual, rad.
 const TURNS: f32 = 0.02;
 /// A line this much aside is that of another lane, m.
 const OTHER_LANE: f32 = 1.4;
 /// A line is remembered every half second, and so many are.
 const REMEMBER: Duration = Duration::from_ms(500);
-const REMEMBERED: usize = 4;
-/// The camera's bends are used if they differ from the remembered line's by no more, 1/m.
-const SAME_BEND: f32 = 2.5e-4;
+const REMEMBERED: usize = 5;
+
 /// What two sources say differently.
 #[derive(Clone, Copy)]
 enum Residual {
@@ -89,14 +91,90 @@ impl Moved {
     }
 }
 
+/// What takes the place of a wrong line.
+#[derive(Clone, Copy)]
+enum Mend {
+    /// A line from before the fault, moved with the vehicle.
+    Known,
+    /// The camera's line less what it has jumped by.
+    Less([f32; 4]),
+    /// The camera's line with the heading that its offset shows.
+    Heading,
+    /// The camera's line with the bend that the vehicle drives.
+    Bend,
+}
+
 /// The lines by the motion.
 #[derive(Clone, Copy)]
 struct Lines {
+    /// The camera's last line.
+    last: Moved,
     /// Follows the camera.
     followed: Moved,
-    /// What was followed, the older one first.
+    /// What was followed, the oldest first.
     remembered: [Moved; REMEMBERED],
     since: Instant,
+}
+
+/// How a new line of the camera differs from the last one.
+struct Step {
+    seconds: f32,
+    /// Offset and heading less what the motion has made of the last ones, and the second
+    /// coefficient less the followed one.
+    apart: [f32; 3],
+    /// What the motion has changed offset and heading by.
+    moved: [f32; 2],
+    /// It is the line of another lane, or comes after a pause.
+    is_other: bool,
+}
+
+impl Lines {
+    const fn new(first: Moved) -> Self {
+        Self {
+            last: first,
+            followed: first,
+            remembered: [first; REMEMBERED],
+            since: first.line.at,
+        }
+    }
+
+    /// Moves all lines to the time of the camera's line; `None` if that is no new one.
+    fn step(&mut self, seen: &Moved) -> Option<Step> {
+        let (at, c) = (seen.line.at, seen.line.c);
+        let step = at.since(self.last.line.at);
+        if step == Duration::ZERO {
+            return None;
+        }
+        let mut last = core::mem::replace(&mut self.last, *seen);
+        let before = last.line.c;
+        let remembered = self.remembered.iter_mut();
+        for line in remembered.chain([&mut self.followed, &mut last]) {
+            line.to(at, &seen.ego);
+        }
+        let [offset, heading, ..] = last.line.c;
+        let apart = [
+            c[0] - offset,
+            c[1] - heading,
+            c[2] - self.followed.line.c[2],
+        ];
+        Some(Step {
+            seconds: step.as_secs_f32(),
+            apart,
+            moved: [offset - before[0], heading - before[1]],
+            is_other: step > LONGEST_STEP || apart[0].abs() > OTHER_LANE,
+        })
+    }
+
+    fn follow(&mut self, seen: &CameraLine, seconds: f32) {
+        for (c, seen) in self.followed.line.c.iter_mut().zip(seen.c) {
+            *c += (seen - *c) * seconds / MEMORY_S;
+        }
+        if seen.at.since(self.since) >= REMEMBER {
+            self.since = seen.at;
+            self.remembered.rotate_left(1);
+            self.remembered[REMEMBERED - 1] = self.followed;
+        }
+    }
 }
 
 /// Returns the distance to an end of the lane at which the distance keeping brakes with 6 m/s² from
@@ -116,10 +194,14 @@ pub(super) struct SourceCheck {
     residuals: [f32; 6],
     /// Their last shares of the limits.
     shares: [f32; 6],
+    /// What the motion should have changed the line's offset and heading by, as their residuals.
+    moved: [f32; 2],
     /// Speed or line has jumped since the residuals were last small.
     has_jumped: bool,
-    /// The remembered line by which the vehicle stops: from before the fault.
-    known: usize,
+    /// The curvature that the vehicle drives, 1/m.
+    curvature: f32,
+    /// What takes the place of a wrong line.
+    mend: Mend,
     settles: u8,
     liar: Option<Liar>,
     /// Where the vehicle stops if the line is wrong: distance from the newest scene, m.
@@ -136,8 +218,10 @@ impl SourceCheck {
             lines: None,
             residuals: [0.0; 6],
             shares: [0.0; 6],
+            moved: [0.0; 2],
             has_jumped: false,
-            known: 0,
+            curvature: 0.0,
+            mend: Mend::Known,
             settles: 0,
             liar: None,
             end: f32::INFINITY,
@@ -158,25 +242,20 @@ impl SourceCheck {
             let is_near = step > Duration::ZERO && step <= LONGEST_STEP;
             is_near.then(|| (step.as_secs_f32(), before))
         };
-        let moves = scene.ego.speed >= SLOWEST;
-        let Some((dt, before)) = last.and_then(step).filter(|_| moves || self.is_found()) else {
+        let Some((dt, before)) = last.and_then(step) else {
             self.restart(&scene.ego);
             return None;
         };
         let ego = self.corrected(scene.ego);
         self.end -= ego.speed * dt;
         self.on_motion(&before, &scene.ego, dt);
-        self.on_line(&scene.camera, &ego);
+        self.on_line(scene.camera, ego);
         if self.is_found() || !self.contradicts() {
             return None;
         }
         let (liar, residual) = self.locate();
         self.liar = Some(liar);
-        // What has jumped is new; what has grown began some time ago.
-        self.known = match self.has_jumped {
-            true => REMEMBERED - 2,
-            false => 0,
-        };
+        self.mend = self.mend(&scene.camera);
         self.end = stops_within(self.corrected(scene.ego).speed);
         Some(Difference {
             what: liar as u8,
@@ -213,19 +292,25 @@ impl SourceCheck {
         self.yaw_rate = yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration);
         self.slip_angle = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
         self.speed = ego.speed;
-        (self.residuals, self.shares) = ([0.0; 6], [0.0; 6]);
+        (self.residuals, self.shares, self.moved) = ([0.0; 6], [0.0; 6], [0.0; 2]);
         (self.lines, self.has_jumped, self.settles) = (None, false, 0);
     }
 
     fn on_motion(&mut self, before: &Ego, ego: &Ego, dt: f32) {
         let [yaw, slip, speed, ..] = &mut self.residuals;
         let lag = dt / (LAG_S + dt);
+        let driven = ego.yaw_rate / ego.speed.max(SLOWEST);
+        self.curvature += (driven - self.curvature) * dt / MEAN_S;
+        let is_slow = ego.speed < SLOWEST;
         let steady = yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration);
         self.yaw_rate += (steady - self.yaw_rate) * lag;
         *yaw += (ego.yaw_rate - self.yaw_rate - *yaw) * dt / MEAN_S;
         let steady = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
         self.slip_angle += (steady - self.slip_angle) * lag;
         *slip += (ego.slip_angle - self.slip_angle - *slip) * dt / MEAN_S;
+        if is_slow {
+            (*yaw, *slip) = (0.0, 0.0);
+        }
         self.speed += 0.5 * (before.acceleration + ego.acceleration) * dt;
         *speed = ego.speed - self.speed;
         // A speed that seems wrong is not followed.
@@ -234,53 +319,34 @@ impl SourceCheck {
         }
     }
 
-    fn on_line(&mut self, seen: &CameraLine, ego: &Ego) {
-        let (line, ego) = (*seen, *ego);
-        let first = Moved { line, ego };
-        let start = Lines {
-            followed: first,
-            remembered: [first; REMEMBERED],
-            since: seen.at,
-        };
-        let lines = self.lines.get_or_insert(start);
-        let step = seen.at.since(lines.followed.line.at);
-        if step == Duration::ZERO {
+    fn on_line(&mut self, line: CameraLine, ego: Ego) {
+        let seen = Moved { line, ego };
+        let lines = self.lines.get_or_insert(Lines::new(seen));
+        let Some(step) = lines.step(&seen) else {
             return;
-        }
-        let all = lines.remembered.iter_mut();
-        all.for_each(|it| it.to(seen.at, &ego));
-        lines.followed.to(seen.at, &ego);
-        let dt = step.as_secs_f32();
-        if self.liar == Some(Liar::Line) {
-            // The road ahead is seen rightly if only the vehicle's place in it is wrong.
-            let known = &mut lines.remembered[self.known].line.c;
-            if self.has_jumped && (seen.c[2] - known[2]).abs() < SAME_BEND {
-                known[2] += (seen.c[2] - known[2]) * dt / MEAN_S;
-                known[3] += (seen.c[3] - known[3]) * dt / MEAN_S;
+        };
+        let is_rough = lines.followed.line.c[2].abs() > SHARPEST;
+        let is_slow = ego.speed < SLOWEST_LINE && self.liar.is_none();
+        // A line that is wrong stays so.
+        if self.liar != Some(Liar::Line) {
+            match step.is_other {
+                true => *lines = Lines::new(seen),
+                false => lines.follow(&line, step.seconds),
             }
-            return;
         }
-        let c = &mut lines.followed.line.c;
-        let apart = [seen.c[0] - c[0], seen.c[1] - c[1], seen.c[2] - c[2]];
-        let is_other = step > LONGEST_STEP || apart[0].abs() > OTHER_LANE;
-        let is_rough = ego.speed < SLOWEST_LINE || c[2].abs() > SHARPEST;
         let [.., aside, heading, bend] = &mut self.residuals;
-        [*aside, *heading, *bend] = match is_other || is_rough {
-            true => [0.0; 3],
-            false => apart,
-        };
-        if is_other {
-            *lines = start;
+        if step.is_other || is_rough {
+            (*aside, *heading, *bend) = (0.0, 0.0, 0.0);
             return;
         }
-        for (c, seen) in c.iter_mut().zip(seen.c) {
-            *c += (seen - *c) * dt / MEMORY_S;
+        let share = if is_slow { ROUGH } else { 1.0 };
+        let [sideways, turn] = &mut self.moved;
+        let sums = [aside, heading, sideways, turn];
+        let steps = [step.apart[0], step.apart[1], step.moved[0], step.moved[1]];
+        for (sum, step_by) in sums.into_iter().zip(steps) {
+            *sum += share * step_by - *sum * step.seconds / MEMORY_S;
         }
-        if seen.at.since(lines.since) >= REMEMBER {
-            lines.since = seen.at;
-            lines.remembered.rotate_left(1);
-            lines.remembered[REMEMBERED - 1] = lines.followed;
-        }
+        *bend = if is_slow { 0.0 } else { step.apart[2] };
     }
 
     /// Returns the residuals in shares of their limits.
@@ -298,7 +364,12 @@ impl SourceCheck {
 
     /// Returns the sensor that explains the residuals, and one of them.
     fn locate(&self) -> (Liar, Residual) {
-        let contradicts = |it: Residual| self.shares[it as usize] >= CONTRADICTS;
+        let line = [Residual::Aside, Residual::Heading];
+        let share = match line.iter().any(|it| self.shares[*it as usize] >= 1.0) {
+            true => CONTRADICTS_LINE,
+            false => CONTRADICTS,
+        };
+        let contradicts = |it: Residual| self.shares[it as usize] >= share;
         let turns = self.residuals[Residual::Heading as usize].abs() >= TURNS;
         if contradicts(Residual::Speed) {
             let liar = match self.has_jumped {
@@ -319,35 +390,60 @@ impl SourceCheck {
         }
     }
 
-    /// Returns the motion with what the other sensors say in the place of the wrong one.
-    pub(super) fn corrected(&self, ego: Ego) -> Ego {
-        match self.liar {
-            None | Some(Liar::Line) => ego,
-            Some(Liar::Speed) => Ego {
-                speed: self.speed.max(0.0),
-                ..ego
-            },
-            Some(Liar::YawRate) => Ego {
-                yaw_rate: yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration),
-                ..ego
-            },
-            Some(Liar::SteeringAngle) => Ego {
-                steering_angle: steering_for(
-                    ego.yaw_rate / ego.speed.max(SLOWEST),
-                    ego.speed,
-                    ego.acceleration,
-                ),
-                ..ego
-            },
-            Some(Liar::SlipAngle) => Ego {
-                slip_angle: slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration),
-                ..ego
-            },
-            Some(Liar::Acceleration) => Ego {
-                acceleration: 0.0,
-                ..ego
-            },
+    /// Returns what takes the place of the line, if that is wrong. `seen`: the camera's line.
+    fn mend(&self, seen: &CameraLine) -> Mend {
+        let contradicts = |it: Residual| self.shares[it as usize] >= CONTRADICTS;
+        let jump = |lines: &Lines| {
+            // From before the jump.
+            let known = lines.remembered[REMEMBERED - 2].line.c;
+            core::array::from_fn(|index| seen.c[index] - known[index])
+        };
+        let lines = self.lines.as_ref();
+        // A value whose sign is turned moves as much as it should, the other way.
+        let [.., aside, heading, _] = self.residuals;
+        let [sideways, turn] = self.moved;
+        let is_turned = |apart: f32, moved: f32| (apart + 2.0 * moved).abs() < 0.5 * apart.abs();
+        let is_offset_turned = is_turned(aside, sideways) && !is_turned(heading, turn);
+        match (contradicts(Residual::Aside), contradicts(Residual::Heading)) {
+            _ if self.has_jumped => lines.map_or(Mend::Known, |it| Mend::Less(jump(it))),
+            (false, true) => Mend::Bend,
+            (true, false) if !is_offset_turned => Mend::Heading,
+            _ => Mend::Known,
         }
+    }
+
+    /// Returns what takes the place of the wrong line `seen`.
+    fn mended(&self, seen: &CameraLine, lines: &Lines, ego: &Ego) -> CameraLine {
+        let [c0, c1, c2, c3] = seen.c;
+        let c = match self.mend {
+            Mend::Known => return lines.remembered[0].line,
+            Mend::Less(jump) => core::array::from_fn(|index| seen.c[index] - jump[index]),
+            Mend::Heading => {
+                let aside = self.residuals[Residual::Aside as usize];
+                let turned = aside / (MEMORY_S * ego.speed.max(SLOWEST));
+                [c0, c1 + turned, c2, c3]
+            }
+            Mend::Bend => [c0, c1, 0.5 * self.curvature, 0.0],
+        };
+        CameraLine { at: seen.at, c }
+    }
+
+    /// Returns the motion with what the other sensors say in the place of the wrong one.
+    pub(super) fn corrected(&self, mut ego: Ego) -> Ego {
+        let (speed, acceleration) = (ego.speed.max(SLOWEST), ego.acceleration);
+        match self.liar {
+            None | Some(Liar::Line) => {}
+            Some(Liar::Speed) => ego.speed = self.speed.max(0.0),
+            Some(Liar::YawRate) => {
+                ego.yaw_rate = yaw_rate_for(ego.steering_angle, ego.speed, acceleration);
+            }
+            Some(Liar::SteeringAngle) => {
+                ego.steering_angle = steering_for(ego.yaw_rate / speed, speed, acceleration);
+            }
+            Some(Liar::SlipAngle) => ego.slip_angle = slip_for(ego.yaw_rate, speed, acceleration),
+            Some(Liar::Acceleration) => ego.acceleration = 0.0,
+        }
+        ego
     }
 
     /// Puts what the other sensors say into a scene.
@@ -355,7 +451,7 @@ impl SourceCheck {
         scene.ego = self.corrected(scene.ego);
         let line = self.lines.filter(|_| self.liar == Some(Liar::Line));
         if let (Some(lanes), Some(lines)) = (&mut scene.lanes, line) {
-            let CameraLine { at, c } = lines.remembered[self.known].line;
+            let CameraLine { at, c } = self.mended(&scene.camera, &lines, &scene.ego);
             lanes.c = carried(&c, at, scene.at, &scene.ego);
             lanes.own_end = lanes.own_end.min(self.end.max(0.0));
         }
@@ -426,9 +522,10 @@ mod tests {
     /// then says is near the truth.
     #[test]
     fn a_sensor_that_contradicts_the_others_is_found() {
-        const LIES: [(Liar, Alter); 12] = [
+        const LIES: [(Liar, Alter); 13] = [
             (Liar::Speed, |ego, _| ego.speed *= 0.4),
             (Liar::Speed, |ego, _| ego.speed += 3.0),
+            (Liar::Speed, |ego, _| ego.speed = 0.0),
             (Liar::YawRate, |ego, _| ego.yaw_rate += 0.1),
             (Liar::YawRate, |ego, _| ego.yaw_rate = -0.5),
             (Liar::SteeringAngle, |ego, _| ego.steering_angle -= 0.02),
@@ -462,14 +559,13 @@ mod tests {
     }
 
     /// T-RED-9: noise of three standard deviations is no finding, and neither is the line of the
-    /// next lane, a wrong value in scenes too far apart, or one at standstill.
+    /// next lane, or a wrong value in scenes too far apart.
     #[test]
     fn what_driving_does_is_no_finding() {
-        let quiet: [(f32, u32, Alter); 4] = [
+        let quiet: [(f32, u32, Alter); 3] = [
             (3.0, 50, |_, _| {}),
             (1.0, 50, |_, c| c[0] -= 3.5),
             (1.0, 200, |ego, _| ego.slip_angle += 0.05),
-            (1.0, 50, |ego, _| (ego.speed, ego.yaw_rate) = (0.0, 0.1)),
         ];
         for (number, (noise, step_ms, alter)) in quiet.into_iter().enumerate() {
             assert_eq!(drive(noise, step_ms, alter).0, None, "{number}");
