@@ -80,6 +80,9 @@ pub enum Input {
     StaleFrame(ControlHeader),
     /// The vehicle reported which term it obeys, as it does every control period.
     VehicleTerm(ObeyedTerm),
+    /// An echo with a right CRC and a wrong counter was received, with this term: another node may
+    /// send in the vehicle's name. It only disputes what other echoes say of a far term.
+    StaleEcho(Term),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
     /// This system is asked to let the other one drive. In dual operation it resigns for

@@ -173,6 +173,7 @@ impl Redundancy {
             Input::LinkReport(report) => self.link_report_of_peer(now, report, &mut actions),
             Input::StaleFrame(frame) => self.stale_frame(now, frame, &mut actions),
             Input::VehicleTerm(obeyed) => self.vehicle_term(now, obeyed, &mut actions),
+            Input::StaleEcho(term) => self.stale_echo(term),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
             Input::HandOver => self.hands_over_until = Some(now + self.config.report_limit),
             Input::Ability(own) => self.witnesses.reports.abilities.own = own,

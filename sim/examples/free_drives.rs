@@ -25,15 +25,31 @@ fn drive(scenario: &str, seed: u64) -> Vec<String> {
         .collect()
 }
 
+/// Returns whether this scenario can be driven; prints why not.
+fn is_drivable(scenario: &str) -> bool {
+    let why_not = match Scenario::load(scenario) {
+        Ok(loaded) => loaded.outside_domain().map(str::to_owned),
+        Err(error) => Some(error.to_string()),
+    };
+    if let Some(why) = &why_not {
+        println!("{scenario}: skipped: {why}");
+    }
+    why_not.is_none()
+}
+
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
     let hours = arguments.next().and_then(|hours| hours.parse().ok());
     let hours: f64 = hours.unwrap_or(8.0);
     let named: Vec<String> = arguments.collect();
-    let scenarios = match named.is_empty() {
+    let scenarios: Vec<String> = match named.is_empty() {
         true => Scenario::names().map(str::to_owned).collect(),
-        false => named,
+        false => named.into_iter().filter(|it| is_drivable(it)).collect(),
     };
+    if scenarios.is_empty() {
+        println!("no scenario to drive");
+        return ExitCode::FAILURE;
+    }
     let drives = (hours * 3_600.0 / (DRIVE.as_ms_f64() * 1e-3)).ceil() as u64;
     let (next, found) = (AtomicU64::new(0), AtomicU64::new(0));
     std::thread::scope(|threads| {

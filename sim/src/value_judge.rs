@@ -227,3 +227,65 @@ impl Bench {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_redundancy::Config;
+
+    /// Returns the rules that are broken in a second in which A drives with a fault that has no
+    /// effect, after this change of what the judge sees.
+    fn judged(change: impl FnOnce(&mut Bench)) -> Vec<Rule> {
+        let (_, road, driven) = DriveSetting::PLACES[0];
+        let setting = DriveSetting {
+            road,
+            driver: SystemId::A,
+            is_alone: false,
+            driven,
+        };
+        let profile = Profile {
+            around: Around::ClosedLoop(road),
+            ..Profile::from(Config::rt())
+        };
+        let mut bench = Bench::tracing(profile, 0, false);
+        bench.drive_into(setting);
+        let begin = (bench.pair.now(), bench.vehicle.borrow().mode());
+        bench.forget_trace();
+        bench.pair.run_for(Duration::from_ms(1_000));
+        change(&mut bench);
+        let tried = bench.judge_values(setting, Some(SystemId::A), begin);
+        tried.violations
+    }
+
+    /// Makes the accepted frames since so many ms ago those of this system.
+    fn drives(bench: &Bench, ago_ms: u64, system: SystemId) {
+        let since_ns = bench.pair.now().as_ns() - ago_ms * 1_000_000;
+        for frame in &mut bench.vehicle.borrow_mut().accepted {
+            if frame.at_ns >= since_ns {
+                frame.system = system.index() as u8;
+            }
+        }
+    }
+
+    /// Each rule is broken by what it forbids, and by nothing else.
+    #[test]
+    fn each_rule_of_wrong_values_can_be_broken() {
+        assert_eq!(judged(|_| ()), []);
+        let untold = judged(|bench| drives(bench, 500, SystemId::B));
+        assert_eq!(untold, [Rule::Untold]);
+        let returned = judged(|bench| {
+            drives(bench, 500, SystemId::B);
+            drives(bench, 100, SystemId::A);
+        });
+        assert_eq!(returned, [Rule::SoundDrives, Rule::Untold]);
+        let paused = judged(|bench| {
+            let now_ns = bench.pair.now().as_ns();
+            let pause = now_ns - 300_000_000..now_ns - 200_000_000;
+            let mut vehicle = bench.vehicle.borrow_mut();
+            vehicle.accepted.retain(|it| !pause.contains(&it.at_ns));
+        });
+        assert_eq!(paused, [Rule::Gap]);
+        let close = judged(|bench| bench.vehicle.borrow_mut().headway_s = 0.1);
+        assert_eq!(close, [], "only the jam has a distance");
+    }
+}

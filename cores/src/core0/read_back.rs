@@ -504,12 +504,12 @@ mod tests {
         }
     }
 
-    /// T-RED-9: an angle that is late seems to turn its sign again and again. It is not corrected,
-    /// and the vehicle brakes hard.
-    #[test]
-    fn a_late_output_is_not_corrected_but_braked() {
+    /// Returns the wanted and the given command after 4 s, if the vehicle obeys each angle so many
+    /// cycles later, and `drift` (rad) more in each cycle.
+    fn late_by(cycles: u32, drift: f32) -> (Command, Command) {
         let mut read_back = ReadBack::new();
         let mut sent = [Command::default(); 400];
+        let mut last = (Command::default(), Command::default());
         for cycle in 0..400_u32 {
             let wanted = Command {
                 steering_angle: 0.02 * (cycle as f32 * 0.05).sin(),
@@ -524,21 +524,43 @@ mod tests {
                 ..Control::default()
             };
             read_back.on_sent(cycle as u8, &control);
+            let obeyed = sent[cycle.saturating_sub(cycles) as usize].steering_angle;
             let echo = GateEcho {
                 term: TERM,
-                steering_angle: sent[cycle.saturating_sub(50) as usize].steering_angle,
+                steering_angle: obeyed + drift * cycle as f32,
                 acceleration: command.acceleration,
                 obeyed_counter: cycle as u8,
                 ..GateEcho::default()
             };
             let _verdict = read_back.on_echo(TERM, &echo, false, true);
-            if cycle > 300 {
-                let braked = Command {
-                    acceleration: -ASTRAY_BRAKING,
-                    ..wanted
-                };
-                assert_eq!(command, braked, "{cycle}");
-            }
+            last = (wanted, command);
+        }
+        last
+    }
+
+    /// T-RED-9: an angle that is late seems to turn its sign again and again. It is not corrected,
+    /// and the vehicle brakes hard. One that is obeyed at once or drifts is no late one.
+    #[test]
+    fn a_late_output_is_not_corrected_but_braked() {
+        for cycles in [30, 50, 80] {
+            let (wanted, command) = late_by(cycles, 0.0);
+            let braked = Command {
+                acceleration: -ASTRAY_BRAKING,
+                ..wanted
+            };
+            assert_eq!(command, braked, "{cycles}");
+        }
+        for (cycles, drift) in [(0, 0.0), (1, 0.0), (0, 1e-5), (0, -1e-5)] {
+            let (wanted, command) = late_by(cycles, drift);
+            assert_eq!(
+                command.acceleration, wanted.acceleration,
+                "{cycles} {drift}"
+            );
+            let obeyed = command.steering_angle + drift * 400.0;
+            assert!(
+                (obeyed - wanted.steering_angle).abs() < 5e-3,
+                "{cycles} {drift}"
+            );
         }
     }
 }

@@ -26,7 +26,7 @@ use tandem_board::{
 };
 use tandem_bus::Message;
 use tandem_redundancy::{
-    ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Mode, Phase, Redundancy,
+    ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Mode, Phase, Redundancy, Term,
 };
 
 /// Counters for the status frame and the supervision of the control task.
@@ -105,7 +105,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         while let Some((at, frame)) = read_can(self.board, &mut self.can.receiver, &mut left) {
             released |= match frame {
                 ReceivedFrame::Valid(message) => self.on_message(at, message),
-                ReceivedFrame::WrongCounter(message) => self.on_stale_message(message),
+                ReceivedFrame::WrongCounter(message) => self.on_stale_message(at, message),
                 ReceivedFrame::Download(system) => self.on_download_request(system),
             };
         }
@@ -219,9 +219,14 @@ impl<'b, B: Board> SharedState<'b, B> {
         TaskSet::NONE
     }
 
-    /// Takes a frame with a right CRC and a wrong counter. Uses only the term of a control frame.
-    fn on_stale_message(&mut self, message: Message) -> TaskSet {
+    /// Takes a frame with a right CRC and a wrong counter. Uses only the term of a control frame,
+    /// and what an echo contradicts.
+    fn on_stale_message(&mut self, at: Instant, message: Message) -> TaskSet {
         match message {
+            Message::GateEcho(echo) => {
+                self.can.vehicle_clock.on_stale_echo(at, echo.sent_at);
+                self.notify(Input::StaleEcho(Term::from_bits(echo.term)))
+            }
             Message::Control { system, control } if usize::from(system) != self.system.index() => {
                 frames::received_control(system, &control)
                     .map_or(TaskSet::NONE, |frame| self.notify(Input::StaleFrame(frame)))

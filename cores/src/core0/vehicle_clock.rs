@@ -17,8 +17,13 @@ pub(super) struct VehicleClock {
     behind: HistoryBuf<u16, ECHOES>,
     /// When the last echo arrived.
     last: Option<Instant>,
+    /// When an echo with a wrong counter said another time: another node sends in the vehicle's
+    /// name, and nobody knows which of both is right.
+    disputed: Option<Instant>,
 }
 
+/// Two echoes of one vehicle differ by less, ms: what a queue may add from one to the next.
+const SAME_MS: u16 = 20;
 /// Without an echo for longer, the time is not known: the vehicle is silent, or this system's clock
 /// has jumped.
 const SILENCE: Duration = Duration::from_ms(100);
@@ -37,13 +42,30 @@ impl VehicleClock {
         self.behind.write(ms(at).wrapping_sub(sent_ms));
     }
 
+    /// Takes the time of an echo with a right CRC and a wrong counter.
+    pub(super) fn on_stale_echo(&mut self, at: Instant, sent_ms: u16) {
+        let newest = self.behind.recent().filter(|_| self.is_known(at));
+        let apart = |behind: &u16| ms(at).wrapping_sub(*behind).wrapping_sub(sent_ms) as i16;
+        let differs = newest.is_some_and(|behind| apart(behind).unsigned_abs() > SAME_MS);
+        if differs {
+            self.disputed = Some(at);
+        }
+    }
+
     fn is_known(&self, now: Instant) -> bool {
         self.last
             .is_some_and(|last| now >= last && now.since(last) <= SILENCE)
     }
 
-    /// Returns the time on the vehicle's clock, ms modulo 2^16; `None` if no echo was heard lately.
+    /// Returns the time on the vehicle's clock, ms modulo 2^16; `None` if no echo was heard lately,
+    /// or if it was disputed.
     pub(super) fn at(&self, now: Instant) -> Option<u16> {
+        let lately = |at: Instant| now.since(at) <= SILENCE;
+        self.median(now)
+            .filter(|_| !self.disputed.is_some_and(lately))
+    }
+
+    fn median(&self, now: Instant) -> Option<u16> {
         if !self.is_known(now) {
             return None;
         }
@@ -96,6 +118,26 @@ mod tests {
             assert_eq!(clock.at(at(jumped)), None);
             clock.on_echo(at(jumped), 140);
             assert_eq!(clock.at(at(jumped + 3)), Some(143));
+        }
+    }
+
+    /// T-RED-9: two nodes that both send in the vehicle's name are found at the first pair of
+    /// echoes that differ. The time is not known until one of them has been silent for 100 ms.
+    #[test]
+    fn echoes_of_two_nodes_are_in_dispute() {
+        let mut clock = VehicleClock::default();
+        for step in 0..60_u64 {
+            let now = at(1_000 + step * 10);
+            let right = (100 + step * 10) as u16;
+            let forged = (10..30).contains(&step);
+            clock.on_echo(now, if forged { 7 } else { right });
+            if forged {
+                clock.on_stale_echo(now, right);
+            }
+            let is_disputed = (10..40).contains(&step);
+            assert_eq!(clock.at(now), (!is_disputed).then_some(right), "{step}");
+            // A frame that is sent twice is no dispute.
+            clock.on_stale_echo(now, right.wrapping_sub(10));
         }
     }
 

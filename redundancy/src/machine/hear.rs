@@ -243,6 +243,13 @@ impl Redundancy {
         }
     }
 
+    /// Handles an echo with a right CRC and a wrong counter.
+    pub(super) fn stale_echo(&mut self, term: Term) {
+        if !term.is_far_from(self.state.term) {
+            self.witnesses.claims.on_explained_echo();
+        }
+    }
+
     fn raise_term(&mut self, actions: &mut Actions) {
         match self.next_term(1) {
             Ok(term) => {

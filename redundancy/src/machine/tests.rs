@@ -397,6 +397,7 @@ fn every_input() -> Vec<Input> {
                         mode,
                     };
                     inputs.extend([Input::ControlFrame(frame), Input::StaleFrame(frame)]);
+                    inputs.push(Input::StaleEcho(frame.term));
                 }
                 for (can_alive, ability) in [(false, Ability::All), (true, Ability::StopOnly)] {
                     let report = PeerReport {

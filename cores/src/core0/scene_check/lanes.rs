@@ -317,3 +317,58 @@ impl Comparison {
         (share, Some(found))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    extern crate std;
+    use crate::driving::perception::Perception;
+
+    const LINE: [f32; 4] = [0.2, 0.0, 0.0, 0.0];
+    /// The wrong line moves aside by this in each scene, m, though the vehicle drives straight, and
+    /// its filter follows by this share.
+    const MOVES: f32 = 0.03;
+    const FOLLOWS: f32 = 0.3;
+
+    /// Returns which line is said to be wrong, for each of 60 scenes: the lines of scene and core 0
+    /// were never equal, so only their filters tell. `scene_is_wrong`: else core 0's.
+    fn said(scene_is_wrong: bool) -> std::vec::Vec<Option<bool>> {
+        let mut check = LaneCheck::new().lines;
+        let mut scene = Perception::new().scene().clone();
+        scene.ego.speed = 30.0;
+        let (mut wrong, mut filtered) = (LINE, LINE);
+        let mut said = std::vec![];
+        for cycle in 1..60_u64 {
+            wrong[0] += MOVES;
+            filtered[0] += FOLLOWS * (wrong[0] - filtered[0]);
+            let (of_scene, of_core) = match scene_is_wrong {
+                true => ((wrong, filtered), (LINE, LINE)),
+                false => ((LINE, LINE), (wrong, filtered)),
+            };
+            let at = Instant::ORIGIN + Duration::from_ms(cycle * 50);
+            check.on_line(CameraLine { at, c: of_core.0 });
+            scene.at = at;
+            scene.camera = CameraLine { at, c: of_scene.0 };
+            scene.lanes = Some(Lanes {
+                c: of_scene.1,
+                ..Lanes::alone(3.5, 80.0)
+            });
+            let found = check.check(&scene, |_| Some(of_core.1));
+            said.push(found.and_then(|found| found.other));
+        }
+        said
+    }
+
+    /// T-RED-9: of two lines that never agreed, the one that does not move as the vehicle does is
+    /// wrong: it is ahead of its own filter.
+    #[test]
+    fn a_line_ahead_of_its_filter_is_wrong() {
+        for scene_is_wrong in [true, false] {
+            let said = said(scene_is_wrong);
+            // Three scenes must differ.
+            assert_eq!(said[..2], [None, None]);
+            let wrong = Some(!scene_is_wrong);
+            assert!(said[2..].iter().all(|it| *it == wrong), "{said:?}");
+        }
+    }
+}

@@ -36,6 +36,10 @@ const BESIDE_M: f32 = 8.0;
 /// Differences that are tolerated in addition to four standard deviations of the sensor: along and
 /// across the road, m.
 const PLACE_M: f32 = 1.0;
+/// Up to this distance, m, the scene may have an object nearer by so much more, m: the sensors see
+/// a vehicle that turns, or stands across the road, by other corners. Core 0 knows no shapes.
+const CLOSE_M: f32 = 20.0;
+const NEARER_M: f32 = 2.0;
 /// Tolerated difference of the speed, m/s: the track follows hard braking late.
 const SPEED: f32 = 2.0;
 /// A sensor's object nearer to another's than this, m, is meant to be the same one.
@@ -76,8 +80,9 @@ impl Seen {
     fn difference(&self, object: &Object) -> (f32, u8, f32) {
         let (dx, dy) = (object.x - self.x, object.y - self.y);
         let dv = object.vx - self.vx;
+        let nearer = self.tolerance[0] + if self.x < CLOSE_M { NEARER_M } else { 0.0 };
         let shares = [
-            (dx.abs() / self.tolerance[0], PLACE, dx),
+            ((dx.abs() / nearer).max(dx / self.tolerance[0]), PLACE, dx),
             (dy.abs() / self.tolerance[1], PLACE, dy),
             (dv.abs() / SPEED, SPEED_OF_OBJECT, dv),
         ];

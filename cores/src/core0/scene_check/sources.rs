@@ -19,7 +19,7 @@ const LONGEST_STEP: Duration = Duration::from_ms(150);
 const SLOWEST: f32 = 5.0;
 /// Below this speed, m/s, this share of the line's residuals counts: slow roads are recorded with
 /// kinks.
-const SLOWEST_LINE: f32 = 15.0;
+const SLOWEST_LINE: f32 = 20.0;
 const ROUGH: f32 = 0.25;
 /// The line is not compared on bends with a larger second coefficient, 1/m: 150 m radius.
 const SHARPEST: f32 = 1.0 / 300.0;
