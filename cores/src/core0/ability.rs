@@ -12,6 +12,9 @@ const MOTION_LIMIT: Duration = Duration::from_ms(60);
 /// What was lost counts again after this time without a loss: a receiver that loses every second
 /// frame would otherwise change its ability several times a second.
 const BACK_AFTER: Duration = Duration::from_ms(1_000);
+/// A poll that is so much later than the last one follows a pause of this system or a jump of its
+/// clock: what it has not heard meanwhile is not missing. It is polled each millisecond.
+const PAUSE: Duration = Duration::from_ms(30);
 /// Bits of what is missing, beside those of the sensors.
 const LANES: u8 = 1 << 6;
 const MOTION: u8 = 1 << 7;
@@ -26,6 +29,7 @@ pub(super) struct AbilityCheck {
     ability: Ability,
     /// When it was last as low as now.
     low_at: Instant,
+    polled_at: Option<Instant>,
 }
 
 impl AbilityCheck {
@@ -53,6 +57,14 @@ impl AbilityCheck {
     /// Returns the ability at `now` and, if it has changed, an event. It falls at once, and rises
     /// when it was better for [`BACK_AFTER`]. Must be called at each poll of the roles.
     pub(super) fn poll(&mut self, now: Instant) -> (Ability, Option<Event>) {
+        let last = self.polled_at.replace(now);
+        let pause = now.since(last.unwrap_or(now));
+        if pause > PAUSE {
+            let times = [&mut self.motion_at, &mut self.scene_at];
+            for at in times.into_iter().flatten() {
+                *at = (*at + pause).min(now);
+            }
+        }
         let missing = self.missing(now);
         let ability = match (missing & LANES != 0, missing & MOTION != 0) {
             (true, true) => Ability::None,
@@ -137,6 +149,34 @@ mod tests {
         assert_eq!(changes(NEVER, 1_000, 0), without_scene);
         let both = [(1_061, A::StopOnly), (1_501, A::None), (2_999, A::All)];
         assert_eq!(changes(1_000, 1_000, 0), both);
+    }
+
+    /// T-RED-9: a clock that jumps, or a system that was held up, loses nothing. What stays silent
+    /// after that is missing.
+    #[test]
+    fn a_pause_is_no_loss() {
+        let mut check = AbilityCheck::default();
+        let mut scene = Perception::new().scene().clone();
+        scene.lanes = Some(LANES_SEEN);
+        let mut jumped = 0;
+        for ms in 0..3_000 {
+            jumped += if ms % 500 == 499 { 600 } else { 0 };
+            let now = MS(ms + jumped);
+            if ms % 10 == 0 && ms < 2_000 {
+                check.on_motion(now);
+            }
+            if ms % 50 == 0 {
+                scene.at = now;
+                check.on_scene(&scene, false);
+            }
+            let (ability, _) = check.poll(now);
+            let expected = if ms > 2_051 {
+                Ability::StopOnly
+            } else {
+                Ability::All
+            };
+            assert_eq!(ability, expected, "{ms}");
+        }
     }
 
     /// T-RED-9: a receiver that loses half of the frames, at random, reports no change each time.
