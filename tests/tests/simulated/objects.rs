@@ -14,7 +14,7 @@ use SystemId::{A, B};
 
 /// An object is found wrong within this time, ms: for 0.8 s the scene still has it where it was
 /// seen last.
-const MOST_MS: u64 = 1_200;
+const MOST_MS: u64 = 1_100;
 
 /// Alters an object of a list.
 type Alter = fn(&mut SensorObject);

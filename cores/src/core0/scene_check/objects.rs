@@ -39,7 +39,7 @@ const PLACE_M: f32 = 1.0;
 /// Up to this distance, m, the scene may have an object nearer by so much more, m: the sensors see
 /// a vehicle that turns, or stands across the road, by other corners. Core 0 knows no shapes.
 const CLOSE_M: f32 = 20.0;
-const NEARER_M: f32 = 2.0;
+const NEARER_M: f32 = 1.8;
 /// Tolerated difference of the speed, m/s: the track follows hard braking late.
 const SPEED: f32 = 2.0;
 /// A sensor's object nearer to another's than this, m, is meant to be the same one.
