@@ -12,8 +12,8 @@ const MOTION_LIMIT: Duration = Duration::from_ms(60);
 /// What was lost counts again after this time without a loss: a receiver that loses every second
 /// frame would otherwise change its ability several times a second.
 const BACK_AFTER: Duration = Duration::from_ms(1_000);
-/// A poll that is so much later than the last one follows a pause of this system or a jump of its
-/// clock: what it has not heard meanwhile is not missing. It is polled each millisecond.
+/// The roles are polled each millisecond. A poll that is this late follows a pause of this system or
+/// a jump of its clock, in which it could hear nothing: so nothing counts as missing.
 const PAUSE: Duration = Duration::from_ms(30);
 /// Bits of what is missing, beside those of the sensors.
 const LANES: u8 = 1 << 6;
@@ -30,17 +30,22 @@ pub(super) struct AbilityCheck {
     /// When it was last as low as now.
     low_at: Instant,
     polled_at: Option<Instant>,
+    /// What was not heard since the last pause. A second pause does not excuse it: a system that is
+    /// held up again and again is as good as deaf.
+    excused: u8,
 }
 
 impl AbilityCheck {
     pub(super) fn on_motion(&mut self, at: Instant) {
         self.motion_at = Some(at);
+        self.excused &= !MOTION;
     }
 
     /// Takes a scene. `is_lied_to`: a sensor of lanes or motion is wrong, so there is nothing to
     /// check the others by.
     pub(super) fn on_scene(&mut self, scene: &Scene, is_lied_to: bool) {
         self.scene_at = Some(scene.at);
+        self.excused &= !LANES;
         self.lacks = scene.missing | (LANES * u8::from(scene.lanes.is_none() || is_lied_to));
     }
 
@@ -60,9 +65,12 @@ impl AbilityCheck {
         let last = self.polled_at.replace(now);
         let pause = now.since(last.unwrap_or(now));
         if pause > PAUSE {
-            let times = [&mut self.motion_at, &mut self.scene_at];
-            for at in times.into_iter().flatten() {
-                *at = (*at + pause).min(now);
+            let times = [(MOTION, &mut self.motion_at), (LANES, &mut self.scene_at)];
+            for (bit, at) in times {
+                if let (0, Some(at)) = (self.excused & bit, at) {
+                    *at = (*at + pause).min(now);
+                }
+                self.excused |= bit;
             }
         }
         let missing = self.missing(now);
@@ -177,6 +185,21 @@ mod tests {
             };
             assert_eq!(ability, expected, "{ms}");
         }
+    }
+
+    /// T-RED-9: a deaf system that is held up again and again finds what is missing.
+    #[test]
+    fn pauses_in_succession_excuse_no_loss() {
+        let mut check = AbilityCheck::default();
+        let mut scene = Perception::new().scene().clone();
+        scene.lanes = Some(LANES_SEEN);
+        check.on_motion(MS(0));
+        check.on_scene(&scene, false);
+        let polled = (0..40).map(|poll| check.poll(MS(poll * 40)).0);
+        let abilities: std::vec::Vec<Ability> = polled.collect();
+        assert_eq!(abilities[2], Ability::All);
+        assert_eq!(abilities[3], Ability::StopOnly);
+        assert_eq!(abilities[20], Ability::None);
     }
 
     /// T-RED-9: a receiver that loses half of the frames, at random, reports no change each time.
