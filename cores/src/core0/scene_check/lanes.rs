@@ -1,9 +1,8 @@
 //! The scene's lane against the lane that core 0 filters from the camera's frames it hears.
 
-use super::{Difference, REMEMBERED, carried};
+use super::{Difference, MovedLine, REMEMBERED, carried};
 use crate::driving::odometry::motion;
 use crate::driving::perception::LaneFilter;
-use crate::driving::road::shifted;
 use crate::driving::types::{CameraLine, Ego, Lanes, Scene};
 use heapless::Deque;
 use tandem_board::{Duration, Instant};
@@ -45,28 +44,24 @@ impl Excess {
 #[derive(Clone, Copy)]
 struct Agreed {
     since: Instant,
-    /// The time of the coefficients, and the motion then.
-    at: Instant,
-    ego: Ego,
-    c: [f32; 4],
+    moved: MovedLine,
 }
 
 impl Agreed {
     const fn new(at: Instant, ego: Ego, c: [f32; 4]) -> Self {
         Self {
             since: at,
-            at,
-            ego,
-            c,
+            moved: MovedLine {
+                line: CameraLine { at, c },
+                ego,
+            },
         }
     }
 
-    /// Moves the line to this time, scene by scene: so the noise of the motion averages out.
-    /// Returns it if it is not older than `oldest`.
+    /// Returns the line at this time if it is not older than `oldest`.
     fn moved(&mut self, at: Instant, ego: &Ego, oldest: Duration) -> Option<[f32; 4]> {
-        let step = motion(&self.ego, ego, at.since(self.at).as_secs_f32());
-        (self.at, self.ego, self.c) = (at, *ego, shifted(&self.c, &step));
-        (at.since(self.since) <= oldest).then_some(self.c)
+        self.moved.to(at, ego);
+        (at.since(self.since) <= oldest).then_some(self.moved.line.c)
     }
 }
 

@@ -8,9 +8,10 @@ mod ego;
 mod lanes;
 mod objects;
 mod peer;
-mod sources;
+mod sensors;
 
 use crate::driving::odometry::motion;
+use crate::driving::road::shifted;
 use crate::driving::types::{CameraLine, Ego, Scene};
 use crate::trace::Event;
 use ego::EgoCheck;
@@ -18,7 +19,7 @@ use lanes::LaneCheck;
 use objects::ObjectCheck;
 use peer::PeerCheck;
 pub(super) use peer::PeerScene;
-use sources::SourceCheck;
+use sensors::SensorCheck;
 use tandem_board::{Duration, Instant};
 use tandem_bus::{CameraLanes, SensorHeader, SensorId, SensorObject};
 
@@ -98,7 +99,7 @@ pub(super) struct SceneCheck {
     lanes: LaneCheck,
     objects: ObjectCheck,
     peer: PeerCheck,
-    sources: SourceCheck,
+    sensors: SensorCheck,
     /// What the newest scene said before it was corrected.
     own: Option<PeerScene>,
     found: Option<Finding>,
@@ -117,7 +118,7 @@ impl SceneCheck {
             lanes: LaneCheck::new(),
             objects: ObjectCheck::new(),
             peer: PeerCheck::new(),
-            sources: SourceCheck::new(),
+            sensors: SensorCheck::new(),
             own: None,
             found: None,
             is_changed: false,
@@ -175,13 +176,13 @@ impl SceneCheck {
 
     /// Returns whether a sensor is wrong for all: then the vehicle stops.
     pub(super) fn is_lied_to(&self) -> bool {
-        self.sources.liar().is_some()
+        self.sensors.liar().is_some()
     }
 
     /// Returns the motion that was heard, with what the other sensors say in the place of one that
     /// is wrong for all.
     pub(super) fn corrected(&self, ego: Ego) -> Ego {
-        self.sources.corrected(ego)
+        self.sensors.corrected(ego)
     }
 
     /// Returns whether core 2 has another scene than core 0: this one was corrected or completed.
@@ -217,18 +218,15 @@ impl SceneCheck {
             }
         };
         let lie = match self.found {
-            None if hears_motion && self.hears_alike() => self.sources.on_scene(scene),
+            None if hears_motion && self.hears_alike() => self.sensors.on_scene(scene),
             _ => None,
         };
-        let event = event.or(lie.map(|it| Event::SensorLies {
-            what: it.what,
-            thousandths: (it.amount.abs() * 1e3) as u32,
-        }));
+        let event = lie.or(event);
         self.is_changed = self.found.is_some_and(|found| !found.hearing);
         if self.is_changed {
             self.correct(scene);
-        } else if self.sources.liar().is_some() {
-            self.sources.correct(scene);
+        } else if self.sensors.liar().is_some() {
+            self.sensors.correct(scene);
             self.is_changed = true;
         } else if scene.lanes.is_none() && hears_motion {
             // Core 1 does not hear the camera, but core 0 does.
@@ -302,11 +300,29 @@ impl SceneCheck {
     }
 }
 
+/// A line that is moved along with the vehicle, scene by scene: so the noise of the motion averages
+/// out.
+#[derive(Clone, Copy)]
+struct MovedLine {
+    line: CameraLine,
+    /// The motion at that time.
+    ego: Ego,
+}
+
+impl MovedLine {
+    /// Moves the line to this time.
+    fn to(&mut self, at: Instant, ego: &Ego) {
+        let step = motion(&self.ego, ego, at.since(self.line.at).as_secs_f32());
+        let c = shifted(&self.line.c, &step);
+        (self.line, self.ego) = (CameraLine { at, c }, *ego);
+    }
+}
+
 /// Returns the coefficients of a line, seen `from` a time, in the vehicle's frame at `to`, earlier
 /// or later. The vehicle moves by `ego`.
 fn carried(c: &[f32; 4], from: Instant, to: Instant, ego: &Ego) -> [f32; 4] {
     let seconds = to.since(from).as_secs_f32() - from.since(to).as_secs_f32();
-    crate::driving::road::shifted(c, &motion(ego, ego, seconds))
+    shifted(c, &motion(ego, ego, seconds))
 }
 
 #[cfg(test)]

@@ -6,11 +6,10 @@
 //! moves. Each sensor that is wrong contradicts other ones, which tells which it is. The residuals,
 //! their limits, and what cannot be found: `docs/decisions/0037-sensors-against-each-other.md`.
 
-use super::{Difference, carried};
-use crate::driving::odometry::motion;
-use crate::driving::road::shifted;
+use super::{MovedLine, carried};
 use crate::driving::types::{CameraLine, Ego, Scene};
 use crate::driving::vehicle::{slip_for, steering_for, yaw_rate_for};
+use crate::trace::Event;
 use tandem_board::{Duration, Instant};
 
 /// The observers start again after a gap between two scenes that is longer.
@@ -45,8 +44,9 @@ const CONTRADICTS_LINE: f32 = 0.25;
 const TURNS: f32 = 0.02;
 /// A line this much aside is that of another lane, m.
 const OTHER_LANE: f32 = 1.4;
-/// A line is remembered every half second, and so many are.
+/// A line is remembered every half second.
 const REMEMBER: Duration = Duration::from_ms(500);
+/// The number of lines that are remembered.
 const REMEMBERED: usize = 5;
 
 /// What two sources say differently.
@@ -65,7 +65,7 @@ enum Residual {
 }
 
 /// A sensor that contradicts the others. The numbers are those of
-/// [`Event::SensorLies`](crate::trace::Event::SensorLies).
+/// [`Event::SensorLies`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Liar {
     Line = 0,
@@ -74,21 +74,6 @@ pub(super) enum Liar {
     SteeringAngle = 3,
     SlipAngle = 4,
     Acceleration = 5,
-}
-
-/// A line, moved along with the vehicle.
-#[derive(Clone, Copy)]
-struct Moved {
-    line: CameraLine,
-    ego: Ego,
-}
-
-impl Moved {
-    fn to(&mut self, at: Instant, ego: &Ego) {
-        let dt = at.since(self.line.at).as_secs_f32();
-        let c = shifted(&self.line.c, &motion(&self.ego, ego, dt));
-        (self.line, self.ego) = (CameraLine { at, c }, *ego);
-    }
 }
 
 /// What takes the place of a wrong line.
@@ -108,11 +93,11 @@ enum Mend {
 #[derive(Clone, Copy)]
 struct Lines {
     /// The camera's last line.
-    last: Moved,
+    last: MovedLine,
     /// Follows the camera.
-    followed: Moved,
+    followed: MovedLine,
     /// What was followed, the oldest first.
-    remembered: [Moved; REMEMBERED],
+    remembered: [MovedLine; REMEMBERED],
     since: Instant,
 }
 
@@ -129,7 +114,7 @@ struct Step {
 }
 
 impl Lines {
-    const fn new(first: Moved) -> Self {
+    const fn new(first: MovedLine) -> Self {
         Self {
             last: first,
             followed: first,
@@ -139,7 +124,7 @@ impl Lines {
     }
 
     /// Moves all lines to the time of the camera's line; `None` if that is no new one.
-    fn step(&mut self, seen: &Moved) -> Option<Step> {
+    fn step(&mut self, seen: &MovedLine) -> Option<Step> {
         let (at, c) = (seen.line.at, seen.line.c);
         let step = at.since(self.last.line.at);
         if step == Duration::ZERO {
@@ -184,7 +169,7 @@ fn stops_within(speed: f32) -> f32 {
 }
 
 /// The observers, and what they have found. Costs about 200 multiplications in 50 ms.
-pub(super) struct SourceCheck {
+pub(super) struct SensorCheck {
     before: Option<(Instant, Ego)>,
     /// What the models say: rad/s, rad, m/s.
     yaw_rate: f32,
@@ -208,7 +193,7 @@ pub(super) struct SourceCheck {
     end: f32,
 }
 
-impl SourceCheck {
+impl SensorCheck {
     pub(super) const fn new() -> Self {
         Self {
             before: None,
@@ -233,9 +218,9 @@ impl SourceCheck {
         self.liar
     }
 
-    /// Takes a scene whose motion and line both cores have heard alike. Returns the sensor that was
-    /// found wrong.
-    pub(super) fn on_scene(&mut self, scene: &Scene) -> Option<Difference> {
+    /// Takes a scene whose motion and line both cores have heard alike. Returns an event if a
+    /// sensor was found wrong.
+    pub(super) fn on_scene(&mut self, scene: &Scene) -> Option<Event> {
         let last = self.before.replace((scene.at, scene.ego));
         let step = |(at, before): (Instant, Ego)| {
             let step = scene.at.since(at);
@@ -257,11 +242,19 @@ impl SourceCheck {
         self.liar = Some(liar);
         self.mend = self.mend(&scene.camera);
         self.end = stops_within(self.corrected(scene.ego).speed);
-        Some(Difference {
+        Some(Event::SensorLies {
             what: liar as u8,
-            other: Some(false),
-            amount: self.residuals[residual as usize],
+            thousandths: (self.residual(residual).abs() * 1e3) as u32,
         })
+    }
+
+    const fn residual(&self, of: Residual) -> f32 {
+        self.residuals[of as usize]
+    }
+
+    /// Returns the last share of its limit that this residual used.
+    const fn share(&self, of: Residual) -> f32 {
+        self.shares[of as usize]
     }
 
     const fn is_found(&self) -> bool {
@@ -320,7 +313,7 @@ impl SourceCheck {
     }
 
     fn on_line(&mut self, line: CameraLine, ego: Ego) {
-        let seen = Moved { line, ego };
+        let seen = MovedLine { line, ego };
         let lines = self.lines.get_or_insert(Lines::new(seen));
         let Some(step) = lines.step(&seen) else {
             return;
@@ -365,12 +358,12 @@ impl SourceCheck {
     /// Returns the sensor that explains the residuals, and one of them.
     fn locate(&self) -> (Liar, Residual) {
         let line = [Residual::Aside, Residual::Heading];
-        let share = match line.iter().any(|it| self.shares[*it as usize] >= 1.0) {
+        let share = match line.into_iter().any(|it| self.share(it) >= 1.0) {
             true => CONTRADICTS_LINE,
             false => CONTRADICTS,
         };
-        let contradicts = |it: Residual| self.shares[it as usize] >= share;
-        let turns = self.residuals[Residual::Heading as usize].abs() >= TURNS;
+        let contradicts = |it| self.share(it) >= share;
+        let turns = self.residual(Residual::Heading).abs() >= TURNS;
         if contradicts(Residual::Speed) {
             let liar = match self.has_jumped {
                 true => Liar::Speed,
@@ -392,7 +385,7 @@ impl SourceCheck {
 
     /// Returns what takes the place of the line, if that is wrong. `seen`: the camera's line.
     fn mend(&self, seen: &CameraLine) -> Mend {
-        let contradicts = |it: Residual| self.shares[it as usize] >= CONTRADICTS;
+        let contradicts = |it| self.share(it) >= CONTRADICTS;
         let jump = |lines: &Lines| {
             // From before the jump.
             let known = lines.remembered[REMEMBERED - 2].line.c;
@@ -419,8 +412,7 @@ impl SourceCheck {
             Mend::Known => return lines.remembered[0].line,
             Mend::Less(jump) => core::array::from_fn(|index| seen.c[index] - jump[index]),
             Mend::Heading => {
-                let aside = self.residuals[Residual::Aside as usize];
-                let turned = aside / (MEMORY_S * ego.speed.max(SLOWEST));
+                let turned = self.residual(Residual::Aside) / (MEMORY_S * ego.speed.max(SLOWEST));
                 [c0, c1 + turned, c2, c3]
             }
             Mend::Bend => [c0, c1, 0.5 * self.curvature, 0.0],
@@ -484,7 +476,7 @@ mod tests {
     /// Drives 10 s, with the fault after 5 s and with `noise` in shares of the sensors' standard
     /// deviations. Returns what was found after how many scenes, and the last scene, corrected.
     fn drive(noise: f32, step_ms: u32, alter: Alter) -> (Option<(u32, Liar)>, Scene) {
-        let mut check = SourceCheck::new();
+        let mut check = SensorCheck::new();
         let mut found = None;
         let mut scene = Perception::new().scene().clone();
         for cycle in 0..10_000 / step_ms {
