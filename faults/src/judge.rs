@@ -86,7 +86,7 @@ fn known_of_values(sequence: &Sequence, rule: Rule, aside_m: f64) -> Option<&'st
 }
 
 /// Returns why these faults may break this rule (`docs/redundancy.md`); `None` if they must not.
-/// `aside_m`: of wrong values, the largest offset from the lane.
+/// `aside_m`: the largest offset from the lane, if there is a vehicle.
 #[must_use]
 pub fn known(sequence: &Sequence, rule: Rule, aside_m: Option<f64>) -> Option<&'static str> {
     if sequence.group == Group::Values {
@@ -101,7 +101,10 @@ pub fn known(sequence: &Sequence, rule: Rule, aside_m: Option<f64>) -> Option<&'
         Rule::Changes if sequence.spoils_frames_of_both() => {
             Some("frames of both systems are lost or wrong, so each relieves the other rightly")
         }
-        Rule::Stopped | Rule::Changes | Rule::Gap if only(|kind| *kind == Kind::Poison) => {
+        // With a vehicle, core 1 needs longer to see its lane, and nobody relieves anybody.
+        Rule::Stopped | Rule::Changes | Rule::Gap
+            if aside_m.is_none() && only(|kind| *kind == Kind::Poison) =>
+        {
             Some("one frame kills core 1 of both systems again and again: none sees its lane")
         }
         Rule::Needless if sequence.from_power_on && only(start_line) => {

@@ -138,12 +138,7 @@ fn counter(board: &'static SimBoard) -> Poller {
             return Instant::NEVER;
         }
         map = map.take().or_else(|| ControllerMap::attach(board).ok());
-        let Some(ControllerMap {
-            map: lmu,
-            incarnation,
-            ..
-        }) = &map
-        else {
+        let Some(attached) = &map else {
             return board.now() + Duration::from_ms(1);
         };
         if core == CoreId::PERCEPTION && board.now() >= sees_at {
@@ -151,13 +146,13 @@ fn counter(board: &'static SimBoard) -> Poller {
             scene.cycle = scene.cycle.wrapping_add(1);
             scenes = scenes
                 .take()
-                .or_else(|| SCENE.writer(lmu, *incarnation).ok());
+                .or_else(|| SCENE.writer(&attached.map, attached.incarnation).ok());
             if let Some(scenes) = &mut scenes {
                 scenes.publish(&scene);
                 board.ring(CoreId::CONTROL);
             }
         }
-        map.iter().for_each(ControllerMap::count_cycle);
+        attached.count_cycle();
         board.now() + Duration::from_ms(50)
     })
 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, Instant, VehicleBus as _};
 use tandem_board_sim::WorldTick;
-use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode};
+use tandem_bus::{EgoMotion, FrameTransmitter, Message, ModeCode, Status};
 use tandem_faults::{DriveRoad, Forged};
 use tandem_vehicle::gate::{Acceptance, Gate, Ruling};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
@@ -132,8 +132,11 @@ impl OutsideVehicle {
 
     /// Judges a frame on the bus.
     fn hear(&mut self, at: Instant, frame: CanFrame) {
-        if let Some(Message::Status { system, status }) = decoded(&frame) {
-            self.stated[usize::from(system & 1)] = status.mode;
+        if let CanId::Standard(id) = frame.id()
+            && Status::IDS.contains(&id)
+            && let Some(Message::Status { system, status }) = decoded(&frame)
+        {
+            self.stated[usize::from(system)] = status.mode;
         }
         let judged = match frame.id() {
             CanId::Standard(id) => self.outside.hear(at.as_ns(), id.into(), frame.data()),

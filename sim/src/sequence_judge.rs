@@ -43,7 +43,7 @@ pub struct Tried {
     pub violations: Vec<Rule>,
     /// Of wrong values: the first finding.
     pub found: Option<Found>,
-    /// Of wrong values: the largest offset from the lane outside lane changes, m.
+    /// With a vehicle: the largest offset from the lane outside lane changes, m.
     pub aside_m: Option<f64>,
 }
 
@@ -105,6 +105,7 @@ impl Bench {
             check(!destroyed && lost, Rule::StateLost);
             check(!destroyed && worn, Rule::FlashWorn);
         }
+        let aside_m = drive.as_ref().map(|drive| drive.lateral_error_max_m);
         if let Some(drive) = drive {
             check(drive.excursion_max_m > 0.0, Rule::LeftLane);
             let beside_m = drive.lateral_error_max_m;
@@ -122,7 +123,7 @@ impl Bench {
             covered: self.covered.clone(),
             violations,
             found: None,
-            aside_m: None,
+            aside_m,
         }
     }
 

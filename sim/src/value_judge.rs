@@ -257,7 +257,7 @@ mod tests {
         tried.violations
     }
 
-    /// Makes the accepted frames since so many ms ago those of this system.
+    /// Makes the accepted frames of the last `ago_ms` those of this system.
     fn drives(bench: &Bench, ago_ms: u64, system: SystemId) {
         let since_ns = bench.pair.now().as_ns() - ago_ms * 1_000_000;
         for frame in &mut bench.vehicle.borrow_mut().accepted {
