@@ -504,8 +504,8 @@ mod tests {
         }
     }
 
-    /// Returns the wanted and the given command after 4 s, if the vehicle obeys each angle so many
-    /// cycles later, and `drift` (rad) more in each cycle.
+    /// Returns the wanted and the given command after 4 s, if the vehicle obeys each angle `cycles`
+    /// later, and the angle grows by `drift` (rad) in each cycle.
     fn late_by(cycles: u32, drift: f32) -> (Command, Command) {
         let mut read_back = ReadBack::new();
         let mut sent = [Command::default(); 400];

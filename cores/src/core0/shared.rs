@@ -197,7 +197,7 @@ impl<'b, B: Board> SharedState<'b, B> {
                 if let Some(frame) = frames::received_control(system, &control) {
                     let vehicle_ms = self.can.vehicle_clock.at(at);
                     if vehicle_ms.is_some_and(|now_ms| !control.is_fresh(now_ms)) {
-                        // The vehicle refuses it, too: it deposes nobody.
+                        // The vehicle refuses it as well, so it takes no role from anybody.
                         return TaskSet::NONE;
                     }
                     let released = self.notify(Input::ControlFrame(frame));

@@ -18,7 +18,7 @@ pub(super) struct VehicleClock {
     /// When the last echo arrived.
     last: Option<Instant>,
     /// When an echo with a wrong counter said another time: another node sends in the vehicle's
-    /// name, and nobody knows which of both is right.
+    /// name, and either of them may be right.
     disputed: Option<Instant>,
 }
 
