@@ -12,8 +12,8 @@ const MOTION_LIMIT: Duration = Duration::from_ms(60);
 /// What was lost counts again after this time without a loss: a receiver that loses every second
 /// frame would otherwise change its ability several times a second.
 const BACK_AFTER: Duration = Duration::from_ms(1_000);
-/// The roles are polled each millisecond. A poll that is this late follows a pause of this system or
-/// a jump of its clock, in which it could hear nothing: so nothing counts as missing.
+/// The roles are polled each millisecond. A poll that is this late follows a pause of this system
+/// or a jump of its clock, in which it could hear nothing: so nothing counts as missing.
 const PAUSE: Duration = Duration::from_ms(30);
 /// Bits of what is missing, beside those of the sensors.
 const LANES: u8 = 1 << 6;

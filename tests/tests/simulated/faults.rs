@@ -55,6 +55,34 @@ fn two_faults_within_one_system_are_contained() {
     try_all(Group::Pair, [23_982, 37_254].into_iter());
 }
 
+/// T-RED-9: another node sends echoes in the vehicle's name for 0.6 s, and takes their counters. No
+/// control frame is late, and no system takes or leaves a role. A far term cost 18 ms and five
+/// changes of the driver, a wrong time 20 ms.
+#[test]
+fn a_node_that_echoes_beside_the_vehicle_changes_nothing() {
+    let words = [("Term", 40_000), ("SentAt", 7), ("SentAt", 30_000)];
+    for (field, value) in words {
+        for around in [Around::Core0, Around::CLOSED_LOOP] {
+            let text = format!(
+                "mended-at-ms = 1200\n[[fault]]\nwhat = \"forged\"\nof = \"both\"\nat-ms = 3\n\
+                 lasts-ms = 600\nframe = \"GateEcho\"\nfield = \"{field}\"\nvalue = {value}\n"
+            );
+            let sequence = Sequence::from_toml(&text, 0).expect("a forged echo");
+            let profile = Profile {
+                around,
+                ..Config::rt().into()
+            };
+            let tried = profile.try_run(&sequence);
+            assert!(tried.violations.is_empty(), "{field} {value}: {tried}");
+            assert_eq!(tried.changes, 0, "{field} {value}: {tried}");
+            assert!(
+                tried.gap <= Duration::from_ms(11),
+                "{field} {value}: {tried}"
+            );
+        }
+    }
+}
+
 /// T-RED-9: after any faults in both systems, one of the systems drives at the end.
 #[test]
 fn in_the_end_the_vehicle_obeys_a_master() {
