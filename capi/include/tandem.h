@@ -1023,6 +1023,14 @@ tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machi
                                                uint64_t on_the_way_ns,
                                                struct tandem_actions_t *actions);
 
+// Passes the term of the vehicle's report if its CRC is correct, but its counter is wrong: another
+// node may send such reports, so a row of unexplained terms begins anew. Any context; does not
+// block.
+tandem_status_t tandem_redundancy_stale_echo(struct tandem_redundancy_t *machine,
+                                             uint64_t now_ns,
+                                             uint32_t term,
+                                             struct tandem_actions_t *actions);
+
 // Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it repeatedly while
 // the fault lasts. Any context; does not block.
 tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,

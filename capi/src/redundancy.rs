@@ -463,6 +463,20 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     pass(machine, now_ns, actions, || Ok(input))
 }
 
+/// Passes the term of the vehicle's report if its CRC is correct, but its counter is wrong: another
+/// node may send such reports, so a row of unexplained terms begins anew. Any context; does not
+/// block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_stale_echo(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    term: u32,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    let input = || Ok(Input::StaleEcho(Term::from_bits(term)));
+    pass(machine, now_ns, actions, input)
+}
+
 /// Passes a fault that this system found in itself, a `TANDEM_FAILURE_…`. Call it repeatedly while
 /// the fault lasts. Any context; does not block.
 #[unsafe(no_mangle)]

@@ -474,3 +474,36 @@ fn the_state_goes_through_the_flash_of_c() {
         assert_eq!((*l).state.total_resets, 1);
     }
 }
+
+/// A started machine learns a far term from two reports of the vehicle, but not if a report with a
+/// wrong counter and an explained term came between them.
+#[test]
+fn a_report_with_a_wrong_counter_begins_the_row_anew() {
+    for (stale_term, learned) in [(None, 5_001), (Some(5_001), 5_001), (Some(2), 0)] {
+        // SAFETY: zero is a value of integers; all pointers are to locals.
+        unsafe {
+            let mut machine = zeroed::<TandemRedundancy>();
+            let mut config = zeroed::<TandemConfig>();
+            let mut actions = zeroed::<TandemActions>();
+            let loaded = zeroed::<TandemLoaded>();
+            let (m, c, a) = (&raw mut machine, &raw mut config, &raw mut actions);
+            assert_eq!(tandem_config_rt(c), S::Ok);
+            let system = TANDEM_SYSTEM_A;
+            let made = tandem_redundancy_init(m, c, system, 0, &raw const loaded, 0);
+            assert_eq!(made, S::Ok);
+            let echo = || tandem_redundancy_vehicle_term(m, 1_000_000, 5_001, 0, -1, 0, a);
+            assert_eq!(echo(), S::Ok);
+            if let Some(term) = stale_term {
+                let passed = tandem_redundancy_stale_echo(m, 1_000_000, term, a);
+                assert_eq!(passed, S::Ok);
+            }
+            assert_eq!(echo(), S::Ok);
+            let term = if (*a).persist == 1 {
+                (*a).state.term
+            } else {
+                0
+            };
+            assert_eq!(term, learned, "{stale_term:?}");
+        }
+    }
+}

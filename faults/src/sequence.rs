@@ -157,7 +157,9 @@ impl Sequence {
     #[must_use]
     pub fn spoils_frames_of_both(&self) -> bool {
         let spoils = |fault: &Fault| match fault.kind {
-            Kind::LosesSent(_) | Kind::Mute | Kind::WrongResults | Kind::Clock(_) => true,
+            Kind::LosesSent(_) | Kind::Mute | Kind::WrongResults => true,
+            // The vehicle refuses frames whose time is wrong.
+            Kind::Clock(_) | Kind::ClockJumps(_) => true,
             Kind::Cut { wire } | Kind::Flap { wire, .. } => wire == Wire::Can,
             _ => false,
         };

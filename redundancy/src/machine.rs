@@ -16,7 +16,7 @@ use crate::{
     Ability, Action, Actions, Config, Evidence, FailureMode, Input, LineSnapshot, LinkReport,
     Loaded, Mode, PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
-use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
+use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
 /// The first term after a start exceeds the highest known one by this much: more masterships than
 /// can be missing from the flash after a loss of power.
@@ -372,6 +372,10 @@ impl Redundancy {
             if let PhaseState::Standby(standby) = &mut self.phase {
                 standby.forgive(now);
             }
+        }
+        if let PhaseState::Starting(starting) = &mut self.phase {
+            let span = seen.since_last.unwrap_or(Duration::ZERO);
+            starting.forgive(span - self.config.stall_limit());
         }
         self.hands_over_until = self.hands_over_until.filter(|until| now < *until);
         self.witnesses.update(&self.config, now, &seen, actions);

@@ -6,6 +6,16 @@ use crate::witness::{GateVerdict, Witnesses};
 use crate::{Config, Evidence, Mode, Role};
 use tandem_board::{Duration, Instant, SystemId};
 
+/// What the lines say against the master, the stronger evidence last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Suspicion {
+    None,
+    /// It sent a handshake, as a system that starts, or the line was disturbed.
+    Handshake,
+    /// It was silent on both heartbeat lines.
+    Silent,
+}
+
 /// The phase `Standby`, with the state of the master as seen in its control frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Standby {
@@ -14,8 +24,8 @@ pub(crate) struct Standby {
     last_control: Instant,
     /// A control frame was heard in this phase.
     control_known: bool,
-    /// Since its last control frame, the master was silent on both lines or sent a handshake.
-    suspected: bool,
+    /// What points to a failure of the master since its last control frame.
+    suspicion: Suspicion,
     /// The lines were silent at the last poll.
     silent: bool,
     /// The start protocol that a sync edge has ended. Kept until there is another sign of a master,
@@ -41,7 +51,7 @@ impl Standby {
             system,
             last_control,
             control_known: false,
-            suspected: false,
+            suspicion: Suspicion::None,
             silent: false,
             start,
             mode,
@@ -67,7 +77,7 @@ impl Standby {
         self.start = None;
         self.last_control = now;
         self.control_known = true;
-        self.suspected = false;
+        self.suspicion = Suspicion::None;
         self.mode = match mode {
             Mode::L3 => Mode::L3,
             Mode::None | Mode::DegradedL2 | Mode::SafeStop => Mode::DegradedL2,
@@ -83,7 +93,7 @@ impl Standby {
         let unheard = now.since(self.last_control);
         if unheard > age + config.control_margin {
             self.last_control = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
-            self.suspected = false;
+            self.suspicion = Suspicion::None;
         }
     }
 
@@ -122,7 +132,12 @@ impl Standby {
         let late = config.heartbeat_period + config.heartbeat_jitter;
         let beats = witnesses.beats.silent_for(now) <= late;
         let heard = now.since(self.last_control) <= config.control_period + config.heartbeat_jitter;
-        now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
+        now >= self.hold_until
+            && obeyed
+            && sound
+            && beats
+            && heard
+            && self.suspicion == Suspicion::None
     }
 
     /// Returns the evidence about the master. `sound`: this system has no fault.
@@ -176,7 +191,12 @@ impl Standby {
         let starts = seen.handshakes > 0 && seen.syncs == 0;
         // Remembered until control frames arrive again: a master that was reset may send heartbeats
         // again, as a standby, before the absence of its control frames is detected.
-        self.suspected |= silent || starts;
+        let suspicion = match silent {
+            true => Suspicion::Silent,
+            false if starts => Suspicion::Handshake,
+            false => Suspicion::None,
+        };
+        self.suspicion = self.suspicion.max(suspicion);
         // A stray edge made this system a standby. The other system is still starting.
         if starts && !self.control_known && self.no_system_drives(config, now, witnesses) {
             return Some(Evidence::HandshakeDone);
@@ -192,7 +212,13 @@ impl Standby {
             let verdict = witnesses.gate.verdict(config, now);
             let obeyed = !silent && matches!(verdict, GateVerdict::Obeys(_));
             let contradicted = says_master || obeyed;
-            if self.suspected && !contradicted && self.may_act(config, now, witnesses) {
+            let suspected = match self.suspicion {
+                Suspicion::None => false,
+                // A disturbed line and a lost input are not two signs of a failed master.
+                Suspicion::Handshake => !witnesses.is_deaf(config, now),
+                Suspicion::Silent => true,
+            };
+            if suspected && !contradicted && self.may_act(config, now, witnesses) {
                 return Some(Evidence::PeerSilent);
             }
             if self.master_is_mute(config, now, witnesses) {
@@ -236,11 +262,13 @@ impl Standby {
     /// Returns whether the evidence of the lines is enough: the driver has not changed for long
     /// enough, or the vehicle's echo does not contradict it.
     fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
-        now >= self.hold_until
-            || matches!(
-                witnesses.gate.verdict(config, now),
-                GateVerdict::Uncontrolled | GateVerdict::Unknown
-            )
+        let denied = match witnesses.gate.verdict(config, now) {
+            GateVerdict::Uncontrolled => false,
+            // A system that has just started has not listened for long enough to hear an echo.
+            GateVerdict::Unknown => witnesses.can.alive_for(now) <= config.witness_limit(),
+            GateVerdict::Unheard | GateVerdict::Obeys(_) => true,
+        };
+        now >= self.hold_until || !denied
     }
 
     /// Returns whether the master runs, but its control frames do not reach the vehicle. The

@@ -62,6 +62,11 @@ impl Starting {
         self.control_frame = true;
     }
 
+    /// Extends the time limit for an answer by a time in which this system did not listen.
+    pub(crate) fn forgive(&mut self, span: Duration) {
+        self.since += span;
+    }
+
     /// Returns whether to send a handshake now.
     pub(crate) fn handshake_due(&mut self, config: &Config, now: Instant) -> bool {
         let due = now >= self.next_handshake;

@@ -107,11 +107,15 @@ impl Redundancy {
         let LinkReport { report, .. } = link;
         let own = self.term();
         let claimed_for = self.witnesses.reports.on_link(now, report, own);
-        let obeyed = self.witnesses.gate.verdict(&self.config, now) == GateVerdict::Obeys(own);
-        let reaches_bus =
-            !obeyed && claimed_for.is_some_and(|span| span >= self.config.mute_limit());
+        let reaches_bus = !self.is_obeyed(now)
+            && claimed_for.is_some_and(|span| span >= self.config.mute_limit());
         self.report_of_peer(now, report, Source::Link, reaches_bus, actions);
         self.judge_clocks(now, actions);
+    }
+
+    /// Returns whether the vehicle has accepted this master's frames until now.
+    fn is_obeyed(&self, now: Instant) -> bool {
+        self.witnesses.gate.verdict(&self.config, now) == GateVerdict::Obeys(self.term())
     }
 
     /// Compares three clocks: the one that differs from both others is wrong. If that is this
@@ -186,7 +190,10 @@ impl Redundancy {
         self.term_known = true;
         if frame.term > known {
             self.state.term = frame.term;
-            self.peer_drives(now, actions);
+            // The vehicle may refuse this frame, too. It then obeys this master until the next one.
+            if !self.is_obeyed(now) {
+                self.peer_drives(now, actions);
+            }
         }
     }
 

@@ -155,3 +155,26 @@ fn a_poll_within_its_jitter_is_no_stall() {
         );
     }
 }
+
+/// T-RED-2: a system that did not poll while it started has not waited for the other one: a stall,
+/// or a clock that jumps, does not end the start.
+#[test]
+fn a_stall_does_not_end_the_wait_for_the_other_system() {
+    let polls_after = |stall_ms: u64| {
+        let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
+        let _ = bench.poll();
+        bench.now += Duration::from_ms(stall_ms);
+        let mut polls = 1;
+        while bench.machine.phase() == Phase::Starting {
+            let _ = bench.poll();
+            polls += 1;
+        }
+        assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+        polls
+    };
+    let undisturbed = polls_after(0);
+    for stall_ms in [500, 5_000] {
+        let fewer = undisturbed - polls_after(stall_ms);
+        assert!(fewer <= 2, "{fewer} after a stall of {stall_ms} ms");
+    }
+}

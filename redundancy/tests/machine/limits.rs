@@ -575,3 +575,26 @@ fn the_clock_of_a_sender_that_has_started_begins_anew() {
         }
     }
 }
+
+/// T-RED-9: a standby that no longer hears anybody on CAN does not take a handshake for a failed
+/// master, but silent lines.
+#[test]
+fn a_deaf_standby_does_not_act_on_a_handshake() {
+    for (deaf, silent, expected) in [
+        (true, false, Phase::Standby),
+        (false, false, Phase::DegradedMaster),
+        (true, true, Phase::DegradedMaster),
+    ] {
+        let mut bench = Bench::standby();
+        let _ = bench.control(16);
+        let _ = bench.obeyed(Term::from_bits(16), 0);
+        bench.snapshot.handshakes += u32::from(!silent);
+        for _ in 0..30 {
+            let beats = u32::from(!silent);
+            bench.snapshot.beats = bench.snapshot.beats.map(|count| count + beats);
+            bench.snapshot.can_frames -= u32::from(deaf);
+            let _ = bench.poll();
+        }
+        assert_eq!(bench.machine.phase(), expected, "{deaf} {silent}");
+    }
+}

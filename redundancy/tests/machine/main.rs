@@ -636,6 +636,14 @@ fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
     let _ = bench.on(stale(own - 1));
     let _ = bench.on(stale(own + 2));
     assert_eq!(bench.machine.phase(), Phase::Master, "older, or its own");
+    // The vehicle may refuse that frame, too, and obeys this master until the next one.
+    let mut obeyed = Bench::master();
+    let _ = obeyed.obeyed(obeyed.machine.term(), 0);
+    let _ = obeyed.on(stale(own + 3));
+    assert_eq!(obeyed.machine.phase(), Phase::Master);
+    assert_eq!(obeyed.machine.highest_term().bits(), own + 3);
+    let _ = obeyed.control(own + 3);
+    assert_eq!(obeyed.machine.phase(), Phase::Standby);
     let actions = bench.on(stale(own + 3));
     assert_eq!(bench.machine.phase(), Phase::Standby);
     assert!(actions.contains(Action::DiscardUnsent));
