@@ -3,7 +3,7 @@
 use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, Instant, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, FailureMode, Input, Loaded, Phase, Redundancy, Role, SystemState, Term,
+    Action, Actions, FailureMode, Input, Loaded, Phase, Redundancy, Role, SystemState, Term,
 };
 
 /// T-RED-5: the first fault counts; the first one that no reset cures replaces it.
@@ -177,4 +177,19 @@ fn a_stall_does_not_end_the_wait_for_the_other_system() {
         let fewer = undisturbed - polls_after(stall_ms);
         assert!(fewer <= 2, "{fewer} after a stall of {stall_ms} ms");
     }
+}
+
+/// T-RED-5: a standby resets itself for a fault only while it hears its master drive, because
+/// otherwise it may be the only system left.
+#[test]
+fn a_standby_resets_itself_only_beside_a_master_that_drives() {
+    let mut bench = Bench::standby();
+    // Heartbeats continue, but no control frame arrives; the vehicle does not report it missing.
+    bench.run_with_beats(10);
+    let fault = Input::OwnFault(FailureMode::PlanningCore);
+    let asks = |actions: Actions| actions.contains(Action::Reset(ResetRequest::CoreDead));
+    assert!(!asks(bench.on(fault)) && !asks(bench.poll()));
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+    let _ = bench.control(16);
+    assert!(asks(bench.poll()), "the fault need not be reported again");
 }

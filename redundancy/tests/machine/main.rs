@@ -211,21 +211,6 @@ fn the_limits_of_the_lines_begin_anew_after_a_stall() {
     }
 }
 
-/// T-RED-5: a standby resets itself for a fault only while it hears its master drive, because
-/// otherwise it may be the only system left.
-#[test]
-fn a_standby_resets_itself_only_beside_a_master_that_drives() {
-    let mut bench = Bench::standby();
-    // Heartbeats continue, but no control frame arrives; the vehicle does not report it missing.
-    bench.run_with_beats(10);
-    let fault = Input::OwnFault(FailureMode::PlanningCore);
-    let asks = |actions: Actions| actions.contains(Action::Reset(ResetRequest::CoreDead));
-    assert!(!asks(bench.on(fault)) && !asks(bench.poll()));
-    assert_eq!(bench.machine.phase(), Phase::Standby);
-    let _ = bench.control(16);
-    assert!(asks(bench.poll()), "the fault need not be reported again");
-}
-
 /// T-RED-9: a stray handshake, with heartbeats that arrive, does not depose a master that the
 /// vehicle obeys, even if this system misses a frame.
 #[test]
