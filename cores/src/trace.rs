@@ -268,7 +268,7 @@ pub enum Event {
     /// The scene differs from what core 0 itself hears of the sensors. This system leaves.
     WrongScene {
         /// 0 the lanes, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle of the vehicle, 5 place
-        /// and 6 speed of an object ahead, 7 an object that no sensor sees.
+        /// and 6 speed of an object ahead, 7 an object that no sensor sees, 8 acceleration.
         what: u8,
         /// 0: the scene is wrong. 1: core 0 hears wrong values.
         hearing: bool,
@@ -316,7 +316,7 @@ pub enum Event {
     /// only stop, and does so by what the other sensors say.
     SensorLies {
         /// 0 the camera's line, 1 speed, 2 yaw rate, 3 steering angle, 4 slip angle, 5 acceleration
-        /// of the vehicle.
+        /// of the vehicle, 6 yaw rate or steering angle.
         what: u8,
         /// How far it is from what the others say, in thousandths of m, m/s, rad/s or rad.
         thousandths: u32,
@@ -532,7 +532,7 @@ codec! {
     33 FramesLost { count: x };
     34 CanErrors { errors: x };
     35 Sensors { missing: a };
-    40 WrongScene { what: a, hearing: b, thousandths: x } 0..=7;
+    40 WrongScene { what: a, hearing: b, thousandths: x } 0..=8;
     41 SceneCheck { percent: a };
     42 WrongEcho {};
     46 SensorContradicted { sensor: a } 0..=5;
@@ -540,7 +540,7 @@ codec! {
     48 Ability { bits: a, missing: b } 0..=3;
     49 WrongTrajectory { what: a, percent: x } 0..=4;
     50 TrajectoryCheck { what: a, percent: b } 0..=4;
-    51 SensorLies { what: a, thousandths: x } 0..=5;
+    51 SensorLies { what: a, thousandths: x } 0..=6;
 }
 
 #[cfg(test)]
@@ -709,7 +709,7 @@ mod tests {
             0x021E,
             0x031F,
             0x0320,
-            0x0828,
+            0x0928,
             0x0430,
             36,
         ] {

@@ -92,6 +92,8 @@ named! {
         ObjectSpeed = "object-speed",
         /// The vehicle's speed, m/s.
         EgoSpeed = "ego-speed",
+        /// Its acceleration along its axis, m/s².
+        EgoAcceleration = "ego-acceleration",
         /// Its side slip angle, rad.
         EgoSlip = "ego-slip",
         /// Its yaw rate, rad/s.
@@ -153,6 +155,7 @@ impl Signal {
             Self::ObjectDistance => (frame.name.ends_with("Object"), "X"),
             Self::ObjectSpeed => (frame.name.ends_with("Object"), "VX"),
             Self::EgoSpeed => (frame.name == "EgoMotion", "Speed"),
+            Self::EgoAcceleration => (frame.name == "EgoMotion", "LongAcceleration"),
             Self::EgoSlip => (frame.name == "EgoMotion", "SlipAngle"),
             Self::YawRate => (frame.name == "EgoMotion", "YawRate"),
             Self::SteeringAngle => (frame.name == "EgoMotion", "SteeringAngle"),

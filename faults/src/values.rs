@@ -21,6 +21,7 @@ const fn offset(signal: Signal) -> i64 {
         Signal::ObjectDistance => 8_000,
         Signal::ObjectSpeed => 5_000,
         Signal::EgoSpeed => 5_000,
+        Signal::EgoAcceleration => 20_000,
         Signal::EgoSlip => 50,
         Signal::YawRate => 100,
         Signal::SteeringAngle => 50,

@@ -161,6 +161,10 @@ pub fn core_event(event: Event) -> Option<String> {
                     "acceleration",
                     format!("{:.3} m/s", f64::from(thousandths) / 1e3),
                 ),
+                6 => (
+                    "yaw rate or steering angle",
+                    format!("{:.3} rad/s", f64::from(thousandths) / 1e3),
+                ),
                 _ => scene_value(what, thousandths),
             };
             format!("stops: the sensor of {what} contradicts the others, by {amount}")
@@ -233,6 +237,7 @@ fn scene_value(what: u8, thousandths: u32) -> (&'static str, String) {
         4 => ("slip angle", "rad"),
         5 => ("place of an object", "m"),
         6 => ("speed of an object", "m/s"),
+        8 => ("acceleration", "m/s²"),
         _ => ("object that no sensor sees", "m"),
     };
     (what, format!("{:.3} {unit}", f64::from(thousandths) / 1e3))

@@ -69,6 +69,10 @@ pub(crate) struct Abilities {
     peer: [Ability; REPORTS],
     /// Whether this system is less able or has no backup, and since when.
     differs: Option<(Ordering, Instant)>,
+    /// The ability that both systems have had since this one lost more.
+    shared: Option<Ability>,
+    /// The other system has started since: it does not know what both have lost.
+    has_forgotten: bool,
 }
 
 impl Abilities {
@@ -77,14 +81,22 @@ impl Abilities {
         self.peer[REPORTS - 1] = ability;
     }
 
+    /// Handles a start of the other system.
+    pub(crate) const fn on_start(&mut self) {
+        self.has_forgotten = self.shared.is_some();
+    }
+
     /// Compares both abilities. `heard`: the other system is heard as standby. Must be called at
     /// each poll.
     pub(crate) fn compare(&mut self, now: Instant, heard: bool) {
         let least = self.peer.into_iter().min().unwrap_or_default();
         let most = self.peer.into_iter().max().unwrap_or_default();
+        let both = (least == most && least == self.own && heard).then_some(least);
+        self.shared = self.shared.filter(|it| *it == self.own).or(both);
+        self.has_forgotten &= self.shared.is_some();
         let order = match self.own {
             _ if !heard => None,
-            own if own < least => Some(Ordering::Less),
+            own if own < least => (!self.has_forgotten).then_some(Ordering::Less),
             own if own > most && !most.is_backup() => Some(Ordering::Greater),
             _ => None,
         };
@@ -134,7 +146,7 @@ mod tests {
                     let mut both = Abilities {
                         own,
                         peer: [own; REPORTS],
-                        differs: None,
+                        ..Abilities::default()
                     };
                     for _ in 0..reports {
                         both.on_report(peer);
@@ -152,6 +164,35 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    /// T-RED-9: a standby that has started does not know that a sensor lies to both; its master
+    /// keeps the role until it is sound itself.
+    #[test]
+    fn a_started_system_has_forgotten_what_both_have_lost() {
+        for (both_know, starts) in [(true, true), (true, false), (false, true)] {
+            let mut both = Abilities::default();
+            let mut now = 0;
+            let mut run = |both: &mut Abilities, own, peer, ms: u64| {
+                both.own = own;
+                for _ in 0..ms {
+                    now += 1;
+                    both.on_report(peer);
+                    both.compare(MS(now), true);
+                }
+                both.offers(MS(now))
+            };
+            let (all, stops) = (Ability::All, Ability::StopOnly);
+            run(&mut both, stops, if both_know { stops } else { all }, 20);
+            if starts {
+                both.on_start();
+            }
+            let offers = run(&mut both, stops, all, 1_000);
+            assert_eq!(offers, !(both_know && starts), "{both_know} {starts}");
+            // What this system has lost later counts again.
+            run(&mut both, all, all, 20);
+            assert!(run(&mut both, stops, all, 1_000));
         }
     }
 

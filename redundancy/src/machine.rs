@@ -607,7 +607,14 @@ impl Redundancy {
                     _ => None,
                 };
                 let driven = self.last_driven(now);
-                PhaseState::Standby(Standby::new(self.system, driven, mode, hold_until, start))
+                PhaseState::Standby(Standby::new(
+                    self.system,
+                    now,
+                    driven,
+                    mode,
+                    hold_until,
+                    start,
+                ))
             }
             Phase::Master => PhaseState::Master(self.drive(now)?),
             Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),

@@ -20,6 +20,8 @@ enum Suspicion {
 #[derive(Clone, Debug)]
 pub(crate) struct Standby {
     system: SystemId,
+    /// When this system became standby.
+    since: Instant,
     /// When the last valid control frame was heard, or when this system became standby.
     last_control: Instant,
     /// A control frame was heard in this phase.
@@ -42,6 +44,7 @@ impl Standby {
     /// Creates a standby. `last_control`: when this system last drove, or now.
     pub(crate) const fn new(
         system: SystemId,
+        since: Instant,
         last_control: Instant,
         mode: Mode,
         hold_until: Instant,
@@ -49,6 +52,7 @@ impl Standby {
     ) -> Self {
         Self {
             system,
+            since,
             last_control,
             control_known: false,
             suspicion: Suspicion::None,
@@ -215,7 +219,7 @@ impl Standby {
             let suspected = match self.suspicion {
                 Suspicion::None => false,
                 // A disturbed line and a lost input are not two signs of a failed master.
-                Suspicion::Handshake => !witnesses.is_deaf(config, now),
+                Suspicion::Handshake => !witnesses.can.is_deaf(now, config.witness_limit()),
                 Suspicion::Silent => true,
             };
             if suspected && !contradicted && self.may_act(config, now, witnesses) {
@@ -264,8 +268,10 @@ impl Standby {
     fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let denied = match witnesses.gate.verdict(config, now) {
             GateVerdict::Uncontrolled => false,
-            // A system that has just started has not listened for long enough to hear an echo.
-            GateVerdict::Unknown => witnesses.can.alive_for(now) <= config.witness_limit(),
+            // A new standby has not listened for long enough to hear an echo.
+            GateVerdict::Unknown => {
+                now.since(self.since) <= config.witness_limit() + config.control_period
+            }
             GateVerdict::Unheard | GateVerdict::Obeys(_) => true,
         };
         now >= self.hold_until || !denied

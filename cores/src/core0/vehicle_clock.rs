@@ -60,7 +60,7 @@ impl VehicleClock {
     /// Returns the time on the vehicle's clock, ms modulo 2^16; `None` if no echo was heard lately,
     /// or if it was disputed.
     pub(super) fn at(&self, now: Instant) -> Option<u16> {
-        let lately = |at: Instant| now.since(at) <= SILENCE;
+        let lately = |at: Instant| now >= at && now.since(at) <= SILENCE;
         self.median(now)
             .filter(|_| !self.disputed.is_some_and(lately))
     }

@@ -3,8 +3,8 @@
 use super::{NoTermLeft, PhaseState, Redundancy};
 use crate::witness::{GateVerdict, Source};
 use crate::{
-    Actions, ClockOwner, ControlHeader, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
-    Phase, RedundancyEvent, Role, Term,
+    Actions, ClockOwner, ControlHeader, Evidence, FailureMode, LinkReport, Mode, ObeyedTerm,
+    PeerReport, Phase, RedundancyEvent, Role, Term,
 };
 use tandem_board::{Duration, Instant};
 
@@ -190,8 +190,9 @@ impl Redundancy {
         self.term_known = true;
         if frame.term > known {
             self.state.term = frame.term;
-            // The vehicle may refuse this frame, too. It then obeys this master until the next one.
-            if !self.is_obeyed(now) {
+            // The vehicle may refuse this frame, too, and obey this master until the next one.
+            let is_relieved = self.report().mode == Mode::SafeStop;
+            if is_relieved || !self.is_obeyed(now) {
                 self.peer_drives(now, actions);
             }
         }
@@ -253,7 +254,7 @@ impl Redundancy {
     /// Handles an echo with a right CRC and a wrong counter.
     pub(super) fn stale_echo(&mut self, term: Term) {
         if !term.is_far_from(self.state.term) {
-            self.witnesses.claims.on_explained_echo();
+            self.witnesses.claims.on_disputed();
         }
     }
 

@@ -30,8 +30,13 @@ pub(crate) struct Claims {
 impl Claims {
     /// Notes that the vehicle sent an echo with a term that the rules explain.
     pub(crate) fn on_explained_echo(&mut self) {
-        (self.last[Source::Vehicle as usize], self.echoes) = (None, 0);
+        self.on_disputed();
         self.vehicle_heard = true;
+    }
+
+    /// Notes that another node may send in the vehicle's name.
+    pub(crate) fn on_disputed(&mut self) {
+        (self.last[Source::Vehicle as usize], self.echoes) = (None, 0);
     }
 
     /// Takes a far term. Returns whether it counts: the vehicle and the other system report it, or

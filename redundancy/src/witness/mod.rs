@@ -102,7 +102,10 @@ impl Witnesses {
         match self.reports.is_next(link) {
             Next::No => return false,
             Next::Yes => {}
-            Next::Restarted => clocks.forget_peer(),
+            Next::Restarted => {
+                clocks.forget_peer();
+                self.reports.abilities.on_start();
+            }
         }
         let late = clocks.on_peer(now, link.sent_us) > config.report_limit;
         let silent = self.reports.silent_for(now);

@@ -1,10 +1,10 @@
 //! What happens when a time limit ends, but not before.
 
 use super::{Bench, CONFIG, sound};
-use tandem_board::{Duration, Instant, SystemId};
+use tandem_board::{Duration, Instant, ResetCause, SystemId};
 use tandem_redundancy::{
-    Ability, Action, ClockOwner, Config, Evidence, FailureMode, Input, LinkReport, Mode,
-    ObeyedTerm, PeerReport, Phase, RedundancyEvent, Role, SystemState, Takeover, Term,
+    Ability, Action, ClockOwner, Config, Evidence, FailureMode, Input, LinkReport, Loaded, Mode,
+    ObeyedTerm, PeerReport, Phase, Redundancy, RedundancyEvent, Role, SystemState, Takeover, Term,
 };
 
 /// T-RED-8: a standby polls at the moment when a limit ends, so a takeover does not wait for the
@@ -596,5 +596,31 @@ fn a_deaf_standby_does_not_act_on_a_handshake() {
             let _ = bench.poll();
         }
         assert_eq!(bench.machine.phase(), expected, "{deaf} {silent}");
+    }
+}
+
+/// T-RED-9: a new standby, which may have a hold-down, listens for the vehicle's echo first;
+/// without one it then acts on the lines.
+#[test]
+fn a_new_standby_listens_for_an_echo_first() {
+    let listens = CONFIG.witness_limit() + CONFIG.control_period;
+    for (cause, expected) in [
+        (ResetCause::PowerOn, CONFIG.level_limit()),
+        (ResetCause::Watchdog, listens),
+    ] {
+        let mut bench = Bench::standby();
+        let loaded = Loaded::State(SystemState::factory(SystemId::B));
+        bench.machine = Redundancy::new(CONFIG, SystemId::B, cause, loaded, bench.now);
+        let _ = bench.poll();
+        bench.snapshot.syncs += 1;
+        bench.run_with_beats(1);
+        let since = bench.now;
+        bench.snapshot.peer_powered = false;
+        while bench.machine.phase() == Phase::Standby {
+            let _ = bench.poll();
+        }
+        let after = bench.now.since(since);
+        let latest = expected + CONFIG.poll_interval.times(3);
+        assert!(after >= expected && after <= latest, "{cause:?} {after:?}");
     }
 }

@@ -43,8 +43,9 @@ fn a_system_that_was_off_learns_the_term_from_the_vehicle() {
     assert_eq!(fenced, 0, "no system drives into the fence");
 }
 
-/// T-RED-9: a system sends one control frame in a new term and dies, so the vehicle rejects the
-/// other system. That system learns the term although the frame's counter is wrong, and drives on.
+/// T-RED-9: a system sends control frames in a new term and dies. The vehicle refuses the first one
+/// for its counter, and still obeys the other system, which drives on in its term. The second one
+/// acts, so the vehicle rejects the other system, which learns the term and drives on above it.
 #[test]
 fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
     let mut drive = Drive::new("free-lane", 4);
@@ -59,11 +60,15 @@ fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
         term: before.term + 41,
         ..Control::default()
     };
-    let frame = FrameTransmitter::new().encode(&Message::Control { system: 0, control });
-    let frame = CanFrame::new(CanId::Standard(frame.id), true, frame.data()).expect("of the DBC");
-    drive.seen.borrow_mut().forged.push(frame);
-    drive.run_for(ms(100));
-    let after = obeyed(&drive).expect("a system drives");
-    assert!(obeys(&drive, SystemId::B), "{after:?}");
-    assert!(after.term > control.term);
+    let mut sender = FrameTransmitter::new();
+    for acts in [false, true] {
+        let frame = sender.encode(&Message::Control { system: 0, control });
+        let id = CanId::Standard(frame.id);
+        let frame = CanFrame::new(id, true, frame.data()).expect("of the DBC");
+        drive.seen.borrow_mut().forged.push(frame);
+        drive.run_for(ms(100));
+        let after = obeyed(&drive).expect("a system drives");
+        assert!(obeys(&drive, SystemId::B), "{after:?}");
+        assert_eq!(after.term > control.term, acts, "{after:?}");
+    }
 }

@@ -14,13 +14,16 @@ const PERIOD: Duration = Duration::from_ms(10);
 /// So many scenes in succession must differ: 150 ms.
 const SCENES: u8 = 3;
 
+/// The numbers of the values in [`Event::WrongScene`](crate::trace::Event::WrongScene).
+const NUMBERS: [u8; 5] = [1, 2, 3, 4, 8];
 /// Limits of the differences: speed in m/s, yaw rate in rad/s, steering angle and slip angle in
-/// rad. They hold between two systems, whose motions may be of different frames: that causes at
-/// most 5 standard deviations of the noise, 0.2, 0.011, 0.002 and 0.007. Between two cores, which
-/// hear the same frames, one of the remembered motions must be equal to the last bit.
-const LIMITS: [f32; 4] = [0.4, 0.02, 0.005, 0.012];
+/// rad, and, only between two cores, acceleration in m/s². They hold between two systems, whose
+/// motions may be of different frames: that causes at most 5 standard deviations of the noise, 0.2,
+/// 0.011, 0.002 and 0.007. Between two cores, which hear the same frames, one of the remembered
+/// motions must be equal to the last bit.
+const LIMITS: [f32; 5] = [0.4, 0.02, 0.005, 0.012, 1.0];
 /// Fastest changes of these values per second.
-const CHANGES: [f32; 4] = [12.0, 1.5, 0.6, 0.5];
+const CHANGES: [f32; 5] = [12.0, 1.5, 0.6, 0.5, 100.0];
 
 pub(super) struct EgoCheck {
     /// Oldest first.
@@ -34,17 +37,31 @@ pub(super) struct EgoCheck {
     apart_s: f32,
 }
 
-const fn values(ego: &Ego) -> [f32; 4] {
-    [ego.speed, ego.yaw_rate, ego.steering_angle, ego.slip_angle]
+/// Returns the values that are compared. `apart_s`: as in [`difference`]; two systems do not tell
+/// each other their accelerations.
+const fn values(ego: &Ego, apart_s: f32) -> [f32; 5] {
+    let acceleration = if apart_s == 0.0 {
+        ego.acceleration
+    } else {
+        0.0
+    };
+    [
+        ego.speed,
+        ego.yaw_rate,
+        ego.steering_angle,
+        ego.slip_angle,
+        acceleration,
+    ]
 }
 
 /// Returns the largest difference in shares of its limit, its number from 1 on, and its amount.
 /// `apart_s`: how far the motions are apart in time, s.
 fn difference(one: &Ego, other: &Ego, apart_s: f32) -> (f32, u8, f32) {
     let limits = LIMITS.into_iter().zip(CHANGES);
-    let pairs = values(one).into_iter().zip(values(other)).zip(limits);
+    let [one, other] = [one, other].map(|ego| values(ego, apart_s));
+    let pairs = one.into_iter().zip(other).zip(limits);
     let mut worst = (0.0, 0, 0.0);
-    for (what, ((one, other), (limit, change))) in (1..).zip(pairs) {
+    for (what, ((one, other), (limit, change))) in NUMBERS.into_iter().zip(pairs) {
         let (amount, limit) = (one - other, limit + change * apart_s);
         // NaN differs.
         let share = if amount.is_finite() {
@@ -64,19 +81,24 @@ const FAR: f32 = 100.0;
 
 /// Returns how far `ego` is from the motion `before`, in limits; what a vehicle does not reach in
 /// `seconds` counts tenfold. Values that are equal in two motions cancel in the difference.
-fn far(before: &Ego, ego: &Ego, seconds: f32) -> f32 {
+/// `apart_s`: as in [`difference`].
+fn far(before: &Ego, ego: &Ego, seconds: f32, apart_s: f32) -> f32 {
     let limits = LIMITS.into_iter().zip(CHANGES);
-    let pairs = values(before).into_iter().zip(values(ego));
-    let shares = pairs.zip(limits).map(|((before, now), (limit, change))| {
-        let aside = (now - before).abs();
-        let beyond = (aside - change * seconds).max(0.0);
-        let share = (aside + 10.0 * beyond) / limit;
-        if share.is_finite() {
-            share.min(FAR)
-        } else {
-            FAR
-        }
-    });
+    let [before, ego] = [before, ego].map(|ego| values(ego, apart_s));
+    let shares = before
+        .into_iter()
+        .zip(ego)
+        .zip(limits)
+        .map(|((before, now), (limit, change))| {
+            let aside = (now - before).abs();
+            let beyond = (aside - change * seconds).max(0.0);
+            let share = (aside + 10.0 * beyond) / limit;
+            if share.is_finite() {
+                share.min(FAR)
+            } else {
+                FAR
+            }
+        });
     shares.sum()
 }
 
@@ -148,7 +170,8 @@ impl EgoCheck {
         let agreed = self.agreed.filter(|it| at.since(it.0) <= REMEMBERED);
         if let Some((since, before)) = agreed {
             let seconds = at.since(since).as_secs_f32();
-            let [own, scene] = [own, scene].map(|it| far(&before, it, seconds));
+            let far = |it| far(&before, it, seconds, self.apart_s);
+            let [own, scene] = [own, scene].map(far);
             self.evidence += own - scene;
         }
         self.different = self.different.saturating_add(1);

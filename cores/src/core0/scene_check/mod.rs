@@ -65,7 +65,7 @@ impl Finding {
     /// Returns the finding with the core that hears wrongly by the newest evidence: a difference
     /// that is small at first does not tell at once which core it is.
     fn relocated(self, again: Option<Self>) -> Self {
-        let is_motion = |what| (1..=4).contains(&what);
+        let is_motion = |what| matches!(what, 1..=4 | 8);
         let same = |it: &Self| it.what == self.what || is_motion(it.what) && is_motion(self.what);
         let located = again.filter(|it| it.is_located && same(it));
         Self {

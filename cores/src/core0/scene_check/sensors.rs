@@ -40,8 +40,12 @@ const CONTRADICTS: f32 = 0.5;
 /// Yaw rate and slip angle contradict a model with this share of their limits, if the line, which
 /// is moved by them, is above its own: 1.6 and 3 times the largest of fault-free driving.
 const CONTRADICTS_LINE: f32 = 0.25;
-/// The line's heading contradicts a wrong yaw rate with this residual, rad.
+/// The line's heading contradicts a wrong yaw rate with this residual, rad, and with at least this
+/// share of the turn that the steering angle does not explain.
 const TURNS: f32 = 0.02;
+const TURNS_SHARE: f32 = 0.5;
+/// A measured speed that changes faster than this has jumped: m/s² and m/s.
+const FASTEST_CHANGE: (f32, f32) = (12.0, 0.3);
 /// A line this much aside is that of another lane, m.
 const OTHER_LANE: f32 = 1.4;
 /// A line is remembered every half second.
@@ -74,6 +78,8 @@ pub(super) enum Liar {
     SteeringAngle = 3,
     SlipAngle = 4,
     Acceleration = 5,
+    /// One of them: where the line is not compared, nothing tells which.
+    YawOrSteering = 6,
 }
 
 /// What takes the place of a wrong line.
@@ -181,8 +187,15 @@ pub(super) struct SensorCheck {
     shares: [f32; 6],
     /// What the motion should have changed the line's offset and heading by, as their residuals.
     moved: [f32; 2],
-    /// Speed or line has jumped since the residuals were last small.
+    /// A turn that the steering angle does not explain, rad: since the last line, and summed as the
+    /// residual of the heading; `None` where that is not compared.
+    unexplained: f32,
+    turned: Option<f32>,
+    /// The line's residuals count less.
+    is_slow: bool,
+    /// The line's residuals, and the measured speed, have jumped since all residuals were small.
     has_jumped: bool,
+    has_speed_jumped: bool,
     /// The curvature that the vehicle drives, 1/m.
     curvature: f32,
     /// What takes the place of a wrong line.
@@ -204,7 +217,11 @@ impl SensorCheck {
             residuals: [0.0; 6],
             shares: [0.0; 6],
             moved: [0.0; 2],
+            unexplained: 0.0,
+            turned: None,
+            is_slow: false,
             has_jumped: false,
+            has_speed_jumped: false,
             curvature: 0.0,
             mend: Mend::Known,
             settles: 0,
@@ -233,6 +250,9 @@ impl SensorCheck {
         };
         let ego = self.corrected(scene.ego);
         self.end -= ego.speed * dt;
+        let (acceleration, noise) = FASTEST_CHANGE;
+        let change = (scene.ego.speed - before.speed).abs();
+        self.has_speed_jumped |= change > acceleration * dt + noise;
         self.on_motion(&before, &scene.ego, dt);
         self.on_line(scene.camera, ego);
         if self.is_found() || !self.contradicts() {
@@ -265,10 +285,11 @@ impl SensorCheck {
     fn contradicts(&mut self) -> bool {
         let shares = self.used();
         let rises = shares.iter().zip(self.shares).map(|(new, old)| new - old);
-        let jumps = rises.fold(0.0, f32::max) >= CONTRADICTS;
+        let of_line = rises.skip(Residual::Aside as usize);
+        let jumps = of_line.fold(0.0, f32::max) >= CONTRADICTS;
         self.shares = shares;
         if shares.iter().all(|share| *share < CONTRADICTS) {
-            (self.has_jumped, self.settles) = (false, 0);
+            (self.has_jumped, self.has_speed_jumped, self.settles) = (false, false, 0);
             return false;
         }
         self.has_jumped |= jumps;
@@ -286,7 +307,8 @@ impl SensorCheck {
         self.slip_angle = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
         self.speed = ego.speed;
         (self.residuals, self.shares, self.moved) = ([0.0; 6], [0.0; 6], [0.0; 2]);
-        (self.lines, self.has_jumped, self.settles) = (None, false, 0);
+        (self.lines, self.turned) = (None, None);
+        (self.has_jumped, self.has_speed_jumped, self.settles) = (false, false, 0);
     }
 
     fn on_motion(&mut self, before: &Ego, ego: &Ego, dt: f32) {
@@ -297,7 +319,9 @@ impl SensorCheck {
         let is_slow = ego.speed < SLOWEST;
         let steady = yaw_rate_for(ego.steering_angle, ego.speed, ego.acceleration);
         self.yaw_rate += (steady - self.yaw_rate) * lag;
-        *yaw += (ego.yaw_rate - self.yaw_rate - *yaw) * dt / MEAN_S;
+        let unexplained = ego.yaw_rate - self.yaw_rate;
+        self.unexplained += unexplained * dt;
+        *yaw += (unexplained - *yaw) * dt / MEAN_S;
         let steady = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
         self.slip_angle += (steady - self.slip_angle) * lag;
         *slip += (ego.slip_angle - self.slip_angle - *slip) * dt / MEAN_S;
@@ -306,9 +330,10 @@ impl SensorCheck {
         }
         self.speed += 0.5 * (before.acceleration + ego.acceleration) * dt;
         *speed = ego.speed - self.speed;
-        // A speed that seems wrong is not followed.
-        if speed.abs() < CONTRADICTS * LIMITS[Residual::Speed as usize] {
-            self.speed += *speed * dt / MEMORY_S;
+        // A speed that seems wrong is followed slowly, and one that is wrong not at all.
+        if self.liar != Some(Liar::Speed) {
+            let most = CONTRADICTS * LIMITS[Residual::Speed as usize];
+            self.speed += speed.clamp(-most, most) * dt / MEMORY_S;
         }
     }
 
@@ -319,7 +344,7 @@ impl SensorCheck {
             return;
         };
         let is_rough = lines.followed.line.c[2].abs() > SHARPEST;
-        let is_slow = ego.speed < SLOWEST_LINE && self.liar.is_none();
+        self.is_slow = ego.speed < SLOWEST_LINE && self.liar.is_none();
         // A line that is wrong stays so.
         if self.liar != Some(Liar::Line) {
             match step.is_other {
@@ -330,16 +355,25 @@ impl SensorCheck {
         let [.., aside, heading, bend] = &mut self.residuals;
         if step.is_other || is_rough {
             (*aside, *heading, *bend) = (0.0, 0.0, 0.0);
+            (self.unexplained, self.turned) = (0.0, None);
             return;
         }
-        let share = if is_slow { ROUGH } else { 1.0 };
+        let share = if self.is_slow { ROUGH } else { 1.0 };
         let [sideways, turn] = &mut self.moved;
-        let sums = [aside, heading, sideways, turn];
-        let steps = [step.apart[0], step.apart[1], step.moved[0], step.moved[1]];
+        let sums = [
+            aside,
+            heading,
+            sideways,
+            turn,
+            self.turned.get_or_insert(0.0),
+        ];
+        let [offset, angle, _] = step.apart;
+        let unexplained = core::mem::take(&mut self.unexplained);
+        let steps = [offset, angle, step.moved[0], step.moved[1], unexplained];
         for (sum, step_by) in sums.into_iter().zip(steps) {
             *sum += share * step_by - *sum * step.seconds / MEMORY_S;
         }
-        *bend = if is_slow { 0.0 } else { step.apart[2] };
+        *bend = if self.is_slow { 0.0 } else { step.apart[2] };
     }
 
     /// Returns the residuals in shares of their limits.
@@ -363,17 +397,18 @@ impl SensorCheck {
             false => CONTRADICTS,
         };
         let contradicts = |it| self.share(it) >= share;
-        let turns = self.residual(Residual::Heading).abs() >= TURNS;
-        if contradicts(Residual::Speed) {
-            let liar = match self.has_jumped {
+        if self.share(Residual::Speed) >= CONTRADICTS {
+            let liar = match self.has_speed_jumped {
                 true => Liar::Speed,
                 false => Liar::Acceleration,
             };
             (liar, Residual::Speed)
         } else if contradicts(Residual::Yaw) {
-            let liar = match turns || contradicts(Residual::Slip) {
-                true => Liar::YawRate,
-                false => Liar::SteeringAngle,
+            let liar = match self.turns() {
+                Some(true) => Liar::YawRate,
+                _ if contradicts(Residual::Slip) => Liar::YawRate,
+                Some(false) => Liar::SteeringAngle,
+                None => Liar::YawOrSteering,
             };
             (liar, Residual::Yaw)
         } else if contradicts(Residual::Slip) {
@@ -381,6 +416,16 @@ impl SensorCheck {
         } else {
             (Liar::Line, Residual::Aside)
         }
+    }
+
+    /// Returns whether the line turns with a yaw rate that the steering angle does not explain;
+    /// `None` where it is not compared.
+    fn turns(&self) -> Option<bool> {
+        let heading = self.residual(Residual::Heading);
+        self.turned.map(|turned| {
+            let share = if self.is_slow { ROUGH } else { 1.0 };
+            heading.abs() >= share * TURNS && heading * turned >= TURNS_SHARE * turned * turned
+        })
     }
 
     /// Returns what takes the place of the line, if that is wrong. `seen`: the camera's line.
@@ -424,7 +469,7 @@ impl SensorCheck {
     pub(super) fn corrected(&self, mut ego: Ego) -> Ego {
         let (speed, acceleration) = (ego.speed.max(SLOWEST), ego.acceleration);
         match self.liar {
-            None | Some(Liar::Line) => {}
+            None | Some(Liar::Line | Liar::YawOrSteering) => {}
             Some(Liar::Speed) => ego.speed = self.speed.max(0.0),
             Some(Liar::YawRate) => {
                 ego.yaw_rate = yaw_rate_for(ego.steering_angle, ego.speed, acceleration);
@@ -456,32 +501,37 @@ mod tests {
     use crate::driving::perception::Perception;
     use crate::driving::types::Lanes;
 
-    const SPEED: f32 = 30.0;
-    const YAW_RATE: f32 = 0.03;
+    /// Speed, m/s, and yaw rate, rad/s.
+    const FAST: [f32; 2] = [30.0, 0.03];
 
     /// The motion and the line of a steady turn in the middle of the lane.
-    fn turn() -> (Ego, [f32; 4]) {
+    fn turn([speed, yaw_rate]: [f32; 2]) -> (Ego, [f32; 4]) {
         let ego = Ego {
-            speed: SPEED,
-            yaw_rate: YAW_RATE,
+            speed,
+            yaw_rate,
             acceleration: 0.0,
-            steering_angle: steering_for(YAW_RATE / SPEED, SPEED, 0.0),
-            slip_angle: slip_for(YAW_RATE, SPEED, 0.0),
+            steering_angle: steering_for(yaw_rate / speed, speed, 0.0),
+            slip_angle: slip_for(yaw_rate, speed, 0.0),
         };
-        (ego, [0.0, ego.slip_angle, 0.5 * YAW_RATE / SPEED, 0.0])
+        (ego, [0.0, ego.slip_angle, 0.5 * yaw_rate / speed, 0.0])
     }
 
     type Alter = fn(&mut Ego, &mut [f32; 4]);
 
     /// Drives 10 s, with the fault after 5 s and with `noise` in shares of the sensors' standard
     /// deviations. Returns what was found after how many scenes, and the last scene, corrected.
-    fn drive(noise: f32, step_ms: u32, alter: Alter) -> (Option<(u32, Liar)>, Scene) {
+    fn drive(
+        motion: [f32; 2],
+        noise: f32,
+        step_ms: u32,
+        alter: Alter,
+    ) -> (Option<(u32, Liar)>, Scene) {
         let mut check = SensorCheck::new();
         let mut found = None;
         let mut scene = Perception::new().scene().clone();
         for cycle in 0..10_000 / step_ms {
             let wave = |phase: f32| noise * (cycle as f32 * (1.0 + phase)).sin() * 1.4;
-            let (mut ego, mut c) = turn();
+            let (mut ego, mut c) = turn(motion);
             ego.speed += 0.03 * wave(0.1);
             ego.yaw_rate += 0.0015 * wave(0.2);
             ego.acceleration += 0.04 * wave(0.3);
@@ -514,7 +564,7 @@ mod tests {
     /// then says is near the truth.
     #[test]
     fn a_sensor_that_contradicts_the_others_is_found() {
-        const LIES: [(Liar, Alter); 13] = [
+        const LIES: [(Liar, Alter); 15] = [
             (Liar::Speed, |ego, _| ego.speed *= 0.4),
             (Liar::Speed, |ego, _| ego.speed += 3.0),
             (Liar::Speed, |ego, _| ego.speed = 0.0),
@@ -524,14 +574,16 @@ mod tests {
             (Liar::SlipAngle, |ego, _| ego.slip_angle += 0.05),
             (Liar::SlipAngle, |ego, _| ego.slip_angle = f32::NAN),
             (Liar::Acceleration, |ego, _| ego.acceleration += 4.0),
+            (Liar::Acceleration, |ego, _| ego.acceleration = 20.0),
+            (Liar::Acceleration, |ego, _| ego.acceleration = -20.0),
             (Liar::Line, |_, c| c[0] -= 0.5),
             (Liar::Line, |_, c| c[1] += 0.05),
             (Liar::Line, |_, c| c[2] += 0.001),
             (Liar::Line, |_, c| *c = c.map(|it| -it)),
         ];
-        let (sound, line) = turn();
+        let (sound, line) = turn(FAST);
         for (number, (liar, alter)) in LIES.into_iter().enumerate() {
-            let (found, scene) = drive(1.0, 50, alter);
+            let (found, scene) = drive(FAST, 1.0, 50, alter);
             let (scenes, named) = found.unwrap_or_else(|| panic!("{number} is not found"));
             assert_eq!(named, liar, "{number}");
             assert!(scenes < 20, "{number}: {scenes} scenes");
@@ -550,17 +602,43 @@ mod tests {
         }
     }
 
+    /// T-RED-9: yaw rate and steering angle are told apart at every speed, by the line's heading;
+    /// where that is not compared, neither is corrected.
+    #[test]
+    fn yaw_rate_and_steering_angle_are_told_apart() {
+        for speed in [8.0, 12.0, 15.0, 17.5, 19.0, 22.0, 30.0] {
+            for sign in [-1.0, 1.0] {
+                let yaw: Alter = match sign {
+                    1.0 => |ego, _| ego.yaw_rate += 0.15,
+                    _ => |ego, _| ego.yaw_rate -= 0.15,
+                };
+                let named = |alter| drive([speed, 0.03], 1.0, 50, alter).0.map(|(_, liar)| liar);
+                assert_eq!(named(yaw), Some(Liar::YawRate), "{speed} {sign}");
+                let steering: Alter = match sign {
+                    1.0 => |ego, _| ego.steering_angle += 0.05,
+                    _ => |ego, _| ego.steering_angle -= 0.05,
+                };
+                assert_eq!(named(steering), Some(Liar::SteeringAngle), "{speed} {sign}");
+            }
+        }
+        let bend = [12.0, 0.12];
+        let (found, scene) = drive(bend, 1.0, 50, |ego, _| ego.yaw_rate += 0.15);
+        assert_eq!(found.map(|(_, liar)| liar), Some(Liar::YawOrSteering));
+        assert!((scene.ego.yaw_rate - 0.27).abs() < 0.01);
+    }
+
     /// T-RED-9: noise of three standard deviations is no finding, and neither is the line of the
     /// next lane, or a wrong value in scenes too far apart.
     #[test]
     fn what_driving_does_is_no_finding() {
-        let quiet: [(f32, u32, Alter); 3] = [
+        let quiet: [(f32, u32, Alter); 4] = [
             (3.0, 50, |_, _| {}),
             (1.0, 50, |_, c| c[0] -= 3.5),
+            (1.0, 50, |ego, _| ego.speed += 1.0),
             (1.0, 200, |ego, _| ego.slip_angle += 0.05),
         ];
         for (number, (noise, step_ms, alter)) in quiet.into_iter().enumerate() {
-            assert_eq!(drive(noise, step_ms, alter).0, None, "{number}");
+            assert_eq!(drive(FAST, noise, step_ms, alter).0, None, "{number}");
         }
     }
 }
