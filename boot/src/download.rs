@@ -6,9 +6,11 @@
 //! the boot environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
-use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program};
+use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program, read};
 use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
-use crate::map::{FlashRegion, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at};
+use crate::map::{
+    FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at,
+};
 use crate::page::PageBuffer;
 use crate::protocol::Refusal;
 use crate::srec::{SRecord, SRecordType};
@@ -26,6 +28,8 @@ pub(crate) struct Ground<'k> {
     pub(crate) store: EnvironmentStore,
     /// The slots that boot. No download may touch them.
     pub(crate) keep: Selection,
+    /// The manifest of the running bootloader; `None` if it cannot be read.
+    pub(crate) running: Option<[u8; MANIFEST_BYTES]>,
 }
 
 impl Ground<'_> {
@@ -34,8 +38,34 @@ impl Ground<'_> {
         match target {
             ImageTarget::Application(slot) => self.keep.application != Some(slot),
             ImageTarget::Configuration(slot) => self.keep.configuration != Some(slot),
-            ImageTarget::Staging => self.store.get().loader == LoaderUpdate::Idle,
+            ImageTarget::Staging => matches!(
+                self.store.get().loader,
+                LoaderUpdate::Idle | LoaderUpdate::BackupOnly
+            ),
         }
+    }
+
+    /// Returns the lowest version that may be downloaded. The running bootloader counts as
+    /// approved.
+    pub(crate) fn lowest_version(&self, kind: ImageKind) -> u32 {
+        let approved = self.store.get().versions[kind as usize];
+        let running = self
+            .running
+            .as_ref()
+            .filter(|_| kind == ImageKind::Bootloader);
+        let running = running.and_then(|bytes| bytes.first_chunk());
+        let running = running.and_then(|bytes| Manifest::decode(bytes).ok());
+        running.map_or(approved, |manifest| manifest.version.max(approved))
+    }
+
+    /// Removes from the environment what a file brought that ends wrongly.
+    pub(crate) fn forget_all(&mut self, flash: &mut impl NorFlash) -> Result<(), FlashFault> {
+        let mut environment = *self.store.get();
+        environment.trial = None;
+        if environment.loader == LoaderUpdate::Staged {
+            environment.loader = LoaderUpdate::Idle;
+        }
+        self.store.write(flash, environment)
     }
 
     /// Removes a trial from the environment if it names the target, which is about to be erased.
@@ -65,6 +95,10 @@ struct Image {
     filled: usize,
     /// The manifest, once it is complete and accepted.
     manifest: Option<Manifest>,
+    /// Whether its signature is that of an accepted key.
+    is_authentic: bool,
+    /// Whether the place holds this image already. Then nothing is erased or written.
+    is_there: bool,
     /// Index of the part being received, and its received bytes.
     part: usize,
     done: u32,
@@ -162,9 +196,11 @@ impl Download {
             let (now, rest) = data.split_at(image.room().min(data.len()));
             if let Some(manifest) = &image.manifest {
                 let erased = &mut self.erased;
-                self.buffer
-                    .put(at, now, |at, page| program_in(flash, erased, at, page))
-                    .map_err(|FlashFault| Refusal::Flash)?;
+                if !image.is_there {
+                    self.buffer
+                        .put(at, now, |at, page| program_in(flash, erased, at, page))
+                        .map_err(|FlashFault| Refusal::Flash)?;
+                }
                 image.done += now.len() as u32;
                 if image.done == manifest.parts[image.part].length {
                     (image.part, image.done) = (image.part + 1, 0);
@@ -177,9 +213,13 @@ impl Download {
                     return Err(Refusal::NoManifest);
                 }
                 if image.filled == MANIFEST_BYTES {
-                    image.manifest = Some(accept(&image.manifest_bytes, image.target, ground)?);
-                    let (target, first) = (image.target, sector_at(image.place()));
-                    self.prepare(target, first, flash, ground)
+                    let (manifest, authentic) =
+                        accept(&image.manifest_bytes, image.target, ground)?;
+                    image.is_authentic = authentic;
+                    image.is_there = holds(flash, image.place(), &image.manifest_bytes, &manifest);
+                    image.manifest = Some(manifest);
+                    let place = (!image.is_there).then(|| (image.target, image.place()));
+                    self.prepare(place, flash, ground)
                         .map_err(|FlashFault| Refusal::Flash)?;
                 }
             }
@@ -190,19 +230,22 @@ impl Download {
         Ok(())
     }
 
-    /// Programs the page in the buffer, forgets a trial of the target, and erases its first sector.
+    /// Programs the page in the buffer. If an image is to be written to a `place`, forgets a trial
+    /// of that, and erases its first sector.
     fn prepare(
         &mut self,
-        target: ImageTarget,
-        first: Option<Range<u32>>,
+        place: Option<(ImageTarget, u32)>,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Result<(), FlashFault> {
         let erased = &mut self.erased;
         self.buffer
             .flush(|at, page| program_in(flash, erased, at, page))?;
+        let Some((target, at)) = place else {
+            return Ok(());
+        };
         ground.forget(flash, target)?;
-        self.erased = first.ok_or(FlashFault)?;
+        self.erased = sector_at(at).ok_or(FlashFault)?;
         erase(flash, self.erased.clone())
     }
 
@@ -231,9 +274,9 @@ impl Download {
             .flush(|at, page| program_in(flash, erased, at, page))
             .map_err(fault)?;
         let mut environment = *ground.store.get();
-        let mut selection = environment
-            .trial
-            .map_or(Selection::default(), |trial| trial.selection);
+        let before = environment.trial;
+        let mut selection = before.map_or(Selection::default(), |trial| trial.selection);
+        let mut authentic = before.is_none_or(|trial| trial.authentic);
         for image in self.images.iter().flatten() {
             let manifest = image.manifest.as_ref().ok_or(Refusal::Incomplete)?;
             let place = image.place();
@@ -246,18 +289,27 @@ impl Download {
             }
             let (pages, _) = image.manifest_bytes.as_chunks::<PAGE_BYTES>();
             for (page, at) in pages.iter().zip((place..).step_by(PAGE_BYTES)) {
-                program(flash, at, page).map_err(fault)?;
+                if !image.is_there {
+                    program(flash, at, page).map_err(fault)?;
+                }
             }
+            authentic &= image.is_authentic;
             match image.target {
                 ImageTarget::Application(slot) => selection.application = Some(slot),
                 ImageTarget::Configuration(slot) => selection.configuration = Some(slot),
+                // It runs already.
+                ImageTarget::Staging if ground.running == Some(image.manifest_bytes) => {}
                 ImageTarget::Staging => environment.loader = LoaderUpdate::Staged,
             }
         }
         environment.trial = (selection != Selection::default()).then_some(Trial {
             selection,
             executed: false,
+            authentic,
         });
+        if environment == *ground.store.get() {
+            return Ok(());
+        }
         ground.store.write(flash, environment).map_err(fault)
     }
 }
@@ -304,17 +356,29 @@ fn begin(
         manifest_bytes: [0; MANIFEST_BYTES],
         filled: 0,
         manifest: None,
+        is_authentic: false,
+        is_there: false,
         part: 0,
         done: 0,
     })
 }
 
-/// Checks a manifest. Nothing was erased for it yet.
+/// Returns whether a place holds this image, whole.
+fn holds(
+    flash: &mut impl NorFlash,
+    place: u32,
+    bytes: &[u8; MANIFEST_BYTES],
+    manifest: &Manifest,
+) -> bool {
+    read(flash, place) == Ok(*bytes) && is_intact(flash, place, manifest) == Ok(true)
+}
+
+/// Checks a manifest. Nothing was erased for it yet. Returns it, and whether it is authentic.
 fn accept(
     bytes: &[u8; MANIFEST_BYTES],
     target: ImageTarget,
     ground: &Ground<'_>,
-) -> Result<Manifest, Refusal> {
+) -> Result<(Manifest, bool), Refusal> {
     let signed = bytes.first_chunk::<SIGNED_BYTES>();
     let manifest = signed.and_then(|signed| Manifest::decode(signed).ok());
     let manifest = manifest.ok_or(Refusal::BadManifest)?;
@@ -330,10 +394,10 @@ fn accept(
     if !authentic && ground.trust.mode == TrustMode::Strict {
         return Err(Refusal::Untrusted);
     }
-    if manifest.version < environment.versions[manifest.kind as usize] {
+    if manifest.version < ground.lowest_version(manifest.kind) {
         return Err(Refusal::Downgrade);
     }
-    Ok(manifest)
+    Ok((manifest, authentic))
 }
 
 /// Returns the refusal for a record that begins before the end of the received data.

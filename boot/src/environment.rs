@@ -35,6 +35,9 @@ pub struct Trial {
     pub selection: Selection,
     /// Whether they were started.
     pub executed: bool,
+    /// Whether all of them are signed by an accepted key. Only then does their approval raise what
+    /// is refused.
+    pub authentic: bool,
 }
 
 /// The progress of an update of the bootloader itself. A write of the environment ends each state,
@@ -57,6 +60,8 @@ pub enum LoaderUpdate {
     Sealing,
     /// The new bootloader has failed. Next: copy the backup to the primary bank, sealed.
     Restoring,
+    /// The primary bank cannot be written. The backup runs, and a new bootloader may be tried.
+    BackupOnly,
 }
 
 /// The content of the boot environment.
@@ -80,6 +85,7 @@ impl Environment {
         let trial = self.trial.unwrap_or(Trial {
             selection: Selection::default(),
             executed: false,
+            authentic: false,
         });
         let mut bytes = [0; RECORD_BYTES];
         bytes[..4].copy_from_slice(&MAGIC);
@@ -92,7 +98,7 @@ impl Environment {
             u8::from(self.trial.is_some()) + u8::from(trial.executed),
             self.loader as u8,
             self.lowest_key,
-            0,
+            u8::from(trial.authentic),
         ]);
         let (places, _) = bytes[16..28].as_chunks_mut::<4>();
         for (place, version) in places.iter_mut().zip(self.versions) {
@@ -111,6 +117,7 @@ impl Environment {
                 configuration: Slot::from_repr(bytes[11]),
             },
             executed: bytes[12] == 2,
+            authentic: bytes[15] == 1,
         };
         let environment = Self {
             active: Selection {
@@ -143,30 +150,30 @@ pub struct EnvironmentStore {
     sequence: u32,
     /// The copy that is kept while the other one is written.
     base: u8,
-    /// Whether both copies hold the current environment, confirmed.
+    /// Whether that copy holds the current environment, confirmed.
+    is_current: bool,
+    /// Whether both copies do.
     settled: bool,
 }
 
 impl EnvironmentStore {
-    /// Reads both copies. Returns `None` if neither holds a record: the controller is new, or lost
-    /// both.
-    ///
-    /// # Errors
-    /// [`FlashFault`] if the flash cannot be read.
-    pub fn load(flash: &mut impl NorFlash) -> Result<Option<Self>, FlashFault> {
-        let copies = [read_copy(flash, 0)?, read_copy(flash, 1)?];
+    /// Reads both copies. Returns `None` if neither holds a record that can be read: the controller
+    /// is new, or lost both.
+    pub fn load(flash: &mut impl NorFlash) -> Option<Self> {
+        let copies = [0, 1].map(|copy| read_copy(flash, copy).ok().flatten());
         let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
         // If both copies are equal, keep the second, so that a change writes the first copy first.
         let base = match copies.map(|copy| copy.as_ref().map(rank)) {
             [first, second] if first > second => 0,
             _ => 1,
         };
-        Ok(copies[usize::from(base)].map(|copy| Self {
+        copies[usize::from(base)].map(|copy| Self {
             current: copy.environment,
             sequence: copy.sequence,
             base,
+            is_current: copy.confirmed,
             settled: copies[0] == copies[1] && copy.confirmed,
-        }))
+        })
     }
 
     /// Creates a store with a first environment; [`EnvironmentStore::settle`] writes it.
@@ -176,6 +183,7 @@ impl EnvironmentStore {
             current: environment,
             sequence: 1,
             base: 1,
+            is_current: false,
             settled: false,
         }
     }
@@ -187,16 +195,26 @@ impl EnvironmentStore {
     }
 
     /// Makes both copies equal after a loss of power. Call it before anything acts on the
-    /// environment.
+    /// environment. If the sector of one copy is worn out, the other copy is left alone; if that
+    /// holds an older environment, it is replaced, and only a loss of power meanwhile loses it.
     ///
     /// # Errors
-    /// [`FlashFault`] if the flash cannot be written.
+    /// [`FlashFault`] if no copy can be written.
     pub fn settle(&mut self, flash: &mut impl NorFlash) -> Result<(), FlashFault> {
-        if !self.settled {
-            self.write_copy(flash, 1 - self.base)?;
-            self.write_copy(flash, self.base)?;
-            (self.base, self.settled) = (1, true);
+        if self.settled {
+            return Ok(());
         }
+        let first = self.write_copy(flash, 1 - self.base);
+        if first.is_err() && self.is_current {
+            return Ok(());
+        }
+        let second = self.write_copy(flash, self.base);
+        match (first, second) {
+            (Ok(()), Ok(())) => (self.base, self.settled) = (1, true),
+            (Ok(()), Err(FlashFault)) => self.base = 1 - self.base,
+            (Err(FlashFault), second) => second?,
+        }
+        self.is_current = true;
         Ok(())
     }
 
@@ -204,14 +222,14 @@ impl EnvironmentStore {
     /// old or the new environment is read.
     ///
     /// # Errors
-    /// [`FlashFault`] if the flash cannot be written; the flash then holds the old or the new
-    /// environment.
+    /// [`FlashFault`] if no copy can be written; the flash then holds the old or the new
+    /// environment, or none.
     pub fn write(
         &mut self,
         flash: &mut impl NorFlash,
         environment: Environment,
     ) -> Result<(), FlashFault> {
-        (self.current, self.settled) = (environment, false);
+        (self.current, self.is_current, self.settled) = (environment, false, false);
         self.sequence = self.sequence.wrapping_add(1);
         self.settle(flash)
     }
@@ -278,13 +296,17 @@ mod tests {
         #[test]
         fn what_is_encoded_is_decoded(
             active in slots(),
-            trial in prop::option::of((slots(), any::<bool>())),
+            trial in prop::option::of((slots(), any::<bool>(), any::<bool>())),
             loader in prop::sample::select(LoaderUpdate::VARIANTS),
             versions: [u32; 3],
             lowest_key: u8,
             sequence: u32,
         ) {
-            let trial = trial.map(|(selection, executed)| Trial { selection, executed });
+            let trial = trial.map(|(selection, executed, authentic)| Trial {
+                selection,
+                executed,
+                authentic,
+            });
             let environment = Environment { active, trial, loader, versions, lowest_key };
             let bytes = environment.encode(sequence);
             prop_assert_eq!(Environment::decode(&bytes), Some((environment, sequence)));

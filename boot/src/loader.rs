@@ -5,7 +5,7 @@ mod own_update;
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, is_intact, read};
-use crate::log::{LogEvent, append};
+use crate::log::{LogEvent, append, has_entries};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, TO_LOADER};
@@ -114,12 +114,10 @@ pub struct Loader<'k, F> {
 
 impl<'k, F: NorFlash> Loader<'k, F> {
     /// Reads the boot environment, repairs it after a loss of power, rolls back an image that did
-    /// not approve itself, and takes the next step of an update of the bootloader.
-    ///
-    /// # Errors
-    /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
-    pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Result<Self, FlashFault> {
-        let loaded = EnvironmentStore::load(&mut flash)?;
+    /// not approve itself, and takes the next step of an update of the bootloader. What the flash
+    /// does not record is not done, or is done again at the next start.
+    pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Self {
+        let loaded = EnvironmentStore::load(&mut flash);
         let mut store = match loaded.clone() {
             Some(store) => store,
             None => EnvironmentStore::new(rebuild(&mut flash, &setup)),
@@ -129,6 +127,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if loaded.is_none() && settled.is_ok() {
             let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
         }
+        let running = read(&mut flash, FlashRegion::Bank(setup.bank).range().start).ok();
         let mut loader = Self {
             flash,
             setup,
@@ -136,6 +135,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 trust: setup.trust,
                 store,
                 keep: Selection::default(),
+                running,
             },
             session: Session::default(),
             entry: entry(&setup, now),
@@ -144,29 +144,26 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             refusal_logged: false,
             was_busy: false,
         };
-        loader.verdict = loader.update_bootloader()?;
+        loader.verdict = loader.continue_update();
         if loader.verdict.is_none() {
-            loader.roll_back()?;
-            loader.choose_active()?;
+            loader.roll_back();
+            loader.choose_active();
         }
-        Ok(loader)
+        loader
     }
 
     /// Returns the next action.
-    ///
-    /// # Errors
-    /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
-    pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
-        if core::mem::take(&mut self.was_busy) {
+    pub fn next(&mut self, now: Instant) -> Next {
+        if core::mem::take(&mut self.was_busy) && self.session.is_open() {
             // The loader does not read CAN while the flash is busy: that time does not count as
             // silence of the host.
             self.session.hear(now);
         }
         if let Some(frame) = self.answer.take() {
-            return Ok(Next::Send(frame));
+            return Next::Send(frame);
         }
         if let Some(verdict) = self.verdict {
-            return Ok(verdict);
+            return verdict;
         }
         if let Some(deadline) = self.session.deadline()
             && now >= deadline
@@ -186,7 +183,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 let verdict = if self.session.is_finished() || self.session.is_open() {
                     Some(Next::Reset)
                 } else {
-                    self.boot()?
+                    self.boot()
                 };
                 (self.verdict, self.session) = (verdict, Session::default());
                 self.entry = Entry::Always;
@@ -194,7 +191,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             }
             ends => {
                 let silence = self.session.deadline().unwrap_or(Instant::NEVER);
-                Ok(Next::Wait(ends.unwrap_or(Instant::NEVER).min(silence)))
+                Next::Wait(ends.unwrap_or(Instant::NEVER).min(silence))
             }
         }
     }
@@ -206,9 +203,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
         self.was_busy = true;
         let answer = match HostRequest::decode(frame.data()) {
-            HostRequest::Connect { system, resume } => self
-                .is_for_us(system)
-                .then(|| self.session.connect(now, resume)),
+            HostRequest::Connect { system, resume } if self.is_for_us(system) => {
+                self.session.connect(now, resume)
+            }
+            HostRequest::Connect { .. } => None,
             request => {
                 let (flash, ground) = (&mut self.flash, &mut self.ground);
                 self.session.on_request(now, request, flash, ground)
@@ -248,27 +246,25 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     }
 
     /// Forgets an image on trial that was started and did not approve itself before this start. U-3
-    fn roll_back(&mut self) -> Result<(), FlashFault> {
+    fn roll_back(&mut self) {
         let environment = *self.ground.store.get();
         if environment.trial.is_some_and(|trial| trial.executed) {
-            self.forget_trial(LogEvent::RolledBack)?;
+            self.forget_trial(LogEvent::RolledBack);
         }
-        Ok(())
     }
 
-    fn forget_trial(&mut self, event: LogEvent) -> Result<(), FlashFault> {
-        let environment = Environment {
+    fn forget_trial(&mut self, event: LogEvent) {
+        // If it cannot be written, the next start forgets the trial again.
+        let _unwritten = self.write(Environment {
             trial: None,
             ..*self.ground.store.get()
-        };
-        self.write(environment)?;
+        });
         self.log(event, 0);
-        Ok(())
     }
 
     /// Determines the active slots that can boot; no download may touch them. If the active
     /// application is damaged, the other slot becomes active.
-    fn choose_active(&mut self) -> Result<(), FlashFault> {
+    fn choose_active(&mut self) {
         let mut environment = *self.ground.store.get();
         let active = environment.active;
         if let Some(slot) = active.application {
@@ -279,13 +275,13 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             self.ground.keep.application = good;
             if let Some(other) = good.filter(|good| *good != slot) {
                 environment.active.application = Some(other);
-                self.write(environment)?;
+                // If it cannot be written, the next start chooses again.
+                let _unwritten = self.write(environment);
                 self.log(LogEvent::SlotDamaged, other as u32);
             }
         }
         let whole = |slot: &Slot| self.can_boot(ImageTarget::Configuration(*slot));
         self.ground.keep.configuration = active.configuration.filter(whole);
-        Ok(())
     }
 
     fn can_boot(&mut self, target: ImageTarget) -> bool {
@@ -308,7 +304,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     /// Boot-load mode: starts the image on trial if it is intact, otherwise the active one. Returns
     /// `None` if nothing can boot; the loader then waits for a download.
-    fn boot(&mut self) -> Result<Option<Next>, FlashFault> {
+    fn boot(&mut self) -> Option<Next> {
         let environment = *self.ground.store.get();
         let mut selection = Selection {
             configuration: self.ground.keep.configuration,
@@ -318,26 +314,29 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             let application = new.application.map(ImageTarget::Application);
             let configuration = new.configuration.map(ImageTarget::Configuration);
             let mut targets = application.into_iter().chain(configuration);
-            if targets.all(|target| self.can_boot(target)) {
+            let started = Environment {
+                trial: environment.trial.map(|trial| Trial {
+                    executed: true,
+                    ..trial
+                }),
+                ..environment
+            };
+            if !targets.all(|target| self.can_boot(target)) {
+                self.forget_trial(LogEvent::SlotDamaged);
+            } else if self.write(started).is_err() {
+                // Without this record it could not be rolled back.
+                self.log(LogEvent::NotRecorded, 0);
+            } else {
                 selection.application = new.application.or(selection.application);
                 selection.configuration = new.configuration.or(selection.configuration);
-                let trial = Some(Trial {
-                    selection: new,
-                    executed: true,
-                });
-                self.write(Environment {
-                    trial,
-                    ..environment
-                })?;
-            } else {
-                self.forget_trial(LogEvent::SlotDamaged)?;
             }
         }
         let Some(application) = selection.application else {
-            return Ok(self.last_resort());
+            return self.last_resort();
         };
-        self.approve_bootloader()?;
-        Ok(self.launch(application, selection.configuration))
+        // If that fails, the next start seals the new bootloader, or restores the old one.
+        let _unsealed = self.approve_bootloader();
+        self.launch(application, selection.configuration)
     }
 
     fn launch(&mut self, application: Slot, configuration: Option<Slot>) -> Option<Next> {
@@ -408,13 +407,25 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) ->
 }
 
 /// Derives a boot environment from the slots: of two intact images the older one is active and the
-/// newer one on trial. Used if the controller is new or has lost both copies.
+/// newer one on trial. Used if the controller is new or has lost both copies. What was refused is
+/// then not known: a controller that has lost it refuses all that is older than its images, or not
+/// signed by the newest key. A new controller has logged nothing.
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     let mut environment = Environment::default();
+    if has_entries(flash) {
+        environment.lowest_key = setup.trust.keys.len().saturating_sub(1) as u8;
+    }
+    let versions = &mut environment.versions;
+    let mut authentic = true;
     let mut find = |kind: fn(Slot) -> ImageTarget| {
         let mut version = |slot| {
             let image = inspect(flash, &setup.trust, kind(slot))?;
             let taken = image.authentic || setup.trust.mode == TrustMode::Monitor;
+            authentic &= image.authentic;
+            if image.authentic {
+                let lowest = &mut versions[image.manifest.kind as usize];
+                *lowest = image.manifest.version.max(*lowest);
+            }
             taken.then_some((image.manifest.version, slot))
         };
         match [version(Slot::A), version(Slot::B)] {
@@ -436,8 +447,8 @@ fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     environment.trial = (newer != Selection::default()).then_some(Trial {
         selection: newer,
         executed: false,
+        authentic,
     });
-    raise_to_active(flash, &mut environment);
     environment
 }
 
@@ -473,13 +484,14 @@ fn raise(environment: &mut Environment, manifest: &Manifest) {
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read or written; try again.
 pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
-    let Some(mut store) = EnvironmentStore::load(flash)? else {
+    let Some(mut store) = EnvironmentStore::load(flash) else {
         return Err(FlashFault);
     };
     let mut environment = *store.get();
     let Some(Trial {
         selection,
         executed: true,
+        authentic,
     }) = environment.trial
     else {
         return Ok(());
@@ -488,7 +500,9 @@ pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
     active.application = selection.application.or(active.application);
     active.configuration = selection.configuration.or(active.configuration);
     environment.trial = None;
-    raise_to_active(flash, &mut environment);
+    if authentic {
+        raise_to_active(flash, &mut environment);
+    }
     store.write(flash, environment)?;
     let _ = append(flash, LogEvent::Approved, environment.versions[0]);
     Ok(())

@@ -4,7 +4,7 @@
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};
-use crate::page::{CRC_32, ERASED, Page, word};
+use crate::page::{CRC_32, Page, word};
 use embedded_storage::nor_flash::NorFlash;
 use strum::FromRepr;
 
@@ -36,6 +36,10 @@ pub enum LogEvent {
     LoaderApproved,
     /// The bootloader was restored from its backup.
     LoaderRestored,
+    /// A bank of the bootloader cannot be written. Value: the state of the update.
+    LoaderNotWritten,
+    /// The boot environment cannot be written: an image on trial is not started.
+    NotRecorded,
 }
 
 /// One entry.
@@ -72,42 +76,37 @@ impl LogEntry {
     }
 }
 
-/// Calls `found` for every readable entry. Returns the offset of the first free page.
-fn scan(
-    flash: &mut impl NorFlash,
-    sector: u8,
-    mut found: impl FnMut(LogEntry),
-) -> Result<u32, FlashFault> {
+/// Calls `found` for every readable entry. Returns the offset of the page after the last one. An
+/// erased page may be unreadable, or have any value.
+fn scan(flash: &mut impl NorFlash, sector: u8, mut found: impl FnMut(LogEntry)) -> u32 {
     let range = FlashRegion::Log(sector).range();
     let mut free = range.start;
     for at in range.clone().step_by(PAGE_BYTES) {
-        let page: Page = read(flash, at)?;
-        if let Some(entry) = LogEntry::decode(&page) {
+        let page = read(flash, at).ok();
+        if let Some(entry) = page.as_ref().and_then(LogEntry::decode) {
             found(entry);
-        }
-        if page != [ERASED; PAGE_BYTES] {
             free = at + PAGE_BYTES as u32;
         }
     }
-    Ok(free)
+    free
+}
+
+/// Returns whether anything was ever logged.
+pub(crate) fn has_entries(flash: &mut impl NorFlash) -> bool {
+    let mut found = false;
+    read_log(flash, |_| found = true);
+    found
 }
 
 /// Calls `found` for every entry. The sector with the older entries is read first.
-///
-/// # Errors
-/// [`FlashFault`] if the flash cannot be read.
-pub fn read_log(
-    flash: &mut impl NorFlash,
-    mut found: impl FnMut(LogEntry),
-) -> Result<(), FlashFault> {
+pub fn read_log(flash: &mut impl NorFlash, mut found: impl FnMut(LogEntry)) {
     let mut newest = [None; 2];
     for (sector, newest) in (0..).zip(&mut newest) {
-        scan(flash, sector, |entry| *newest = Some(entry.sequence))?;
+        scan(flash, sector, |entry| *newest = Some(entry.sequence));
     }
     let first = u8::from(newest[0] > newest[1]);
-    scan(flash, first, &mut found)?;
-    scan(flash, 1 - first, &mut found)?;
-    Ok(())
+    scan(flash, first, &mut found);
+    scan(flash, 1 - first, &mut found);
 }
 
 /// Appends an entry. A loss of power may have left the next page half programmed, so a page that
@@ -124,7 +123,7 @@ pub(crate) fn append(
     let mut free = [0; 2];
     for sector in 0..2 {
         let last = &mut newest[usize::from(sector)];
-        free[usize::from(sector)] = scan(flash, sector, |entry| *last = Some(entry.sequence))?;
+        free[usize::from(sector)] = scan(flash, sector, |entry| *last = Some(entry.sequence));
     }
     let sequence = newest[0]
         .max(newest[1])

@@ -16,8 +16,8 @@ pub(crate) fn word(bytes: &[u8], at: usize) -> u32 {
     word.map_or(0, |word| u32::from_le_bytes(*word))
 }
 
-/// The value of erased flash, used as padding.
-pub(crate) const ERASED: u8 = 0xFF;
+/// The value of bytes in a page that were not sent. Erased flash may have another one.
+pub(crate) const PADDING: u8 = 0xFF;
 
 /// The page that is being filled.
 #[derive(Clone, Debug, Default)]
@@ -37,7 +37,7 @@ impl PageBuffer {
             if self.0.is_some_and(|(start, _)| start != page) {
                 self.flush(&mut program)?;
             }
-            let (_, bytes) = self.0.get_or_insert((page, [ERASED; PAGE_BYTES]));
+            let (_, bytes) = self.0.get_or_insert((page, [PADDING; PAGE_BYTES]));
             bytes[place as usize] = *byte;
         }
         Ok(())
@@ -76,7 +76,7 @@ mod tests {
         ) {
             let mut buffer = PageBuffer::default();
             let mut pages = BTreeMap::new();
-            let mut expected = vec![ERASED; 4096];
+            let mut expected = vec![PADDING; 4096];
             let mut program = |start: u32, page: &Page| {
                 assert_eq!(pages.insert(start, *page), None, "page {start} programmed twice");
                 Ok::<(), Infallible>(())
@@ -89,7 +89,7 @@ mod tests {
                 at += data.len() as u32;
             }
             buffer.flush(&mut program).unwrap();
-            let mut flash = vec![ERASED; 4096];
+            let mut flash = vec![PADDING; 4096];
             for (start, page) in pages {
                 flash[start as usize..start as usize + PAGE_BYTES].copy_from_slice(&page);
             }
@@ -108,7 +108,7 @@ mod tests {
         };
         buffer.put(64, &[1; 33], &mut program).unwrap();
         buffer.flush(&mut program).unwrap();
-        let mut tail = [ERASED; PAGE_BYTES];
+        let mut tail = [PADDING; PAGE_BYTES];
         tail[0] = 1;
         assert_eq!(pages, vec![(64, [1; PAGE_BYTES]), (96, tail)]);
     }

@@ -58,6 +58,8 @@ pub enum Refusal {
     Record,
     /// The flash fails.
     Flash,
+    /// A record follows the end of the file. What the file brought is forgotten.
+    AfterEnd,
 }
 
 /// An answer of the bootloader.

@@ -5,6 +5,7 @@
 //! host goes back to the record that the loader names.
 
 use crate::download::{Download, Ground, free_slot};
+use crate::flash_access::FlashFault;
 use crate::protocol::{Answer, HostRequest, Refusal};
 use crate::srec::{Assembler, SRecord, SRecordType};
 use embedded_storage::nor_flash::NorFlash;
@@ -76,7 +77,11 @@ impl Session {
         self.heard = now;
     }
 
-    pub(crate) fn connect(&mut self, now: Instant, resume: bool) -> Answer {
+    /// Connects a host; `None` after a file was accepted: a connection takes one file.
+    pub(crate) fn connect(&mut self, now: Instant, resume: bool) -> Option<Answer> {
+        if self.is_finished() {
+            return None;
+        }
         if !(resume && self.is_open()) {
             *self = Self::default();
         }
@@ -84,7 +89,7 @@ impl Session {
         // The host repeats the record that it was sending when the connection broke.
         self.assembler = Assembler::default();
         (self.window, self.unanswered, self.waits_for_go_back) = (0, 0, false);
-        Answer::Connected
+        Some(Answer::Connected)
     }
 
     /// Processes a frame other than a connect request.
@@ -148,7 +153,15 @@ impl Session {
             return Some(self.ask_again());
         };
         // Without a window the host repeats a record whose acknowledgement was lost.
-        let repeated = self.window == 0 && self.last.as_ref() == Some(&record);
+        let is_last = self.last.as_ref() == Some(&record);
+        let repeated = self.window == 0 && is_last;
+        if self.state == State::Finished && !is_last {
+            let forgotten = ground.forget_all(flash);
+            return Some(self.refuse(match forgotten {
+                Ok(()) => Refusal::AfterEnd,
+                Err(FlashFault) => Refusal::Flash,
+            }));
+        }
         if !repeated && self.state == State::Open {
             match self.download.take(&record, flash, ground) {
                 Ok(ended) => {

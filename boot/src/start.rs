@@ -80,7 +80,7 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
 }
 
 /// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests a
-/// reset or the flash fails. Core 0, task context; blocks.
+/// reset. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,
@@ -94,26 +94,24 @@ pub fn start<B: Board>(
         bank,
         cause: board.supply().reset_cause(),
     };
-    let Ok(mut loader) = Loader::start(flash, setup, board.now()) else {
-        reset(board)
-    };
+    let mut loader = Loader::start(flash, setup, board.now());
     board.can().wake_on_receive(true);
     loop {
         let wait = match loader.next(board.now()) {
-            Ok(Next::Wait(until)) => until,
-            Ok(Next::Send(frame)) => {
+            Next::Wait(until) => until,
+            Next::Send(frame) => {
                 while board.can().try_send(&frame).is_err() {
                     board.wait(board.now() + Duration::from_ms(1));
                 }
                 continue;
             }
-            Ok(Next::Jump(launch)) if keeper.hand_over() => {
+            Next::Jump(launch) if keeper.hand_over() => {
                 break leave(board, Leave::Jump(launch));
             }
-            Ok(Next::StartPrimary) if keeper.hand_over() => {
+            Next::StartPrimary if keeper.hand_over() => {
                 break leave(board, Leave::StartPrimary);
             }
-            Ok(Next::Jump(_) | Next::StartPrimary | Next::Reset) | Err(_) => reset(board),
+            Next::Jump(_) | Next::StartPrimary | Next::Reset => reset(board),
         };
         let due = keeper.keep();
         match board.can().try_receive() {

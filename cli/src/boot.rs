@@ -81,7 +81,6 @@ impl ProgramFlashes {
         key: &SigningKey,
     ) -> anyhow::Result<Vec<String>> {
         let store = EnvironmentStore::load(&mut self.open(system)?);
-        let store = store.map_err(|fault| anyhow!("the program flash of {system}: {fault:?}"))?;
         let active = store.and_then(|store| store.get().active.application);
         let slot = active.unwrap_or(Slot::A).other();
         let image = application(CONTROLLER, slot, release, key);

@@ -78,7 +78,7 @@ fn three_cores_send_what_was_downloaded() {
 /// before the first start.
 fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
     let mut flash = FlashFile::open(flash).unwrap();
-    let environment = *EnvironmentStore::load(&mut flash).unwrap()?.get();
+    let environment = *EnvironmentStore::load(&mut flash)?.get();
     let slot = environment.active.application;
     Some((slot, environment.versions[0], environment.trial.is_some()))
 }

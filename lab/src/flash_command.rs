@@ -13,8 +13,7 @@ use tandem_boot::{
     Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
 };
 use tandem_boot_host::{
-    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, TransferError, records,
-    send_file, serve,
+    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, records, send_file, serve,
 };
 
 /// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
@@ -111,8 +110,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     };
     loop {
         let clock = Clock::now();
-        let loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
-        let mut loader = loader.map_err(|_| TransferError::Flash)?;
+        let mut loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
         match serve(&wire, clock, &mut loader)? {
             Next::Jump(launch) => return tandem::print(&shown(&launch)),
             Next::StartPrimary => setup.bank = Bank::Primary,

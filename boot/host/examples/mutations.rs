@@ -141,13 +141,8 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
     // Versions 5 and 6 are valid; 2 is older than the running version 3.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];
     let base = controller();
-    let fresh = || -> Result<_> {
-        match Loader::start(base.clone(), setup, Instant::ORIGIN) {
-            Ok(loader) => Ok(loader),
-            Err(fault) => bail!("the loader does not start: {fault:?}"),
-        }
-    };
-    let mut loader = fresh()?;
+    let fresh = || Loader::start(base.clone(), setup, Instant::ORIGIN);
+    let mut loader = fresh();
     let mut tally = Tally::default();
     for number in numbers {
         let mut chance = ChaCha8Rng::seed_from_u64(number);
@@ -155,7 +150,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         let fate = match send(&mut loader, &lines) {
             Some(Answer::Refused(refusal)) => format!("{refusal:?}"),
             Some(Answer::Accepted { .. }) => {
-                let mut flash = std::mem::replace(&mut loader, fresh()?).into_flash();
+                let mut flash = std::mem::replace(&mut loader, fresh()).into_flash();
                 let place = FlashRegion::Target(ImageTarget::Application(Slot::B))
                     .range()
                     .start;
@@ -189,12 +184,12 @@ fn send(loader: &mut Loader<'_, SimulatedFlash>, lines: &[String]) -> Option<Ans
         // A line without its end receives no answer.
         last = None;
         for piece in line.as_bytes().chunks(8) {
-            while let Ok(Next::Send(frame)) = loader.next(now) {
+            while let Next::Send(frame) = loader.next(now) {
                 last = Answer::decode(frame.data());
             }
             loader.on_frame(now, &HostRequest::Data(piece).frame()?);
         }
-        while let Ok(Next::Send(frame)) = loader.next(now) {
+        while let Next::Send(frame) = loader.next(now) {
             last = Answer::decode(frame.data());
         }
         if let Some(Answer::Refused(_)) = last {

@@ -15,12 +15,12 @@ use std::sync::Mutex;
 use std::thread;
 use strum::VariantArray as _;
 use tandem_boot::{Launch, Slot};
-use tandem_boot_host::SimulatedFlash;
 use tandem_boot_host::Tear;
 use tandem_boot_host::cuts::{
-    CutScenario, LifePlan, Stage, Swept, TickRange, WiringDefect, live, sweep,
+    CutCase, CutScenario, LifePlan, Stage, Swept, TickRange, WiringDefect, live, sweep,
 };
 use tandem_boot_host::life::{End, LifeOutcome};
+use tandem_boot_host::{FlashTraits, SimulatedFlash};
 
 /// Number of parts into which the ticks of a scenario are split.
 const PARTS: u64 = 8;
@@ -37,6 +37,9 @@ struct Arguments {
     /// Sweep a bootloader with a defect instead; bricks must appear
     #[arg(long, value_parser = ["one-slot", "one-bank"])]
     broken: Option<String>,
+    /// Type of flash: one that erases to 0xFF, or one that erases to 0 and has an ECC
+    #[arg(long, default_value = "plain", value_parser = ["plain", "aurix"])]
+    flash: String,
     /// Run one life and exit; internal, started by the sweep
     #[arg(long, hide = true, num_args = 5, value_names = ["SCENARIO", "ACTS", "SEED", "TICK", "TEAR"])]
     life: Option<Vec<u64>>,
@@ -49,8 +52,17 @@ fn main() -> Result<ExitCode> {
         Some(_) => Some(WiringDefect::OneBank),
         None => None,
     };
+    let traits = match arguments.flash.as_str() {
+        "aurix" => FlashTraits::AURIX,
+        _ => FlashTraits::default(),
+    };
+    let case = |scenario| CutCase {
+        scenario,
+        defect,
+        traits,
+    };
     if let Some(life) = &arguments.life {
-        live_one(life, defect)?;
+        live_one(life, case)?;
         return Ok(ExitCode::SUCCESS);
     }
     // Split all scenarios into parts of similar length, to keep the processors busy.
@@ -74,7 +86,7 @@ fn main() -> Result<ExitCode> {
                     from: part * arguments.every,
                     every: PARTS * arguments.every,
                 };
-                let swept = sweep_scenario(scenario, defect, ticks)?;
+                let swept = sweep_scenario(case(scenario), ticks)?;
                 if part == 0 {
                     println!("{scenario:?} swept");
                 }
@@ -123,17 +135,13 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
         .unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-fn sweep_scenario(
-    scenario: CutScenario,
-    defect: Option<WiringDefect>,
-    ticks: TickRange,
-) -> Result<Swept> {
-    let stage = Stage::new(scenario, defect);
+fn sweep_scenario(case: CutCase, ticks: TickRange) -> Result<Swept> {
+    let stage = Stage::new(case);
     let program = std::env::current_exe()?;
     sweep(&stage, ticks, |flash, step| {
         let (tick, tear) = step.cut.unwrap_or((u64::MAX, Tear::Clean));
         let life = [
-            scenario as u64,
+            case.scenario as u64,
             step.acts.into(),
             step.seed,
             tick,
@@ -143,7 +151,10 @@ fn sweep_scenario(
         command
             .arg("--life")
             .args(life.map(|value| value.to_string()));
-        match defect {
+        if case.traits == FlashTraits::AURIX {
+            command.args(["--flash", "aurix"]);
+        }
+        match case.defect {
             Some(WiringDefect::OneSlot) => drop(command.args(["--broken", "one-slot"])),
             Some(WiringDefect::OneBank) => drop(command.args(["--broken", "one-bank"])),
             None => {}
@@ -166,7 +177,7 @@ fn sweep_scenario(
     })
 }
 
-fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
+fn live_one(life: &[u64], case: impl Fn(CutScenario) -> CutCase) -> Result<()> {
     let [scenario, acts, seed, tick, tear] = life else {
         bail!("five numbers");
     };
@@ -184,7 +195,7 @@ fn live_one(life: &[u64], defect: Option<WiringDefect>) -> Result<()> {
         seed: *seed,
         cut: (*tick != u64::MAX).then_some((*tick, *tear)),
     };
-    let lived = live((scenario, defect), &lines, flash, step);
+    let lived = live(case(scenario), &lines, flash, step);
     let (outcome, ticks, flash) = lived.context("no flash")?;
     std::io::stdout().write_all(&encode(&outcome, ticks, &flash))?;
     Ok(())

@@ -5,9 +5,12 @@
 //! a new process or, as a [`Life`], in this process. U-5
 
 use crate::life::{End, Life, LifeOutcome, TEST_KEY};
-use crate::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
+use crate::{FlashTraits, Image, ReleaseInfo, SimulatedFlash, Tear, records};
 use strum::{FromRepr, VariantArray};
-use tandem_boot::{Bank, FlashRegion, ImageTarget, Slot, rom_choice};
+use tandem_boot::{
+    Bank, Environment, EnvironmentStore, FlashRegion, ImageTarget, Manifest, SIGNED_BYTES, Slot,
+    rom_choice,
+};
 
 /// The update during which power is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
@@ -39,6 +42,34 @@ pub enum WiringDefect {
     OneBank,
 }
 
+/// What is swept.
+#[derive(Clone, Copy, Debug)]
+pub struct CutCase {
+    /// The update.
+    pub scenario: CutScenario,
+    /// The defect, if bricks are expected.
+    pub defect: Option<WiringDefect>,
+    /// The type of flash.
+    pub traits: FlashTraits,
+}
+
+impl CutCase {
+    /// An update of a sound controller with a flash that erases to 0xFF and has no ECC.
+    #[must_use]
+    pub const fn plain(scenario: CutScenario) -> Self {
+        Self {
+            scenario,
+            defect: None,
+            traits: FlashTraits {
+                erases_to_0: false,
+                ecc: false,
+                blank_is_unreadable: false,
+                endurance: None,
+            },
+        }
+    }
+}
+
 /// The plan of one life: its actions, and the loss of power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LifePlan {
@@ -53,13 +84,12 @@ pub struct LifePlan {
 /// A scenario with its images.
 #[derive(Debug)]
 pub struct Stage {
-    scenario: CutScenario,
+    case: CutCase,
     lines: Vec<String>,
     start: Vec<u8>,
     applications: [Image; 2],
     configurations: [Image; 2],
     bootloaders: [Image; 2],
-    defect: Option<WiringDefect>,
 }
 
 fn release(version: u32, entry: u32) -> ReleaseInfo {
@@ -81,7 +111,8 @@ impl Stage {
     /// # Panics
     /// If the controller does not boot even without a loss of power.
     #[must_use]
-    pub fn new(scenario: CutScenario, defect: Option<WiringDefect>) -> Self {
+    pub fn new(case: CutCase) -> Self {
+        let scenario = case.scenario;
         let applications = [(Slot::A, 1), (Slot::B, 2)];
         let applications =
             applications.map(|(slot, v)| sign(ImageTarget::Application(slot), v, 400));
@@ -89,7 +120,7 @@ impl Stage {
         let configurations =
             configurations.map(|(slot, v)| sign(ImageTarget::Configuration(slot), v, 33));
         let bootloaders = [1, 2].map(|version| sign(ImageTarget::Staging, version, 90));
-        let mut flash = SimulatedFlash::new();
+        let mut flash = SimulatedFlash::new().with_traits(case.traits);
         for bank in [Bank::Primary, Bank::Backup] {
             flash.load(FlashRegion::Bank(bank).range().start, &bootloaders[0].bytes);
         }
@@ -114,13 +145,12 @@ impl Stage {
                 .for_each(|line| *line = crate::line(3, &address, &[0xEE; 16]));
         }
         let mut stage = Self {
-            scenario,
+            case,
             lines,
             start: Vec::new(),
             applications,
             configurations,
             bootloaders,
-            defect,
         };
         stage.prepare(&mut flash);
         stage.start = flash.save();
@@ -130,7 +160,7 @@ impl Stage {
     fn prepare(&self, flash: &mut SimulatedFlash) {
         let plain = Life::plain();
         assert!(matches!(plain.live(flash).end, End::Running(_)));
-        match self.scenario {
+        match self.case.scenario {
             CutScenario::Rollback => {
                 let unapproved = Life {
                     file: Some((&self.lines, 0)),
@@ -160,7 +190,7 @@ impl Stage {
     /// Returns the file that the host sends; empty if there is no host.
     #[must_use]
     pub fn lines(&self) -> &[String] {
-        match self.scenario {
+        match self.case.scenario {
             CutScenario::Rollback => &[],
             _ => &self.lines,
         }
@@ -169,7 +199,7 @@ impl Stage {
     /// Runs one life in this process: see [`live`].
     #[must_use]
     pub fn live(&self, flash: &[u8], step: LifePlan) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
-        live((self.scenario, self.defect), self.lines(), flash, step)
+        live(self.case, self.lines(), flash, step)
     }
 
     /// Describes what is wrong with a controller after a life without a loss of power. Returns
@@ -210,13 +240,13 @@ impl Stage {
 /// not decode.
 #[must_use]
 pub fn live(
-    (scenario, defect): (CutScenario, Option<WiringDefect>),
+    case: CutCase,
     lines: &[String],
     flash: &[u8],
     step: LifePlan,
 ) -> Option<(LifeOutcome, u64, SimulatedFlash)> {
-    let mut flash = SimulatedFlash::restore(flash)?;
-    if let Some(defect) = defect {
+    let mut flash = SimulatedFlash::restore(flash)?.with_traits(case.traits);
+    if let Some(defect) = case.defect {
         let application = |slot| FlashRegion::Target(ImageTarget::Application(slot)).range();
         let (range, place) = match defect {
             WiringDefect::OneSlot => (application(Slot::B), application(Slot::A).start),
@@ -227,7 +257,7 @@ pub fn live(
     flash.power_on(step.seed, step.cut);
     let life = Life {
         file: (step.acts && !lines.is_empty()).then_some((lines, 0)),
-        new_loader_crashes: scenario == CutScenario::CrashingBootloader,
+        new_loader_crashes: case.scenario == CutScenario::CrashingBootloader,
         ..Life::plain()
     };
     let outcome = life.live(&mut flash);
@@ -246,8 +276,38 @@ pub struct Swept {
     pub points: u64,
     /// Number of points with a second loss during the recovery from the first.
     pub double: u64,
-    /// Descriptions of the points after which the controller booted no intact image.
+    /// Descriptions of the points after which the controller booted no intact image, or accepted
+    /// what it refused before.
     pub bricks: Vec<String>,
+}
+
+/// Returns what a controller refuses: versions of each kind below these, and keys below the last
+/// number; `None` if its environment is lost.
+#[must_use]
+pub fn floors(flash: &mut SimulatedFlash) -> Option<[u32; 4]> {
+    let Environment {
+        versions: [application, configuration, bootloader],
+        lowest_key,
+        ..
+    } = *EnvironmentStore::load(flash)?.get();
+    let place = FlashRegion::Bank(rom_choice(flash)?).range().start;
+    let running = flash.firm(place, SIGNED_BYTES as u32)?;
+    let running = Manifest::decode(running.first_chunk()?).ok()?.version;
+    Some([
+        application,
+        configuration,
+        bootloader.max(running),
+        lowest_key.into(),
+    ])
+}
+
+/// Describes what is refused no more after a life, if there is any.
+fn lowered(before: Option<[u32; 4]>, flash: &mut SimulatedFlash) -> Option<String> {
+    let (before, after) = (before?, floors(flash));
+    let is_lower = |after: [u32; 4]| before.iter().zip(after).any(|(old, new)| new < *old);
+    after
+        .is_none_or(is_lower)
+        .then(|| format!("refuses less: {before:?}, then {after:?}"))
 }
 
 /// The ticks at which power is lost in the first life: every `every`-th, beginning with `from`.
@@ -272,6 +332,8 @@ pub fn sweep<E>(
     let mut swept = Swept::default();
     let step = |acts, seed, cut| LifePlan { acts, seed, cut };
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
+    let (_, _, mut undisturbed) = live(stage.start(), step(false, 0, None))?;
+    let before = floors(&mut undisturbed);
     for tick in (which.from..ticks).step_by(which.every as usize) {
         // An operation has 33 moments, and there are five tears: the formula produces all pairs.
         let tear = Tear::VARIANTS[(tick * 7 / 3 % 5) as usize];
@@ -279,11 +341,12 @@ pub fn sweep<E>(
         let torn = torn.save();
         let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
         swept.points += 1;
-        let place = format!("{:?}, {tear:?} at tick {tick}", stage.scenario);
+        let place = format!("{:?}, {tear:?} at tick {tick}", stage.case.scenario);
         let brick = stage.brick(&outcome, &mut flash);
+        let wrong = brick.or_else(|| lowered(before, &mut flash));
         swept
             .bricks
-            .extend(brick.map(|why| format!("{place}: {why}")));
+            .extend(wrong.map(|why| format!("{place}: {why}")));
         if recovery == 0 {
             continue;
         }
@@ -299,9 +362,10 @@ pub fn sweep<E>(
         swept.double += 1;
         let place = format!("{place}, then {second:?} at tick {second_tick}");
         let brick = stage.brick(&outcome, &mut flash);
+        let wrong = brick.or_else(|| lowered(before, &mut flash));
         swept
             .bricks
-            .extend(brick.map(|why| format!("{place}: {why}")));
+            .extend(wrong.map(|why| format!("{place}: {why}")));
     }
     Ok(swept)
 }

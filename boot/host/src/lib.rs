@@ -21,6 +21,9 @@ pub use flash_file::{FlashFile, FlashFileFault};
 pub use package::{
     Content, Image, PackageError, RECORD_DATA, ReleaseInfo, SigningKey, line, records,
 };
-pub use simulated_flash::{ERASE_TICKS, ModelError, PROGRAM_TICKS, SimulatedFlash, Tear};
+pub use simulated_flash::{
+    ERASE_TICKS, Failing, FlashOperation, FlashTraits, ModelError, PROGRAM_TICKS, SimulatedFlash,
+    Tear,
+};
 pub use transfer::{TransferError, send_file, serve};
 pub use udp_bus::UdpBus;

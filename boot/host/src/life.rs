@@ -3,7 +3,7 @@
 use crate::{FileSender, SigningKey, SimulatedFlash, ToDo};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Bank, FlashFault, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
+    Bank, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
 };
 
 /// A private key for tests. Its public key is in no product.
@@ -98,7 +98,7 @@ impl<'a> Life<'a> {
         for _ in 0..MAX_RESETS {
             let Some(bank) = rom_choice(flash) else { break };
             let mut next = run.loader(self, flash, bank, cause);
-            if flash.is_on() && next == Ok(Next::StartPrimary) {
+            if flash.is_on() && next == Next::StartPrimary {
                 if self.new_loader_crashes {
                     cause = ResetCause::Watchdog;
                     continue;
@@ -107,12 +107,12 @@ impl<'a> Life<'a> {
             }
             match next {
                 _ if !flash.is_on() => break,
-                Ok(Next::Jump(launch)) => return run.application(self, flash, launch),
-                Ok(Next::Wait(_)) => {
+                Next::Jump(launch) => return run.application(self, flash, launch),
+                Next::Wait(_) => {
                     run.outcome.end = End::Waiting;
                     break;
                 }
-                // After a fault of the flash or an orderly reset, start again.
+                // After an orderly reset, start again.
                 _ => cause = ResetCause::Software,
             }
         }
@@ -154,7 +154,7 @@ impl Run {
         flash: &mut SimulatedFlash,
         bank: Bank,
         cause: ResetCause,
-    ) -> Result<Next, FlashFault> {
+    ) -> Next {
         let mode = if life.monitor {
             TrustMode::Monitor
         } else {
@@ -173,9 +173,9 @@ impl Run {
             .file
             .filter(|_| !self.outcome.downloaded && self.outcome.refused.is_none());
         let mut host = file.map(|(lines, window)| FileSender::new(lines.to_vec(), None, window));
-        let mut loader = Loader::start(&mut *flash, setup, self.now)?;
+        let mut loader = Loader::start(&mut *flash, setup, self.now);
         loop {
-            let wait = match loader.next(self.now)? {
+            let wait = match loader.next(self.now) {
                 Next::Send(frame) => {
                     if let Some(host) = &mut host {
                         host.on_frame(self.now, &frame);
@@ -183,7 +183,7 @@ impl Run {
                     continue;
                 }
                 Next::Wait(until) => until,
-                next => return Ok(next),
+                next => return next,
             };
             match host.as_mut().map(|host| host.next(self.now)) {
                 Some(ToDo::Send(frame)) => self.deliver(&mut loader, &frame),
@@ -196,7 +196,7 @@ impl Run {
                     self.outcome.refused = Some(refusal);
                     host = None;
                 }
-                Some(ToDo::Silent) | None if wait == Instant::NEVER => return Ok(Next::Wait(wait)),
+                Some(ToDo::Silent) | None if wait == Instant::NEVER => return Next::Wait(wait),
                 Some(ToDo::Silent) | None => self.now = wait,
             }
         }

@@ -2,7 +2,8 @@
 //! flash.
 //!
 //! A loss of power interrupts a program or erase operation. Bits that were changing are then
-//! *weak*: their value is undefined until their sector is erased.
+//! *weak*: their value is undefined until their sector is erased. A flash may also wear out, refuse
+//! operations, check its pages by an ECC, and erase to 0 (see [`FlashTraits`]).
 
 use chacha20::ChaCha8Rng;
 use embedded_storage::nor_flash::{
@@ -38,12 +39,61 @@ pub enum Tear {
     Mimic,
 }
 
+/// How one type of flash differs from another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FlashTraits {
+    /// An erased byte is 0 and programming sets bits, as in AURIX; otherwise 0xFF and clears them.
+    pub erases_to_0: bool,
+    /// Each page has an ECC: a page that was torn, or programmed twice, cannot be read.
+    pub ecc: bool,
+    /// An erased page cannot be read.
+    pub blank_is_unreadable: bool,
+    /// So many times a sector can be erased; then each erase fails, and its pages are noise.
+    pub endurance: Option<u32>,
+}
+
+impl FlashTraits {
+    /// The program flash of AURIX: it erases to 0, with an ECC, and an erased page cannot be read.
+    pub const AURIX: Self = Self {
+        erases_to_0: true,
+        ecc: true,
+        blank_is_unreadable: true,
+        endurance: None,
+    };
+}
+
+/// An operation that can fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
+pub enum FlashOperation {
+    /// Reads within a page.
+    Read,
+    /// Programs a page.
+    Program,
+    /// Erases a sector.
+    Erase,
+}
+
+/// Operations in a range that fail.
+#[derive(Clone, Debug)]
+pub struct Failing {
+    /// Where.
+    pub range: Range<u32>,
+    /// Which operation.
+    pub operation: FlashOperation,
+    /// So many succeed before.
+    pub after: u32,
+    /// So many fail then; `u32::MAX` for good.
+    pub times: u32,
+}
+
 /// A page that is not erased. A weak bit is 1 in `weak` and 0 in `bits`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cell {
     bits: Page,
     weak: Page,
     tear: Tear,
+    /// Programmed once, completely, while it was erased.
+    is_whole: bool,
 }
 
 impl Cell {
@@ -51,6 +101,7 @@ impl Cell {
         bits: [0xFF; PAGE_BYTES],
         weak: [0; PAGE_BYTES],
         tear: Tear::Clean,
+        is_whole: true,
     };
 }
 
@@ -61,12 +112,18 @@ pub enum ModelError {
     PowerLost,
     /// The range is outside the flash, or does not consist of whole pages or sectors.
     Range,
+    /// The ECC found a page that was torn, programmed twice, or is erased.
+    Ecc,
+    /// The sector is worn out.
+    Worn,
+    /// A [`Failing`] operation.
+    Failed,
 }
 
 impl NorFlashError for ModelError {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
-            Self::PowerLost => NorFlashErrorKind::Other,
+            Self::PowerLost | Self::Ecc | Self::Worn | Self::Failed => NorFlashErrorKind::Other,
             Self::Range => NorFlashErrorKind::NotAligned,
         }
     }
@@ -98,6 +155,10 @@ pub struct SimulatedFlash {
     overwrites: Vec<u32>,
     erased_bytes: u64,
     programmed_pages: u64,
+    traits: FlashTraits,
+    /// How many times each sector was erased, by its start.
+    erases: BTreeMap<u32, u32>,
+    failing: Vec<Failing>,
     /// A defect for tests that must fail: the range maps to the memory that begins at the offset.
     alias: Option<(Range<u32>, u32)>,
 }
@@ -122,6 +183,9 @@ impl SimulatedFlash {
             overwrites: Vec::new(),
             erased_bytes: 0,
             programmed_pages: 0,
+            traits: FlashTraits::default(),
+            erases: BTreeMap::new(),
+            failing: Vec::new(),
             alias: None,
         }
     }
@@ -132,6 +196,48 @@ impl SimulatedFlash {
     pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
         self.alias = Some((range, place));
         self
+    }
+
+    /// Sets the type of the flash. Call it before anything is loaded.
+    #[must_use]
+    pub const fn with_traits(mut self, traits: FlashTraits) -> Self {
+        self.traits = traits;
+        self
+    }
+
+    /// Lets operations fail from now on.
+    pub fn fail(&mut self, failing: Failing) {
+        self.failing.push(failing);
+    }
+
+    /// Returns how many times each sector was erased, by its start.
+    #[must_use]
+    pub const fn erases(&self) -> &BTreeMap<u32, u32> {
+        &self.erases
+    }
+
+    /// Sets how many times a sector was erased.
+    pub fn wear(&mut self, sector: u32, erases: u32) {
+        self.erases.insert(sector, erases);
+    }
+
+    /// Takes one operation at an offset; an error if it is to fail.
+    fn attempt(&mut self, operation: FlashOperation, at: u32) -> Result<(), ModelError> {
+        let mut failing = self.failing.iter_mut();
+        let found = failing.find(|it| it.operation == operation && it.range.contains(&at));
+        let Some(found) = found else { return Ok(()) };
+        if found.after > 0 {
+            found.after -= 1;
+            return Ok(());
+        }
+        match found.times {
+            0 => Ok(()),
+            u32::MAX => Err(ModelError::Failed),
+            _ => {
+                found.times -= 1;
+                Err(ModelError::Failed)
+            }
+        }
     }
 
     fn wired(&self, offset: u32) -> u32 {
@@ -183,7 +289,9 @@ impl SimulatedFlash {
                 (cell.weak[place] == 0).then(|| cell.bits[place])
             })
         };
-        (offset..offset + len).map(byte).collect()
+        let outside = |byte: u8| if self.traits.erases_to_0 { !byte } else { byte };
+        let bytes = (offset..offset + len).map(|at| byte(at).map(outside));
+        bytes.collect()
     }
 
     /// Writes bytes, as a programming station does before assembly.
@@ -191,7 +299,12 @@ impl SimulatedFlash {
         for (byte, at) in bytes.iter().zip(offset..) {
             let cell = self.cells.entry(at / PAGE_BYTES as u32);
             let cell = cell.or_insert(Cell::ERASED);
-            cell.bits[at as usize % PAGE_BYTES] = *byte;
+            let byte = if self.traits.erases_to_0 {
+                !byte
+            } else {
+                *byte
+            };
+            cell.bits[at as usize % PAGE_BYTES] = byte;
         }
     }
 
@@ -214,6 +327,7 @@ impl SimulatedFlash {
     }
 
     fn program_page(&mut self, index: u32, data: &Page) -> Result<(), ModelError> {
+        self.attempt(FlashOperation::Program, index * PAGE_BYTES as u32)?;
         let torn = self.spend(PROGRAM_TICKS)?;
         self.programmed_pages += 1;
         let old = self.cells.get(&index).copied().unwrap_or(Cell::ERASED);
@@ -221,6 +335,7 @@ impl SimulatedFlash {
             self.overwrites.push(index * PAGE_BYTES as u32);
         }
         let mut cell = old;
+        cell.is_whole = old == Cell::ERASED && torn.is_none();
         for (place, byte) in data.iter().enumerate() {
             let is_done = torn.is_none_or(|(ticks, _)| (place as u64) < ticks);
             // Programming clears bits. A weak bit that is programmed to 1 stays weak.
@@ -232,7 +347,10 @@ impl SimulatedFlash {
                 self.leave(&mut cell, place, changing, torn);
             }
         }
-        self.cells.insert(index, cell);
+        // A loss of power before the first byte changes nothing.
+        if torn.is_none_or(|(ticks, _)| ticks > 0) || old != Cell::ERASED || cell != old {
+            self.cells.insert(index, cell);
+        }
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
@@ -251,8 +369,14 @@ impl SimulatedFlash {
     }
 
     fn erase_sector(&mut self, range: Range<u32>) -> Result<(), ModelError> {
+        self.attempt(FlashOperation::Erase, range.start)?;
         let torn = self.spend(ERASE_TICKS)?;
         self.erased_bytes += u64::from(range.end - range.start);
+        let erases = self.erases.entry(range.start).or_default();
+        *erases += 1;
+        if self.traits.endurance.is_some_and(|most| *erases > most) {
+            return Err(self.wear_out(range));
+        }
         let [from, to] = [range.start, range.end].map(|at| at / PAGE_BYTES as u32);
         let pages = self.cells.range(from..to);
         let pages: Vec<u32> = pages.map(|(index, _)| *index).collect();
@@ -262,6 +386,7 @@ impl SimulatedFlash {
             if done {
                 self.cells.remove(&index);
             } else if let Some(mut cell) = self.cells.get(&index).copied() {
+                cell.is_whole = false;
                 for place in 0..PAGE_BYTES {
                     let changing = !cell.bits[place];
                     self.leave(&mut cell, place, changing, torn);
@@ -272,8 +397,43 @@ impl SimulatedFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
+    /// Leaves noise in the pages of a worn-out sector.
+    fn wear_out(&mut self, range: Range<u32>) -> ModelError {
+        let noise = Cell {
+            bits: [0; PAGE_BYTES],
+            weak: [0xFF; PAGE_BYTES],
+            tear: Tear::Flicker,
+            is_whole: false,
+        };
+        for at in range.step_by(PAGE_BYTES) {
+            self.cells.insert(at / PAGE_BYTES as u32, noise);
+        }
+        ModelError::Worn
+    }
+
     /// Reads bytes of one page, beginning with its byte `place`.
-    fn read_page(&mut self, index: u32, place: usize, into: &mut [u8]) {
+    fn read_page(&mut self, index: u32, place: usize, into: &mut [u8]) -> Result<(), ModelError> {
+        self.attempt(FlashOperation::Read, index * PAGE_BYTES as u32)?;
+        let is_readable = match self.cells.get(&index) {
+            Some(cell) => !self.traits.ecc || cell.is_whole || self.passes_by_chance(index, cell),
+            None => !self.traits.blank_is_unreadable,
+        };
+        if !is_readable {
+            return Err(ModelError::Ecc);
+        }
+        self.read_cell(index, place, into);
+        if self.traits.erases_to_0 {
+            into.iter_mut().for_each(|byte| *byte = !*byte);
+        }
+        Ok(())
+    }
+
+    /// Returns whether the ECC of a torn page is right by chance in this life.
+    const fn passes_by_chance(&self, index: u32, cell: &Cell) -> bool {
+        matches!(cell.tear, Tear::PerLife | Tear::Mimic) && mix(self.life ^ index as u64) & 2 == 0
+    }
+
+    fn read_cell(&mut self, index: u32, place: usize, into: &mut [u8]) {
         let Some(cell) = self.cells.get(&index) else {
             return into.fill(0xFF);
         };
@@ -303,7 +463,7 @@ impl SimulatedFlash {
             bytes.extend(index.to_le_bytes());
             bytes.extend(cell.bits);
             bytes.extend(cell.weak);
-            bytes.push(cell.tear as u8);
+            bytes.push(cell.tear as u8 | u8::from(cell.is_whole) << 7);
         }
         bytes
     }
@@ -320,7 +480,8 @@ impl SimulatedFlash {
             let cell = Cell {
                 bits: *bits,
                 weak: *weak,
-                tear: Tear::from_repr(*tear.first()?)?,
+                tear: Tear::from_repr(*tear.first()? & 0x7F)?,
+                is_whole: tear.first()? >> 7 == 1,
             };
             flash.cells.insert(u32::from_le_bytes(*index), cell);
         }
@@ -354,7 +515,7 @@ impl ReadNorFlash for SimulatedFlash {
         while !rest.is_empty() {
             let place = at as usize % PAGE_BYTES;
             let (now, later) = rest.split_at_mut((PAGE_BYTES - place).min(rest.len()));
-            self.read_page(at / PAGE_BYTES as u32, place, now);
+            self.read_page(at / PAGE_BYTES as u32, place, now)?;
             at += now.len() as u32;
             rest = later;
         }
@@ -389,7 +550,10 @@ impl NorFlash for SimulatedFlash {
             return Err(ModelError::Range);
         }
         for (page, index) in pages.iter().zip(self.wired(offset) / PAGE_BYTES as u32..) {
-            self.program_page(index, page)?;
+            match self.traits.erases_to_0 {
+                true => self.program_page(index, &page.map(|byte| !byte))?,
+                false => self.program_page(index, page)?,
+            }
         }
         Ok(())
     }

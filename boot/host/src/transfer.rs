@@ -19,9 +19,6 @@ pub enum TransferError {
     /// The bootloader refuses the file.
     #[error("the bootloader refuses the file: {0:?} (docs/boot.md, table of codes)")]
     Refused(Refusal),
-    /// The flash fails.
-    #[error("the program flash fails")]
-    Flash,
 }
 
 fn since(start: Clock) -> Instant {
@@ -82,7 +79,7 @@ pub fn send_file(
 /// Runs a bootloader until its next action is neither to wait nor to send.
 ///
 /// # Errors
-/// [`TransferError`] if the bus or the flash fails.
+/// [`TransferError`] if the bus fails.
 pub fn serve<F: NorFlash>(
     wire: &UdpBus,
     start: Clock,
@@ -90,7 +87,7 @@ pub fn serve<F: NorFlash>(
 ) -> Result<Next, TransferError> {
     loop {
         let now = since(start);
-        match loader.next(now).map_err(|_| TransferError::Flash)? {
+        match loader.next(now) {
             Next::Send(frame) => wire.send(&frame)?,
             Next::Wait(until) => {
                 if let Some(frame) = wire.receive(left(now, until))? {

@@ -44,9 +44,9 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
     };
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let mut now = Instant::ORIGIN;
-    let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+    let mut loader = Loader::start(&mut flash, setup, now);
     let end = loop {
-        match loader.next(now).unwrap() {
+        match loader.next(now) {
             Next::Send(frame) => {
                 if let Some(frame) = noisy(&frame, per_mille, &mut chance) {
                     host.on_frame(now, &frame);
@@ -132,12 +132,12 @@ fn a_download_goes_on_after_a_loss_of_power() {
     let mut now = Instant::ORIGIN;
     let mut lost = false;
     let end = loop {
-        let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+        let mut loader = Loader::start(&mut flash, setup, now);
         let end = loop {
             if !lost && host.progress().0 > 100 {
                 break None;
             }
-            match loader.next(now).unwrap() {
+            match loader.next(now) {
                 Next::Send(frame) => host.on_frame(now, &frame),
                 Next::Wait(until) => match host.next(now) {
                     ToDo::Send(frame) => {

@@ -2,19 +2,41 @@
 #![allow(clippy::unwrap_used)]
 
 use std::convert::Infallible;
-use tandem_boot_host::cuts::{CutScenario, Stage, Swept, TickRange, WiringDefect, sweep};
+use strum::VariantArray as _;
+use tandem_boot_host::FlashTraits;
+use tandem_boot_host::cuts::{CutCase, CutScenario, Stage, Swept, TickRange, WiringDefect, sweep};
 
-fn swept(scenario: CutScenario, defect: Option<WiringDefect>) -> Swept {
-    let stage = Stage::new(scenario, defect);
+fn swept(case: CutCase) -> Swept {
+    let stage = Stage::new(case);
     let ticks = TickRange { from: 0, every: 29 };
     let live = |flash: &[u8], step| Ok::<_, Infallible>(stage.live(flash, step).unwrap());
     sweep(&stage, ticks, live).unwrap()
 }
 
 fn no_bricks(scenario: CutScenario) {
-    let swept = swept(scenario, None);
+    let swept = swept(CutCase::plain(scenario));
     assert!(swept.points > 10, "{swept:?}");
     assert_eq!(swept.bricks, Vec::<String>::new());
+}
+
+fn broken(scenario: CutScenario, defect: WiringDefect) -> CutCase {
+    CutCase {
+        defect: Some(defect),
+        ..CutCase::plain(scenario)
+    }
+}
+
+/// U-5: also with a flash that erases to 0, and whose torn and erased pages cannot be read.
+#[test]
+fn no_cut_bricks_a_flash_with_an_ecc() {
+    for &scenario in CutScenario::VARIANTS {
+        let swept = swept(CutCase {
+            traits: FlashTraits::AURIX,
+            ..CutCase::plain(scenario)
+        });
+        assert!(swept.points > 10, "{swept:?}");
+        assert_eq!(swept.bricks, Vec::<String>::new(), "{scenario:?}");
+    }
 }
 
 /// U-5
@@ -49,12 +71,12 @@ fn no_cut_bricks_a_repair() {
 #[test]
 fn a_loader_with_one_slot_or_one_bank_bricks() {
     assert!(
-        !swept(CutScenario::Application, Some(WiringDefect::OneSlot))
+        !swept(broken(CutScenario::Application, WiringDefect::OneSlot))
             .bricks
             .is_empty()
     );
     assert!(
-        !swept(CutScenario::Bootloader, Some(WiringDefect::OneBank))
+        !swept(broken(CutScenario::Bootloader, WiringDefect::OneBank))
             .bricks
             .is_empty()
     );

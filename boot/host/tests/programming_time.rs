@@ -44,7 +44,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
         flash_ns: 0,
     };
     let mut now = Instant::ORIGIN;
-    let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+    let mut loader = Loader::start(&mut flash, setup, now);
     let work = |loader: &Loader<'_, &mut SimulatedFlash>| loader.flash().work();
     let mut done = work(&loader);
     let mut send = |now: &mut Instant, frame: &CanFrame| {
@@ -53,7 +53,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
         *now = Instant::from_ns(now.as_ns() + span);
     };
     loop {
-        match loader.next(now).unwrap() {
+        match loader.next(now) {
             Next::Send(frame) => {
                 send(&mut now, &frame);
                 now = Instant::from_ns(now.as_ns() + host_ns);

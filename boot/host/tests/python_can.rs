@@ -72,7 +72,7 @@ fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
         cause,
     };
     let clock = Clock::now();
-    let mut loader = Loader::start(flash, setup, Instant::ORIGIN).unwrap();
+    let mut loader = Loader::start(flash, setup, Instant::ORIGIN);
     serve(&wire, clock, &mut loader).unwrap()
 }
 

@@ -9,7 +9,7 @@
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use std::convert::Infallible;
 use tandem_boot::PAGE_BYTES;
-use tandem_boot_host::cuts::{CutScenario, Stage, TickRange, sweep};
+use tandem_boot_host::cuts::{CutCase, CutScenario, Stage, TickRange, sweep};
 use tandem_boot_host::{ModelError, PROGRAM_TICKS, SimulatedFlash, Tear};
 
 type Page = [u8; PAGE_BYTES];
@@ -90,7 +90,7 @@ fn torn_flags_brick_a_loader_that_believes_them_and_not_this_one() {
     );
     assert!((0..ticks).any(|tick| bricks(tick, Tear::Clean)), "torn");
 
-    let stage = Stage::new(CutScenario::Rollback, None);
+    let stage = Stage::new(CutCase::plain(CutScenario::Rollback));
     let live = |flash: &[u8], step| Ok::<_, Infallible>(stage.live(flash, step).unwrap());
     let swept = sweep(&stage, TickRange { from: 0, every: 7 }, live).unwrap();
     assert!(swept.points > 50);

@@ -10,19 +10,45 @@ use embedded_storage::nor_flash::NorFlash;
 
 impl<F: NorFlash> Loader<'_, F> {
     /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if
-    /// the loader may continue. U-4
-    pub(super) fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
+    /// the loader may continue, also because the flash fails for good: the backup then runs. U-4
+    pub(super) fn continue_update(&mut self) -> Option<Next> {
+        let next = self.update_bootloader();
+        next.or_else(|FlashFault| self.update_bootloader())
+            .unwrap_or_else(|FlashFault| {
+                let failed = self.ground.store.get().loader;
+                let next = match failed {
+                    // The backup bank, or the environment. The running bootloader is whole.
+                    LoaderUpdate::Staged => LoaderUpdate::Idle,
+                    _ => LoaderUpdate::BackupOnly,
+                };
+                let _unwritten = self.set_loader(next);
+                self.log(LogEvent::LoaderNotWritten, failed as u32);
+                None
+            })
+    }
+
+    fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
         let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
         let backup = FlashRegion::Bank(Bank::Backup).range().start;
         match (self.ground.store.get().loader, self.setup.bank) {
-            (LoaderUpdate::Idle, Bank::Primary) => Ok(None),
+            (LoaderUpdate::Idle, Bank::Primary) | (LoaderUpdate::BackupOnly, Bank::Backup) => {
+                Ok(None)
+            }
+            // The bank can be read again.
+            (LoaderUpdate::BackupOnly, Bank::Primary) => {
+                self.set_loader(LoaderUpdate::Idle)?;
+                Ok(None)
+            }
             // The ROM found the primary bank damaged: restore it.
             (LoaderUpdate::Idle, Bank::Backup) => {
                 self.set_loader(LoaderUpdate::Restoring)?;
                 self.update_bootloader()
             }
             (LoaderUpdate::Staged, bank) => {
-                if !self.can_boot(ImageTarget::Staging) {
+                let old = manifest_at(&mut self.flash, ImageTarget::Staging).is_some_and(|it| {
+                    it.0.version < self.ground.lowest_version(ImageKind::Bootloader)
+                });
+                if old || !self.can_boot(ImageTarget::Staging) {
                     self.log(LogEvent::SlotDamaged, ImageKind::Bootloader as u32);
                     self.set_loader(LoaderUpdate::Idle)?;
                     return self.update_bootloader();
@@ -52,7 +78,7 @@ impl<F: NorFlash> Loader<'_, F> {
             }
             (LoaderUpdate::Sealing, _) => {
                 self.copy(staging, Bank::Primary, true)?;
-                self.set_loader(LoaderUpdate::Idle)?;
+                self.end_update()?;
                 Ok(Some(Next::Reset))
             }
             (LoaderUpdate::Restoring, _) => {
@@ -74,14 +100,20 @@ impl<F: NorFlash> Loader<'_, F> {
         let seal = read::<PAGE_BYTES>(&mut self.flash, staging)?;
         let primary = FlashRegion::Bank(Bank::Primary).range().start;
         program(&mut self.flash, primary, &seal)?;
+        self.end_update()?;
+        self.log(LogEvent::LoaderApproved, 0);
+        Ok(())
+    }
+
+    /// Ends an update. From now on bootloaders older than the new one are refused.
+    fn end_update(&mut self) -> Result<(), FlashFault> {
         let mut environment = *self.ground.store.get();
-        if let Some((manifest, _)) = manifest_at(&mut self.flash, ImageTarget::Staging) {
+        let staged = manifest_at(&mut self.flash, ImageTarget::Staging);
+        if let Some((manifest, _)) = staged.filter(|it| self.setup.trust.is_authentic(&it.1, 0)) {
             raise(&mut environment, &manifest);
         }
         environment.loader = LoaderUpdate::Idle;
-        self.write(environment)?;
-        self.log(LogEvent::LoaderApproved, 0);
-        Ok(())
+        self.write(environment)
     }
 
     fn copy(&mut self, from: u32, bank: Bank, seal: bool) -> Result<(), FlashFault> {

@@ -71,11 +71,9 @@ extern "C" fn tandem_size_boot() -> ! {
     };
     loop {
         let now = || black_box(Instant::ORIGIN);
-        let Ok(mut loader) = Loader::start(Unknown, setup, now()) else {
-            continue;
-        };
-        while let Ok(next) = loader.next(now()) {
-            match black_box(next) {
+        let mut loader = Loader::start(Unknown, setup, now());
+        loop {
+            match black_box(loader.next(now())) {
                 Next::Wait(_) => {
                     let frame: Option<CanFrame> = black_box(None);
                     if let Some(frame) = frame {

@@ -104,7 +104,7 @@ pub(crate) fn environment(bytes: &[u8]) -> bool {
         let at = FlashRegion::Environment(copy).range().start as usize;
         flash.0[at..][..bytes.len()].copy_from_slice(bytes);
     }
-    let load = |flash: &mut Sectors| EnvironmentStore::load(flash).expect("this flash can be read");
+    let load = |flash: &mut Sectors| EnvironmentStore::load(flash);
     let Some(mut store) = load(&mut flash) else {
         return false;
     };
