@@ -154,7 +154,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     /// Returns the next action.
     pub fn next(&mut self, now: Instant) -> Next {
-        if core::mem::take(&mut self.was_busy) && self.session.is_open() {
+        if core::mem::take(&mut self.was_busy) {
             // The loader does not read CAN while the flash is busy: that time does not count as
             // silence of the host.
             self.session.hear(now);
@@ -201,7 +201,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
             return;
         }
-        self.was_busy = true;
+        // After the end of a file no frame makes the loader wait longer.
+        self.was_busy = self.session.is_open();
         let answer = match HostRequest::decode(frame.data()) {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
                 self.session.connect(now, resume)
