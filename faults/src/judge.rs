@@ -38,7 +38,9 @@ impl Observed<'_> {
             pair[1].term < pair[0].term || (same && pair[0].system != pair[1].system)
         };
         let old_terms = self.acted.windows(2).filter(is_old).count();
-        let most_changes = CHANGES_OF_A_FAULT * self.faults.len() + 1;
+        // A frame that kills core 1 of both systems is a fault in each of them.
+        let hits = |fault: &Fault| 1 + usize::from(fault.kind == Kind::Poison);
+        let most_changes = CHANGES_OF_A_FAULT * self.faults.iter().map(hits).sum::<usize>() + 1;
         // Two faults together may end a mastership that neither fault alone would end.
         let spared = matches!(self.faults, [one] if one.spares_the_master());
         let needless = if spared { self.changes } else { 0 };
@@ -147,6 +149,7 @@ mod tests {
         let one = [frame(0, 0, 2), frame(10, 0, 2), frame(24, 1, 3)];
         let power_loss = [fault(Kind::PowerLoss, Way::A)];
         let stray = [fault(Kind::StrayBeats(just(3)), Way::A)];
+        let poison = [fault(Kind::Poison, Way::A)];
         let sound = Observed {
             faults: &power_loss,
             acted: &one,
@@ -172,6 +175,8 @@ mod tests {
         for (faults, changes, broken) in [
             (&power_loss[..], 3, vec![]),
             (&power_loss, 4, vec![Rule::Changes]),
+            (&poison, 5, vec![]),
+            (&poison, 6, vec![Rule::Changes]),
             (&[], 1, vec![]),
             (&[], 2, vec![Rule::Changes]),
             (&stray, 0, vec![]),
