@@ -23,6 +23,10 @@ pub const HOST_SILENCE: Duration = Duration::from_ms(10_000);
 /// How long a host may request the last answer of a download again.
 const FAREWELL: Duration = Duration::from_ms(50);
 
+/// After so many starts of which none worked, the other slot is tried for as many, then the first
+/// one again: a reset loop, which the redundancy of the application would have ended before.
+const LOOP: u8 = 8;
+
 /// The circumstances of this start.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup<'k> {
@@ -34,6 +38,9 @@ pub struct Setup<'k> {
     pub bank: Bank,
     /// Why the system was reset.
     pub cause: ResetCause,
+    /// Starts since power-on, or since one of them worked, this one included: see
+    /// [`Supply::starts`](tandem_board::Supply::starts).
+    pub starts: u8,
 }
 
 /// When a host may connect.
@@ -249,9 +256,15 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Forgets an image on trial that was started and did not approve itself before this start. U-3
     fn roll_back(&mut self) {
         let environment = *self.ground.store.get();
-        if environment.trial.is_some_and(|trial| trial.executed) {
+        let has_failed = |trial: Trial| trial.executed || self.loops();
+        if environment.trial.is_some_and(has_failed) {
             self.forget_trial(LogEvent::RolledBack);
         }
+    }
+
+    /// Returns whether the starts before did not work, so that the other slot is tried.
+    const fn loops(&self) -> bool {
+        self.setup.starts.saturating_sub(1) / LOOP % 2 == 1
     }
 
     fn forget_trial(&mut self, event: LogEvent) {
@@ -269,12 +282,20 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         let mut environment = *self.ground.store.get();
         let active = environment.active;
         if let Some(slot) = active.application {
-            let candidates = [slot, slot.other()];
+            let loops = self.loops();
+            let candidates = match loops {
+                false => [slot, slot.other()],
+                true => [slot.other(), slot],
+            };
+            if loops && self.setup.starts % LOOP == 1 {
+                self.log(LogEvent::ResetLoop, self.setup.starts.into());
+            }
             let good = candidates
                 .into_iter()
                 .find(|slot| self.can_boot(ImageTarget::Application(*slot)));
             self.ground.keep.application = good;
-            if let Some(other) = good.filter(|good| *good != slot) {
+            // A reset loop changes only what this start boots.
+            if let Some(other) = good.filter(|good| *good != slot && !loops) {
                 environment.active.application = Some(other);
                 // If it cannot be written, the next start chooses again.
                 let _unwritten = self.write(environment);
@@ -533,6 +554,7 @@ mod tests {
                 system: SystemId::A,
                 bank: Bank::Primary,
                 cause,
+                starts: 1,
             };
             let expected = expected.map_or(Entry::Never, |span| Entry::Until(now + span));
             assert_eq!(entry(&setup, now), expected, "{cause:?}");

@@ -40,6 +40,8 @@ pub enum LogEvent {
     LoaderNotWritten,
     /// The boot environment cannot be written: an image on trial is not started.
     NotRecorded,
+    /// No start worked for long: the other slot is tried. Value: the number of starts.
+    ResetLoop,
 }
 
 /// One entry.

@@ -93,6 +93,7 @@ pub fn start<B: Board>(
         system: board.identity().system,
         bank,
         cause: board.supply().reset_cause(),
+        starts: board.supply().starts(),
     };
     let mut loader = Loader::start(flash, setup, board.now());
     board.can().wake_on_receive(true);

@@ -96,6 +96,7 @@ impl ProgramFlashes {
         loop {
             thread::sleep(PROVES_ITSELF);
             if has_role() {
+                backplane.confirm_start(system);
                 let approved = approve(&mut self.open(system)?);
                 return approved.map_err(|fault| anyhow!("approving the image: {fault:?}"));
             }

@@ -107,6 +107,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         } else {
             ResetCause::PowerOn
         },
+        starts: 1,
     };
     loop {
         let clock = Clock::now();
@@ -116,6 +117,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             Next::StartPrimary => setup.bank = Bank::Primary,
             _ => {
                 setup.cause = ResetCause::Software;
+                setup.starts = setup.starts.saturating_add(1);
                 setup.bank = bank(&mut flash);
             }
         }

@@ -103,6 +103,14 @@ pub trait Supply {
     /// Returns why this incarnation of the system began. Any context.
     fn reset_cause(&self) -> ResetCause;
 
+    /// Returns how many incarnations have begun since power-on, or since one of them called
+    /// [`Supply::confirm_start`], this one included: 1 after power-on, at most 255. A register that
+    /// survives a reset keeps it. The bootloader finds a reset loop by it. Any context.
+    fn starts(&self) -> u8;
+
+    /// Notes that this incarnation works: [`Supply::starts`] counts from 0 again. Any context.
+    fn confirm_start(&self);
+
     /// Reads the current question of the functional watchdog, 0 ..= 15. One at a time. The question
     /// changes with each service.
     fn watchdog_question(&self) -> u8;

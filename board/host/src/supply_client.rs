@@ -49,6 +49,14 @@ impl Supply for HostSupply {
         self.backplane.reset_cause(self.of.system)
     }
 
+    fn starts(&self) -> u8 {
+        self.backplane.starts(self.of.system)
+    }
+
+    fn confirm_start(&self) {
+        self.backplane.confirm_start(self.of.system);
+    }
+
     fn watchdog_question(&self) -> u8 {
         question(self.count.load(Relaxed))
     }

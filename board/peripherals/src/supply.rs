@@ -93,6 +93,8 @@ pub struct Supply {
     next_hold: Duration,
     /// The present faults of the rails and the error pin.
     pins: HardwareFaults,
+    /// Incarnations since power-on, or since one of them confirmed its start.
+    starts: u8,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +123,20 @@ impl Supply {
             state: State::Off,
             next_hold: config.hold,
             pins: HardwareFaults(0),
+            starts: 0,
         }
+    }
+
+    /// Returns how many incarnations have begun since power-on or the last
+    /// [`Supply::confirm_start`].
+    #[must_use]
+    pub const fn starts(&self) -> u8 {
+        self.starts
+    }
+
+    /// Notes that the incarnation works.
+    pub const fn confirm_start(&mut self) {
+        self.starts = 0;
     }
 
     /// Returns the state.
@@ -288,6 +303,7 @@ impl Supply {
     }
 
     fn start(&mut self, now: Instant, cause: ResetCause) -> Change {
+        self.starts = starts_after(self.starts, cause);
         self.state = State::On {
             since: now,
             cause,
@@ -295,6 +311,15 @@ impl Supply {
             request: None,
         };
         Change::Start(cause)
+    }
+}
+
+/// Returns the number of starts with one more, for this cause.
+#[must_use]
+pub const fn starts_after(starts: u8, cause: ResetCause) -> u8 {
+    match cause {
+        ResetCause::PowerOn => 1,
+        _ => starts.saturating_add(1),
     }
 }
 

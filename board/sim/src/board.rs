@@ -460,6 +460,15 @@ impl Supply for SimPort {
         machine.system(self.place.system).supply.cause()
     }
 
+    fn starts(&self) -> u8 {
+        let mut machine = self.shared.lock();
+        machine.system(self.place.system).supply.starts()
+    }
+
+    fn confirm_start(&self) {
+        self.alive(|machine| machine.system(self.place.system).supply.confirm_start());
+    }
+
     fn watchdog_question(&self) -> u8 {
         let mut machine = self.shared.lock();
         machine.system(self.place.system).supply.question()

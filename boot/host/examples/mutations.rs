@@ -137,6 +137,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
+        starts: 1,
     };
     // Versions 5 and 6 are valid; 2 is older than the running version 3.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];

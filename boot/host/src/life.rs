@@ -3,7 +3,7 @@
 use crate::{FileSender, SigningKey, SimulatedFlash, ToDo};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Bank, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
+    Bank, Launch, Loader, Next, Refusal, Setup, Slot, Trust, TrustMode, approve, rom_choice,
 };
 
 /// A private key for tests. Its public key is in no product.
@@ -23,7 +23,7 @@ pub const TEST_KEY_1: SigningKey = SigningKey {
 };
 
 /// A controller that resets this many times in one life counts as resetting for ever.
-const MAX_RESETS: u32 = 12;
+const MAX_RESETS: u8 = 12;
 
 /// How a life ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +45,8 @@ pub struct Life<'a> {
     pub file: Option<(&'a [String], u8)>,
     /// Whether the application approves itself.
     pub approves: bool,
+    /// The slot whose application crashes at its start, although it is whole.
+    pub crashing: Option<Slot>,
     /// Whether a new bootloader crashes at its start.
     pub new_loader_crashes: bool,
     /// Whether loaders accept unsigned images.
@@ -88,6 +90,7 @@ impl<'a> Life<'a> {
     pub fn live(&self, flash: &mut SimulatedFlash) -> LifeOutcome {
         let mut run = Run {
             now: Instant::ORIGIN,
+            starts: 0,
             outcome: LifeOutcome {
                 end: End::Brick,
                 refused: None,
@@ -95,7 +98,8 @@ impl<'a> Life<'a> {
             },
         };
         let mut cause = ResetCause::PowerOn;
-        for _ in 0..MAX_RESETS {
+        for starts in 1..=MAX_RESETS {
+            run.starts = starts;
             let Some(bank) = rom_choice(flash) else { break };
             let mut next = run.loader(self, flash, bank, cause);
             if flash.is_on() && next == Next::StartPrimary {
@@ -107,6 +111,9 @@ impl<'a> Life<'a> {
             }
             match next {
                 _ if !flash.is_on() => break,
+                Next::Jump(launch) if self.crashing == Some(launch.application) => {
+                    cause = ResetCause::Watchdog;
+                }
                 Next::Jump(launch) => return run.application(self, flash, launch),
                 Next::Wait(_) => {
                     run.outcome.end = End::Waiting;
@@ -122,6 +129,8 @@ impl<'a> Life<'a> {
 
 struct Run {
     now: Instant,
+    /// Starts in this life.
+    starts: u8,
     outcome: LifeOutcome,
 }
 
@@ -168,6 +177,7 @@ impl Run {
             system: SystemId::A,
             bank,
             cause,
+            starts: self.starts,
         };
         let file = life
             .file

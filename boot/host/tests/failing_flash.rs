@@ -82,6 +82,38 @@ fn an_unreadable_slot_is_replaced_by_the_other_one() {
     }
 }
 
+/// U-5: the active image is whole, but crashes at each start: after eight starts the other slot
+/// boots, and stays until the next power-on. An image on trial that crashes is rolled back at once.
+#[test]
+fn a_reset_loop_ends_in_the_other_slot() {
+    let Images { mut flash, .. } = Images::updated();
+    for (crashing, runs) in [(Slot::B, Slot::A), (Slot::A, Slot::B)] {
+        for life in 0..3 {
+            flash.power_on(life, None);
+            let end = Life {
+                crashing: Some(crashing),
+                ..Life::plain()
+            }
+            .live(&mut flash)
+            .end;
+            let End::Running(launch) = end else {
+                panic!("{crashing:?} {end:?}");
+            };
+            assert_eq!(launch.application, runs);
+        }
+    }
+    let mut flash = factory();
+    let lines = records("next", &[&image(Slot::B, 2, 40)]);
+    let crashes = Life {
+        crashing: Some(Slot::B),
+        ..Life::with_file(&lines, 0)
+    };
+    let End::Running(launch) = crashes.live(&mut flash).end else {
+        panic!("it boots");
+    };
+    assert_eq!(launch.application, Slot::A);
+}
+
 /// U-5: downloads until every sector that they use is worn out, and then more: the controller
 /// always boots.
 #[test]

@@ -132,6 +132,7 @@ fn a_connection_takes_one_file() {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
+        starts: 1,
     };
     let mut now = Instant::ORIGIN;
     let mut controller = Loader::start(factory(), setup, now);

@@ -41,6 +41,7 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::Download,
+        starts: 1,
     };
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let mut now = Instant::ORIGIN;
@@ -128,6 +129,7 @@ fn a_download_goes_on_after_a_loss_of_power() {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
+        starts: 1,
     };
     let mut now = Instant::ORIGIN;
     let mut lost = false;

@@ -37,6 +37,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
+        starts: 1,
     };
     let mut measured = Measured {
         total_ns: 0,

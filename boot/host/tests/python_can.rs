@@ -70,6 +70,7 @@ fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
         system: SystemId::A,
         bank: Bank::Primary,
         cause,
+        starts: 1,
     };
     let clock = Clock::now();
     let mut loader = Loader::start(flash, setup, Instant::ORIGIN);

@@ -68,6 +68,7 @@ extern "C" fn tandem_size_boot() -> ! {
         system: black_box(SystemId::A),
         bank: rom_choice(&mut Unknown).unwrap_or(Bank::Primary),
         cause: black_box(ResetCause::PowerOn),
+        starts: black_box(1),
     };
     loop {
         let now = || black_box(Instant::ORIGIN);

@@ -17,7 +17,7 @@ use crate::{doorbell, heap, log, trap};
 use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
-use tandem_board::{Board, CoreId, RoleLamp};
+use tandem_board::{Board, CoreId, RoleLamp, Supply};
 use tandem_cores::core0::{Core0, Core0Task};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -69,6 +69,7 @@ pub fn core_in_slot(board: &VirtBoard) {
         };
         let proved = has_role_since.is_some_and(|since| now.since(since) >= PROVES_ITSELF);
         if proved && !approved {
+            board.supply().confirm_start();
             approved = tandem_boot::approve(&mut ProgramFlash).is_ok();
             if approved {
                 log!(

@@ -160,6 +160,14 @@ impl Supply for Counted<'_> {
         uncounted(|| self.board.supply().reset_cause())
     }
 
+    fn starts(&self) -> u8 {
+        uncounted(|| self.board.supply().starts())
+    }
+
+    fn confirm_start(&self) {
+        uncounted(|| self.board.supply().confirm_start());
+    }
+
     fn watchdog_question(&self) -> u8 {
         uncounted(|| self.board.supply().watchdog_question())
     }

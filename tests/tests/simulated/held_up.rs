@@ -39,6 +39,14 @@ impl Supply for Dog {
         self.board.supply().reset_cause()
     }
 
+    fn starts(&self) -> u8 {
+        self.board.supply().starts()
+    }
+
+    fn confirm_start(&self) {
+        self.board.supply().confirm_start();
+    }
+
     fn watchdog_question(&self) -> u8 {
         if self.services.borrow().len() == SERVICE {
             self.ahead.set(SPAN);

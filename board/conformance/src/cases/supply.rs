@@ -94,6 +94,17 @@ pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Ca
         seen as u32,
         cause as u32,
         "the supply tells the cause of the reset",
+    )?;
+    equal(
+        u32::from(board.supply().starts()),
+        2_u32,
+        "the supply counts the starts over a reset",
+    )?;
+    board.supply().confirm_start();
+    equal(
+        u32::from(board.supply().starts()),
+        0_u32,
+        "a confirmed start begins the count anew",
     )
 }
 

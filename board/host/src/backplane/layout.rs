@@ -54,6 +54,7 @@ pub(super) enum System {
     PowerOns,
     LevelLow,
     ResetCause,
+    Starts,
     Booted,
     StaggerUs,
     PowerRequest,

@@ -15,6 +15,7 @@ use tandem_board::{
     ResetCause, ResetRequest, RoleLamp, SystemId,
 };
 use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
+use tandem_peripherals::supply::starts_after;
 
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
@@ -347,6 +348,18 @@ impl Backplane {
 
     pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
         self.system(system, System::ResetCause).set(cause.code());
+        let starts = self.system(system, System::Starts);
+        starts.set(starts_after(starts.get() as u8, cause).into());
+    }
+
+    /// Returns the starts of the system since power-on, or since one of them was confirmed.
+    pub(crate) fn starts(self, system: SystemId) -> u8 {
+        self.system(system, System::Starts).get() as u8
+    }
+
+    /// Notes that the system's incarnation works.
+    pub fn confirm_start(self, system: SystemId) {
+        self.system(system, System::Starts).set(0);
     }
 
     /// Returns why the system's current incarnation began.

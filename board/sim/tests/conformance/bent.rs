@@ -131,6 +131,10 @@ defects! {
     WatchdogSleeps,
     /// The reset cause is always power-on.
     CauseForgotten,
+    /// The number of starts is always 1.
+    StartsForgotten,
+    /// A confirmed start changes nothing.
+    StartUnconfirmed,
     /// A requested reset does not happen.
     RequestIgnored,
     /// Core 2 keeps its incarnation when the system is reset.
@@ -671,6 +675,19 @@ impl Supply for Bent {
         match self.is(Defect::CauseForgotten) {
             true => ResetCause::PowerOn,
             false => self.board.supply().reset_cause(),
+        }
+    }
+
+    fn starts(&self) -> u8 {
+        match self.is(Defect::StartsForgotten) {
+            true => 1,
+            false => self.board.supply().starts(),
+        }
+    }
+
+    fn confirm_start(&self) {
+        if !self.is(Defect::StartUnconfirmed) {
+            self.board.supply().confirm_start();
         }
     }
 

@@ -200,6 +200,12 @@ impl Supply for Absent {
         ResetCause::PowerOn
     }
 
+    fn starts(&self) -> u8 {
+        1
+    }
+
+    fn confirm_start(&self) {}
+
     fn watchdog_question(&self) -> u8 {
         0
     }

@@ -157,6 +157,14 @@ impl Supply for VirtSupply {
         ResetCause::from_code(system(self.0).cause.load(Acquire)).unwrap_or(ResetCause::Trap)
     }
 
+    fn starts(&self) -> u8 {
+        system(self.0).starts.load(Relaxed)
+    }
+
+    fn confirm_start(&self) {
+        system(self.0).starts.store(0, Relaxed);
+    }
+
     fn watchdog_question(&self) -> u8 {
         question(system(self.0).service_count.load(Relaxed))
     }

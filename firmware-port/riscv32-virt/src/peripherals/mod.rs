@@ -19,7 +19,7 @@ pub use run::Peripherals;
 
 use crate::clint;
 use crate::hart::{self, CARRIER};
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{CoreAddress, CoreId, HardwareFault, HardwareFaults, Instant, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
@@ -60,6 +60,8 @@ pub(crate) struct SystemRegisters {
     pub(crate) level_cut: AtomicBool,
     pub(crate) generation: AtomicU32,
     pub(crate) cause: AtomicU32,
+    /// Starts since power-on, or since one of them was confirmed.
+    pub(crate) starts: AtomicU8,
     /// The system's request to its reset generator.
     pub(crate) request: AtomicU32,
     pub(crate) lamp: AtomicU32,

@@ -14,7 +14,7 @@ use tandem_cosim::Item;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::controller::Confinement;
-use tandem_peripherals::supply::{Change, Config, Power, Supply};
+use tandem_peripherals::supply::{Change, Config, Power, Supply, starts_after};
 
 /// Maximum number of cycles between two reads of the counter if no hart used the yielded turn.
 /// Without another hart, four cycles pass; a hart that works takes more than this limit.
@@ -329,6 +329,8 @@ impl Peripherals {
         }
         registers.request.store(0, Relaxed);
         registers.cause.store(cause.code(), Relaxed);
+        let starts = starts_after(registers.starts.load(Relaxed), cause);
+        registers.starts.store(starts, Relaxed);
         let generation = registers.generation.load(Relaxed).wrapping_add(1);
         registers.generation.store(generation, Relaxed);
         registers.services.clear();
