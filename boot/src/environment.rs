@@ -1,19 +1,27 @@
 //! The boot environment, in two copies: what boots, what is on trial, what is refused. U-2, U-3
 //!
-//! Each copy has its own sector. A change is written to one copy and then to the other, and each
-//! write erases the sector first. A page that a loss of power left half programmed may read as
-//! erased, as right, or differently each time. So a page is programmed only if its sector was
-//! erased since the last start. A copy is a record and a page that confirms it, programmed after
-//! the record was read back. A confirmation that reads as right, even by chance, proves that its
-//! record is firm. `docs/boot.md` explains why two copies survive any two losses of power in a row.
+//! Each copy has its own sector, whose slots are filled one after the other, so that few changes
+//! need an erase. A change is written to one copy and then to the other. A slot holds a record and
+//! a page that confirms it, programmed after the record was read back. A confirmation that reads
+//! as right, even by chance, proves that its record is firm. A page that a loss of power left half
+//! programmed may read as erased, as right, or differently each time. A slot that was begun with
+//! such a page may be lost later, but only in one copy: before the next slot of the second copy is
+//! begun, the first copy has a whole record, and a slot with a whole record never looks erased
+//! again. `docs/boot.md` explains why the copies survive any two losses of power in a row.
 
 use crate::flash_access::{FlashFault, erase, program, read};
-use crate::map::{FlashRegion, PAGE_BYTES, Slot};
+use crate::map::{FlashRegion, PAGE_BYTES, SMALLEST_SECTOR, Slot};
 use crate::page::{CRC_32, word};
 use embedded_storage::nor_flash::NorFlash;
 use strum::{FromRepr, VariantArray};
 
 const RECORD_BYTES: usize = 2 * PAGE_BYTES;
+/// A record and its confirmation.
+const SLOT_BYTES: u32 = 3 * PAGE_BYTES as u32;
+/// Slots of a copy: so many changes for each erase of its sector.
+const SLOTS: u32 = SMALLEST_SECTOR / SLOT_BYTES;
+/// So many slots are tried before the sector is erased.
+const ATTEMPTS: u32 = 3;
 const MAGIC: [u8; 4] = *b"TENV";
 const CONFIRMED: [u8; 4] = *b"FIRM";
 /// A record counts only if this many reads agree.
@@ -154,25 +162,33 @@ pub struct EnvironmentStore {
     is_current: bool,
     /// Whether both copies do.
     settled: bool,
+    /// The next slot of each copy; [`SLOTS`] if its sector must be erased first.
+    next: [u32; 2],
 }
 
 impl EnvironmentStore {
     /// Reads both copies. Returns `None` if neither holds a record that can be read: the controller
     /// is new, or lost both.
     pub fn load(flash: &mut impl NorFlash) -> Option<Self> {
-        let copies = [0, 1].map(|copy| read_copy(flash, copy).ok().flatten());
+        let [(first, next_first), (second, next_second)] = [0, 1].map(|copy| newest(flash, copy));
+        let copies = [first, second];
         let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
         // If both copies are equal, keep the second, so that a change writes the first copy first.
         let base = match copies.map(|copy| copy.as_ref().map(rank)) {
             [first, second] if first > second => 0,
             _ => 1,
         };
-        copies[usize::from(base)].map(|copy| Self {
-            current: copy.environment,
-            sequence: copy.sequence,
-            base,
-            is_current: copy.confirmed,
-            settled: copies[0] == copies[1] && copy.confirmed,
+        copies[usize::from(base)].map(|copy| {
+            let settled = copies[0] == copies[1] && copy.confirmed;
+            Self {
+                current: copy.environment,
+                // What is written again is newer than what may be read differently the next time.
+                sequence: copy.sequence.wrapping_add(u32::from(!settled)),
+                base,
+                is_current: copy.confirmed,
+                settled,
+                next: [next_first, next_second],
+            }
         })
     }
 
@@ -185,6 +201,7 @@ impl EnvironmentStore {
             base: 1,
             is_current: false,
             settled: false,
+            next: [SLOTS; 2],
         }
     }
 
@@ -234,20 +251,57 @@ impl EnvironmentStore {
         self.settle(flash)
     }
 
-    fn write_copy(&self, flash: &mut impl NorFlash, copy: u8) -> Result<(), FlashFault> {
-        let range = FlashRegion::Environment(copy).range();
+    /// Writes a record to the next slot of a copy. A slot with a torn page does not read back.
+    fn write_copy(&mut self, flash: &mut impl NorFlash, copy: u8) -> Result<(), FlashFault> {
         let record = self.current.encode(self.sequence);
-        let (pages, _) = record.as_chunks::<PAGE_BYTES>();
-        erase(flash, range.clone())?;
-        for (page, at) in pages.iter().zip((range.start..).step_by(PAGE_BYTES)) {
-            program(flash, at, page)?;
+        let next = &mut self.next[usize::from(copy)];
+        for _ in 0..ATTEMPTS {
+            if *next >= SLOTS {
+                break;
+            }
+            *next += 1;
+            if write_slot(flash, slot_at(copy, *next - 1), &record).is_ok() {
+                return Ok(());
+            }
         }
-        program(
-            flash,
-            range.start + RECORD_BYTES as u32,
-            &confirmation(&record),
-        )
+        *next = SLOTS;
+        erase(flash, FlashRegion::Environment(copy).range())?;
+        *next = 1;
+        write_slot(flash, slot_at(copy, 0), &record)
     }
+}
+
+/// Returns the offset of a slot of a copy.
+const fn slot_at(copy: u8, slot: u32) -> u32 {
+    FlashRegion::Environment(copy).range().start + slot * SLOT_BYTES
+}
+
+fn write_slot(
+    flash: &mut impl NorFlash,
+    at: u32,
+    record: &[u8; RECORD_BYTES],
+) -> Result<(), FlashFault> {
+    let (pages, _) = record.as_chunks::<PAGE_BYTES>();
+    for (page, at) in pages.iter().zip((at..).step_by(PAGE_BYTES)) {
+        program(flash, at, page)?;
+    }
+    program(flash, at + RECORD_BYTES as u32, &confirmation(record))
+}
+
+/// Returns the newest record of a copy, and the slot after the last one that can be read.
+fn newest(flash: &mut impl NorFlash, copy: u8) -> (Option<Copy>, u32) {
+    let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
+    let (mut newest, mut next): (Option<Copy>, u32) = (None, 0);
+    for slot in 0..SLOTS {
+        let Ok(Some(found)) = read_slot(flash, slot_at(copy, slot)) else {
+            continue;
+        };
+        next = slot + 1;
+        if newest.as_ref().map(rank) < Some(rank(&found)) {
+            newest = Some(found);
+        }
+    }
+    (newest, next)
 }
 
 /// Returns the confirmation page of a record.
@@ -259,19 +313,21 @@ fn confirmation(record: &[u8; RECORD_BYTES]) -> [u8; PAGE_BYTES] {
     page
 }
 
-fn read_copy(flash: &mut impl NorFlash, copy: u8) -> Result<Option<Copy>, FlashFault> {
-    let start = FlashRegion::Environment(copy).range().start;
+fn read_slot(flash: &mut impl NorFlash, start: u32) -> Result<Option<Copy>, FlashFault> {
     let record: [u8; RECORD_BYTES] = read(flash, start)?;
+    let Some((environment, sequence)) = Environment::decode(&record) else {
+        return Ok(None);
+    };
     let mut confirmed = true;
     for _ in 0..READS {
         if read(flash, start)? != record {
             return Ok(None);
         }
-        let page: [u8; PAGE_BYTES] = read(flash, start + RECORD_BYTES as u32)?;
-        confirmed &= page == confirmation(&record);
+        // A page that cannot be read confirms nothing.
+        let page = read(flash, start + RECORD_BYTES as u32);
+        confirmed &= page == Ok(confirmation(&record));
     }
-    let decoded = Environment::decode(&record);
-    Ok(decoded.map(|(environment, sequence)| Copy {
+    Ok(Some(Copy {
         environment,
         sequence,
         confirmed,

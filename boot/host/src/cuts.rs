@@ -174,7 +174,7 @@ impl Stage {
                 let new = &self.applications[1];
                 flash.load(new.place(), &new.bytes);
                 for copy in [0, 1] {
-                    flash.load(FlashRegion::Environment(copy).range().start, &[0; 96]);
+                    flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
                 }
             }
             _ => {}

@@ -6,7 +6,8 @@ mod fixture;
 use fixture::{factory, image, loader};
 use tandem_board::{Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Bank, FlashRegion, ImageTarget, Loader, Next, Refusal, Setup, Slot, Trust, TrustMode,
+    Bank, EnvironmentStore, FlashRegion, ImageTarget, Loader, Next, Refusal, Setup, Slot, Trust,
+    TrustMode,
 };
 use tandem_boot_host::cuts::floors;
 use tandem_boot_host::life::{End, Life, LifeOutcome, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
@@ -72,7 +73,7 @@ fn the_loss_of_both_copies_lowers_nothing() {
         .downloaded
     );
     for copy in [0, 1] {
-        flash.load(FlashRegion::Environment(copy).range().start, &[0; 96]);
+        flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
     }
     for (new, refused) in [
         (
@@ -89,6 +90,27 @@ fn the_loss_of_both_copies_lowers_nothing() {
         assert!(matches!(outcome.end, End::Running(_)), "{outcome:?}");
         let in_use = outcome.refused == Some(Refusal::SlotInUse);
         assert!(outcome.refused == refused || in_use, "{outcome:?}");
+    }
+}
+
+/// U-2: the loss of one copy of the environment, at any time, changes nothing.
+#[test]
+fn the_loss_of_one_copy_changes_nothing() {
+    for copy in [0, 1] {
+        let mut flash = factory();
+        assert!(sends(&mut flash, &[&image(Slot::B, 3, 50)], false).downloaded);
+        let environment =
+            |flash: &mut SimulatedFlash| *EnvironmentStore::load(flash).unwrap().get();
+        let before = environment(&mut flash);
+        flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
+        for start in 0..2 {
+            assert_eq!(environment(&mut flash), before, "{copy} {start}");
+            flash.power_on(start, None);
+            assert!(matches!(
+                Life::plain().live(&mut flash).end,
+                End::Running(_)
+            ));
+        }
     }
 }
 

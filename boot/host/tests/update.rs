@@ -357,7 +357,7 @@ fn a_damaged_bootloader_is_restored() {
 fn a_lost_environment_is_rebuilt() {
     let Images { mut flash, .. } = Images::updated();
     for copy in [0, 1] {
-        flash.load(FlashRegion::Environment(copy).range().start, &[0; 128]);
+        flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
     }
     let mut life = Life::plain();
     life.approves = false;
