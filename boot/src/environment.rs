@@ -88,6 +88,11 @@ pub struct Environment {
 }
 
 impl Environment {
+    /// Returns whether a start only boots what is approved.
+    const fn is_quiet(&self) -> bool {
+        self.trial.is_none() && matches!(self.loader, LoaderUpdate::Idle | LoaderUpdate::BackupOnly)
+    }
+
     fn encode(&self, sequence: u32) -> [u8; RECORD_BYTES] {
         let slot = |slot: Option<Slot>| slot.map_or(0xFF, |slot| slot as u8);
         let trial = self.trial.unwrap_or(Trial {
@@ -179,13 +184,16 @@ impl EnvironmentStore {
             _ => 1,
         };
         copies[usize::from(base)].map(|copy| {
-            let settled = copies[0] == copies[1] && copy.confirmed;
+            // A torn slot that cannot be read now may be read in another life. It must then be
+            // older than what this life has acted on.
+            let acts = !copy.environment.is_quiet();
+            let settled = copies[0] == copies[1] && copy.confirmed && !acts;
             Self {
                 current: copy.environment,
                 // What is written again is newer than what may be read differently the next time.
                 sequence: copy.sequence.wrapping_add(u32::from(!settled)),
                 base,
-                is_current: copy.confirmed,
+                is_current: copy.confirmed && !acts,
                 settled,
                 next: [next_first, next_second],
             }

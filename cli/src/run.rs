@@ -30,6 +30,7 @@ use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
 use crate::run_config::{LimitProfile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
+use crate::update::objections;
 use crate::{core_process, summary, vehicle};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
@@ -70,10 +71,17 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
     };
-    print_updates(args, &files);
+    let updates = updates(args, &files);
     let collected = Collected::new(&checked.out, &files, &because);
     let around = surroundings(&config, granted).after(machine, &launcher.finish());
-    conclude(args, &checked, collected, &around, ended.interrupted)
+    conclude(
+        args,
+        &checked,
+        collected,
+        &around,
+        ended.interrupted,
+        updates,
+    )
 }
 
 /// The result of [`recorded`].
@@ -139,20 +147,26 @@ pub fn run_elsewhere(
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
     let (summary, ended) = drive(&config, &files)?;
-    print_updates(args, &files);
+    let updates = updates(args, &files);
     if !args.quiet {
         eprintln!("{summary}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     let interrupted = ended == vehicle::DriveEnd::Stopped;
     let around = surroundings(&config, summary);
-    conclude(args, &checked, collected, &around, interrupted)
+    conclude(args, &checked, collected, &around, interrupted, updates)
 }
 
-fn print_updates(args: &RunArgs, files: &RunFiles) {
-    if args.update.is_some() && !args.quiet {
-        eprint!("{}", UpdateFiles::results(files));
+/// Prints the results of the updates. Returns what they say against the run.
+fn updates(args: &RunArgs, files: &RunFiles) -> Vec<String> {
+    if args.update.is_none() {
+        return Vec::new();
     }
+    let results = UpdateFiles::results(files);
+    if !args.quiet {
+        eprint!("{results}");
+    }
+    objections(&results)
 }
 
 /// Adds the program flashes and the update to the configuration of a run.
@@ -232,6 +246,7 @@ fn conclude(
     collected: anyhow::Result<Collected>,
     around: &Surroundings,
     interrupted: bool,
+    updates: Vec<String>,
 ) -> Result<(), Failure> {
     let driven = |collected: &Collected| collected.log.driven_s() > 0.0;
     if interrupted && !collected.as_ref().is_ok_and(driven) {
@@ -242,9 +257,10 @@ fn conclude(
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
-    match metrics.verdict.objections() {
-        objections if objections.is_empty() => Ok(()),
-        objections => Err(Failure::Objections(objections)),
+    let objections = [metrics.verdict.objections(), updates].concat();
+    match objections.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Objections(objections)),
     }
 }
 

@@ -1,5 +1,5 @@
 //! The programming host of a vehicle. It updates both systems one after the other, each while the
-//! other system drives. U-3, U-5
+//! other system drives. If one does not take its update, the host gives up. U-3, U-5
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -78,10 +78,18 @@ impl Update {
                 ToDo::Wait(_) => return,
                 end => {
                     let line = match end {
-                        ToDo::Done => format!("{system} has taken the update\n"),
-                        end => format!("{system} has not taken the update: {end:?}\n"),
+                        ToDo::Done => taken(*system),
+                        ToDo::Refused(why) => format!(
+                            "{system} has not taken the update: the bootloader refuses it: {why:?} \
+                             (docs/boot.md, table of codes)\n"
+                        ),
+                        _ => format!("{system} has not taken the update: no bootloader answers\n"),
                     };
                     note(&self.ended, &line);
+                    if !matches!(end, ToDo::Done) {
+                        // Two systems with the same release are better than two releases.
+                        self.lines = [None, None];
+                    }
                     self.under_way = None;
                     return;
                 }
@@ -113,8 +121,57 @@ impl Update {
     }
 }
 
+/// Returns the line about a system that has taken its update.
+fn taken(system: SystemId) -> String {
+    format!("{system} has taken the update\n")
+}
+
+/// Returns what the results of the updates, one line each, say against the run.
+pub(crate) fn objections(results: &str) -> Vec<String> {
+    let has_taken = |system: &SystemId| results.contains(&taken(*system));
+    let mut objections: Vec<String> = SystemId::ALL
+        .iter()
+        .filter(|system| !has_taken(system))
+        .map(|system| {
+            let told = results
+                .lines()
+                .find(|line| line.starts_with(&format!("{system} has not taken")));
+            told.map_or_else(|| format!("{system} keeps its release"), str::to_owned)
+        })
+        .collect();
+    if let [_] = objections[..] {
+        objections.push("the systems have different releases".to_owned());
+    }
+    objections
+}
+
 /// Appends a line to the results. If that fails, the end of the run reports the missing update.
 fn note(path: &Path, line: &str) {
     let file = File::options().create(true).append(true).open(path);
     let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// U-5: an update is good only if both systems have taken it.
+    #[test]
+    fn an_update_of_one_system_is_an_objection() {
+        let refused = "A has not taken the update: the bootloader refuses it: Downgrade";
+        for (results, expected) in [
+            (taken(SystemId::B) + &taken(SystemId::A), vec![]),
+            (
+                taken(SystemId::B) + refused,
+                vec![refused, "the systems have different releases"],
+            ),
+            (refused.to_owned(), vec![refused, "B keeps its release"]),
+            (
+                String::new(),
+                vec!["A keeps its release", "B keeps its release"],
+            ),
+        ] {
+            assert_eq!(objections(&results), expected);
+        }
+    }
 }

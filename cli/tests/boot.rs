@@ -122,3 +122,25 @@ fn both_systems_are_updated_while_they_drive() {
     assert!(end.unwrap().success());
     run.0.wait().unwrap();
 }
+
+/// U-5: an update that the bootloader refuses is given up: the run ends non-zero and says why, both
+/// systems keep their release, and one of them drives all the time.
+#[test]
+fn an_update_that_is_refused_fails_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = tandem()
+        .args(["run", "--scenario", "free-lane", "--reintegrate"])
+        .args(["--duration", "12", "--update", "0", "--program-flash"])
+        .arg(folder.path().join("flash"))
+        .arg("--out")
+        .arg(folder.path().join("report"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("refuses it: Downgrade"), "{said}");
+    for system in ["A", "B"] {
+        let flash = folder.path().join(format!("flash/{system}.pflash"));
+        assert_eq!(boots(&flash), Some((Some(Slot::A), 1, false)), "{system}");
+    }
+}

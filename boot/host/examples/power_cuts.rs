@@ -173,7 +173,9 @@ fn sweep_scenario(case: CutCase, ticks: TickRange) -> Result<Swept> {
         if !output.status.success() {
             bail!("a life ended with {}", output.status);
         }
-        decode(&output.stdout).context("the output of a life cannot be decoded")
+        let life = decode(&output.stdout).context("the output of a life cannot be decoded")?;
+        let (outcome, ticks, flash) = life;
+        Ok((outcome, ticks, flash.with_traits(case.traits)))
     })
 }
 

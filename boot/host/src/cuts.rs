@@ -334,9 +334,9 @@ pub fn sweep<E>(
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     let (_, _, mut undisturbed) = live(stage.start(), step(false, 0, None))?;
     let before = floors(&mut undisturbed);
-    for tick in (which.from..ticks).step_by(which.every as usize) {
-        // An operation has 33 moments, and there are five tears: the formula produces all pairs.
-        let tear = Tear::VARIANTS[(tick * 7 / 3 % 5) as usize];
+    let ticks = (which.from..ticks).step_by(which.every as usize);
+    for (tick, tear) in ticks.flat_map(|tick| Tear::VARIANTS.iter().map(move |tear| (tick, *tear)))
+    {
         let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
         let torn = torn.save();
         let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
@@ -353,7 +353,7 @@ pub fn sweep<E>(
         // Start the same torn flash again and cut that start too: weak bits may read differently.
         let (second_tick, second) = (
             tick * 101 % recovery,
-            Tear::VARIANTS[(tick / 5 % 5) as usize],
+            Tear::VARIANTS[((tick + tear as u64) % 5) as usize],
         );
         let cut = Some((second_tick, second));
         let (_, _, torn) = live(&torn, step(false, tick + 2, cut))?;
