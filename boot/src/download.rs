@@ -14,6 +14,7 @@ use crate::map::{
 use crate::page::PageBuffer;
 use crate::protocol::Refusal;
 use crate::srec::{SRecord, SRecordType};
+use crate::tester::Tester;
 use crate::trust::{Trust, TrustMode};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
@@ -30,6 +31,7 @@ pub(crate) struct Ground<'k> {
     pub(crate) keep: Selection,
     /// The manifest of the running bootloader; `None` if it cannot be read.
     pub(crate) running: Option<[u8; MANIFEST_BYTES]>,
+    pub(crate) tester: Tester,
 }
 
 impl Ground<'_> {

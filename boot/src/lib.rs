@@ -23,6 +23,7 @@ mod protocol;
 mod session;
 mod srec;
 mod start;
+mod tester;
 mod three_frames;
 mod trust;
 
@@ -38,9 +39,10 @@ pub use map::{
     Bank, FLASH_BYTES, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, SECTORS, SMALLEST_SECTOR,
     Slot, offset_of, sector, sector_at,
 };
-pub use protocol::{Answer, HostRequest, Refusal, TO_HOST, TO_LOADER};
+pub use protocol::{Answer, CHALLENGE_BYTES, HostRequest, Refusal, TO_HOST, TO_LOADER};
 pub use session::{MAX_WINDOW, RESEND_AFTER};
 pub use srec::{Assembler, MAX_DATA, SRecord, SRecordError, SRecordType};
 pub use start::{BetweenSteps, Keeper, Leave, first_service, next_service, start};
+pub use tester::{TESTER_DOMAIN, TESTER_MESSAGE_BYTES, tester_message};
 pub use three_frames::{FIRST_ID, three_frames};
 pub use trust::{Trust, TrustMode};

@@ -5,11 +5,12 @@ mod own_update;
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, is_intact, read};
-use crate::log::{LogEvent, append, has_entries};
+use crate::log::{LogEvent, append, wrong_testers};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, TO_LOADER};
 use crate::session::Session;
+use crate::tester::{Judged, Tester};
 use crate::trust::{Trust, TrustMode};
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{CanFrame, CoreId, Duration, Instant, ResetCause, SystemId};
@@ -20,6 +21,8 @@ pub const CONNECT_WINDOW: Duration = Duration::from_ms(20);
 /// How long the loader waits for a host if the application requested a download, and how long a
 /// connected host may be silent.
 pub const HOST_SILENCE: Duration = Duration::from_ms(10_000);
+/// How long a connected host that has not proved itself keeps the loader from booting.
+const PROVES_WITHIN: Duration = Duration::from_ms(2_000);
 /// How long a host may request the last answer of a download again.
 const FAREWELL: Duration = Duration::from_ms(50);
 
@@ -41,6 +44,8 @@ pub struct Setup<'k> {
     /// Starts since power-on, or since one of them worked, this one included: see
     /// [`Supply::starts`](tandem_board::Supply::starts).
     pub starts: u8,
+    /// Bytes that differ at each start: of a random number generator, if the board has one.
+    pub noise: [u8; 32],
 }
 
 /// When a host may connect.
@@ -110,6 +115,7 @@ pub struct Loader<'k, F> {
     setup: Setup<'k>,
     ground: Ground<'k>,
     session: Session,
+    began: Instant,
     entry: Entry,
     answer: Option<CanFrame>,
     /// The final action, after the loader has decided.
@@ -124,16 +130,18 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// not approve itself, and takes the next step of an update of the bootloader. What the flash
     /// does not record is not done, or is done again at the next start.
     pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Self {
+        let wrong_testers = wrong_testers(&mut flash);
         let loaded = EnvironmentStore::load(&mut flash);
         let mut store = match loaded.clone() {
             Some(store) => store,
-            None => EnvironmentStore::new(rebuild(&mut flash, &setup)),
+            None => EnvironmentStore::new(rebuild(&mut flash, &setup, wrong_testers.is_none())),
         };
         // Worn-out sectors must not prevent booting.
         let settled = store.settle(&mut flash);
         if loaded.is_none() && settled.is_ok() {
             let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
         }
+        let tester = Tester::new(setup.noise, wrong_testers.unwrap_or_default(), now);
         let running = read(&mut flash, FlashRegion::Bank(setup.bank).range().start).ok();
         let mut loader = Self {
             flash,
@@ -143,8 +151,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 store,
                 keep: Selection::default(),
                 running,
+                tester,
             },
             session: Session::default(),
+            began: now,
             entry: entry(&setup, now),
             answer: None,
             verdict: None,
@@ -180,7 +190,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
         let session_ends = match self.entry {
             _ if self.session.has_ended() => Some(self.session.heard() + FAREWELL),
-            _ if self.session.is_open() => Some(self.session.heard() + HOST_SILENCE),
+            _ if self.session.is_open() => Some(self.session_ends()),
             Entry::Never => Some(now),
             Entry::Until(moment) => Some(moment),
             Entry::Always => None,
@@ -203,6 +213,19 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
     }
 
+    /// Returns when the loader boots although a host is connected: after a silence of the host, or
+    /// if it has not proved itself in time, unless nothing can boot.
+    fn session_ends(&self) -> Instant {
+        let silent = self.session.heard() + HOST_SILENCE;
+        let may_program = self.ground.tester.may_program(&self.setup.trust);
+        match self.entry {
+            Entry::Never | Entry::Until(_) if !may_program => {
+                silent.min(self.began + PROVES_WITHIN)
+            }
+            _ => silent,
+        }
+    }
+
     /// Processes a frame from the bus. Call [`Loader::next`] before the next frame.
     pub fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
@@ -212,9 +235,17 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.was_busy = self.session.is_open();
         let answer = match HostRequest::decode(frame.data()) {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
+                self.ground.tester.leave();
                 self.session.connect(now, resume)
             }
             HostRequest::Connect { .. } => None,
+            HostRequest::Challenge { .. } | HostRequest::Proof { .. }
+                if !self.session.is_open() =>
+            {
+                None
+            }
+            HostRequest::Challenge { key, part } => self.ground.tester.on_challenge(now, key, part),
+            HostRequest::Proof { part, bytes } => self.prove(now, part, bytes),
             request => {
                 let (flash, ground) = (&mut self.flash, &mut self.ground);
                 self.session.on_request(now, request, flash, ground)
@@ -230,6 +261,21 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             None => self.refusal_logged = false,
         }
         self.answer = answer.and_then(Answer::frame);
+    }
+
+    /// Takes a part of a tester's signature. Not inlined, to save space.
+    #[inline(never)]
+    fn prove(&mut self, now: Instant, part: u8, bytes: [u8; 5]) -> Option<Answer> {
+        let trust = self.setup.trust;
+        let place = (now, self.setup.system);
+        let tester = &mut self.ground.tester;
+        let (event, answer) = match tester.on_proof(place, part, bytes, &trust)? {
+            Judged::Right => (LogEvent::TesterProved, Answer::Proved),
+            Judged::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
+        };
+        let wrong = tester.wrong();
+        self.log(event, wrong.into());
+        Some(answer)
     }
 
     /// Returns whether to answer a request. Both loaders receive a request that names no system. At
@@ -432,9 +478,9 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) ->
 /// newer one on trial. Used if the controller is new or has lost both copies. What was refused is
 /// then not known: a controller that has lost it refuses all that is older than its images, or not
 /// signed by the newest key. A new controller has logged nothing.
-fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
+fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>, is_new: bool) -> Environment {
     let mut environment = Environment::default();
-    if has_entries(flash) {
+    if !is_new {
         environment.lowest_key = setup.trust.keys.len().saturating_sub(1) as u8;
     }
     let versions = &mut environment.versions;
@@ -549,12 +595,14 @@ mod tests {
             let setup = Setup {
                 trust: Trust {
                     keys: &[],
+                    testers: &[],
                     mode: TrustMode::Strict,
                 },
                 system: SystemId::A,
                 bank: Bank::Primary,
                 cause,
                 starts: 1,
+                noise: [0; 32],
             };
             let expected = expected.map_or(Entry::Never, |span| Entry::Until(now + span));
             assert_eq!(entry(&setup, now), expected, "{cause:?}");

@@ -42,6 +42,10 @@ pub enum LogEvent {
     NotRecorded,
     /// No start worked for long: the other slot is tried. Value: the number of starts.
     ResetLoop,
+    /// A tester's signature was wrong. Value: how many in a row.
+    TesterRefused,
+    /// A tester has proved that it has a key.
+    TesterProved,
 }
 
 /// One entry.
@@ -80,7 +84,7 @@ impl LogEntry {
 
 /// Calls `found` for every readable entry. Returns the offset of the page after the last one. An
 /// erased page may be unreadable, or have any value.
-fn scan(flash: &mut impl NorFlash, sector: u8, mut found: impl FnMut(LogEntry)) -> u32 {
+fn scan(flash: &mut impl NorFlash, sector: u8, found: &mut dyn FnMut(LogEntry)) -> u32 {
     let range = FlashRegion::Log(sector).range();
     let mut free = range.start;
     for at in range.clone().step_by(PAGE_BYTES) {
@@ -93,22 +97,32 @@ fn scan(flash: &mut impl NorFlash, sector: u8, mut found: impl FnMut(LogEntry)) 
     free
 }
 
-/// Returns whether anything was ever logged.
-pub(crate) fn has_entries(flash: &mut impl NorFlash) -> bool {
-    let mut found = false;
-    read_log(flash, |_| found = true);
-    found
+/// Returns how many wrong signatures of testers there were since the last right one; `None` if
+/// nothing was ever logged.
+pub(crate) fn wrong_testers(flash: &mut impl NorFlash) -> Option<u8> {
+    let mut wrong = None;
+    read_log(flash, &mut |entry| {
+        wrong = match entry.event {
+            LogEvent::TesterRefused => Some(entry.value as u8),
+            LogEvent::TesterProved => Some(0),
+            _ => wrong.or(Some(0)),
+        };
+    });
+    wrong
 }
 
 /// Calls `found` for every entry. The sector with the older entries is read first.
-pub fn read_log(flash: &mut impl NorFlash, mut found: impl FnMut(LogEntry)) {
+///
+/// Not inlined, to save space.
+#[inline(never)]
+pub fn read_log(flash: &mut impl NorFlash, found: &mut dyn FnMut(LogEntry)) {
     let mut newest = [None; 2];
     for (sector, newest) in (0..).zip(&mut newest) {
-        scan(flash, sector, |entry| *newest = Some(entry.sequence));
+        scan(flash, sector, &mut |entry| *newest = Some(entry.sequence));
     }
     let first = u8::from(newest[0] > newest[1]);
-    scan(flash, first, &mut found);
-    scan(flash, 1 - first, &mut found);
+    scan(flash, first, found);
+    scan(flash, 1 - first, found);
 }
 
 /// Appends an entry. A loss of power may have left the next page half programmed, so a page that
@@ -125,7 +139,9 @@ pub(crate) fn append(
     let mut free = [0; 2];
     for sector in 0..2 {
         let last = &mut newest[usize::from(sector)];
-        free[usize::from(sector)] = scan(flash, sector, |entry| *last = Some(entry.sequence));
+        free[usize::from(sector)] = scan(flash, sector, &mut |entry| {
+            *last = Some(entry.sequence);
+        });
     }
     let sequence = newest[0]
         .max(newest[1])

@@ -19,6 +19,17 @@ const CONNECT: u32 = 0x083E_572D;
 const EXTENSION: u8 = b'W';
 const OFFER: u8 = 1;
 const GO_BACK: u8 = 2;
+const CHALLENGE: u8 = 3;
+const PROOF: u8 = 4;
+/// Answers of the extension that are no window have this bit in their second byte.
+const NO_WINDOW: u8 = 0x80;
+
+/// Bytes of a challenge, and of the signature that answers it.
+pub const CHALLENGE_BYTES: usize = 15;
+pub(crate) const PROOF_BYTES: usize = 64;
+/// Bytes of both in one frame, and frames of the signature.
+pub(crate) const PROOF_PIECE: usize = 5;
+pub(crate) const PROOF_PARTS: usize = PROOF_BYTES.div_ceil(PROOF_PIECE);
 
 /// Why a download was refused. Nothing that boots has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
@@ -60,6 +71,8 @@ pub enum Refusal {
     Flash,
     /// A record follows the end of the file. What the file brought is forgotten.
     AfterEnd,
+    /// The tester has not proved that it has a key.
+    Tester,
 }
 
 /// An answer of the bootloader.
@@ -90,6 +103,22 @@ pub enum Answer {
         /// Records accepted since the connection.
         accepted: u32,
     },
+    /// A part of a challenge.
+    Challenge {
+        /// 0 to 2.
+        part: u8,
+        /// The bytes.
+        bytes: [u8; 5],
+    },
+    /// The signature is right: the tester may program.
+    Proved,
+    /// The signature is wrong.
+    Unproved,
+    /// After a wrong signature no challenge is given for this time.
+    Locked {
+        /// Rounded up.
+        seconds: u16,
+    },
 }
 
 impl Answer {
@@ -97,6 +126,10 @@ impl Answer {
     #[must_use]
     pub fn encode(self) -> [u8; 8] {
         let pair = |low: u32, high: u32| u64::from(low) | u64::from(high) << 32;
+        let proof = |code: u8, seconds: u16| {
+            let low = [EXTENSION, NO_WINDOW | PROOF, code, 0];
+            pair(u32::from_le_bytes(low), seconds.into())
+        };
         let value = match self {
             Self::Connected => CONNECTED,
             Self::Accepted { records } => pair(ACCEPTED, records),
@@ -111,6 +144,14 @@ impl Answer {
                 u32::from_le_bytes([EXTENSION, records, application, configuration]),
                 accepted,
             ),
+            Self::Challenge { part, bytes } => {
+                let [b0, rest @ ..] = bytes;
+                let low = [EXTENSION, NO_WINDOW | CHALLENGE, part, b0];
+                pair(u32::from_le_bytes(low), u32::from_le_bytes(rest))
+            }
+            Self::Proved => proof(0, 0),
+            Self::Unproved => proof(1, 0),
+            Self::Locked { seconds } => proof(2, seconds),
         };
         value.to_le_bytes()
     }
@@ -126,6 +167,19 @@ impl Answer {
             RESEND => Some(Self::Resend { record: high }),
             REFUSED => Refusal::from_repr(high).map(Self::Refused),
             _ => match low.to_le_bytes() {
+                [EXTENSION, second, part, b0] if second == NO_WINDOW | CHALLENGE => {
+                    let [b1, b2, b3, b4] = high.to_le_bytes();
+                    let bytes = [b0, b1, b2, b3, b4];
+                    Some(Self::Challenge { part, bytes })
+                }
+                [EXTENSION, second, code, 0] if second == NO_WINDOW | PROOF => match code {
+                    0 if high == 0 => Some(Self::Proved),
+                    1 if high == 0 => Some(Self::Unproved),
+                    2 => Some(Self::Locked {
+                        seconds: high.try_into().ok()?,
+                    }),
+                    _ => None,
+                },
                 [EXTENSION, records, application, configuration] => Some(Self::Window {
                     records,
                     application,
@@ -164,6 +218,20 @@ pub enum HostRequest<'a> {
         /// Its number, counted from 0, as the loader requested.
         record: u32,
     },
+    /// Extension: asks for a part of a challenge; the first part begins a new one.
+    Challenge {
+        /// The number of the tester's key.
+        key: u8,
+        /// 0 to 2.
+        part: u8,
+    },
+    /// Extension: a part of the signature of the challenge.
+    Proof {
+        /// 0 to 12; the last byte of the last part is 0.
+        part: u8,
+        /// The bytes.
+        bytes: [u8; 5],
+    },
     /// A piece of a record.
     Data(&'a [u8]),
 }
@@ -192,6 +260,14 @@ impl<'a> HostRequest<'a> {
                 (EXTENSION, GO_BACK) => Self::GoBack {
                     record: u32::from_le_bytes(high),
                 },
+                (EXTENSION, CHALLENGE) => Self::Challenge { key: b2, part: b3 },
+                (EXTENSION, PROOF) => {
+                    let [b4, b5, b6, b7] = high;
+                    Self::Proof {
+                        part: b2,
+                        bytes: [b3, b4, b5, b6, b7],
+                    }
+                }
                 _ => Self::Data(data),
             },
         }
@@ -215,6 +291,15 @@ impl<'a> HostRequest<'a> {
             Self::GoBack { record } => {
                 bytes[..2].copy_from_slice(&[EXTENSION, GO_BACK]);
                 bytes[4..].copy_from_slice(&record.to_le_bytes());
+                &bytes[..]
+            }
+            Self::Challenge { key, part } => {
+                bytes[..4].copy_from_slice(&[EXTENSION, CHALLENGE, key, part]);
+                &bytes[..]
+            }
+            Self::Proof { part, bytes: piece } => {
+                bytes[..3].copy_from_slice(&[EXTENSION, PROOF, part]);
+                bytes[3..].copy_from_slice(&piece);
                 &bytes[..]
             }
             Self::Data(data) => data,
@@ -259,6 +344,13 @@ mod tests {
                 configuration: 2,
                 accepted: 5,
             },
+            Answer::Challenge {
+                part: 2,
+                bytes: [1, 2, 3, 4, 0xFF],
+            },
+            Answer::Proved,
+            Answer::Unproved,
+            Answer::Locked { seconds: 4_096 },
         ];
         for answer in answers.into_iter().chain(refused) {
             assert_eq!(Answer::decode(&answer.encode()), Some(answer));
@@ -270,6 +362,11 @@ mod tests {
         let others = [
             HostRequest::Offer { records: 16 },
             HostRequest::GoBack { record: 70_000 },
+            HostRequest::Challenge { key: 3, part: 2 },
+            HostRequest::Proof {
+                part: 12,
+                bytes: [9, 8, 7, 6, 0],
+            },
             HostRequest::Data(b"S1130000"),
             HostRequest::Data(b"\r\n"),
         ];

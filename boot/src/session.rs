@@ -105,7 +105,10 @@ impl Session {
         }
         self.heard = now;
         match request {
-            HostRequest::Connect { .. } => None,
+            // The loader handles these.
+            HostRequest::Connect { .. }
+            | HostRequest::Challenge { .. }
+            | HostRequest::Proof { .. } => None,
             HostRequest::Offer { records } => {
                 self.window = records.min(MAX_WINDOW);
                 Some(Answer::Window {
@@ -142,6 +145,9 @@ impl Session {
     ) -> Option<Answer> {
         if let State::Refused(refusal) = self.state {
             return Some(Answer::Refused(refusal));
+        }
+        if !ground.tester.may_program(&ground.trust) {
+            return Some(self.refuse(Refusal::Tester));
         }
         // No file has data records without data: the checksum does not cover the type.
         let is_empty = |it: &SRecord| it.record_type == SRecordType::Data && it.data().is_empty();

@@ -80,13 +80,14 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
 }
 
 /// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests a
-/// reset. Core 0, task context; blocks.
+/// reset. `noise`: as in [`Setup::noise`]. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,
     trust: Trust<'_>,
     bank: Bank,
     keeper: &impl Keeper,
+    noise: [u8; 32],
 ) -> Leave {
     let setup = Setup {
         trust,
@@ -94,6 +95,7 @@ pub fn start<B: Board>(
         bank,
         cause: board.supply().reset_cause(),
         starts: board.supply().starts(),
+        noise,
     };
     let mut loader = Loader::start(flash, setup, board.now());
     board.can().wake_on_receive(true);

@@ -17,6 +17,8 @@ pub enum TrustMode {
 pub struct Trust<'k> {
     /// Public keys by number. A new key needs a new bootloader.
     pub keys: &'k [[u8; 32]],
+    /// Public keys of testers by number, one for each role. Without any, everybody may program.
+    pub testers: &'k [[u8; 32]],
     /// The treatment of an image that is not authentic.
     pub mode: TrustMode,
 }
@@ -46,7 +48,7 @@ impl Trust<'_> {
 /// Verifies an Ed25519 signature (RFC 8032, 5.1.7) with the points and the hash of `salty`. The
 /// verification of `salty` itself is 5.5 KiB larger and slower, and accepts a second form of each
 /// signature.
-fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
+pub(crate) fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     let (point, scalar) = signature.split_at(32);
     let Ok(public) = CompressedY(*key).decompressed() else {
         return false;
@@ -142,7 +144,13 @@ mod tests {
         let (other, _) = signed(2);
         let authentic = |keys: &[[u8; 32]], bytes: &_, lowest_key| {
             let mode = TrustMode::Strict;
-            Trust { keys, mode }.is_authentic(bytes, lowest_key)
+            let testers = &[];
+            let trust = Trust {
+                keys,
+                testers,
+                mode,
+            };
+            trust.is_authentic(bytes, lowest_key)
         };
         assert!(authentic(&[key], &bytes, 0));
         assert!(!authentic(&[other], &bytes, 0));

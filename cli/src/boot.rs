@@ -158,10 +158,21 @@ pub fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
 /// # Errors
 /// If the operating system does not provide random numbers.
 pub fn new_key() -> anyhow::Result<SigningKey> {
-    let mut seed = [0; 32];
+    Ok(SigningKey {
+        number: 0,
+        seed: noise()?,
+    })
+}
+
+/// Returns random bytes.
+///
+/// # Errors
+/// If the operating system does not provide random numbers.
+pub fn noise() -> anyhow::Result<[u8; 32]> {
+    let mut bytes = [0; 32];
     let mut random = File::open("/dev/urandom").context("/dev/urandom")?;
-    random.read_exact(&mut seed).context("/dev/urandom")?;
-    Ok(SigningKey { number: 0, seed })
+    random.read_exact(&mut bytes).context("/dev/urandom")?;
+    Ok(bytes)
 }
 
 /// Runs the first program of a core, and then replaces the process by the application in a slot.
@@ -190,13 +201,14 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
     let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
     let trust = Trust {
         keys: &[flash.public],
+        testers: &[],
         mode: TrustMode::Strict,
     };
     let keeper = BetweenSteps::new(&board);
     // If the file contains no bootloader, this program acts as the primary one.
     let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
     loop {
-        match start(&board, &mut *file, trust, bank, &keeper) {
+        match start(&board, &mut *file, trust, bank, &keeper, noise()?) {
             Leave::Jump(launch) => return Ok(launch.application),
             Leave::StartPrimary => bank = Bank::Primary,
         }

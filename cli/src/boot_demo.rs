@@ -157,7 +157,7 @@ where
                     break;
                 }
                 ToDo::Refused(refusal) => bail!("the bootloader refuses the file: {refusal:?}"),
-                ToDo::Silent => bail!("the bootloader does not answer"),
+                ToDo::Silent | ToDo::Locked(_) => bail!("the bootloader does not answer"),
             }
         }
         port.ring_receivers();

@@ -47,6 +47,14 @@ pub(crate) struct FlashArgs {
     #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
     pub(crate) to: Option<SystemId>,
 
+    /// Prove with this private key (Ed25519, DER) that this tester may program; needs --to
+    #[arg(long, value_name = "FILE", requires = "to")]
+    pub(crate) tester_key: Option<PathBuf>,
+
+    /// The number of that key in the bootloader
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) tester_key_number: u8,
+
     /// Records to send without waiting for an answer; 0 waits after each record
     #[arg(long, value_name = "RECORDS", default_value_t = 16)]
     pub(crate) window: u8,
@@ -74,6 +82,11 @@ pub(crate) struct BootloaderArgs {
     /// A public key that it trusts (Ed25519, DER); the first one has number 0
     #[arg(long, value_name = "FILE")]
     pub(crate) public: Vec<PathBuf>,
+
+    /// A tester's public key (Ed25519, DER); the first one has number 0. With any, only these
+    /// testers may program
+    #[arg(long, value_name = "FILE")]
+    pub(crate) tester_public: Vec<PathBuf>,
 
     /// Which system
     #[arg(long, value_name = "SYSTEM", default_value = "A", value_parser = parse_system)]

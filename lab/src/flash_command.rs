@@ -72,6 +72,14 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
     if args.resume {
         sender = sender.resuming();
     }
+    if let Some(path) = &args.tester_key {
+        let number = args.tester_key_number;
+        let seed = key(path, &PRIVATE_DER)?;
+        let system = args
+            .to
+            .context("a tester signs for one system: name it with --to")?;
+        sender = sender.proving(system, SigningKey { number, seed });
+    }
     let within = Duration::from_ms(u64::from(args.wait) * 1_000);
     let sent = send_file(&wire, sender, within, |done, _| {
         bar.set_position(done.into())
@@ -90,10 +98,13 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     }
     let keys = args.public.iter().map(|path| key(path, &PUBLIC_DER));
     let keys = keys.collect::<anyhow::Result<Vec<_>>>()?;
+    let testers = args.tester_public.iter().map(|path| key(path, &PUBLIC_DER));
+    let testers = testers.collect::<anyhow::Result<Vec<_>>>()?;
     let wire = args.bus.join()?;
     let mut setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &testers,
             mode: if args.monitor {
                 TrustMode::Monitor
             } else {
@@ -108,6 +119,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             ResetCause::PowerOn
         },
         starts: 1,
+        noise: tandem::boot::noise()?,
     };
     loop {
         let clock = Clock::now();

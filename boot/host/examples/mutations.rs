@@ -133,11 +133,16 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
     };
     let keys = [TEST_PUBLIC];
     let setup = Setup {
-        trust: Trust { keys: &keys, mode },
+        trust: Trust {
+            keys: &keys,
+            testers: &[],
+            mode,
+        },
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
         starts: 1,
+        noise: [0; 32],
     };
     // Versions 5 and 6 are valid; 2 is older than the running version 3.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];

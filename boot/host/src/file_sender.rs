@@ -1,7 +1,8 @@
 //! The host's end of a download, sans-IO: it connects, sends and repeats. T-BOOT-3
 
+use crate::SigningKey;
 use tandem_board::{CanFrame, Duration, Instant, SystemId};
-use tandem_boot::{Answer, HostRequest, Refusal};
+use tandem_boot::{Answer, CHALLENGE_BYTES, HostRequest, Refusal, tester_message};
 
 /// Time between two connect requests.
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
@@ -23,6 +24,8 @@ pub enum ToDo {
     Done,
     /// The loader refuses the file.
     Refused(Refusal),
+    /// The loader takes no signature for this time, s.
+    Locked(u16),
     /// The loader does not answer.
     Silent,
 }
@@ -30,6 +33,10 @@ pub enum ToDo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Connecting,
+    /// The sender asks for this part of a challenge.
+    Asking(u8),
+    /// It sends this part of the signature.
+    Proving(u8),
     /// The sender offers its window.
     Offering,
     Sending,
@@ -62,6 +69,12 @@ pub struct FileSender {
     /// The attempt in which the window was offered.
     offered: u32,
     resends: u64,
+    /// The key of the tester, and the system that it signs for.
+    tester: Option<(SystemId, SigningKey)>,
+    /// Whether to ask for a part of the challenge next.
+    asks: bool,
+    challenge: [u8; CHALLENGE_BYTES],
+    signature: [u8; 65],
 }
 
 impl FileSender {
@@ -85,7 +98,18 @@ impl FileSender {
             attempts: 0,
             offered: 0,
             resends: 0,
+            tester: None,
+            asks: false,
+            challenge: [0; CHALLENGE_BYTES],
+            signature: [0; 65],
         }
+    }
+
+    /// Makes the sender prove to this system's loader that it has a tester's key.
+    #[must_use]
+    pub fn proving(mut self, system: SystemId, key: SigningKey) -> Self {
+        self.tester = Some((system, key));
+        self
     }
 
     /// Makes the sender continue an interrupted transfer, if the loader still has the records of
@@ -120,7 +144,8 @@ impl FileSender {
         if self.state == State::Sending && self.wanted > 0 && now >= self.due {
             self.connect_again(now);
         }
-        let is_due = matches!(self.state, State::Offering | State::Sending) && now >= self.due;
+        let waits = !matches!(self.state, State::Connecting | State::Ended(_));
+        let is_due = waits && now >= self.due;
         if is_due && !self.repeat(now) {
             return ToDo::Silent;
         }
@@ -134,6 +159,19 @@ impl FileSender {
                 })
             }
             State::Connecting => ToDo::Wait(self.due),
+            State::Asking(part) if self.asks => {
+                self.asks = false;
+                let key = self.tester.as_ref().map_or(0, |(_, key)| key.number);
+                self.send(HostRequest::Challenge { key, part })
+            }
+            State::Asking(_) => ToDo::Wait(self.due),
+            State::Proving(part) if part < 13 => {
+                self.state = State::Proving(part + 1);
+                let (pieces, _) = self.signature.as_chunks::<5>();
+                let bytes = pieces[usize::from(part)];
+                self.send(HostRequest::Proof { part, bytes })
+            }
+            State::Proving(_) => ToDo::Wait(self.due),
             State::Offering if self.offered < self.attempts => {
                 self.offered = self.attempts;
                 let records = self.wanted;
@@ -141,6 +179,21 @@ impl FileSender {
             }
             State::Offering => ToDo::Wait(self.due),
             State::Sending => self.next_piece(),
+        }
+    }
+
+    /// Asks for a part of a challenge.
+    fn ask(&mut self, now: Instant, part: u8) {
+        (self.state, self.asks, self.due) = (State::Asking(part), true, now + ANSWER_WITHIN);
+    }
+
+    /// Begins to send, or with a window to offer it.
+    fn begin(&mut self, now: Instant) {
+        if self.wanted > 0 {
+            self.state = State::Offering;
+            (self.due, self.offered) = (now, self.attempts);
+        } else {
+            self.state = State::Sending;
         }
     }
 
@@ -158,8 +211,11 @@ impl FileSender {
             self.state = State::Ended(ToDo::Silent);
             return false;
         }
-        if self.state == State::Sending {
-            self.back_to(self.accepted);
+        match self.state {
+            State::Sending => self.back_to(self.accepted),
+            // A frame was lost: the loader begins with a new challenge.
+            State::Asking(_) | State::Proving(_) => self.ask(now, 0),
+            _ => {}
         }
         true
     }
@@ -211,15 +267,30 @@ impl FileSender {
         }
         self.due = now + ANSWER_WITHIN;
         match (self.state, answer) {
-            (State::Connecting, Answer::Connected) => {
-                self.state = if self.wanted > 0 {
-                    State::Offering
-                } else {
-                    State::Sending
-                };
-                if self.wanted > 0 {
-                    (self.due, self.offered) = (now, self.attempts);
+            (State::Connecting, Answer::Connected) => match self.tester {
+                Some(_) => self.ask(now, 0),
+                None => self.begin(now),
+            },
+            (State::Asking(asked), Answer::Challenge { part, bytes }) if part == asked => {
+                let (parts, _) = self.challenge.as_chunks_mut::<5>();
+                parts[usize::from(part)] = bytes;
+                if usize::from(part) + 1 < parts.len() {
+                    self.ask(now, part + 1);
+                } else if let Some((system, key)) = &self.tester {
+                    let message = tester_message(*system, key.number, &self.challenge);
+                    self.signature[..64].copy_from_slice(&key.sign(&message));
+                    self.state = State::Proving(0);
                 }
+            }
+            (State::Proving(_), Answer::Proved) => {
+                self.attempts = 0;
+                self.begin(now);
+            }
+            (State::Proving(_), Answer::Unproved) => {
+                self.state = State::Ended(ToDo::Refused(Refusal::Tester));
+            }
+            (State::Asking(_), Answer::Locked { seconds }) => {
+                self.state = State::Ended(ToDo::Locked(seconds));
             }
             (
                 State::Offering,

@@ -53,6 +53,10 @@ pub struct Life<'a> {
     pub monitor: bool,
     /// Public keys of the loaders.
     pub keys: Vec<[u8; 32]>,
+    /// Public keys of testers; if there are any, the host must prove that it has one of them.
+    pub testers: Vec<[u8; 32]>,
+    /// The key with which the host proves itself.
+    pub tester: Option<SigningKey>,
 }
 
 /// The outcome of a life.
@@ -172,17 +176,25 @@ impl Run {
         let setup = Setup {
             trust: Trust {
                 keys: &life.keys,
+                testers: &life.testers,
                 mode,
             },
             system: SystemId::A,
             bank,
             cause,
             starts: self.starts,
+            noise: std::array::from_fn(|at| self.starts ^ at as u8),
         };
         let file = life
             .file
             .filter(|_| !self.outcome.downloaded && self.outcome.refused.is_none());
-        let mut host = file.map(|(lines, window)| FileSender::new(lines.to_vec(), None, window));
+        let mut host = file.map(|(lines, window)| {
+            let sender = FileSender::new(lines.to_vec(), None, window);
+            match &life.tester {
+                Some(key) => sender.proving(SystemId::A, *key),
+                None => sender,
+            }
+        });
         let mut loader = Loader::start(&mut *flash, setup, self.now);
         loop {
             let wait = match loader.next(self.now) {
@@ -204,6 +216,10 @@ impl Run {
                 }
                 Some(ToDo::Refused(refusal)) => {
                     self.outcome.refused = Some(refusal);
+                    host = None;
+                }
+                Some(ToDo::Locked(_)) => {
+                    self.outcome.refused = Some(Refusal::Tester);
                     host = None;
                 }
                 Some(ToDo::Silent) | None if wait == Instant::NEVER => return Next::Wait(wait),

@@ -19,7 +19,20 @@ pub struct SigningKey {
     pub seed: [u8; 32],
 }
 
+/// Shows the number alone.
+impl std::fmt::Debug for SigningKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "SigningKey {{ number: {}, .. }}", self.number)
+    }
+}
+
 impl SigningKey {
+    /// Signs bytes.
+    #[must_use]
+    pub fn sign(&self, message: &[u8]) -> [u8; 64] {
+        salty::Keypair::from(&self.seed).sign(message).to_bytes()
+    }
+
     /// Returns the public key.
     #[must_use]
     pub fn public(&self) -> [u8; 32] {

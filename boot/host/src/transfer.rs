@@ -19,6 +19,9 @@ pub enum TransferError {
     /// The bootloader refuses the file.
     #[error("the bootloader refuses the file: {0:?} (docs/boot.md, table of codes)")]
     Refused(Refusal),
+    /// A wrong tester's key was used before.
+    #[error("the bootloader takes no tester for {0} s, because the last keys were wrong")]
+    Locked(u16),
 }
 
 fn since(start: Clock) -> Instant {
@@ -67,6 +70,7 @@ pub fn send_file(
             }
             ToDo::Done => return Ok(()),
             ToDo::Refused(refusal) => return Err(TransferError::Refused(refusal)),
+            ToDo::Locked(seconds) => return Err(TransferError::Locked(seconds)),
             ToDo::Silent => {
                 return Err(TransferError::NoAnswer(
                     crate::ANSWER_WITHIN.as_ns() / 1_000_000_000,

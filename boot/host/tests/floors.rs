@@ -149,12 +149,14 @@ fn a_connection_takes_one_file() {
     let setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &[],
             mode: TrustMode::Strict,
         },
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
         starts: 1,
+        noise: [7; 32],
     };
     let mut now = Instant::ORIGIN;
     let mut controller = Loader::start(factory(), setup, now);

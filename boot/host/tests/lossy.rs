@@ -36,12 +36,14 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
     let setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &[],
             mode: TrustMode::Strict,
         },
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::Download,
         starts: 1,
+        noise: [7; 32],
     };
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let mut now = Instant::ORIGIN;
@@ -124,12 +126,14 @@ fn a_download_goes_on_after_a_loss_of_power() {
     let setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &[],
             mode: TrustMode::Strict,
         },
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
         starts: 1,
+        noise: [7; 32],
     };
     let mut now = Instant::ORIGIN;
     let mut lost = false;

@@ -305,6 +305,7 @@ fn openssl_signs_and_verifies_the_same() {
     let keys = [TEST_PUBLIC];
     let trust = Trust {
         keys: &keys,
+        testers: &[],
         mode: TrustMode::Strict,
     };
     let with = |message: &[u8]| -> [u8; 256] { [message, &theirs].concat().try_into().unwrap() };

@@ -8,7 +8,10 @@ use tandem_boot_host::cuts::{CutCase, CutScenario, Stage, Swept, TickRange, Wiri
 
 fn swept(case: CutCase) -> Swept {
     let stage = Stage::new(case);
-    let ticks = TickRange { from: 0, every: 101 };
+    let ticks = TickRange {
+        from: 0,
+        every: 101,
+    };
     let live = |flash: &[u8], step| Ok::<_, Infallible>(stage.live(flash, step).unwrap());
     sweep(&stage, ticks, live).unwrap()
 }

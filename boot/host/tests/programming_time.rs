@@ -32,12 +32,14 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     let setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &[],
             mode: TrustMode::Strict,
         },
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
         starts: 1,
+        noise: [7; 32],
     };
     let mut measured = Measured {
         total_ns: 0,

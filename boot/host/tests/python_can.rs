@@ -65,12 +65,14 @@ fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
     let setup = Setup {
         trust: Trust {
             keys: &keys,
+            testers: &[],
             mode: TrustMode::Strict,
         },
         system: SystemId::A,
         bank: Bank::Primary,
         cause,
         starts: 1,
+        noise: [7; 32],
     };
     let clock = Clock::now();
     let mut loader = Loader::start(flash, setup, Instant::ORIGIN);

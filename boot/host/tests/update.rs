@@ -151,7 +151,7 @@ fn strict_refuses_and_monitor_notes() {
         assert_eq!(outcome.refused, (!monitor).then_some(Refusal::Untrusted));
         assert_eq!(running(outcome.end).1, if monitor { 2 } else { 1 });
         let mut events = Vec::new();
-        tandem_boot::read_log(&mut flash, |entry| events.push(entry.event));
+        tandem_boot::read_log(&mut flash, &mut |entry| events.push(entry.event));
         let noted = events.contains(&tandem_boot::LogEvent::StartedUntrusted);
         assert_eq!(noted, monitor, "{events:?}");
     }

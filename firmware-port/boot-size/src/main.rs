@@ -63,12 +63,14 @@ extern "C" fn tandem_size_boot() -> ! {
     let setup = Setup {
         trust: Trust {
             keys: &[key],
+            testers: black_box(&[[0; 32]]),
             mode: black_box(TrustMode::Strict),
         },
         system: black_box(SystemId::A),
         bank: rom_choice(&mut Unknown).unwrap_or(Bank::Primary),
         cause: black_box(ResetCause::PowerOn),
         starts: black_box(1),
+        noise: black_box([7; 32]),
     };
     loop {
         let now = || black_box(Instant::ORIGIN);

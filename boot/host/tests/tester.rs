@@ -1,0 +1,203 @@
+//! Who may program: without the proof of a tester nothing on the bus changes the flash.
+#![allow(clippy::unwrap_used)]
+
+mod fixture;
+
+use fixture::{factory, image};
+use tandem_board::{Instant, ResetCause, SystemId};
+use tandem_boot::{
+    Answer, Bank, HostRequest, Loader, LogEvent, Next, Refusal, Setup, Slot, Trust, TrustMode,
+    read_log,
+};
+use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
+use tandem_boot_host::{SigningKey, SimulatedFlash, records};
+
+/// Returns whether a host with this key programs a controller that knows one tester, and the
+/// refusal.
+fn programs(
+    flash: &mut SimulatedFlash,
+    tester: Option<SigningKey>,
+    window: u8,
+) -> (bool, Option<Refusal>) {
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    flash.power_on(1, None);
+    let life = Life {
+        testers: vec![TEST_KEY_1.public()],
+        tester,
+        ..Life::with_file(&lines, window)
+    };
+    let outcome = life.live(flash);
+    assert!(matches!(outcome.end, End::Running(_)), "{outcome:?}");
+    (outcome.downloaded, outcome.refused)
+}
+
+const fn numbered(number: u8, key: SigningKey) -> SigningKey {
+    SigningKey { number, ..key }
+}
+
+fn events(flash: &mut SimulatedFlash) -> Vec<LogEvent> {
+    let mut events = Vec::new();
+    read_log(flash, &mut |entry| events.push(entry.event));
+    events
+}
+
+/// T-BOOT-1, E-4: only a tester with the right key, under its right number, changes the flash.
+#[test]
+fn a_tester_proves_that_it_has_a_key() {
+    for (tester, allowed) in [
+        (Some(numbered(0, TEST_KEY_1)), true),
+        (Some(numbered(1, TEST_KEY_1)), false),
+        (Some(numbered(0, TEST_KEY)), false),
+        (None, false),
+    ] {
+        for window in [0, 8] {
+            let mut flash = factory();
+            let before = flash.work();
+            let refused = (!allowed).then_some(Refusal::Tester);
+            let expected = (allowed, refused);
+            assert_eq!(programs(&mut flash, tester, window), expected, "{tester:?}");
+            let erased = flash.work().0 - before.0;
+            assert_eq!(erased > 0, allowed, "{tester:?}: {erased} bytes erased");
+        }
+    }
+}
+
+/// E-4: after wrong signatures a tester waits, also if the controller is reset in between; the
+/// right one ends that.
+#[test]
+fn wrong_keys_lock_the_loader_over_resets() {
+    let mut flash = factory();
+    let [right, wrong] = [TEST_KEY_1, TEST_KEY].map(|key| Some(numbered(0, key)));
+    assert_eq!(
+        programs(&mut flash, wrong, 0),
+        (false, Some(Refusal::Tester))
+    );
+    assert!(events(&mut flash).contains(&LogEvent::TesterRefused));
+    // The next life begins at once: its loader is still locked.
+    assert_eq!(
+        programs(&mut flash, right, 0),
+        (false, Some(Refusal::Tester))
+    );
+    assert!(!events(&mut flash).contains(&LogEvent::TesterProved));
+}
+
+/// A loader that knows one tester, in virtual time.
+struct Bench {
+    loader: Loader<'static, SimulatedFlash>,
+    now: Instant,
+}
+
+const TESTER: SigningKey = numbered(0, TEST_KEY_1);
+
+impl Bench {
+    fn new(testers: &'static [[u8; 32]], noise: u8) -> Self {
+        const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
+        let setup = Setup {
+            trust: Trust {
+                keys: &KEYS,
+                testers,
+                mode: TrustMode::Strict,
+            },
+            system: SystemId::A,
+            bank: Bank::Primary,
+            cause: ResetCause::Download,
+            starts: 1,
+            noise: std::array::from_fn(|at| noise ^ at as u8),
+        };
+        let now = Instant::ORIGIN;
+        let loader = Loader::start(factory(), setup, now);
+        Self { loader, now }
+    }
+
+    fn send(&mut self, request: HostRequest<'_>) -> Option<Answer> {
+        self.loader.on_frame(self.now, &request.frame().unwrap());
+        match self.loader.next(self.now) {
+            Next::Send(frame) => Answer::decode(frame.data()),
+            _ => None,
+        }
+    }
+
+    fn connect(&mut self) {
+        let connect = HostRequest::Connect {
+            system: None,
+            resume: false,
+        };
+        assert_eq!(self.send(connect), Some(Answer::Connected));
+    }
+
+    fn challenge(&mut self) -> Vec<u8> {
+        let parts =
+            (0..3).flat_map(
+                |part| match self.send(HostRequest::Challenge { key: 0, part }) {
+                    Some(Answer::Challenge { bytes, .. }) => bytes,
+                    other => panic!("{other:?}"),
+                },
+            );
+        parts.collect()
+    }
+
+    fn prove(&mut self, signature: &[u8; 64]) -> Option<Answer> {
+        let padded = [&signature[..], &[0]].concat();
+        let mut answer = None;
+        for (part, bytes) in (0..).zip(padded.as_chunks::<5>().0) {
+            let bytes = *bytes;
+            answer = self.send(HostRequest::Proof { part, bytes });
+        }
+        answer
+    }
+}
+
+fn known() -> &'static [[u8; 32]] {
+    Box::leak(Box::new([TESTER.public()]))
+}
+
+/// E-4: no challenge comes twice, and an old signature proves nothing. The signed bytes are those
+/// of the page, so that a foreign tester can make them.
+#[test]
+fn a_signature_is_good_once() {
+    let mut bench = Bench::new(known(), 3);
+    bench.connect();
+    let first = bench.challenge();
+    let challenge = bench.challenge();
+    assert_eq!(first, challenge, "until it is answered");
+    let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
+    let signature = TESTER.sign(&message);
+    assert_eq!(bench.prove(&signature), Some(Answer::Proved));
+    assert_eq!(bench.prove(&signature), None, "the challenge is used up");
+    bench.connect();
+    assert_ne!(bench.challenge(), first);
+    assert_eq!(bench.prove(&signature), Some(Answer::Unproved));
+    let locked = bench.send(HostRequest::Challenge { key: 0, part: 0 });
+    let until_the_next_start = Answer::Locked { seconds: u16::MAX };
+    assert_eq!(locked, Some(until_the_next_start));
+    assert_ne!(Bench::new(known(), 77).loader_challenge(), first);
+}
+
+impl Bench {
+    fn loader_challenge(mut self) -> Vec<u8> {
+        self.connect();
+        self.challenge()
+    }
+}
+
+/// T-BOOT-1: a host that does not prove itself keeps the loader for at most two seconds, whatever
+/// it sends; without testers for as long as it sends.
+#[test]
+fn an_unproved_host_does_not_hold_the_loader() {
+    for (testers, holds) in [(known(), false), (&[][..], true)] {
+        let mut bench = Bench::new(testers, 5);
+        bench.connect();
+        let mut held_ms = 0;
+        while held_ms < 60_000 {
+            bench.now = Instant::from_ns(bench.now.as_ns() + 9_000_000);
+            held_ms += 9;
+            let frame = HostRequest::Data(b"").frame().unwrap();
+            bench.loader.on_frame(bench.now, &frame);
+            match bench.loader.next(bench.now) {
+                Next::Wait(_) | Next::Send(_) => {}
+                _ => break,
+            }
+        }
+        assert_eq!(held_ms >= 60_000, holds, "{held_ms} ms");
+    }
+}
