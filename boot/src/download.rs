@@ -365,7 +365,8 @@ fn begin(
     })
 }
 
-/// Returns whether a place holds this image, whole.
+/// Returns whether a place holds this image, whole. Not inlined, to save space.
+#[inline(never)]
 fn holds(
     flash: &mut impl NorFlash,
     place: u32,

@@ -322,34 +322,45 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.log(event, 0);
     }
 
-    /// Determines the active slots that can boot; no download may touch them. If the active
-    /// application is damaged, the other slot becomes active.
+    /// Determines the active slots that can boot; no download may touch them. If an active image is
+    /// damaged, the other slot becomes active.
     fn choose_active(&mut self) {
         let mut environment = *self.ground.store.get();
         let active = environment.active;
-        if let Some(slot) = active.application {
-            let loops = self.loops();
-            let candidates = match loops {
-                false => [slot, slot.other()],
-                true => [slot.other(), slot],
-            };
-            if loops && self.setup.starts % LOOP == 1 {
-                self.log(LogEvent::ResetLoop, self.setup.starts.into());
-            }
-            let good = candidates
-                .into_iter()
-                .find(|slot| self.can_boot(ImageTarget::Application(*slot)));
-            self.ground.keep.application = good;
-            // A reset loop changes only what this start boots.
-            if let Some(other) = good.filter(|good| *good != slot && !loops) {
-                environment.active.application = Some(other);
-                // If it cannot be written, the next start chooses again.
-                let _unwritten = self.write(environment);
-                self.log(LogEvent::SlotDamaged, other as u32);
-            }
+        let loops = self.loops();
+        if loops && self.setup.starts % LOOP == 1 {
+            self.log(LogEvent::ResetLoop, self.setup.starts.into());
         }
-        let whole = |slot: &Slot| self.can_boot(ImageTarget::Configuration(*slot));
-        self.ground.keep.configuration = active.configuration.filter(whole);
+        let first = match loops {
+            true => active.application.map(Slot::other),
+            false => active.application,
+        };
+        let keep = Selection {
+            application: self.first_whole(first, ImageTarget::Application),
+            configuration: self.first_whole(active.configuration, ImageTarget::Configuration),
+        };
+        self.ground.keep = keep;
+        environment.active = Selection {
+            application: keep.application.or(active.application),
+            configuration: keep.configuration.or(active.configuration),
+        };
+        // A reset loop changes only what this start boots.
+        if environment.active != active && !loops {
+            // If it cannot be written, the next start chooses again.
+            let _unwritten = self.write(environment);
+            self.log(LogEvent::SlotDamaged, 0);
+        }
+    }
+
+    /// Returns this slot or the other one, if that can boot. Not inlined, to save space.
+    #[inline(never)]
+    fn first_whole(
+        &mut self,
+        first: Option<Slot>,
+        target: fn(Slot) -> ImageTarget,
+    ) -> Option<Slot> {
+        let mut order = first.into_iter().chain(first.map(Slot::other));
+        order.find(|slot| self.can_boot(target(*slot)))
     }
 
     fn can_boot(&mut self, target: ImageTarget) -> bool {

@@ -82,6 +82,29 @@ fn an_unreadable_slot_is_replaced_by_the_other_one() {
     }
 }
 
+/// U-5: the active configuration is damaged: the other one is used, and stays.
+#[test]
+fn a_damaged_configuration_is_replaced_by_the_other_one() {
+    let mut flash = factory();
+    let lines = records("next", &[&fixture::configuration(Slot::B, 2)]);
+    assert!(Life::with_file(&lines, 0).live(&mut flash).downloaded);
+    for damaged in [false, true] {
+        let place = FlashRegion::Target(ImageTarget::Configuration(Slot::B))
+            .range()
+            .start;
+        if damaged {
+            flash.load(place + 256, &[0xA5; 8]);
+        }
+        for _ in 0..2 {
+            let End::Running(launch) = lives(&mut flash, 1) else {
+                panic!("{damaged}");
+            };
+            let used = if damaged { Slot::A } else { Slot::B };
+            assert_eq!(launch.configuration, Some(used));
+        }
+    }
+}
+
 /// U-5: the active image is whole, but crashes at each start: after eight starts the other slot
 /// boots, and stays until the next power-on. An image on trial that crashes is rolled back at once.
 #[test]
