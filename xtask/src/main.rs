@@ -259,7 +259,8 @@ enum Campaign {
     /// Change one expression or function at a time (needs cargo-mutants): fails if the tests of the
     /// crate miss more than 5 % of the changes
     Mutants {
-        /// Only these packages; by default tandem-boot, tandem-bus, tandem-redundancy and tandem-shm
+        /// Only these packages; by default tandem-boot, tandem-bus, tandem-redundancy and
+        /// tandem-shm
         packages: Vec<String>,
         /// Only each N-th change
         #[arg(long, default_value_t = 1)]
