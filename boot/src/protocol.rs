@@ -355,6 +355,15 @@ mod tests {
         for answer in answers.into_iter().chain(refused) {
             assert_eq!(Answer::decode(&answer.encode()), Some(answer));
         }
+        for strange in [
+            0x1_0000_8457_u64,
+            0x1_0001_8457,
+            0x1_0000_0002_8457,
+            0x0003_8457,
+        ] {
+            let answer = Answer::decode(&strange.to_le_bytes());
+            assert_eq!(answer, None, "{strange:X}");
+        }
         let systems = [None, Some(SystemId::A), Some(SystemId::B)];
         let connects = systems.map(|system| [false, true].map(|resume| (system, resume)));
         let connects = connects.into_iter().flatten();

@@ -1,4 +1,5 @@
-//! Who may program: without the proof of a tester nothing on the bus changes the flash.
+//! Who may program: without the proof of a tester nothing on the bus changes the flash. Frame by
+//! frame, as a foreign tester sends them.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -117,6 +118,15 @@ impl Bench {
         }
     }
 
+    /// Sends a record. Returns the answer to its last frame.
+    fn line(&mut self, line: &str) -> Option<Answer> {
+        let mut answer = None;
+        for piece in line.as_bytes().chunks(8) {
+            answer = self.send(HostRequest::Data(piece));
+        }
+        answer
+    }
+
     fn connect(&mut self) {
         let connect = HostRequest::Connect {
             system: None,
@@ -200,4 +210,26 @@ fn an_unproved_host_does_not_hold_the_loader() {
         }
         assert_eq!(held_ms >= 60_000, holds, "{held_ms} ms");
     }
+}
+
+/// T-BOOT-3: with a window a record that is missing is asked for again eight times, then the file
+/// is refused.
+#[test]
+fn a_gap_in_a_window_is_asked_for_eight_times() {
+    let mut bench = Bench::new(&[], 6);
+    bench.connect();
+    let granted = bench.send(HostRequest::Offer { records: 1 });
+    assert!(
+        matches!(granted, Some(Answer::Window { records: 1, .. })),
+        "{granted:?}"
+    );
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    for (number, text) in (1..).zip(&lines[..3]) {
+        assert_eq!(bench.line(text), Some(Answer::Accepted { records: number }));
+    }
+    for _ in 0..8 {
+        assert_eq!(bench.line(&lines[4]), Some(Answer::Resend { record: 3 }));
+        assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), None);
+    }
+    assert_eq!(bench.line(&lines[4]), Some(Answer::Refused(Refusal::Gap)));
 }
