@@ -227,6 +227,12 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
     for (number, text) in (1..).zip(&lines[..3]) {
         assert_eq!(bench.line(text), Some(Answer::Accepted { records: number }));
     }
+    // The end of a record is lost: the next one shows it at once.
+    let [begin, next] = [3, 4].map(|record: usize| &lines[record].as_bytes()[..8]);
+    assert_eq!(bench.send(HostRequest::Data(begin)), None);
+    let asked = bench.send(HostRequest::Data(next));
+    assert_eq!(asked, Some(Answer::Resend { record: 3 }));
+    assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), None);
     for _ in 0..8 {
         assert_eq!(bench.line(&lines[4]), Some(Answer::Resend { record: 3 }));
         assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), None);

@@ -356,13 +356,25 @@ fn a_damaged_bootloader_is_restored() {
 #[test]
 fn a_lost_environment_is_rebuilt() {
     let Images { mut flash, .. } = Images::updated();
-    for copy in [0, 1] {
-        flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
+    for (older, newer) in [((Slot::A, 1), (Slot::B, 2)), ((Slot::B, 2), (Slot::A, 3))] {
+        if newer.1 == 3 {
+            let lines = records("new", &[&image(Slot::A, 3, 50)]);
+            // Release 1 was forgotten as a trial, and release 2 is on trial again.
+            assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+            let second = records("new", &[&image(Slot::B, 2, 300)]);
+            assert!(Life::with_file(&second, 0).live(&mut flash).downloaded);
+            flash.power_on(5, None);
+            assert!(Life::with_file(&lines, 0).live(&mut flash).downloaded);
+        }
+        for copy in [0, 1] {
+            flash.load(FlashRegion::Environment(copy).range().start, &[0; 0x4000]);
+        }
+        flash.power_on(6, None);
+        let mut life = Life::plain();
+        life.approves = false;
+        assert_eq!(running(life.live(&mut flash).end), newer);
+        assert_eq!(running(lives(&mut flash, 1)), older);
     }
-    let mut life = Life::plain();
-    life.approves = false;
-    assert_eq!(running(life.live(&mut flash).end), (Slot::B, 2));
-    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
 }
 
 /// U-3: a damaged active image is replaced by the other one.
