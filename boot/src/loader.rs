@@ -8,7 +8,7 @@ use crate::flash_access::{FlashFault, body_crc, is_intact, read};
 use crate::log::{LogEvent, append, wrong_testers};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
-use crate::protocol::{Answer, HostRequest, TO_LOADER};
+use crate::protocol::{Answer, HostRequest, Refusal, TO_LOADER};
 use crate::session::Session;
 use crate::tester::{Judged, Tester};
 use crate::trust::{Trust, TrustMode};
@@ -26,8 +26,8 @@ const PROVES_WITHIN: Duration = Duration::from_ms(2_000);
 /// How long a host may request the last answer of a download again.
 const FAREWELL: Duration = Duration::from_ms(50);
 
-/// After so many starts of which none worked, the other slot is tried for as many, then the first
-/// one again: a reset loop, which the redundancy of the application would have ended before.
+/// Eight starts of which none worked are a reset loop: the next eight try the other slot, the eight
+/// after these the first one again. The redundancy of an application would have ended it before.
 const LOOP: u8 = 8;
 
 /// The circumstances of this start.
@@ -130,8 +130,14 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// not approve itself, and takes the next step of an update of the bootloader. What the flash
     /// does not record is not done, or is done again at the next start.
     pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Self {
-        let wrong_testers = wrong_testers(&mut flash);
         let loaded = EnvironmentStore::load(&mut flash);
+        // To read the whole log takes long, so a usual start does not.
+        let reads_log = loaded.is_none() || !setup.trust.testers.is_empty();
+        let wrong_testers = if reads_log {
+            wrong_testers(&mut flash)
+        } else {
+            None
+        };
         let mut store = match loaded.clone() {
             Some(store) => store,
             None => EnvironmentStore::new(rebuild(&mut flash, &setup, wrong_testers.is_none())),
@@ -252,7 +258,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             }
         };
         match self.session.refusal() {
-            Some(refusal) if !self.refusal_logged => {
+            // Without a proof nothing on the bus fills the log.
+            Some(refusal) if !self.refusal_logged && refusal != Refusal::Tester => {
                 self.refusal_logged = true;
                 // The host receives its answer even if the log fails.
                 let _ = append(&mut self.flash, LogEvent::DownloadRefused, refusal as u32);

@@ -1,6 +1,7 @@
 //! The log of the bootloader's actions and refusals, in two sectors used alternately. U-2
 //!
-//! A failed write is ignored: no decision depends on the log.
+//! A failed write is ignored: nothing that boots depends on the log. It counts wrong testers, and a
+//! controller with an empty one is new.
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};

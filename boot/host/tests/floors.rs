@@ -4,11 +4,8 @@
 mod fixture;
 
 use fixture::{factory, image, loader};
-use tandem_board::{Instant, ResetCause, SystemId};
-use tandem_boot::{
-    Bank, EnvironmentStore, FlashRegion, ImageTarget, Loader, Next, Refusal, Setup, Slot, Trust,
-    TrustMode,
-};
+use tandem_board::Instant;
+use tandem_boot::{Bank, EnvironmentStore, FlashRegion, ImageTarget, Loader, Next, Refusal, Slot};
 use tandem_boot_host::cuts::floors;
 use tandem_boot_host::life::{End, Life, LifeOutcome, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
 use tandem_boot_host::{FileSender, Image, ReleaseInfo, SigningKey, SimulatedFlash, ToDo, records};
@@ -146,18 +143,7 @@ fn records_after_the_end_are_refused() {
 #[test]
 fn a_connection_takes_one_file() {
     let keys = [TEST_PUBLIC];
-    let setup = Setup {
-        trust: Trust {
-            keys: &keys,
-            testers: &[],
-            mode: TrustMode::Strict,
-        },
-        system: SystemId::A,
-        bank: Bank::Primary,
-        cause: ResetCause::PowerOn,
-        starts: 1,
-        noise: [7; 32],
-    };
+    let setup = fixture::setup(&keys);
     let mut now = Instant::ORIGIN;
     let mut controller = Loader::start(factory(), setup, now);
     let lines = records("new", &[&image(Slot::B, 2, 50)]);

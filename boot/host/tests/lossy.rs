@@ -8,7 +8,7 @@ use fixture::{factory, image};
 use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use tandem_board::{CanFrame, Duration, Instant, ResetCause, SystemId};
-use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
+use tandem_boot::{Loader, Next, Setup, Slot};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{FileSender, ToDo, records};
 
@@ -34,16 +34,8 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
     let mut host = FileSender::new(records("new", &[&new]), None, window);
     let keys = [TEST_PUBLIC];
     let setup = Setup {
-        trust: Trust {
-            keys: &keys,
-            testers: &[],
-            mode: TrustMode::Strict,
-        },
-        system: SystemId::A,
-        bank: Bank::Primary,
         cause: ResetCause::Download,
-        starts: 1,
-        noise: [7; 32],
+        ..fixture::setup(&keys)
     };
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let mut now = Instant::ORIGIN;
@@ -123,18 +115,7 @@ fn a_download_goes_on_after_a_loss_of_power() {
     let new = image(Slot::B, 2, 3000);
     let mut host = FileSender::new(records("new", &[&new]), Some(SystemId::A), 16);
     let keys = [TEST_PUBLIC];
-    let setup = Setup {
-        trust: Trust {
-            keys: &keys,
-            testers: &[],
-            mode: TrustMode::Strict,
-        },
-        system: SystemId::A,
-        bank: Bank::Primary,
-        cause: ResetCause::PowerOn,
-        starts: 1,
-        noise: [7; 32],
-    };
+    let setup = fixture::setup(&keys);
     let mut now = Instant::ORIGIN;
     let mut lost = false;
     let end = loop {

@@ -4,8 +4,8 @@
 mod fixture;
 
 use fixture::{factory, image};
-use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
-use tandem_boot::{Bank, HostRequest, Loader, Next, Setup, Slot, Trust, TrustMode};
+use tandem_board::{CanFrame, Instant};
+use tandem_boot::{HostRequest, Loader, Next, Slot};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{FileSender, SimulatedFlash, ToDo, bits, records};
 
@@ -29,18 +29,7 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     let new = image(Slot::B, 2, 96 * 1024);
     let mut host = FileSender::new(records("new", &[&new]), None, window);
     let keys = [TEST_PUBLIC];
-    let setup = Setup {
-        trust: Trust {
-            keys: &keys,
-            testers: &[],
-            mode: TrustMode::Strict,
-        },
-        system: SystemId::A,
-        bank: Bank::Primary,
-        cause: ResetCause::PowerOn,
-        starts: 1,
-        noise: [7; 32],
-    };
+    let setup = fixture::setup(&keys);
     let mut measured = Measured {
         total_ns: 0,
         bus_ns: 0,

@@ -9,7 +9,7 @@ use std::io::Write as _;
 use std::process::Command;
 use std::time::Instant as Clock;
 use tandem_board::{Duration, Instant, ResetCause, SystemId};
-use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode, approve};
+use tandem_boot::{Loader, Next, Setup, Slot, approve};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::udp_bus::{GROUP, PORT, UdpBus};
 use tandem_boot_host::{FileSender, FlashFile, TransferError, records, send_file, serve};
@@ -63,16 +63,8 @@ fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
     let wire = UdpBus::join(GROUP, PORT).unwrap();
     let keys = [TEST_PUBLIC];
     let setup = Setup {
-        trust: Trust {
-            keys: &keys,
-            testers: &[],
-            mode: TrustMode::Strict,
-        },
-        system: SystemId::A,
-        bank: Bank::Primary,
         cause,
-        starts: 1,
-        noise: [7; 32],
+        ..fixture::setup(&keys)
     };
     let clock = Clock::now();
     let mut loader = Loader::start(flash, setup, Instant::ORIGIN);

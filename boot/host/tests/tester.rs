@@ -5,11 +5,8 @@
 mod fixture;
 
 use fixture::{factory, image};
-use tandem_board::{Instant, ResetCause, SystemId};
-use tandem_boot::{
-    Answer, Bank, HostRequest, Loader, LogEvent, Next, Refusal, Setup, Slot, Trust, TrustMode,
-    read_log,
-};
+use tandem_board::{Instant, ResetCause};
+use tandem_boot::{Answer, HostRequest, Loader, LogEvent, Next, Refusal, Slot, read_log};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
 use tandem_boot_host::{SigningKey, SimulatedFlash, records};
 
@@ -93,18 +90,10 @@ const TESTER: SigningKey = numbered(0, TEST_KEY_1);
 impl Bench {
     fn new(testers: &'static [[u8; 32]], noise: u8) -> Self {
         const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
-        let setup = Setup {
-            trust: Trust {
-                keys: &KEYS,
-                testers,
-                mode: TrustMode::Strict,
-            },
-            system: SystemId::A,
-            bank: Bank::Primary,
-            cause: ResetCause::Download,
-            starts: 1,
-            noise: std::array::from_fn(|at| noise ^ at as u8),
-        };
+        let mut setup = fixture::setup(&KEYS);
+        setup.trust.testers = testers;
+        setup.cause = ResetCause::Download;
+        setup.noise = std::array::from_fn(|at| noise ^ at as u8);
         let now = Instant::ORIGIN;
         let loader = Loader::start(factory(), setup, now);
         Self { loader, now }
@@ -188,6 +177,21 @@ impl Bench {
         self.connect();
         self.challenge()
     }
+}
+
+/// T-BOOT-1: a host that does not prove itself changes no page of the flash, however often it is
+/// refused: a full log would also forget the wrong keys.
+#[test]
+fn an_unproved_host_writes_nothing() {
+    let mut bench = Bench::new(known(), 8);
+    let before = bench.loader.flash().work();
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    for _ in 0..20 {
+        bench.connect();
+        let refused = Some(Answer::Refused(Refusal::Tester));
+        assert_eq!(bench.line(&lines[0]), refused);
+    }
+    assert_eq!(bench.loader.flash().work(), before);
 }
 
 /// T-BOOT-1: a host that does not prove itself keeps the loader for at most two seconds, whatever
