@@ -198,6 +198,9 @@ enum Campaign {
         /// Test a bootloader with this defect instead; fails if no controller is bricked
         #[arg(long, value_name = "one-slot|one-bank")]
         broken: Option<String>,
+        /// Type of flash: aurix erases to 0, and has an ECC
+        #[arg(long, value_name = "plain|aurix")]
+        flash: Option<String>,
     },
     /// Change good download files in many ways and count those that the bootloader wrongly accepts
     Mutations {
@@ -372,11 +375,17 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             json,
             every,
             broken,
+            flash,
         } => {
             let every = ("--every", Some(every.to_string()));
             trial(
                 "power_cuts",
-                &[every, ("--json", shown(json)), ("--broken", broken)],
+                &[
+                    every,
+                    ("--json", shown(json)),
+                    ("--broken", broken),
+                    ("--flash", flash),
+                ],
             )?
         }
         Campaign::Mutations {
