@@ -18,7 +18,7 @@ use strum::{FromRepr, VariantArray};
 const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 /// A record and its confirmation.
 const SLOT_BYTES: u32 = 3 * PAGE_BYTES as u32;
-/// Slots of a copy: so many changes for each erase of its sector.
+/// Slots of a copy. Its sector is erased once for this number of changes.
 const SLOTS: u32 = SMALLEST_SECTOR / SLOT_BYTES;
 /// So many slots are tried before the sector is erased.
 const ATTEMPTS: u32 = 3;
@@ -220,8 +220,9 @@ impl EnvironmentStore {
     }
 
     /// Makes both copies equal after a loss of power. Call it before anything acts on the
-    /// environment. If the sector of one copy is worn out, the other copy is left alone; if that
-    /// holds an older environment, it is replaced, and only a loss of power meanwhile loses it.
+    /// environment. If one copy cannot be written, because its sector is worn out, the other copy
+    /// is left alone. But if that is older, it is written too, although a loss of power during its
+    /// erase would then lose both.
     ///
     /// # Errors
     /// [`FlashFault`] if no copy can be written.

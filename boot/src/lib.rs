@@ -43,6 +43,6 @@ pub use protocol::{Answer, CHALLENGE_BYTES, HostRequest, Refusal, TO_HOST, TO_LO
 pub use session::{MAX_WINDOW, RESEND_AFTER};
 pub use srec::{Assembler, MAX_DATA, SRecord, SRecordError, SRecordType};
 pub use start::{BetweenSteps, Keeper, Leave, first_service, next_service, start};
-pub use tester::{TESTER_DOMAIN, TESTER_MESSAGE_BYTES, tester_message};
+pub use tester::{TESTER_MESSAGE_BYTES, tester_message};
 pub use three_frames::{FIRST_ID, three_frames};
 pub use trust::{Trust, TrustMode};

@@ -116,7 +116,7 @@ pub enum Answer {
     Unproved,
     /// After a wrong signature no challenge is given for this time.
     Locked {
-        /// Rounded up.
+        /// Rounded up; [`u16::MAX`]: not before the next start.
         seconds: u16,
     },
 }
@@ -218,7 +218,7 @@ pub enum HostRequest<'a> {
         /// Its number, counted from 0, as the loader requested.
         record: u32,
     },
-    /// Extension: asks for a part of a challenge; the first part begins a new one.
+    /// Extension: asks for a part of the challenge.
     Challenge {
         /// The number of the tester's key.
         key: u8,

@@ -9,7 +9,7 @@ use crate::trust::{Trust, verify};
 use tandem_board::{Duration, Instant, SystemId};
 
 /// What a tester signs begins with this.
-pub const TESTER_DOMAIN: &[u8; 13] = b"tandem tester";
+const TESTER_DOMAIN: &[u8; 13] = b"tandem tester";
 /// Bytes that a tester signs: the domain, the system (0 A, 1 B), the number of the key, and the
 /// challenge.
 pub const TESTER_MESSAGE_BYTES: usize = TESTER_DOMAIN.len() + 2 + CHALLENGE_BYTES;

@@ -103,7 +103,7 @@ pub fn known(sequence: &Sequence, rule: Rule, aside_m: Option<f64>) -> Option<&'
         Rule::Changes if sequence.spoils_frames_of_both() => {
             Some("frames of both systems are lost or wrong, so each relieves the other rightly")
         }
-        // With a vehicle, core 1 needs longer to see its lane, and nobody relieves anybody.
+        // With a vehicle, core 1 needs longer to see its lane, so no system relieves the other.
         Rule::Stopped | Rule::Changes | Rule::Gap
             if aside_m.is_none() && only(|kind| *kind == Kind::Poison) =>
         {

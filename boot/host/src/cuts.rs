@@ -56,16 +56,11 @@ pub struct CutCase {
 impl CutCase {
     /// An update of a sound controller with a flash that erases to 0xFF and has no ECC.
     #[must_use]
-    pub const fn plain(scenario: CutScenario) -> Self {
+    pub fn plain(scenario: CutScenario) -> Self {
         Self {
             scenario,
             defect: None,
-            traits: FlashTraits {
-                erases_to_0: false,
-                ecc: false,
-                blank_is_unreadable: false,
-                endurance: None,
-            },
+            traits: FlashTraits::default(),
         }
     }
 }

@@ -213,7 +213,7 @@ impl FileSender {
         }
         match self.state {
             State::Sending => self.back_to(self.accepted),
-            // A frame was lost: the loader begins with a new challenge.
+            // A frame was lost: ask again from the first part.
             State::Asking(_) | State::Proving(_) => self.ask(now, 0),
             _ => {}
         }

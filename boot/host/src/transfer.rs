@@ -20,7 +20,7 @@ pub enum TransferError {
     #[error("the bootloader refuses the file: {0:?} (docs/boot.md, table of codes)")]
     Refused(Refusal),
     /// A wrong tester's key was used before.
-    #[error("the bootloader takes no tester for {0} s, because the last keys were wrong")]
+    #[error("the bootloader takes no tester's key for {0} s (65535: before its next start)")]
     Locked(u16),
 }
 
