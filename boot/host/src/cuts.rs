@@ -329,6 +329,10 @@ pub fn sweep<E>(
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     let (_, _, mut undisturbed) = live(stage.start(), step(false, 0, None))?;
     let before = floors(&mut undisturbed);
+    let wrong = |outcome: &LifeOutcome, flash: &mut SimulatedFlash| {
+        let brick = stage.brick(outcome, flash);
+        brick.or_else(|| lowered(before, flash))
+    };
     let ticks = (which.from..ticks).step_by(which.every as usize);
     for (tick, tear) in ticks.flat_map(|tick| Tear::VARIANTS.iter().map(move |tear| (tick, *tear)))
     {
@@ -337,11 +341,8 @@ pub fn sweep<E>(
         let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
         swept.points += 1;
         let place = format!("{:?}, {tear:?} at tick {tick}", stage.case.scenario);
-        let brick = stage.brick(&outcome, &mut flash);
-        let wrong = brick.or_else(|| lowered(before, &mut flash));
-        swept
-            .bricks
-            .extend(wrong.map(|why| format!("{place}: {why}")));
+        let found = wrong(&outcome, &mut flash).map(|why| format!("{place}: {why}"));
+        swept.bricks.extend(found);
         if recovery == 0 {
             continue;
         }
@@ -356,11 +357,8 @@ pub fn sweep<E>(
         swept.points += 1;
         swept.double += 1;
         let place = format!("{place}, then {second:?} at tick {second_tick}");
-        let brick = stage.brick(&outcome, &mut flash);
-        let wrong = brick.or_else(|| lowered(before, &mut flash));
-        swept
-            .bricks
-            .extend(wrong.map(|why| format!("{place}: {why}")));
+        let found = wrong(&outcome, &mut flash).map(|why| format!("{place}: {why}"));
+        swept.bricks.extend(found);
     }
     Ok(swept)
 }

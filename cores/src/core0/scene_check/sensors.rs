@@ -352,13 +352,13 @@ impl SensorCheck {
                 false => lines.follow(&line, step.seconds),
             }
         }
+        let share = self.line_share();
         let [.., aside, heading, bend] = &mut self.residuals;
         if step.is_other || is_rough {
             (*aside, *heading, *bend) = (0.0, 0.0, 0.0);
             (self.unexplained, self.turned) = (0.0, None);
             return;
         }
-        let share = if self.is_slow { ROUGH } else { 1.0 };
         let [sideways, turn] = &mut self.moved;
         let sums = [
             aside,
@@ -374,6 +374,11 @@ impl SensorCheck {
             *sum += share * step_by - *sum * step.seconds / MEMORY_S;
         }
         *bend = if self.is_slow { 0.0 } else { step.apart[2] };
+    }
+
+    /// Returns the share of the line's residuals that counts.
+    const fn line_share(&self) -> f32 {
+        if self.is_slow { ROUGH } else { 1.0 }
     }
 
     /// Returns the residuals in shares of their limits.
@@ -423,8 +428,8 @@ impl SensorCheck {
     fn turns(&self) -> Option<bool> {
         let heading = self.residual(Residual::Heading);
         self.turned.map(|turned| {
-            let share = if self.is_slow { ROUGH } else { 1.0 };
-            heading.abs() >= share * TURNS && heading * turned >= TURNS_SHARE * turned * turned
+            let least = self.line_share() * TURNS;
+            heading.abs() >= least && heading * turned >= TURNS_SHARE * turned * turned
         })
     }
 
