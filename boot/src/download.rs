@@ -7,6 +7,7 @@
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program, read};
+use crate::loader::manifest_at;
 use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{
     FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at,
@@ -32,6 +33,8 @@ pub(crate) struct Ground<'k> {
     /// The manifest of the running bootloader; `None` if it cannot be read.
     pub(crate) running: Option<[u8; MANIFEST_BYTES]>,
     pub(crate) tester: Tester,
+    /// As in [`Setup::counter`](crate::Setup::counter).
+    pub(crate) counter: u32,
 }
 
 impl Ground<'_> {
@@ -51,13 +54,35 @@ impl Ground<'_> {
     /// approved.
     pub(crate) fn lowest_version(&self, kind: ImageKind) -> u32 {
         let approved = self.store.get().versions[kind as usize];
-        let running = self
-            .running
-            .as_ref()
-            .filter(|_| kind == ImageKind::Bootloader);
-        let running = running.and_then(|bytes| bytes.first_chunk());
-        let running = running.and_then(|bytes| Manifest::decode(bytes).ok());
-        running.map_or(approved, |manifest| manifest.version.max(approved))
+        match kind {
+            ImageKind::Bootloader => approved.max(self.running_version()),
+            _ => approved,
+        }
+    }
+
+    /// Returns whether the board's counter permits an image.
+    pub(crate) fn counter_permits(&self, kind: ImageKind, security_counter: u8) -> bool {
+        kind != ImageKind::Application || u32::from(security_counter) >= self.counter
+    }
+
+    /// Returns the version of the running bootloader; 0 if its manifest cannot be read.
+    #[inline(never)]
+    fn running_version(&self) -> u32 {
+        let signed = self.running.as_ref().and_then(|bytes| bytes.first_chunk());
+        let manifest = signed.and_then(|bytes| Manifest::decode(bytes).ok());
+        manifest.map_or(0, |manifest| manifest.version)
+    }
+
+    /// Returns whether these images may run together, under the running bootloader.
+    #[inline(never)]
+    pub(crate) fn fit(&self, flash: &mut impl NorFlash, selection: Selection) -> bool {
+        let [_, bootloader, lowest] = selection.application.map_or([0; 3], |slot| {
+            version_and_needs(flash, ImageTarget::Application(slot))
+        });
+        let [configuration, ..] = selection.configuration.map_or([0; 3], |slot| {
+            version_and_needs(flash, ImageTarget::Configuration(slot))
+        });
+        bootloader <= self.running_version() && lowest <= configuration
     }
 
     /// Removes from the environment what a file brought that ends wrongly.
@@ -86,6 +111,15 @@ impl Ground<'_> {
         }
         Ok(())
     }
+}
+
+/// Returns the version of the image in a place, and the lowest bootloader and configuration that it
+/// needs; 0 without an image.
+#[inline(never)]
+fn version_and_needs(flash: &mut impl NorFlash, target: ImageTarget) -> [u32; 3] {
+    manifest_at(flash, target).map_or([0; 3], |it| {
+        [it.version, it.needs_bootloader, it.needs_configuration]
+    })
 }
 
 /// One image of the file.
@@ -149,6 +183,7 @@ pub(crate) struct Download {
 
 impl Download {
     /// Processes a record. Returns `Ok(true)` if the file has ended and is on trial.
+    #[inline(never)]
     pub(crate) fn take(
         &mut self,
         record: &SRecord,
@@ -304,9 +339,13 @@ impl Download {
                 ImageTarget::Staging => environment.loader = LoaderUpdate::Staged,
             }
         }
+        if !ground.fit(flash, selection.over(ground.keep)) {
+            return Err(Refusal::Needs);
+        }
         environment.trial = (selection != Selection::default()).then_some(Trial {
             selection,
             executed: false,
+            ready: false,
             authentic,
         });
         if environment == *ground.store.get() {
@@ -365,8 +404,7 @@ fn begin(
     })
 }
 
-/// Returns whether a place holds this image, whole. Not inlined, to save space.
-#[inline(never)]
+/// Returns whether a place holds this image, whole.
 fn holds(
     flash: &mut impl NorFlash,
     place: u32,
@@ -397,8 +435,12 @@ fn accept(
     if !authentic && ground.trust.mode == TrustMode::Strict {
         return Err(Refusal::Untrusted);
     }
-    if manifest.version < ground.lowest_version(manifest.kind) {
+    let permitted = ground.counter_permits(manifest.kind, manifest.security_counter);
+    if manifest.version < ground.lowest_version(manifest.kind) || !permitted {
         return Err(Refusal::Downgrade);
+    }
+    if manifest.needs_bootloader > ground.running_version() {
+        return Err(Refusal::Needs);
     }
     Ok((manifest, authentic))
 }

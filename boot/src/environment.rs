@@ -11,11 +11,12 @@
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES, SMALLEST_SECTOR, Slot};
-use crate::page::{CRC_32, word};
+use crate::page::{checksum, word};
 use embedded_storage::nor_flash::NorFlash;
 use strum::{FromRepr, VariantArray};
 
-const RECORD_BYTES: usize = 2 * PAGE_BYTES;
+/// Bytes of a record.
+pub const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 /// A record and its confirmation.
 const SLOT_BYTES: u32 = 3 * PAGE_BYTES as u32;
 /// Slots of a copy. Its sector is erased once for this number of changes.
@@ -36,6 +37,17 @@ pub struct Selection {
     pub configuration: Option<Slot>,
 }
 
+impl Selection {
+    /// Returns these slots, and those of `other` where this leaves them unchanged.
+    #[must_use]
+    pub fn over(self, other: Self) -> Self {
+        Self {
+            application: self.application.or(other.application),
+            configuration: self.configuration.or(other.configuration),
+        }
+    }
+}
+
 /// Downloaded images that have not approved themselves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trial {
@@ -43,6 +55,9 @@ pub struct Trial {
     pub selection: Selection,
     /// Whether they were started.
     pub executed: bool,
+    /// Whether both systems have found that they work. A start does not roll them back then,
+    /// because the other system may have approved them.
+    pub ready: bool,
     /// Whether all of them are signed by an accepted key. Only then does their approval raise what
     /// is refused.
     pub authentic: bool,
@@ -93,11 +108,14 @@ impl Environment {
         self.trial.is_none() && matches!(self.loader, LoaderUpdate::Idle | LoaderUpdate::BackupOnly)
     }
 
-    fn encode(&self, sequence: u32) -> [u8; RECORD_BYTES] {
+    /// Encodes a record: see `docs/boot.md`.
+    #[must_use]
+    pub fn encode(&self, sequence: u32) -> [u8; RECORD_BYTES] {
         let slot = |slot: Option<Slot>| slot.map_or(0xFF, |slot| slot as u8);
         let trial = self.trial.unwrap_or(Trial {
             selection: Selection::default(),
             executed: false,
+            ready: false,
             authentic: false,
         });
         let mut bytes = [0; RECORD_BYTES];
@@ -108,7 +126,9 @@ impl Environment {
             slot(self.active.configuration),
             slot(trial.selection.application),
             slot(trial.selection.configuration),
-            u8::from(self.trial.is_some()) + u8::from(trial.executed),
+            u8::from(self.trial.is_some())
+                | u8::from(trial.executed) << 1
+                | u8::from(trial.ready) << 2,
             self.loader as u8,
             self.lowest_key,
             u8::from(trial.authentic),
@@ -117,19 +137,23 @@ impl Environment {
         for (place, version) in places.iter_mut().zip(self.versions) {
             *place = version.to_le_bytes();
         }
-        let crc = CRC_32.checksum(&bytes[..60]);
+        let crc = checksum(&bytes[..60]);
         bytes[60..].copy_from_slice(&crc.to_le_bytes());
         bytes
     }
 
-    fn decode(bytes: &[u8; RECORD_BYTES]) -> Option<(Self, u32)> {
+    /// Decodes the output of [`Environment::encode`], with the sequence number. Refuses all other
+    /// bytes.
+    #[must_use]
+    pub fn decode(bytes: &[u8; RECORD_BYTES]) -> Option<(Self, u32)> {
         let word = |at: usize| word(bytes, at);
         let trial = Trial {
             selection: Selection {
                 application: Slot::from_repr(bytes[10]),
                 configuration: Slot::from_repr(bytes[11]),
             },
-            executed: bytes[12] == 2,
+            executed: bytes[12] & 2 > 0,
+            ready: bytes[12] & 4 > 0,
             authentic: bytes[15] == 1,
         };
         let environment = Self {
@@ -202,6 +226,7 @@ impl EnvironmentStore {
 
     /// Creates a store with a first environment; [`EnvironmentStore::settle`] writes it.
     #[must_use]
+    #[inline(never)]
     pub const fn new(environment: Environment) -> Self {
         Self {
             current: environment,
@@ -281,6 +306,7 @@ impl EnvironmentStore {
 }
 
 /// Returns the offset of a slot of a copy.
+#[inline(never)]
 const fn slot_at(copy: u8, slot: u32) -> u32 {
     FlashRegion::Environment(copy).range().start + slot * SLOT_BYTES
 }
@@ -298,6 +324,7 @@ fn write_slot(
 }
 
 /// Returns the newest record of a copy, and the slot after the last one that can be read.
+#[inline(never)]
 fn newest(flash: &mut impl NorFlash, copy: u8) -> (Option<Copy>, u32) {
     let rank = |copy: &Copy| (copy.confirmed, copy.sequence);
     let (mut newest, mut next): (Option<Copy>, u32) = (None, 0);
@@ -314,6 +341,7 @@ fn newest(flash: &mut impl NorFlash, copy: u8) -> (Option<Copy>, u32) {
 }
 
 /// Returns the confirmation page of a record.
+#[inline(never)]
 fn confirmation(record: &[u8; RECORD_BYTES]) -> [u8; PAGE_BYTES] {
     let mut page = [0; PAGE_BYTES];
     page[..4].copy_from_slice(&CONFIRMED);
@@ -361,15 +389,16 @@ mod tests {
         #[test]
         fn what_is_encoded_is_decoded(
             active in slots(),
-            trial in prop::option::of((slots(), any::<bool>(), any::<bool>())),
+            trial in prop::option::of((slots(), any::<[bool; 3]>())),
             loader in prop::sample::select(LoaderUpdate::VARIANTS),
             versions: [u32; 3],
             lowest_key: u8,
             sequence: u32,
         ) {
-            let trial = trial.map(|(selection, executed, authentic)| Trial {
+            let trial = trial.map(|(selection, [executed, ready, authentic])| Trial {
                 selection,
                 executed,
+                ready,
                 authentic,
             });
             let environment = Environment { active, trial, loader, versions, lowest_key };

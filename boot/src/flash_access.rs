@@ -2,7 +2,7 @@
 
 use crate::manifest::{BODY_OFFSET, Manifest};
 use crate::map::{Bank, FlashRegion, PAGE_BYTES, sector_at};
-use crate::page::{CRC_32, Page};
+use crate::page::{Crc32, Page};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 use sha2::{Digest, Sha256};
@@ -49,6 +49,26 @@ pub(crate) fn program(
     }
 }
 
+/// Adds bytes to a digest.
+#[inline(never)]
+fn hash(digest: &mut Sha256, bytes: &[u8]) {
+    digest.update(bytes);
+}
+
+/// Returns the digest.
+#[inline(never)]
+fn finish(digest: Sha256) -> [u8; 32] {
+    digest.finalize().into()
+}
+
+/// Returns the digest of bytes.
+#[inline(never)]
+pub(crate) fn sha256(bytes: &[u8]) -> [u8; 32] {
+    let mut digest = Sha256::new();
+    hash(&mut digest, bytes);
+    finish(digest)
+}
+
 /// Returns whether every part of an image has the digest in its manifest.
 pub(crate) fn is_intact(
     flash: &mut impl NorFlash,
@@ -63,10 +83,10 @@ pub(crate) fn is_intact(
             let len = chunk.len().min((end - at) as usize);
             let chunk = &mut chunk[..len];
             flash.read(at, chunk).map_err(|_| FlashFault)?;
-            digest.update(chunk);
+            hash(&mut digest, chunk);
             at += len as u32;
         }
-        if digest.finalize()[..] != part.sha256 {
+        if finish(digest) != part.sha256 {
             return Ok(false);
         }
     }
@@ -79,13 +99,13 @@ pub(crate) fn body_crc(
     place: u32,
     length: u32,
 ) -> Result<u32, FlashFault> {
-    let mut digest = CRC_32.digest();
+    let mut crc = Crc32::new();
     let end = place + BODY_OFFSET + length;
     for at in (place + BODY_OFFSET..end).step_by(PAGE_BYTES) {
         let page: Page = read(flash, at)?;
-        digest.update(&page[..PAGE_BYTES.min((end - at) as usize)]);
+        crc.update(&page[..PAGE_BYTES.min((end - at) as usize)]);
     }
-    Ok(digest.finalize())
+    Ok(crc.value())
 }
 
 /// Copies a bootloader to a bank: all pages except the first, then, with `seal`, the first page.

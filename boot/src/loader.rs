@@ -5,6 +5,7 @@ mod own_update;
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, is_intact, read};
+use crate::info;
 use crate::log::{LogEvent, append, wrong_testers};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
@@ -44,6 +45,8 @@ pub struct Setup<'k> {
     /// Starts since power-on, or since one of them worked, this one included: see
     /// [`Supply::starts`](tandem_board::Supply::starts).
     pub starts: u8,
+    /// The value of the board's [`MonotonicCounter`](tandem_board::MonotonicCounter); 0 without one.
+    pub counter: u32,
     /// Bytes that differ at each start: of a random number generator, if the board has one.
     pub noise: [u8; 32],
 }
@@ -129,6 +132,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Reads the boot environment, repairs it after a loss of power, rolls back an image that did
     /// not approve itself, and takes the next step of an update of the bootloader. What the flash
     /// does not record is not done, or is done again at the next start.
+    #[inline(never)]
     pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Self {
         let loaded = EnvironmentStore::load(&mut flash);
         // To read the whole log takes long, so a usual start does not.
@@ -158,6 +162,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 keep: Selection::default(),
                 running,
                 tester,
+                counter: setup.counter,
             },
             session: Session::default(),
             began: now,
@@ -233,25 +238,34 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     }
 
     /// Processes a frame from the bus. Call [`Loader::next`] before the next frame.
+    #[inline(never)]
     pub fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
             return;
         }
-        // After the end of a file no frame makes the loader wait longer.
         self.was_busy = self.session.is_open();
         let answer = match HostRequest::decode(frame.data()) {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
                 self.ground.tester.leave();
                 self.session.connect(now, resume)
             }
-            HostRequest::Connect { .. } => None,
-            HostRequest::Challenge { .. } | HostRequest::Proof { .. }
-                if !self.session.is_open() =>
+            // A request to another system, or to an application.
+            HostRequest::Connect { .. } | HostRequest::RollBack { .. } => None,
+            HostRequest::Challenge { system, .. }
+            | HostRequest::Proof { system, .. }
+            | HostRequest::Info { system, .. }
+                if !self.answers(system) =>
             {
                 None
             }
-            HostRequest::Challenge { key, part } => self.ground.tester.on_challenge(now, key, part),
-            HostRequest::Proof { part, bytes } => self.prove(now, part, bytes),
+            HostRequest::Challenge { key, part, .. } => {
+                self.ground.tester.on_challenge(now, key, part)
+            }
+            HostRequest::Proof { part, bytes, .. } => self.prove(now, part, bytes),
+            HostRequest::Info { question, .. } => {
+                let environment = self.ground.store.get();
+                info::answer(&mut self.flash, environment, self.setup.starts, question)
+            }
             request => {
                 let (flash, ground) = (&mut self.flash, &mut self.ground);
                 self.session.on_request(now, request, flash, ground)
@@ -270,7 +284,16 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         self.answer = answer.and_then(Answer::frame);
     }
 
-    /// Takes a part of a tester's signature. Not inlined, to save space.
+    /// Returns whether a request is for this loader: it names this system, or the host that is
+    /// connected asks.
+    #[inline(never)]
+    fn answers(&self, system: Option<SystemId>) -> bool {
+        system.map_or(self.session.is_open(), |system| {
+            system == self.setup.system
+        })
+    }
+
+    /// Takes a part of a tester's signature.
     #[inline(never)]
     fn prove(&mut self, now: Instant, part: u8, bytes: [u8; 5]) -> Option<Answer> {
         let trust = self.setup.trust;
@@ -309,7 +332,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Forgets an image on trial that was started and did not approve itself before this start. U-3
     fn roll_back(&mut self) {
         let environment = *self.ground.store.get();
-        let has_failed = |trial: Trial| trial.executed || self.loops();
+        let has_failed = |trial: Trial| trial.executed && !trial.ready || self.loops();
         if environment.trial.is_some_and(has_failed) {
             self.forget_trial(LogEvent::RolledBack);
         }
@@ -347,10 +370,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             configuration: self.first_whole(active.configuration, ImageTarget::Configuration),
         };
         self.ground.keep = keep;
-        environment.active = Selection {
-            application: keep.application.or(active.application),
-            configuration: keep.configuration.or(active.configuration),
-        };
+        environment.active = keep.over(active);
         // A reset loop changes only what this start boots.
         if environment.active != active && !loops {
             // If it cannot be written, the next start chooses again.
@@ -359,8 +379,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
     }
 
-    /// Returns this slot or the other one, if that can boot. Not inlined, to save space.
-    #[inline(never)]
+    /// Returns this slot or the other one, if that can boot.
     fn first_whole(
         &mut self,
         first: Option<Slot>,
@@ -372,6 +391,11 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     fn can_boot(&mut self, target: ImageTarget) -> bool {
         let image = inspect(&mut self.flash, &self.setup.trust, target);
+        let permits = |image: &Image| {
+            let counter = image.security_counter;
+            self.ground.counter_permits(target.kind(), counter)
+        };
+        let image = image.filter(permits);
         if let Some(Image {
             authentic: false, ..
         }) = image
@@ -390,12 +414,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     /// Boot-load mode: starts the image on trial if it is intact, otherwise the active one. Returns
     /// `None` if nothing can boot; the loader then waits for a download.
+    #[inline(never)]
     fn boot(&mut self) -> Option<Next> {
         let environment = *self.ground.store.get();
-        let mut selection = Selection {
-            configuration: self.ground.keep.configuration,
-            application: self.ground.keep.application,
-        };
+        let mut selection = self.ground.keep;
         if let Some(Trial { selection: new, .. }) = environment.trial {
             let application = new.application.map(ImageTarget::Application);
             let configuration = new.configuration.map(ImageTarget::Configuration);
@@ -407,14 +429,16 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 }),
                 ..environment
             };
-            if !targets.all(|target| self.can_boot(target)) {
+            let together = new.over(selection);
+            if !targets.all(|target| self.can_boot(target))
+                || !self.ground.fit(&mut self.flash, together)
+            {
                 self.forget_trial(LogEvent::SlotDamaged);
             } else if self.write(started).is_err() {
                 // Without this record it could not be rolled back.
                 self.log(LogEvent::NotRecorded, 0);
             } else {
-                selection.application = new.application.or(selection.application);
-                selection.configuration = new.configuration.or(selection.configuration);
+                selection = together;
             }
         }
         let Some(application) = selection.application else {
@@ -426,7 +450,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     }
 
     fn launch(&mut self, application: Slot, configuration: Option<Slot>) -> Option<Next> {
-        let (manifest, _) = manifest_at(&mut self.flash, ImageTarget::Application(application))?;
+        let manifest = manifest_at(&mut self.flash, ImageTarget::Application(application))?;
         let place = FlashRegion::Target(ImageTarget::Application(application))
             .range()
             .start;
@@ -461,33 +485,44 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
 /// An image with the right digests.
 struct Image {
-    manifest: Manifest,
+    version: u32,
+    security_counter: u8,
     authentic: bool,
 }
 
-/// Returns the manifest at the start of a place, with its bytes.
-fn manifest_at(
+/// Returns the manifest at the start of a place.
+#[inline(never)]
+pub(crate) fn manifest_at(flash: &mut impl NorFlash, target: ImageTarget) -> Option<Manifest> {
+    read_manifest(flash, target, &mut [0; MANIFEST_BYTES])
+}
+
+/// Reads the manifest at the start of a place.
+#[inline(never)]
+fn read_manifest(
     flash: &mut impl NorFlash,
     target: ImageTarget,
-) -> Option<(Manifest, [u8; MANIFEST_BYTES])> {
+    bytes: &mut [u8; MANIFEST_BYTES],
+) -> Option<Manifest> {
     let range = FlashRegion::Target(target).range();
-    let bytes: [u8; MANIFEST_BYTES] = read(flash, range.start).ok()?;
+    flash.read(range.start, bytes).ok()?;
     let manifest = Manifest::decode(bytes.first_chunk::<SIGNED_BYTES>()?).ok()?;
     let fits = range.start + BODY_OFFSET + manifest.length <= range.end;
     let ours = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
-    (fits && ours).then_some((manifest, bytes))
+    (fits && ours).then_some(manifest)
 }
 
 /// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after
 /// the download is still accepted here, so that an approved image remains as fallback.
 fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) -> Option<Image> {
-    let (manifest, bytes) = manifest_at(flash, target)?;
+    let mut bytes = [0; MANIFEST_BYTES];
+    let manifest = read_manifest(flash, target, &mut bytes)?;
     let place = FlashRegion::Target(target).range().start;
     let whole = is_intact(flash, place, &manifest) == Ok(true)
         && (target != ImageTarget::Staging
             || body_crc(flash, place, manifest.length) == Ok(manifest.crc));
     whole.then(|| Image {
-        manifest,
+        version: manifest.version,
+        security_counter: manifest.security_counter,
         authentic: trust.is_authentic(&bytes, 0),
     })
 }
@@ -496,6 +531,7 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: ImageTarget) ->
 /// newer one on trial. Used if the controller is new or has lost both copies. What was refused is
 /// then not known: a controller that has lost it refuses all that is older than its images, or not
 /// signed by the newest key. A new controller has logged nothing.
+#[inline(never)]
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>, is_new: bool) -> Environment {
     let mut environment = Environment::default();
     if !is_new {
@@ -509,10 +545,10 @@ fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>, is_new: bool) -> Enviro
             let taken = image.authentic || setup.trust.mode == TrustMode::Monitor;
             authentic &= image.authentic;
             if image.authentic {
-                let lowest = &mut versions[image.manifest.kind as usize];
-                *lowest = image.manifest.version.max(*lowest);
+                let lowest = &mut versions[kind(slot).kind() as usize];
+                *lowest = image.version.max(*lowest);
             }
-            taken.then_some((image.manifest.version, slot))
+            taken.then_some((image.version, slot))
         };
         match [version(Slot::A), version(Slot::B)] {
             [Some(a), Some(b)] if a.0 <= b.0 => (Some(a.1), Some(b.1)),
@@ -533,6 +569,7 @@ fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>, is_new: bool) -> Enviro
     environment.trial = (newer != Selection::default()).then_some(Trial {
         selection: newer,
         executed: false,
+        ready: false,
         authentic,
     });
     environment
@@ -548,7 +585,7 @@ fn raise_to_active(flash: &mut impl NorFlash, environment: &mut Environment) {
         .into_iter()
         .chain(configuration.map(ImageTarget::Configuration))
     {
-        if let Some((manifest, _)) = manifest_at(flash, target) {
+        if let Some(manifest) = manifest_at(flash, target) {
             raise(environment, &manifest);
         }
     }
@@ -578,13 +615,12 @@ pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
         selection,
         executed: true,
         authentic,
+        ..
     }) = environment.trial
     else {
         return Ok(());
     };
-    let active = &mut environment.active;
-    active.application = selection.application.or(active.application);
-    active.configuration = selection.configuration.or(active.configuration);
+    environment.active = selection.over(environment.active);
     environment.trial = None;
     if authentic {
         raise_to_active(flash, &mut environment);
@@ -620,6 +656,7 @@ mod tests {
                 bank: Bank::Primary,
                 cause,
                 starts: 1,
+                counter: 0,
                 noise: [0; 32],
             };
             let expected = expected.map_or(Entry::Never, |span| Entry::Until(now + span));

@@ -5,7 +5,7 @@
 
 use crate::flash_access::{FlashFault, erase, program, read};
 use crate::map::{FlashRegion, PAGE_BYTES};
-use crate::page::{CRC_32, Page, word};
+use crate::page::{Page, checksum, word};
 use embedded_storage::nor_flash::NorFlash;
 use strum::FromRepr;
 
@@ -67,7 +67,7 @@ impl LogEntry {
         page[2] = self.event as u8;
         page[4..8].copy_from_slice(&self.sequence.to_le_bytes());
         page[8..12].copy_from_slice(&self.value.to_le_bytes());
-        let crc = CRC_32.checksum(&page[..28]);
+        let crc = checksum(&page[..28]);
         page[28..].copy_from_slice(&crc.to_le_bytes());
         page
     }
@@ -79,7 +79,8 @@ impl LogEntry {
             event: LogEvent::from_repr(page[2])?,
             value: word(8),
         };
-        (entry.encode() == *page).then_some(entry)
+        let sound = page[..2] == MAGIC && checksum(&page[..28]) == word(28);
+        sound.then_some(entry)
     }
 }
 
@@ -98,6 +99,24 @@ fn scan(flash: &mut impl NorFlash, sector: u8, found: &mut dyn FnMut(LogEntry)) 
     free
 }
 
+/// The end of the log in one of its sectors.
+struct End {
+    /// The last sequence number, if the sector has an entry.
+    newest: Option<u32>,
+    /// The page after the last entry.
+    free: u32,
+}
+
+/// Returns where the log ends in each sector.
+#[inline(never)]
+fn ends(flash: &mut impl NorFlash) -> [End; 2] {
+    [0, 1].map(|sector| {
+        let mut newest = None;
+        let free = scan(flash, sector, &mut |entry| newest = Some(entry.sequence));
+        End { newest, free }
+    })
+}
+
 /// Returns how many wrong signatures of testers there were since the last right one; `None` if
 /// nothing was ever logged.
 pub(crate) fn wrong_testers(flash: &mut impl NorFlash) -> Option<u8> {
@@ -114,14 +133,11 @@ pub(crate) fn wrong_testers(flash: &mut impl NorFlash) -> Option<u8> {
 
 /// Calls `found` for every entry. The sector with the older entries is read first.
 ///
-/// Not inlined, to save space.
+///
 #[inline(never)]
 pub fn read_log(flash: &mut impl NorFlash, found: &mut dyn FnMut(LogEntry)) {
-    let mut newest = [None; 2];
-    for (sector, newest) in (0..).zip(&mut newest) {
-        scan(flash, sector, &mut |entry| *newest = Some(entry.sequence));
-    }
-    let first = u8::from(newest[0] > newest[1]);
+    let [end_0, end_1] = ends(flash);
+    let first = u8::from(end_0.newest > end_1.newest);
     scan(flash, first, found);
     scan(flash, 1 - first, found);
 }
@@ -136,26 +152,18 @@ pub(crate) fn append(
     event: LogEvent,
     value: u32,
 ) -> Result<(), FlashFault> {
-    let mut newest = [None; 2];
-    let mut free = [0; 2];
-    for sector in 0..2 {
-        let last = &mut newest[usize::from(sector)];
-        free[usize::from(sector)] = scan(flash, sector, &mut |entry| {
-            *last = Some(entry.sequence);
-        });
-    }
-    let sequence = newest[0]
-        .max(newest[1])
-        .map_or(0, |last| last.wrapping_add(1));
+    let ends = ends(flash);
+    let newest = ends[0].newest.max(ends[1].newest);
+    let sequence = newest.map_or(0, |last| last.wrapping_add(1));
     let page = LogEntry {
         sequence,
         event,
         value,
     }
     .encode();
-    let sector = u8::from(newest[1] > newest[0]);
+    let sector = u8::from(ends[1].newest > ends[0].newest);
     let end = FlashRegion::Log(sector).range().end;
-    for at in (free[usize::from(sector)]..end).step_by(PAGE_BYTES) {
+    for at in (ends[usize::from(sector)].free..end).step_by(PAGE_BYTES) {
         if program(flash, at, &page).is_ok() {
             return Ok(());
         }

@@ -12,18 +12,22 @@
 //! | 16..20 | length of the body: everything after these 256 bytes |
 //! | 20..24 | CRC-32 of the body |
 //! | 24 | the lowest key accepted after this image has approved itself |
-//! | 25..28 | 0 |
+//! | 25 | 1: approves itself only together with the same release of the other system |
+//! | 26 | security counter: the board's rises to it when the application approves itself |
+//! | 27 | 0 |
 //! | 28..32 | CRC-32 of bytes 0..28 |
 //! | 32..44 | entries of cores 0, 1, 2: offsets from the image's place; 0 for none |
 //! | 44..164 | three parts: offset, length, SHA-256; unused ones are 0 |
-//! | 164..192 | 0 |
+//! | 164..168 | the lowest bootloader that an application needs |
+//! | 168..172 | the lowest configuration that an application needs |
+//! | 172..192 | 0 |
 //! | 192..256 | Ed25519 signature of bytes 0..192 |
 
 #[cfg(test)]
 pub(crate) mod tests;
 
 use crate::map::{ImageKind, PAGE_BYTES};
-use crate::page::{CRC_32, word};
+use crate::page::{self, checksum, word};
 use tandem_board::CoreId;
 
 /// Bytes of a manifest with its signature.
@@ -60,6 +64,10 @@ pub struct Manifest {
     pub key: u8,
     /// Keys below this are refused after the image has approved itself.
     pub lowest_key: u8,
+    /// It approves itself only when the other system, too, has recorded that this release works.
+    pub paired: bool,
+    /// An application with a lower number than the board's counter never boots again.
+    pub security_counter: u8,
     /// The hardware that it is for.
     pub hardware: u32,
     /// Version, ascending with every release.
@@ -72,6 +80,10 @@ pub struct Manifest {
     pub entries: [u32; CoreId::COUNT],
     /// The parts in ascending order; the first one of length 0 ends the list.
     pub parts: [ImagePart; MAX_PARTS],
+    /// The lowest version of the bootloader that an application needs.
+    pub needs_bootloader: u32,
+    /// The lowest version of the configuration that an application needs; 0 needs none.
+    pub needs_configuration: u32,
 }
 
 /// Why bytes are not a manifest.
@@ -83,6 +95,10 @@ pub enum ManifestError {
     Format,
     /// Parts overlap, are out of order or outside the body, or an entry is outside the parts.
     Layout,
+}
+
+fn are_zero<'b>(mut bytes: impl Iterator<Item = &'b u8>) -> bool {
+    bytes.all(|byte| *byte == 0)
 }
 
 impl Manifest {
@@ -106,7 +122,9 @@ impl Manifest {
             *place = word.to_le_bytes();
         }
         bytes[24] = self.lowest_key;
-        let crc = CRC_32.checksum(&bytes[..28]);
+        bytes[25] = u8::from(self.paired);
+        bytes[26] = self.security_counter;
+        let crc = checksum(&bytes[..28]);
         bytes[28..32].copy_from_slice(&crc.to_le_bytes());
         for (place, entry) in bytes[32..44]
             .as_chunks_mut::<4>()
@@ -122,6 +140,8 @@ impl Manifest {
             place[4..8].copy_from_slice(&part.length.to_le_bytes());
             place[8..].copy_from_slice(&part.sha256);
         }
+        bytes[164..168].copy_from_slice(&self.needs_bootloader.to_le_bytes());
+        bytes[168..172].copy_from_slice(&self.needs_configuration.to_le_bytes());
         bytes
     }
 
@@ -134,54 +154,61 @@ impl Manifest {
         if bytes[..4] != MAGIC {
             return Err(ManifestError::Magic);
         }
-        let (parts, _) = bytes[44..164].as_chunks::<40>();
+        let count = usize::from(bytes[6]);
+        let unused = bytes[27..28].iter().chain(&bytes[172..]);
+        let page = bytes.first_chunk().and_then(Self::seal);
+        let sound = bytes[4] == FORMAT && count <= MAX_PARTS && bytes[25] <= 1 && page.is_some();
+        // Each manifest has one encoding.
+        if !sound || !are_zero(unused) {
+            return Err(ManifestError::Format);
+        }
         let mut manifest = Self {
             kind: ImageKind::from_repr(bytes[5]).ok_or(ManifestError::Format)?,
             key: bytes[7],
             lowest_key: bytes[24],
+            paired: bytes[25] == 1,
+            security_counter: bytes[26],
             hardware: word(8),
             version: word(12),
             length: word(16),
             crc: word(20),
             entries: [word(32), word(36), word(40)],
             parts: [ImagePart::default(); MAX_PARTS],
+            needs_bootloader: word(164),
+            needs_configuration: word(168),
         };
-        let count = usize::from(bytes[6]);
-        for (index, bytes) in parts.iter().enumerate().take(count) {
-            let at = 44 + 40 * index;
+        let end = BODY_OFFSET.checked_add(manifest.length);
+        let (end, mut free) = (end.ok_or(ManifestError::Layout)?, BODY_OFFSET);
+        let mut inside = manifest.entries.map(|entry| entry == 0);
+        let (parts, _) = bytes[44..164].as_chunks::<40>();
+        for (index, bytes) in parts.iter().enumerate() {
+            if index >= count {
+                if !are_zero(bytes.iter()) {
+                    return Err(ManifestError::Format);
+                }
+                continue;
+            }
             let part = &mut manifest.parts[index];
-            (part.offset, part.length) = (word(at), word(at + 4));
+            (part.offset, part.length) = (page::word(bytes, 0), page::word(bytes, 4));
             part.sha256.copy_from_slice(&bytes[8..]);
-        }
-        // Each manifest has one encoding: this checks checksum and unused bytes.
-        if manifest.encode() != *bytes {
-            return Err(ManifestError::Format);
-        }
-        manifest.check_layout()?;
-        Ok(manifest)
-    }
-
-    fn check_layout(&self) -> Result<(), ManifestError> {
-        let end = BODY_OFFSET.checked_add(self.length);
-        let end = end.ok_or(ManifestError::Layout)?;
-        let mut free = BODY_OFFSET;
-        for part in self.parts() {
+            if part.length == 0 {
+                return Err(ManifestError::Format);
+            }
             let part_end = part.offset.checked_add(part.length);
             let part_end = part_end.ok_or(ManifestError::Layout)?;
             if part.offset < free || part_end > end {
                 return Err(ManifestError::Layout);
             }
+            for (entry, inside) in manifest.entries.iter().zip(&mut inside) {
+                *inside |= (part.offset..part_end).contains(entry);
+            }
             free = part_end;
         }
-        let inside = |entry: &u32| {
-            let holds = |part: &ImagePart| (part.offset..part.offset + part.length).contains(entry);
-            *entry == 0 || self.parts().any(holds)
-        };
         // The body ends with its last part.
-        if free != end || free == BODY_OFFSET || !self.entries.iter().all(inside) {
+        if free != end || count == 0 || inside.contains(&false) {
             return Err(ManifestError::Layout);
         }
-        Ok(())
+        Ok(manifest)
     }
 
     /// Returns the length and CRC-32 of the body, which the boot ROM reads from a bootloader's
@@ -189,7 +216,7 @@ impl Manifest {
     #[must_use]
     pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
         let word = |at: usize| word(page, at);
-        let sound = page[..4] == MAGIC && CRC_32.checksum(&page[..28]) == word(28);
+        let sound = page[..4] == MAGIC && checksum(&page[..28]) == word(28);
         sound.then(|| (word(16), word(20)))
     }
 }

@@ -150,6 +150,10 @@ pub enum FlashRegion {
     Log(u8),
 }
 
+/// Where a board without other one-time programmable pages has its
+/// [`OneTimeWords`](crate::OneTimeWords): nothing erases this sector.
+pub const COUNTER_PAGES: Range<u32> = 0x02_8000..0x02_9000;
+
 impl FlashRegion {
     /// Returns its range, which consists of whole sectors.
     #[must_use]

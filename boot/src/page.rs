@@ -5,11 +5,40 @@ use crate::map::PAGE_BYTES;
 /// One page of flash.
 pub(crate) type Page = [u8; PAGE_BYTES];
 
-/// The checksum of all data in the flash. Computed without a table, to keep the bootloader small.
-pub(crate) const CRC_32: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, _>::new(&ISO_HDLC);
-const ISO_HDLC: crc::Algorithm<u32> = crc::CRC_32_ISO_HDLC;
+/// CRC-32/ISO-HDLC of bytes, piece by piece: the checksum of all data in the flash. A tenth of the
+/// size of the `crc` crate's, with which a test compares it.
+pub(crate) struct Crc32(u32);
 
-/// Returns the little-endian word at `at`; 0 beyond the end. Not inlined, to save space.
+impl Crc32 {
+    pub(crate) const fn new() -> Self {
+        Self(u32::MAX)
+    }
+
+    ///
+    #[inline(never)]
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.0 ^= u32::from(*byte);
+            for _ in 0..8 {
+                self.0 = self.0 >> 1 ^ 0xEDB8_8320 * (self.0 & 1);
+            }
+        }
+    }
+
+    pub(crate) const fn value(&self) -> u32 {
+        !self.0
+    }
+}
+
+/// Returns the checksum of bytes.
+#[inline(never)]
+pub(crate) fn checksum(bytes: &[u8]) -> u32 {
+    let mut crc = Crc32::new();
+    crc.update(bytes);
+    crc.value()
+}
+
+/// Returns the little-endian word at `at`; 0 beyond the end.
 #[inline(never)]
 pub(crate) fn word(bytes: &[u8], at: usize) -> u32 {
     let word = bytes.get(at..).and_then(<[u8]>::first_chunk);
@@ -58,8 +87,17 @@ impl PageBuffer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::convert::Infallible;
     use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_checksum_is_that_of_the_crate(bytes: std::vec::Vec<u8>) {
+            let crate_s = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+            prop_assert_eq!(checksum(&bytes), crate_s.checksum(&bytes));
+        }
+    }
+
+    use core::convert::Infallible;
     use std::collections::BTreeMap;
     use std::vec;
     use std::vec::Vec;

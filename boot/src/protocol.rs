@@ -9,6 +9,8 @@ use tandem_board::{CanFrame, CanId, SystemId};
 pub const TO_HOST: CanId = CanId::Extended(0x0CFF_0127);
 /// Frames from the host to the bootloader.
 pub const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
+/// From an application to everybody: the release that it runs.
+pub const RELEASES: CanId = CanId::Extended(0x0CFF_0128);
 
 const CONNECTED: u64 = 0x0706_0504_0302_0100;
 const ACCEPTED: u32 = 0x0021_4B1D;
@@ -21,8 +23,26 @@ const OFFER: u8 = 1;
 const GO_BACK: u8 = 2;
 const CHALLENGE: u8 = 3;
 const PROOF: u8 = 4;
+const INFO: u8 = 5;
+const ROLL_BACK: u8 = 6;
+const RELEASE: u8 = NO_WINDOW | 6;
 /// Answers of the extension that are no window have this bit in their second byte.
 const NO_WINDOW: u8 = 0x80;
+
+/// The byte of a frame that names a system; 0 for none.
+fn code_of(system: Option<SystemId>) -> u8 {
+    system.map_or(0, |system| system.index() as u8 + 1)
+}
+
+/// The inverse of [`code_of`]; `None` for bytes that name nothing.
+const fn system_of(code: u8) -> Option<Option<SystemId>> {
+    match code {
+        0 => Some(None),
+        1 => Some(Some(SystemId::A)),
+        2 => Some(Some(SystemId::B)),
+        _ => None,
+    }
+}
 
 /// Bytes of a challenge, and of the signature that answers it.
 pub const CHALLENGE_BYTES: usize = 15;
@@ -73,6 +93,22 @@ pub enum Refusal {
     AfterEnd,
     /// The tester has not proved that it has a key.
     Tester,
+    /// The application needs a newer bootloader or a newer configuration.
+    Needs,
+}
+
+/// How far a system is with the release that it runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, FromRepr, VariantArray)]
+#[repr(u8)]
+pub enum ReleaseStage {
+    /// On trial.
+    Trial,
+    /// On trial, and it has had a role for the stated time.
+    Works,
+    /// Both systems have found that it works, and this one has recorded that.
+    Ready,
+    /// It boots from now on.
+    Approved,
 }
 
 /// An answer of the bootloader.
@@ -116,8 +152,26 @@ pub enum Answer {
     Unproved,
     /// After a wrong signature no challenge is given for this time.
     Locked {
-        /// Rounded up; [`u16::MAX`]: not before the next start.
+        /// Rounded up.
         seconds: u16,
+    },
+    /// An answer to a question.
+    Info {
+        /// The code of the [`Question`](crate::Question).
+        question: u8,
+        /// What it means depends on the question.
+        detail: u8,
+        /// Likewise.
+        value: u32,
+    },
+    /// An application tells, five times a second, which release it runs.
+    Release {
+        /// The system.
+        system: SystemId,
+        /// How far it is with that.
+        stage: ReleaseStage,
+        /// Its version.
+        version: u32,
     },
 }
 
@@ -152,6 +206,22 @@ impl Answer {
             Self::Proved => proof(0, 0),
             Self::Unproved => proof(1, 0),
             Self::Locked { seconds } => proof(2, seconds),
+            Self::Info {
+                question,
+                detail,
+                value,
+            } => {
+                let low = [EXTENSION, NO_WINDOW | INFO, question, detail];
+                pair(u32::from_le_bytes(low), value)
+            }
+            Self::Release {
+                system,
+                stage,
+                version,
+            } => {
+                let low = [EXTENSION, RELEASE, code_of(Some(system)), stage as u8];
+                pair(u32::from_le_bytes(low), version)
+            }
         };
         value.to_le_bytes()
     }
@@ -180,6 +250,18 @@ impl Answer {
                     }),
                     _ => None,
                 },
+                [EXTENSION, second, question, detail] if second == NO_WINDOW | INFO => {
+                    Some(Self::Info {
+                        question,
+                        detail,
+                        value: high,
+                    })
+                }
+                [EXTENSION, RELEASE, system, stage] => Some(Self::Release {
+                    system: system_of(system)??,
+                    stage: ReleaseStage::from_repr(stage)?,
+                    version: high,
+                }),
                 [EXTENSION, records, application, configuration] => Some(Self::Window {
                     records,
                     application,
@@ -194,7 +276,11 @@ impl Answer {
     /// Returns the frame.
     #[must_use]
     pub fn frame(self) -> Option<CanFrame> {
-        CanFrame::new(TO_HOST, false, &self.encode()).ok()
+        let id = match self {
+            Self::Release { .. } => RELEASES,
+            _ => TO_HOST,
+        };
+        CanFrame::new(id, false, &self.encode()).ok()
     }
 }
 
@@ -220,6 +306,8 @@ pub enum HostRequest<'a> {
     },
     /// Extension: asks for a part of the challenge.
     Challenge {
+        /// The system; `None` means the bootloader that is connected.
+        system: Option<SystemId>,
         /// The number of the tester's key.
         key: u8,
         /// 0 to 2.
@@ -227,10 +315,24 @@ pub enum HostRequest<'a> {
     },
     /// Extension: a part of the signature of the challenge.
     Proof {
+        /// As in [`HostRequest::Challenge`].
+        system: Option<SystemId>,
         /// 0 to 12; the last byte of the last part is 0.
         part: u8,
         /// The bytes.
         bytes: [u8; 5],
+    },
+    /// Extension: asks a question, also of a running application.
+    Info {
+        /// The system; `None` means the bootloader that is connected.
+        system: Option<SystemId>,
+        /// The code of the [`Question`](crate::Question).
+        question: u8,
+    },
+    /// Extension, to a running application: give up the release on trial.
+    RollBack {
+        /// The system.
+        system: Option<SystemId>,
     },
     /// A piece of a record.
     Data(&'a [u8]),
@@ -244,32 +346,38 @@ impl<'a> HostRequest<'a> {
             return Self::Data(data);
         };
         let [b0, b1, b2, b3, high @ ..] = bytes;
-        let system = match high[0] {
-            0 => Some(None),
-            1 => Some(Some(SystemId::A)),
-            2 => Some(Some(SystemId::B)),
-            _ => None,
-        };
-        match (u32::from_le_bytes([b0, b1, b2, b3]), system, &high[1..]) {
-            (CONNECT, Some(system), [resume @ (0 | 1), 0, 0]) => Self::Connect {
+        let low = u32::from_le_bytes([b0, b1, b2, b3]);
+        match (b0, b1, system_of(high[0]), &high[1..]) {
+            (_, _, Some(system), [resume @ (0 | 1), 0, 0]) if low == CONNECT => Self::Connect {
                 system,
                 resume: *resume == 1,
             },
-            _ => match (b0, b1) {
-                (EXTENSION, OFFER) if b2 > 0 => Self::Offer { records: b2 },
-                (EXTENSION, GO_BACK) => Self::GoBack {
-                    record: u32::from_le_bytes(high),
-                },
-                (EXTENSION, CHALLENGE) => Self::Challenge { key: b2, part: b3 },
-                (EXTENSION, PROOF) => {
+            (EXTENSION, OFFER, ..) if b2 > 0 => Self::Offer { records: b2 },
+            (EXTENSION, GO_BACK, ..) => Self::GoBack {
+                record: u32::from_le_bytes(high),
+            },
+            (EXTENSION, CHALLENGE, Some(system), _) => Self::Challenge {
+                system,
+                key: b2,
+                part: b3,
+            },
+            (EXTENSION, INFO, Some(system), _) => Self::Info {
+                system,
+                question: b2,
+            },
+            (EXTENSION, ROLL_BACK, Some(system), _) => Self::RollBack { system },
+            (EXTENSION, PROOF, ..) => match system_of(b2 >> 4) {
+                Some(system) => {
                     let [b4, b5, b6, b7] = high;
                     Self::Proof {
-                        part: b2,
+                        system,
+                        part: b2 & 0xF,
                         bytes: [b3, b4, b5, b6, b7],
                     }
                 }
-                _ => Self::Data(data),
+                None => Self::Data(data),
             },
+            _ => Self::Data(data),
         }
     }
 
@@ -280,7 +388,7 @@ impl<'a> HostRequest<'a> {
         let data = match self {
             Self::Connect { system, resume } => {
                 bytes[..4].copy_from_slice(&CONNECT.to_le_bytes());
-                bytes[4] = system.map_or(0, |system| system.index() as u8 + 1);
+                bytes[4] = code_of(system);
                 bytes[5] = u8::from(resume);
                 &bytes[..]
             }
@@ -293,12 +401,24 @@ impl<'a> HostRequest<'a> {
                 bytes[4..].copy_from_slice(&record.to_le_bytes());
                 &bytes[..]
             }
-            Self::Challenge { key, part } => {
-                bytes[..4].copy_from_slice(&[EXTENSION, CHALLENGE, key, part]);
+            Self::Challenge { system, key, part } => {
+                bytes[..5].copy_from_slice(&[EXTENSION, CHALLENGE, key, part, code_of(system)]);
                 &bytes[..]
             }
-            Self::Proof { part, bytes: piece } => {
-                bytes[..3].copy_from_slice(&[EXTENSION, PROOF, part]);
+            Self::Info { system, question } => {
+                bytes[..5].copy_from_slice(&[EXTENSION, INFO, question, 0, code_of(system)]);
+                &bytes[..]
+            }
+            Self::RollBack { system } => {
+                bytes[..5].copy_from_slice(&[EXTENSION, ROLL_BACK, 0, 0, code_of(system)]);
+                &bytes[..]
+            }
+            Self::Proof {
+                system,
+                part,
+                bytes: piece,
+            } => {
+                bytes[..3].copy_from_slice(&[EXTENSION, PROOF, part | code_of(system) << 4]);
                 bytes[3..].copy_from_slice(&piece);
                 &bytes[..]
             }
@@ -351,6 +471,16 @@ mod tests {
             Answer::Proved,
             Answer::Unproved,
             Answer::Locked { seconds: 4_096 },
+            Answer::Info {
+                question: 0x23,
+                detail: 9,
+                value: u32::MAX,
+            },
+            Answer::Release {
+                system: SystemId::B,
+                stage: ReleaseStage::Ready,
+                version: 70_000,
+            },
         ];
         for answer in answers.into_iter().chain(refused) {
             assert_eq!(Answer::decode(&answer.encode()), Some(answer));
@@ -371,8 +501,20 @@ mod tests {
         let others = [
             HostRequest::Offer { records: 16 },
             HostRequest::GoBack { record: 70_000 },
-            HostRequest::Challenge { key: 3, part: 2 },
+            HostRequest::Challenge {
+                system: None,
+                key: 3,
+                part: 2,
+            },
+            HostRequest::Info {
+                system: Some(SystemId::A),
+                question: 0x3F,
+            },
+            HostRequest::RollBack {
+                system: Some(SystemId::B),
+            },
             HostRequest::Proof {
+                system: Some(SystemId::B),
                 part: 12,
                 bytes: [9, 8, 7, 6, 0],
             },

@@ -48,8 +48,9 @@ pub(crate) struct Session {
     attempts: u8,
     /// Address of the record that would have been refused, and was requested again.
     doubted: Option<u32>,
-    /// The last accepted record. If its acknowledgement is lost, the host repeats it.
-    last: Option<SRecord>,
+    /// [`SRecord::print`] of the last accepted record. If its acknowledgement is lost, the host
+    /// repeats it.
+    last: Option<u32>,
     heard: Instant,
 }
 
@@ -103,12 +104,17 @@ impl Session {
         if self.state == State::Closed {
             return None;
         }
-        self.heard = now;
+        // After the end of a file no frame makes the loader wait longer.
+        if self.is_open() {
+            self.heard = now;
+        }
         match request {
             // The loader handles these.
             HostRequest::Connect { .. }
             | HostRequest::Challenge { .. }
-            | HostRequest::Proof { .. } => None,
+            | HostRequest::Proof { .. }
+            | HostRequest::Info { .. }
+            | HostRequest::RollBack { .. } => None,
             HostRequest::Offer { records } => {
                 self.window = records.min(MAX_WINDOW);
                 Some(Answer::Window {
@@ -159,7 +165,7 @@ impl Session {
             return Some(self.ask_again());
         };
         // Without a window the host repeats a record whose acknowledgement was lost.
-        let is_last = self.last.as_ref() == Some(&record);
+        let is_last = self.last == Some(record.print);
         let repeated = self.window == 0 && is_last;
         if self.state == State::Finished && !is_last {
             let forgotten = ground.forget_all(flash);
@@ -193,7 +199,7 @@ impl Session {
                 }
                 Err(refusal) => return Some(self.refuse(refusal)),
             }
-            self.last = Some(record);
+            self.last = Some(record.print);
         }
         let ends = record.record_type == SRecordType::Entry;
         if self.unanswered < self.window && !ends {
@@ -211,6 +217,7 @@ impl Session {
         Answer::Refused(refusal)
     }
 
+    #[inline(never)]
     fn ask_again(&mut self) -> Answer {
         self.waits_for_go_back = self.window > 0;
         Answer::Resend {

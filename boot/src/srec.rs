@@ -1,5 +1,7 @@
 //! Motorola S-records, and their reassembly from CAN frames. T-BOOT-4
 
+use crate::page::checksum;
+
 /// Bytes of the longest record without its line end: `S`, type, and 256 bytes in hex.
 const MAX_LINE: usize = 2 + 2 * 256;
 /// The largest number of data bytes in a record: an S1 record of 255 bytes.
@@ -38,6 +40,8 @@ pub struct SRecord {
     pub record_type: SRecordType,
     /// Address, count or entry, depending on the type.
     pub address: u32,
+    /// The checksum of its line, by which a repeated record is known.
+    pub(crate) print: u32,
     len: u8,
     bytes: [u8; MAX_DATA],
 }
@@ -92,6 +96,7 @@ impl SRecord {
             address: address
                 .iter()
                 .fold(0, |sum, byte| sum << 8 | u32::from(*byte)),
+            print: checksum(line),
             len: data.len() as u8,
             bytes: [0; MAX_DATA],
         };

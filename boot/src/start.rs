@@ -79,15 +79,24 @@ impl<B: Board> Keeper for BetweenSteps<'_, B> {
     }
 }
 
+/// What not every board has.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Security {
+    /// As in [`Setup::noise`].
+    pub noise: [u8; 32],
+    /// As in [`Setup::counter`].
+    pub counter: u32,
+}
+
 /// Runs the bootloader until core 0 leaves it. Resets the system if the bootloader requests a
-/// reset. `noise`: as in [`Setup::noise`]. Core 0, task context; blocks.
+/// reset. Core 0, task context; blocks.
 pub fn start<B: Board>(
     board: &B,
     flash: impl NorFlash,
     trust: Trust<'_>,
     bank: Bank,
     keeper: &impl Keeper,
-    noise: [u8; 32],
+    security: Security,
 ) -> Leave {
     let setup = Setup {
         trust,
@@ -95,7 +104,8 @@ pub fn start<B: Board>(
         bank,
         cause: board.supply().reset_cause(),
         starts: board.supply().starts(),
-        noise,
+        counter: security.counter,
+        noise: security.noise,
     };
     let mut loader = Loader::start(flash, setup, board.now());
     board.can().wake_on_receive(true);

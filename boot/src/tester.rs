@@ -2,8 +2,9 @@
 //!
 //! The loader sends a challenge that no other challenge equals, and the tester answers with an
 //! Ed25519 signature of it. After a wrong signature it must wait, twice as long each time; the log
-//! keeps the number of wrong ones over a reset. A start has two challenges.
+//! keeps the number of wrong ones over a reset. A running application asks for the same proof.
 
+use crate::flash_access::sha256;
 use crate::protocol::{Answer, CHALLENGE_BYTES, PROOF_BYTES, PROOF_PARTS, PROOF_PIECE};
 use crate::trust::{Trust, verify};
 use tandem_board::{Duration, Instant, SystemId};
@@ -41,10 +42,9 @@ pub(crate) enum Judged {
 /// The tester at the other end.
 #[derive(Clone, Debug)]
 pub(crate) struct Tester {
-    /// The challenges of this start: they cannot be foreseen on a board with random numbers.
+    /// It begins with the present challenge, and the next one follows from all of it: on a board
+    /// with random numbers none can be foreseen.
     noise: [u8; 32],
-    /// The challenges that were answered.
-    answered: u8,
     /// The key for which the present challenge was given.
     key: Option<u8>,
     proof: [u8; PROOF_PARTS * PROOF_PIECE],
@@ -61,7 +61,6 @@ impl Tester {
     pub(crate) fn new(noise: [u8; 32], wrong: u8, now: Instant) -> Self {
         let mut tester = Self {
             noise,
-            answered: 0,
             key: None,
             proof: [0; PROOF_PARTS * PROOF_PIECE],
             arrived: 0,
@@ -91,22 +90,15 @@ impl Tester {
         self.locked_until = now + Duration::from_ms(1_000).times(seconds);
     }
 
-    fn challenge(&self) -> Option<&[u8; CHALLENGE_BYTES]> {
-        let (challenges, _) = self.noise.as_chunks::<CHALLENGE_BYTES>();
-        challenges.get(usize::from(self.answered))
-    }
-
     /// Returns a part of the challenge, to be signed with a key.
     pub(crate) fn on_challenge(&mut self, now: Instant, key: u8, part: u8) -> Option<Answer> {
-        let Some(challenge) = self.challenge().filter(|_| now >= self.locked_until) else {
-            // After the last challenge of this start, a wait alone does not help.
+        if now < self.locked_until {
             // In units of 1024 ns the longest wait has 32 bits: a 64-bit division takes 1 KiB.
             let left = (self.locked_until.since(now).as_ns() >> 10) as u32;
-            let rounded_up = (left / 976_562 + 1) as u16;
-            let seconds = self.challenge().map_or(u16::MAX, |_| rounded_up);
+            let seconds = (left / 976_562 + 1) as u16;
             return Some(Answer::Locked { seconds });
-        };
-        let (parts, _) = challenge.as_chunks::<PROOF_PIECE>();
+        }
+        let (parts, _) = self.noise[..CHALLENGE_BYTES].as_chunks::<PROOF_PIECE>();
         let bytes = *parts.get(usize::from(part))?;
         (self.key, self.arrived) = (Some(key), 0);
         Some(Answer::Challenge { part, bytes })
@@ -128,8 +120,9 @@ impl Tester {
             return None;
         }
         let key = self.key.take()?;
-        let message = tester_message(system, key, self.challenge()?);
-        (self.answered, self.arrived) = (self.answered + 1, 0);
+        let message = tester_message(system, key, self.noise.first_chunk()?);
+        self.noise = sha256(&self.noise);
+        self.arrived = 0;
         let public = trust.testers.get(usize::from(key));
         let signature = self.proof.first_chunk::<PROOF_BYTES>()?;
         self.is_proved = public.is_some_and(|key| verify(key, &message, signature));

@@ -57,7 +57,10 @@ pub(crate) fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bo
     if reduced(scalar) != *scalar {
         return false;
     }
-    let hash = Sha512::new().updated(point).updated(key).updated(message);
+    let mut hash = Sha512::new();
+    for bytes in [point, key, message] {
+        hash.update(bytes);
+    }
     let hash = reduced(&hash.finalize());
     // Computes scalar * base - hash * public, both products bit by bit. All inputs are public, so
     // the time may depend on them.
@@ -66,12 +69,13 @@ pub(crate) fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bo
     let mut sum = EdwardsPoint::neutral_element();
     for bit in (0..256).rev() {
         sum = &sum + &sum;
-        match (is_set(scalar, bit), is_set(&hash, bit)) {
-            (false, false) => {}
-            (true, false) => sum = &sum + &base,
-            (false, true) => sum = &sum + &public,
-            (true, true) => sum = &sum + &both,
-        }
+        let addend = match (is_set(scalar, bit), is_set(&hash, bit)) {
+            (false, false) => continue,
+            (true, false) => &base,
+            (false, true) => &public,
+            (true, true) => &both,
+        };
+        sum = &sum + addend;
     }
     sum.compressed().0 == *point
 }

@@ -1,11 +1,13 @@
 //! The arguments of the `tandem` command.
 
+use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
 use crate::beside::PassedArguments;
 use crate::board_kind::{BoardKind, DemoBoard};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
+use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::SensorFault;
 use tandem_vehicle::sensors::NoSensorFault;
 
@@ -102,6 +104,13 @@ pub struct BootDemoArgs {
     pub images: Option<PathBuf>,
 }
 
+/// How other programs reach the bus of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CanKind {
+    /// UDP multicast on this machine
+    Udp,
+}
+
 /// Arguments of `tandem run`.
 #[derive(Debug, Args)]
 #[command(after_help = RUN_EXAMPLES)]
@@ -123,6 +132,19 @@ pub struct RunArgs {
     /// which hands over; the second update needs --reintegrate
     #[arg(long, value_name = "RELEASE")]
     pub update: Option<u32>,
+
+    /// Open the bus to other programs: `udp` is the bus of python-can's udp_multicast. They hear each
+    /// frame, and what they send is on the bus; needs a route for multicast (docs/boot.md)
+    #[arg(long, value_enum, value_name = "BUS")]
+    pub can: Option<CanKind>,
+
+    /// Multicast group of that bus
+    #[arg(long, value_name = "ADDRESS", default_value_t = GROUP, requires = "can")]
+    pub can_group: Ipv4Addr,
+
+    /// Port of that bus
+    #[arg(long, value_name = "PORT", default_value_t = PORT, requires = "can")]
+    pub can_port: u16,
 
     /// Start the controller without its bootloader, to measure what the bootloader costs
     #[arg(long, conflicts_with_all = ["program_flash", "update"])]

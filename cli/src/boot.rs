@@ -5,17 +5,16 @@ use std::fs::File;
 use std::io::{Read as _, Write as _};
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use embedded_storage::nor_flash::ReadNorFlash as _;
 use serde::{Deserialize, Serialize};
-use tandem_board::{CoreId, RoleLamp, SystemId};
-use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
+use tandem_board::{Board, CoreId, MonotonicCounter as _, Supply as _, SystemId};
+use tandem_board_host::{CoreArgs, HostBoard, jump};
 use tandem_boot::{
-    BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, FlashRegion, ImageTarget, Leave, Manifest,
-    SIGNED_BYTES, Slot, Trust, TrustMode, approve, rom_choice, start,
+    BODY_OFFSET, Bank, BetweenSteps, BootDesk, COUNTER_PAGES, EnvironmentStore, FlashRegion,
+    ImageTarget, Leave, Manifest, OneTimeWords, SIGNED_BYTES, Security, Setup, Slot, Trust,
+    TrustMode, rom_choice, start,
 };
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 
@@ -24,8 +23,6 @@ pub const PRIVATE_DER: [u8; 16] =
     *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// Name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
-/// Interval at which an application polls its role. It approves its image once it has a role.
-const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes receive them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,6 +31,8 @@ pub struct ProgramFlashes {
     pub files: [PathBuf; 2],
     /// The public key that the bootloaders trust.
     public: [u8; 32],
+    /// The public keys of testers.
+    pub testers: Vec<[u8; 32]>,
 }
 
 impl ProgramFlashes {
@@ -42,26 +41,38 @@ impl ProgramFlashes {
     ///
     /// # Errors
     /// If a file cannot be read or created, or is not a flash.
-    pub fn of(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+    pub fn of(
+        files: [PathBuf; 2],
+        key: &SigningKey,
+        tester: &SigningKey,
+    ) -> anyhow::Result<Self> {
         for file in files.iter().filter(|file| !file.exists()) {
             let image = application(CONTROLLER, Slot::A, 1, key);
             FlashFile::open(file)
                 .and_then(|flash| flash.load(image.place(), &image.bytes))
                 .with_context(|| file.display().to_string())?;
         }
-        Self::empty(files, key)
+        Self::empty(files, key, Some(tester))
     }
 
-    /// Opens the flashes in these files. Creates each missing file as an erased flash.
+    /// Opens the flashes in these files. Creates each missing file as an erased flash. Without a
+    /// tester, everybody may program them.
     ///
     /// # Errors
     /// If a file cannot be read or created, or is not a flash.
-    pub fn empty(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+    pub fn empty(
+        files: [PathBuf; 2],
+        key: &SigningKey,
+        tester: Option<&SigningKey>,
+    ) -> anyhow::Result<Self> {
         for file in &files {
             FlashFile::open(file).with_context(|| file.display().to_string())?;
         }
-        let public = key.public();
-        Ok(Self { files, public })
+        Ok(Self {
+            files,
+            public: key.public(),
+            testers: tester.map(SigningKey::public).into_iter().collect(),
+        })
     }
 
     fn open(&self, system: SystemId) -> anyhow::Result<FlashFile> {
@@ -86,30 +97,16 @@ impl ProgramFlashes {
         let image = application(CONTROLLER, slot, release, key);
         Ok(records(CONTROLLER, &[&image]))
     }
-
-    /// Polls once a second until the application has a role, then approves its image. U-3
-    fn approve_in_time(&self, backplane: Backplane, system: SystemId) -> anyhow::Result<()> {
-        let has_role = || {
-            let role = backplane.role(system);
-            role != RoleLamp::Starting && role != RoleLamp::Suspended
-        };
-        loop {
-            thread::sleep(PROVES_ITSELF);
-            if has_role() {
-                backplane.confirm_start(system);
-                let approved = approve(&mut self.open(system)?);
-                return approved.map_err(|fault| anyhow!("approving the image: {fault:?}"));
-            }
-        }
-    }
 }
 
-/// Builds and signs the image that starts an application of this executable from a slot.
+/// Builds and signs the image that starts an application of this executable from a slot. Both
+/// systems approve it, or none.
 pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
     let release = ReleaseInfo {
         version,
         entries: [BODY_OFFSET; CoreId::COUNT],
-        lowest_key: 0,
+        paired: name == CONTROLLER,
+        ..ReleaseInfo::default()
     };
     let script = jump::script(name);
     Image::sign(
@@ -201,14 +198,17 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
     let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
     let trust = Trust {
         keys: &[flash.public],
-        testers: &[],
+        testers: &flash.testers,
         mode: TrustMode::Strict,
     };
     let keeper = BetweenSteps::new(&board);
+    let counter = OneTimeWords::new(flash.open(board.identity().system)?, COUNTER_PAGES).value();
     // If the file contains no bootloader, this program acts as the primary one.
     let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
     loop {
-        match start(&board, &mut *file, trust, bank, &keeper, noise()?) {
+        let noise = noise()?;
+        let security = Security { noise, counter };
+        match start(&board, &mut *file, trust, bank, &keeper, security) {
             Leave::Jump(launch) => return Ok(launch.application),
             Leave::StartPrimary => bank = Bank::Primary,
         }
@@ -234,24 +234,30 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     Ok(program)
 }
 
-/// Spawns a thread that approves the running image when the application has a role.
+/// Returns the desk of the application that runs from this system's flash. `testers`: the public
+/// keys of [`ProgramFlashes::testers`].
 ///
 /// # Errors
-/// If the thread cannot be started.
-pub fn approve_later(
+/// If the flash cannot be opened, or the operating system does not provide random numbers.
+pub fn desk<'k>(
     board: &HostBoard,
-    flash: ProgramFlashes,
-    system: SystemId,
-) -> anyhow::Result<()> {
-    let backplane = board.backplane();
-    let approval = move || {
-        if let Err(error) = flash.approve_in_time(backplane, system) {
-            eprintln!("{error:#}");
-        }
+    flash: &ProgramFlashes,
+    testers: &'k [[u8; 32]],
+) -> anyhow::Result<BootDesk<'k, FlashFile, OneTimeWords<FlashFile>>> {
+    let (system, supply) = (board.identity().system, board.supply());
+    let setup = Setup {
+        trust: Trust {
+            keys: &[],
+            testers,
+            mode: TrustMode::Strict,
+        },
+        system,
+        bank: Bank::Primary,
+        cause: supply.reset_cause(),
+        starts: supply.starts(),
+        counter: 0,
+        noise: noise()?,
     };
-    thread::Builder::new()
-        .name("approval".to_owned())
-        .spawn(approval)
-        .map(drop)
-        .context("the thread of the approval")
+    let counter = OneTimeWords::new(flash.open(system)?, COUNTER_PAGES);
+    Ok(BootDesk::new(flash.open(system)?, counter, setup, board.now()))
 }

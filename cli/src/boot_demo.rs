@@ -79,7 +79,7 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
     write_lines(&demo[0], &lines)?;
     let flashes = SystemId::ALL.map(|system| files.program_flash(system));
     let config = RunConfig {
-        program_flash: Some(ProgramFlashes::empty(flashes, key)?),
+        program_flash: Some(ProgramFlashes::empty(flashes, key, None)?),
         demo: Some(demo.clone()),
         ..RunConfig::default()
     };

@@ -29,10 +29,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let alarm = run.stall_alarm(grant.cpu);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
     let of = args.identity;
-    if let Some(flash) = run.program_flash.filter(|_| of.core == CoreId::CONTROL) {
-        boot::approve_later(&board, flash, of.system)?;
-    }
-    match args.identity.core {
+    match of.core {
         CoreId::CONTROL => {
             if let Some(alarm) = alarm {
                 control_core::postpone_at_ticks(alarm);
@@ -40,7 +37,13 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
             control_core::go(board, config, grant)
         }
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),
-        _ => go(&board, Core2::new(&board)),
+        _ => match &run.program_flash {
+            Some(flash) => {
+                let desk = boot::desk(&board, flash, &flash.testers)?;
+                go(&board, Core2::with_desk(&board, desk))
+            }
+            None => go(&board, Core2::new(&board)),
+        },
     }
 }
 

@@ -59,6 +59,11 @@ impl RunFiles {
         self.path(&format!("{system}.update"))
     }
 
+    /// Returns the path of a tester's private key, unless the user keeps it in a folder.
+    pub fn tester(&self) -> PathBuf {
+        self.path("tester.der")
+    }
+
     /// Returns the path of the results of the updates, one line each.
     pub fn updated(&self) -> PathBuf {
         self.path("updated.txt")

@@ -7,6 +7,7 @@ pub mod beside;
 pub mod board_kind;
 pub mod boot;
 pub mod boot_demo;
+pub mod can_udp;
 pub mod collected;
 mod control_core;
 mod core_process;

@@ -159,14 +159,14 @@ pub fn run_elsewhere(
 
 /// Prints the results of the updates. Returns what they say against the run.
 fn updates(args: &RunArgs, files: &RunFiles) -> Vec<String> {
-    if args.update.is_none() {
+    let Some(release) = args.update else {
         return Vec::new();
-    }
+    };
     let results = UpdateFiles::results(files);
     if !args.quiet {
         eprint!("{results}");
     }
-    objections(&results)
+    objections(&results, release)
 }
 
 /// Adds the program flashes and the update to the configuration of a run.
@@ -174,24 +174,26 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
     if args.no_bootloader {
         return Ok(run);
     }
-    let (key, paths) = match &args.program_flash {
+    let (key, tester, paths) = match &args.program_flash {
         Some(folder) => {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
             (
                 boot::key_in(&folder.join("key.der"))?,
+                folder.join("tester.der"),
                 SystemId::ALL.map(|system| folder.join(format!("{system}.pflash"))),
             )
         }
         None => (
             boot::new_key()?,
+            files.tester(),
             SystemId::ALL.map(|system| files.program_flash(system)),
         ),
     };
-    let flash = ProgramFlashes::of(paths, &key)?;
+    let flash = ProgramFlashes::of(paths, &key, &boot::key_in(&tester)?)?;
     let update = match args.update {
         Some(release) => {
             let [a, b] = SystemId::ALL.map(|system| flash.update(system, release, &key));
-            Some(UpdateFiles::write(files, [&a?, &b?])?)
+            Some(UpdateFiles::write(files, [&a?, &b?], release, tester)?)
         }
         None => None,
     };

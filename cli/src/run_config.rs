@@ -15,6 +15,8 @@ use tandem_redundancy::Budget;
 
 use crate::args::RunArgs;
 use crate::boot::ProgramFlashes;
+use crate::args::CanKind;
+use crate::can_udp::CanGroup;
 use crate::files::RunFiles;
 
 /// The profile of the cores' time limits.
@@ -63,6 +65,8 @@ pub struct RunConfig {
     pub program_flash: Option<ProgramFlashes>,
     /// The update that each system receives while the other system drives.
     pub update: Option<UpdateFiles>,
+    /// Where other programs are on the bus, if they may.
+    pub can: Option<CanGroup>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
     /// The CPU of each core, in the order A0, A1, … B2; empty if the cores are not processes.
@@ -87,6 +91,10 @@ pub struct UpdateFiles {
     pub lines: [PathBuf; 2],
     /// The file for the results of the updates, one line each.
     pub ended: PathBuf,
+    /// The release that the systems receive.
+    pub release: u32,
+    /// The private key of the tester that updates them.
+    pub tester: PathBuf,
 }
 
 impl UpdateFiles {
@@ -94,7 +102,12 @@ impl UpdateFiles {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub fn write(files: &RunFiles, lines: [&[String]; 2]) -> anyhow::Result<Self> {
+    pub fn write(
+        files: &RunFiles,
+        lines: [&[String]; 2],
+        release: u32,
+        tester: PathBuf,
+    ) -> anyhow::Result<Self> {
         let places = SystemId::ALL.map(|system| files.update(system));
         for (path, lines) in places.iter().zip(lines) {
             write_lines(path, lines)?;
@@ -102,6 +115,8 @@ impl UpdateFiles {
         Ok(Self {
             lines: places,
             ended: files.updated(),
+            release,
+            tester,
         })
     }
 
@@ -135,6 +150,10 @@ impl RunConfig {
             overrides_s: args.overrides,
             answers_after_s: args.answers,
             sensor_faults: args.sensor_fault.clone(),
+            can: args.can.map(|CanKind::Udp| CanGroup {
+                group: args.can_group,
+                port: args.can_port,
+            }),
             ..Self::default()
         }
     }
@@ -215,6 +234,12 @@ mod tests {
             update: Some(UpdateFiles {
                 lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],
                 ended: "/tmp/updated".into(),
+                release: 2,
+                tester: "/tmp/tester.der".into(),
+            }),
+            can: Some(CanGroup {
+                group: std::net::Ipv4Addr::LOCALHOST,
+                port: 7,
             }),
             demo: None,
             cpus: vec![0, 1, 0, 1, 0, 1],

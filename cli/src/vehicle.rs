@@ -3,13 +3,14 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{Carried, Instant, Pass, SystemId, VehiclePort};
+use tandem_board::{CanFrame, Carried, Instant, Pass, SystemId, VehiclePort};
 use tandem_board_host::process_list::role_name;
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig, WorldSnapshot};
 
+use crate::can_udp::{self, CanUdp};
 use crate::files::RunFiles;
 use crate::forging::Forging;
 use crate::live::Live;
@@ -76,6 +77,8 @@ pub enum DriveEnd {
 struct Drive<'p, P> {
     world: World,
     update: Option<Update>,
+    /// Other programs on the bus.
+    outside: Option<CanUdp>,
     forging: Forging,
     port: &'p mut P,
     recorder: Recorder,
@@ -122,6 +125,7 @@ where
         Ok(Self {
             world,
             update,
+            outside: run.can.map(CanUdp::join).transpose()?,
             forging: Forging::default(),
             port,
             recorder,
@@ -143,7 +147,7 @@ where
             let forges = self.forging.follow(self.port.forgery());
             let event = match self.update {
                 Some(_) => now,
-                None if forges => now,
+                None if forges || self.outside.is_some() => now,
                 None => Instant::from_ns(self.world.next_frame(now.as_ns())),
             };
             let pass = self.port.wait_for(event)?;
@@ -158,12 +162,16 @@ where
                 port,
                 recorder,
                 update,
+                outside,
                 forging,
                 ..
             } = self;
             let mut seen = |logged: LoggedFrame| {
                 if let Some(update) = update {
                     update.on_frame(logged.at, &logged.frame);
+                }
+                if let Some(outside) = outside {
+                    outside.tell(&logged.frame);
                 }
                 forging.hear(&logged.frame);
                 recorder.record(Entry::Frame(logged));
@@ -190,6 +198,7 @@ where
             };
             self.update();
             self.forge();
+            self.let_in();
             if let Pass::Period(_) = pass {
                 self.drain_traces();
             }
@@ -221,8 +230,16 @@ where
         };
         let now = self.port.now();
         let roles = SystemId::ALL.map(|system| self.port.role(system));
-        let Self { port, recorder, .. } = self;
+        let Self {
+            port,
+            recorder,
+            outside,
+            ..
+        } = self;
         update.poll(now, roles, &mut |frame| {
+            if let Some(outside) = outside {
+                outside.tell(frame);
+            }
             let at = port.broadcast(frame);
             recorder.record(Entry::Frame(LoggedFrame {
                 at,
@@ -242,11 +259,34 @@ where
         let Some(frame) = self.forging.next() else {
             return;
         };
+        if let Some(outside) = &self.outside {
+            outside.tell(&frame);
+        }
+        self.send_foreign(frame);
+        self.port.ring_receivers();
+    }
+
+    /// Sends what other programs want to send.
+    fn let_in(&mut self) {
+        for _ in 0..can_udp::FRAMES_PER_MS {
+            let Some(frame) = self.outside.as_ref().and_then(CanUdp::hear) else {
+                break;
+            };
+            if let Some(update) = &mut self.update {
+                update.on_frame(self.port.now(), &frame);
+            }
+            self.send_foreign(frame);
+        }
+        if self.outside.is_some() {
+            self.port.ring_receivers();
+        }
+    }
+
+    fn send_foreign(&mut self, frame: CanFrame) {
         let at = self.port.broadcast(&frame);
         let sent = at;
         let logged = self.world.hear(at, Carried { frame, sent, at });
         self.recorder.record(Entry::Frame(logged));
-        self.port.ring_receivers();
     }
 
     /// Records the state of the world and the power of the systems after a period.

@@ -10,6 +10,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use tandem::boot;
 use tandem_boot::{EnvironmentStore, Slot};
 use tandem_boot_host::FlashFile;
 
@@ -142,5 +143,39 @@ fn an_update_that_is_refused_fails_the_run() {
     for system in ["A", "B"] {
         let flash = folder.path().join(format!("flash/{system}.pflash"));
         assert_eq!(boots(&flash), Some((Some(Slot::A), 1, false)), "{system}");
+    }
+}
+
+/// U-3, U-5: if the second system refuses the update, the first one, which already runs it, gets its
+/// old release back. The run ends non-zero and names both releases.
+#[test]
+fn if_one_system_refuses_the_other_goes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let flash = folder.path().join("flash");
+    std::fs::create_dir(&flash).unwrap();
+    let key = boot::key_in(&flash.join("key.der")).unwrap();
+    let newer = boot::application(boot::CONTROLLER, Slot::A, 5, &key);
+    let a = FlashFile::open(&flash.join("A.pflash")).unwrap();
+    a.load(newer.place(), &newer.bytes).unwrap();
+    let output = tandem()
+        .args(["run", "--scenario", "free-lane", "--reintegrate"])
+        .args(["--duration", "25", "--update", "3", "--program-flash"])
+        .arg(&flash)
+        .arg("--out")
+        .arg(folder.path().join("report"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for line in [
+        "B runs release 3, on trial, works",
+        "A has not taken the update: the bootloader refuses it: Downgrade",
+        "the systems have different releases: A 5, B 1",
+    ] {
+        assert!(said.contains(line), "{line}: {said}");
+    }
+    for (system, release) in [("A", 5), ("B", 1)] {
+        let flash = flash.join(format!("{system}.pflash"));
+        assert_eq!(boots(&flash), Some((Some(Slot::A), release, false)), "{system}");
     }
 }

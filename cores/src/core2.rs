@@ -11,9 +11,10 @@ use crate::layout::{
 };
 use crate::release::Cycles;
 use crate::task_table::TaskCode;
+use crate::tester_desk::{DeskSeat, Unguarded};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
-use tandem_board::{Board, CoreId, Duration, Instant};
+use tandem_board::{Board, CoreId, Duration, Instant, TesterDesk};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
 use tandem_shm::newest::{Reader, Writer};
 
@@ -106,16 +107,26 @@ impl<B: Board> Planning<'_, B> {
 }
 
 /// The planning core.
-pub struct Core2<'b, B: Board> {
+pub struct Core2<'b, B: Board, D = Unguarded> {
     board: &'b B,
     tasks: TaskTable<Planning<'b, B>>,
-    attached: Option<(Receiver<'b>, Planning<'b, B>)>,
+    attached: Option<(Receiver<'b>, Planning<'b, B>, DeskSeat<'b>)>,
+    desk: D,
 }
 
 impl<'b, B: Board> Core2<'b, B> {
-    /// Starts the core's incarnation on this board.
+    /// Starts the core's incarnation on this board. Every tester may have the system leave for a
+    /// download.
     #[must_use]
     pub fn new(board: &'b B) -> Self {
+        Self::with_desk(board, Unguarded(board.identity().system))
+    }
+}
+
+impl<'b, B: Board, D: TesterDesk> Core2<'b, B, D> {
+    /// Starts the core's incarnation on this board, with a desk that answers testers.
+    #[must_use]
+    pub fn with_desk(board: &'b B, desk: D) -> Self {
         let (generation, cause) = (board.identity().generation.0, 0);
         board.trace(Event::Started { generation, cause }.encode());
         let mut tasks = TaskTable::new();
@@ -125,6 +136,7 @@ impl<'b, B: Board> Core2<'b, B> {
             board,
             tasks,
             attached: None,
+            desk,
         }
     }
 
@@ -147,22 +159,24 @@ impl<'b, B: Board> Core2<'b, B> {
         // An earlier incarnation may have posted a signal without ringing.
         self.board.ring(CoreId::CONTROL);
         let receiver = MAILBOX_1_TO_2.receiver(&map, incarnation).ok()?;
-        self.attached = Some((receiver, planning));
+        self.attached = Some((receiver, planning, DeskSeat::attach(&lmu)?));
         Some(())
     }
 }
 
-impl<B: Board> Core for Core2<'_, B> {
+impl<B: Board, D: TesterDesk> Core for Core2<'_, B, D> {
     fn poll(&mut self) -> Instant {
         if self.attached.is_none() {
             self.attach();
         }
-        let Some((receiver, planning)) = &mut self.attached else {
+        let Some((receiver, planning, seat)) = &mut self.attached else {
             return self.board.now() + RETRY;
         };
         receiver.awake();
         loop {
             self.tasks.run(receiver, planning);
+            // A plan goes first: the desk may be busy for as long as a signature takes.
+            seat.poll(&mut self.desk, self.board.now(), planning.map.has_role());
             if receiver.prepare_sleep() {
                 return self.board.now() + LOOK;
             }

@@ -2,13 +2,14 @@
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
+use crate::tester_desk::DeskWords;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant, LmuWord};
 use tandem_shm::LINE_WORDS;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::TaskId;
 use tandem_shm::map::{Layout, Map, MapError};
-use tandem_shm::region::{Mailbox, Newest, Region, Words};
+use tandem_shm::region::{Fifo, Mailbox, Newest, Region, Words};
 
 /// Task of core 2: plan for the newest scene.
 pub const PLAN: TaskId = task(1);
@@ -37,8 +38,12 @@ pub const CONTROL_STEP: Region<Newest<ControlStep>> = TRAJECTORY.then("control s
 
 /// Core 0 publishes the knowledge of another system; cores 1 and 2 read it when newly started.
 pub const KNOWLEDGE: Region<Newest<Knowledge>> = CONTROL_STEP.then("knowledge");
+/// Core 0 passes frames to the desk on core 2.
+pub(crate) const TO_DESK: Region<Fifo<DeskWords, 16>> = KNOWLEDGE.then("to the desk");
+/// What the desk wants of core 0.
+pub(crate) const FROM_DESK: Region<Fifo<DeskWords, 8>> = TO_DESK.then("from the desk");
 
-const LAYOUT: Layout = KNOWLEDGE.end();
+const LAYOUT: Layout = FROM_DESK.end();
 
 const _: () = assert!(
     LAYOUT.total_words() <= 8192,
@@ -114,6 +119,18 @@ impl<'a> ControllerMap<'a> {
     #[must_use]
     pub fn wrong_steps(&self) -> u32 {
         self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1].load(Relaxed)
+    }
+
+    /// Tells the other cores whether this system is master or standby.
+    pub fn show_role(&self, has_role: bool) {
+        // Relaxed: the word itself is the message.
+        self.alive[CoreId::CONTROL.index() * LINE_WORDS + 1].store(has_role.into(), Relaxed);
+    }
+
+    /// Returns whether this system is master or standby, as core 0 last told.
+    #[must_use]
+    pub fn has_role(&self) -> bool {
+        self.alive[CoreId::CONTROL.index() * LINE_WORDS + 1].load(Relaxed) == 1
     }
 
     /// Cycles of a core so far; wraps around.

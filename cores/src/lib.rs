@@ -17,15 +17,16 @@ pub mod core0;
 pub mod core1;
 pub mod core2;
 pub mod doorbell;
-mod download;
 pub mod driving;
 pub mod layout;
 pub mod release;
 pub mod task_table;
+mod tester_desk;
 pub mod trace;
 pub mod words;
 
-use tandem_board::{Board, Can, CanId, Duration, Instant, SystemId};
+use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant};
+pub use tester_desk::Unguarded;
 use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
 
@@ -89,12 +90,12 @@ enum ReceivedFrame {
     Valid(Message),
     /// Its CRC is right, but its counter is wrong: repeated, or out of sequence.
     WrongCounter(Message),
-    /// A host asks for the bootloader of a system.
-    Download(SystemId),
+    /// It is for the desk on core 2.
+    ForDesk(CanFrame),
 }
 
-/// Returns the next received frame of the DBC whose CRC is right, or the next request of a host,
-/// with the time at which it was on the bus. Skips other frames.
+/// Returns the next received frame of the DBC whose CRC is right, or the next frame for
+/// the desk, with the time at which it was on the bus. Skips other frames.
 ///
 /// Takes at most `left` frames of any kind from the receiver, and counts `left` down; 0 means that
 /// more may wait.
@@ -107,10 +108,10 @@ fn read_can<B: Board>(
         let received = board.can().try_receive()?;
         *left -= 1;
         let CanId::Standard(id) = received.frame.id() else {
-            match download::requested(&received.frame) {
-                Some(system) => return Some((received.at, ReceivedFrame::Download(system))),
-                None => continue,
+            if tester_desk::concerns(&received.frame) {
+                return Some((received.at, ReceivedFrame::ForDesk(received.frame)));
             }
+            continue;
         };
         let data = received.frame.data();
         match receiver.receive(id.into(), data) {

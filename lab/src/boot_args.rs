@@ -14,6 +14,7 @@ Examples:
   tandem flash app.srec --key key.der --release 7      sign it and send it
   tandem flash app.srec --key key.der --release 7 --sign-only app.signed.srec
   tandem flash app.signed.srec --to B --resume         continue an interrupted transfer
+  tandem flash --info --to A                           what system A holds
   tandem bootloader --flash a.flash --public key.pub.der --requested
                                                        a bootloader to send it to
 
@@ -25,7 +26,16 @@ the meaning of refusals see docs/boot.md.";
 #[command(after_help = FLASH_EXAMPLES)]
 pub(crate) struct FlashArgs {
     /// S-records of objcopy or srec_cat, or a signed file
-    pub(crate) file: PathBuf,
+    #[arg(required_unless_present = "info")]
+    pub(crate) file: Option<PathBuf>,
+
+    /// Print what a system holds instead: versions, slots, log. Also of a driving vehicle
+    #[arg(long, conflicts_with = "file", requires = "to")]
+    pub(crate) info: bool,
+
+    /// With --info: print JSON
+    #[arg(long, requires = "info")]
+    pub(crate) json: bool,
 
     /// Sign the file with this private key (Ed25519, DER)
     #[arg(long, value_name = "FILE")]
@@ -38,6 +48,27 @@ pub(crate) struct FlashArgs {
     /// Number of the release; a bootloader refuses numbers below that of an approved release
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     pub(crate) release: u32,
+
+    /// Start every core at the entry of the file, not core 0 alone
+    #[arg(long)]
+    pub(crate) every_core: bool,
+
+    /// A start rolls the release back until the other system, too, has found that it works
+    #[arg(long)]
+    pub(crate) paired: bool,
+
+    /// The application needs at least this release of the bootloader
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    pub(crate) needs_bootloader: u32,
+
+    /// The application needs at least this release of the configuration
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    pub(crate) needs_configuration: u32,
+
+    /// Once it is approved, applications with a lower number than this never boot again, if the
+    /// board has a monotonic counter
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    pub(crate) security_counter: u8,
 
     /// Write the signed file instead of sending it
     #[arg(long, value_name = "FILE")]

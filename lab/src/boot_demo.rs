@@ -47,6 +47,7 @@ fn emulated_system(
     let from = BootFrom {
         flash,
         public: key.public(),
+        tester: None,
     };
     Ok(EmulatedWorld::start_booting(
         bootloader,

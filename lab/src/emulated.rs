@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem_board::{CoreId, SystemId};
+use tandem_board::SystemId;
 use tandem_board_qemu::{BootFrom, EmulatedWorld, MachineOptions, PROGRAM_FLASH_AT, WorldLayout};
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 use tandem_vehicle::Scenario;
@@ -56,8 +56,8 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
 pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
     let release = ReleaseInfo {
         version,
-        entries: [0; CoreId::COUNT],
-        lowest_key: 0,
+        paired: true,
+        ..ReleaseInfo::default()
     };
     Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
 }
@@ -122,6 +122,8 @@ impl Images {
             } => (bootloader, applications),
         };
         let key = boot::new_key()?;
+        let tester = files.tester();
+        let public = boot::key_in(&tester)?.public();
         let signed = |application: &Path, release| {
             let elf = std::fs::read(application);
             let elf = elf.with_context(|| application.display().to_string())?;
@@ -132,6 +134,7 @@ impl Images {
             let from = BootFrom {
                 flash: folder.join(format!("{system}.pflash")),
                 public: key.public(),
+                tester: Some(public),
             };
             (system, from)
         });
@@ -143,7 +146,7 @@ impl Images {
         let update = match args.update {
             Some(release) => {
                 let lines = records(boot::CONTROLLER, &[&signed(second, release)?]);
-                Some(UpdateFiles::write(files, [&lines, &lines])?)
+                Some(UpdateFiles::write(files, [&lines, &lines], release, tester)?)
             }
             None => None,
         };

@@ -2,15 +2,18 @@
 //! bootloader` runs a bootloader on this machine. `docs/boot.md` describes the protocol.
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
+use crate::flash_info;
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fs;
+use std::path::Path;
 use std::time::Instant as Clock;
 use tandem::boot::{PRIVATE_DER, key};
 use tandem::failure::Failure;
-use tandem_board::{Duration, Instant, ResetCause};
+use tandem_board::{Duration, Instant, MonotonicCounter as _, ResetCause};
 use tandem_boot::{
-    Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
+    Bank, COUNTER_PAGES, Launch, Loader, Manifest, Next, OneTimeWords, Setup, Trust, TrustMode,
+    approve, rom_choice,
 };
 use tandem_boot_host::{
     Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, records, send_file, serve,
@@ -21,7 +24,10 @@ const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00
 
 /// Sends a file, or only signs it, as the arguments request.
 pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
-    let lines = lines(args).map_err(Failure::Usage)?;
+    let Some(file) = &args.file else {
+        return flash_info::run(args).map_err(Failure::Run);
+    };
+    let lines = lines(args, file).map_err(Failure::Usage)?;
     if let Some(path) = &args.sign_only {
         let text = lines.concat();
         return fs::write(path, text)
@@ -32,9 +38,9 @@ pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
 }
 
 /// Returns the records to send. Signs them unless the file is already signed.
-fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
-    let name = args.file.display();
-    let text = fs::read_to_string(&args.file).with_context(|| name.to_string())?;
+fn lines(args: &FlashArgs, file: &Path) -> anyhow::Result<Vec<String>> {
+    let name = file.display();
+    let text = fs::read_to_string(file).with_context(|| name.to_string())?;
     let content = Content::parse(&text).with_context(|| name.to_string())?;
     let begins_signed = |(_, bytes): &(u32, Vec<u8>)| {
         bytes
@@ -57,10 +63,17 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     };
     let release = ReleaseInfo {
         version: args.release,
-        entries: [0; 3],
-        lowest_key: 0,
+        paired: args.paired,
+        security_counter: args.security_counter,
+        needs_bootloader: args.needs_bootloader,
+        needs_configuration: args.needs_configuration,
+        ..ReleaseInfo::default()
     };
-    let image = Image::of(&content, release, &key).with_context(|| name.to_string())?;
+    let image = match args.every_core {
+        true => Image::of_every_core(&content, release, &key),
+        false => Image::of(&content, release, &key),
+    };
+    let image = image.with_context(|| name.to_string())?;
     Ok(records(&name.to_string(), &[&image]))
 }
 
@@ -119,6 +132,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             ResetCause::PowerOn
         },
         starts: 1,
+        counter: OneTimeWords::new(FlashFile::open(&args.flash)?, COUNTER_PAGES).value(),
         noise: tandem::boot::noise()?,
     };
     loop {

@@ -10,6 +10,7 @@ mod chaos_args;
 mod emulated;
 mod fault_file;
 mod flash_command;
+mod flash_info;
 mod judge;
 mod rtos_demo;
 mod sim;

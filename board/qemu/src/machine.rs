@@ -60,6 +60,8 @@ pub struct BootFrom {
     pub flash: PathBuf,
     /// The public key that the bootloader trusts.
     pub public: [u8; 32],
+    /// The public key of a tester; without one, everybody may program the machine.
+    pub tester: Option<[u8; 32]>,
 }
 
 /// The straps of the controller's image.
@@ -129,12 +131,18 @@ impl Machine {
                 .arg("-device")
                 .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
         }
-        if let Some(BootFrom { flash, public }) = boot {
+        if let Some(BootFrom {
+            flash,
+            public,
+            tester,
+        }) = boot
+        {
             let file = flash.display();
             command.arg("-device").arg(format!(
                 "loader,file={file},addr={PROGRAM_FLASH_AT:#x},force-raw=on"
             ));
-            for (at, word) in (KEY_AT..).step_by(4).zip(public.as_chunks::<4>().0) {
+            let keys = [&public[..], tester.as_ref().map_or(&[], |key| &key[..])].concat();
+            for (at, word) in (KEY_AT..).step_by(4).zip(keys.as_chunks::<4>().0) {
                 let value = u32::from_le_bytes(*word);
                 command
                     .arg("-device")

@@ -100,6 +100,7 @@ fn image(slot: Slot, version: u32) -> Image {
         version,
         entries: [256; 3],
         lowest_key: 0,
+        ..ReleaseInfo::default()
     };
     Image::sign(
         ImageTarget::Application(slot),
@@ -118,6 +119,7 @@ fn controller() -> SimulatedFlash {
         version: 1,
         entries: [256, 0, 0],
         lowest_key: 0,
+        ..ReleaseInfo::default()
     };
     let loader = Image::sign(ImageTarget::Staging, release, &[(256, &[1; 64])], &TEST_KEY);
     flash.load(0, &loader.bytes);
@@ -142,6 +144,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
         starts: 1,
+        counter: 0,
         noise: [0; 32],
     };
     // Versions 5 and 6 are valid; 2 is older than the running version 3.

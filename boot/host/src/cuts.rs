@@ -92,6 +92,7 @@ fn release(version: u32, entry: u32) -> ReleaseInfo {
         version,
         entries: [entry; 3],
         lowest_key: 0,
+        ..ReleaseInfo::default()
     }
 }
 

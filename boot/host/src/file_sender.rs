@@ -71,6 +71,10 @@ pub struct FileSender {
     resends: u64,
     /// The key of the tester, and the system that it signs for.
     tester: Option<(SystemId, SigningKey)>,
+    /// A running application asked for the proof, not a bootloader.
+    is_at_application: bool,
+    /// Asks a running application to give up the release on trial, and sends no file.
+    rolls_back: bool,
     /// Whether to ask for a part of the challenge next.
     asks: bool,
     challenge: [u8; CHALLENGE_BYTES],
@@ -99,6 +103,8 @@ impl FileSender {
             offered: 0,
             resends: 0,
             tester: None,
+            is_at_application: false,
+            rolls_back: false,
             asks: false,
             challenge: [0; CHALLENGE_BYTES],
             signature: [0; 65],
@@ -110,6 +116,16 @@ impl FileSender {
     pub fn proving(mut self, system: SystemId, key: SigningKey) -> Self {
         self.tester = Some((system, key));
         self
+    }
+
+    /// Creates a sender that asks a running application to give up its release on trial. It asks
+    /// until the caller has seen that the release is gone.
+    #[must_use]
+    pub fn rolling_back(system: SystemId) -> Self {
+        Self {
+            rolls_back: true,
+            ..Self::new(Vec::new(), Some(system), 0)
+        }
     }
 
     /// Makes the sender continue an interrupted transfer, if the loader still has the records of
@@ -153,23 +169,30 @@ impl FileSender {
             State::Ended(end) => end,
             State::Connecting if now >= self.due => {
                 self.due = now + CONNECT_EVERY;
-                self.send(HostRequest::Connect {
-                    system: self.system,
-                    resume: self.resume,
+                let (system, resume) = (self.system, self.resume);
+                self.send(match self.rolls_back {
+                    true => HostRequest::RollBack { system },
+                    false => HostRequest::Connect { system, resume },
                 })
             }
             State::Connecting => ToDo::Wait(self.due),
             State::Asking(part) if self.asks => {
                 self.asks = false;
                 let key = self.tester.as_ref().map_or(0, |(_, key)| key.number);
-                self.send(HostRequest::Challenge { key, part })
+                let system = self.system;
+                self.send(HostRequest::Challenge { system, key, part })
             }
             State::Asking(_) => ToDo::Wait(self.due),
             State::Proving(part) if part < 13 => {
                 self.state = State::Proving(part + 1);
                 let (pieces, _) = self.signature.as_chunks::<5>();
                 let bytes = pieces[usize::from(part)];
-                self.send(HostRequest::Proof { part, bytes })
+                let system = self.system;
+                self.send(HostRequest::Proof {
+                    system,
+                    part,
+                    bytes,
+                })
             }
             State::Proving(_) => ToDo::Wait(self.due),
             State::Offering if self.offered < self.attempts => {
@@ -284,7 +307,15 @@ impl FileSender {
             }
             (State::Proving(_), Answer::Proved) => {
                 self.attempts = 0;
-                self.begin(now);
+                match core::mem::take(&mut self.is_at_application) {
+                    true => (self.state, self.due) = (State::Connecting, now),
+                    false => self.begin(now),
+                }
+            }
+            // A running application wants a proof before it makes room for its bootloader.
+            (State::Connecting, Answer::Refused(Refusal::Tester)) if self.tester.is_some() => {
+                self.is_at_application = true;
+                self.ask(now, 0);
             }
             (State::Proving(_), Answer::Unproved) => {
                 self.state = State::Ended(ToDo::Refused(Refusal::Tester));
@@ -328,7 +359,7 @@ impl FileSender {
                 self.accepted = record.max(self.accepted);
                 self.repeat(now);
             }
-            (State::Sending | State::Offering, Answer::Refused(refusal)) => {
+            (State::Connecting | State::Sending | State::Offering, Answer::Refused(refusal)) => {
                 self.state = State::Ended(ToDo::Refused(refusal));
             }
             _ => {}

@@ -9,6 +9,7 @@ mod bus_time;
 pub mod cuts;
 mod file_sender;
 mod flash_file;
+mod info;
 pub mod life;
 mod package;
 mod simulated_flash;
@@ -18,6 +19,7 @@ pub mod udp_bus;
 pub use bus_time::bits;
 pub use file_sender::{ANSWER_WITHIN, CONNECT_EVERY, FileSender, ToDo};
 pub use flash_file::{FlashFile, FlashFileFault};
+pub use info::{Inquiry, SystemInfo, ask};
 pub use package::{
     Content, Image, PackageError, RECORD_DATA, ReleaseInfo, SigningKey, line, records,
 };

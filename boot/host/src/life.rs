@@ -183,6 +183,7 @@ impl Run {
             bank,
             cause,
             starts: self.starts,
+            counter: 0,
             noise: std::array::from_fn(|at| self.starts ^ at as u8),
         };
         let file = life

@@ -160,7 +160,7 @@ pub struct Image {
 }
 
 /// The properties of an image besides its bytes.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct ReleaseInfo {
     /// Version, ascending with every release.
     pub version: u32,
@@ -168,6 +168,14 @@ pub struct ReleaseInfo {
     pub entries: [u32; 3],
     /// Keys below this are retired.
     pub lowest_key: u8,
+    /// As in [`Manifest::paired`].
+    pub paired: bool,
+    /// As in [`Manifest::security_counter`].
+    pub security_counter: u8,
+    /// As in [`Manifest::needs_bootloader`].
+    pub needs_bootloader: u32,
+    /// As in [`Manifest::needs_configuration`].
+    pub needs_configuration: u32,
 }
 
 impl Image {
@@ -205,6 +213,10 @@ impl Image {
             kind: target.kind(),
             key: key.number,
             lowest_key: release.lowest_key,
+            paired: release.paired,
+            security_counter: release.security_counter,
+            needs_bootloader: release.needs_bootloader,
+            needs_configuration: release.needs_configuration,
             hardware: HARDWARE,
             version: release.version,
             length: body.len() as u32,
@@ -256,6 +268,20 @@ impl Image {
             &[(first - place.start, &bytes)],
             key,
         ))
+    }
+
+    /// Like [`Image::of`], with the entry of the file for all cores.
+    ///
+    /// # Errors
+    /// [`PackageError`] if the data do not fit into the place of one image.
+    pub fn of_every_core(
+        content: &Content,
+        release: ReleaseInfo,
+        key: &SigningKey,
+    ) -> Result<Self, PackageError> {
+        let entry = Self::of(content, release, key)?.manifest.entries[0];
+        let entries = [entry; 3];
+        Self::of(content, ReleaseInfo { entries, ..release }, key)
     }
 
     /// Signs the bytes that an ELF file loads into a program flash at address `flash`. All cores

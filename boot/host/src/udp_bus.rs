@@ -5,7 +5,7 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
-use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tandem_board::{CanFrame, CanId};
 
@@ -46,7 +46,7 @@ struct Heard {
 pub struct UdpBus {
     socket: UdpSocket,
     group: SocketAddrV4,
-    own: io::Result<std::net::SocketAddr>,
+    own: io::Result<SocketAddr>,
     sender: UdpSocket,
 }
 
@@ -120,11 +120,44 @@ impl UdpBus {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(error),
             };
-            let is_own = self.own.as_ref().is_ok_and(|own| *own == from);
-            if let Some(frame) = decode(&bytes[..length]).filter(|_| !is_own) {
+            if let Some(frame) = self.from_another(&bytes[..length], from) {
                 return Ok(Some(frame));
             }
         }
+    }
+
+    /// Makes [`UdpBus::poll`] and all sending return at once. [`UdpBus::receive`] does not work then.
+    ///
+    /// # Errors
+    /// An error of the operating system.
+    pub fn set_polled(&self) -> io::Result<()> {
+        self.socket.set_nonblocking(true)?;
+        self.sender.set_nonblocking(true)
+    }
+
+    /// Returns the next data frame of another end that has arrived. Skips everything else.
+    ///
+    /// # Errors
+    /// An error of the operating system.
+    pub fn poll(&self) -> io::Result<Option<CanFrame>> {
+        let mut bytes = [0; 2048];
+        loop {
+            let (length, from) = match self.socket.recv_from(&mut bytes) {
+                Ok(received) => received,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            if let Some(frame) = self.from_another(&bytes[..length], from) {
+                return Ok(Some(frame));
+            }
+        }
+    }
+
+    /// Decodes a datagram; `None` for this end's own.
+    fn from_another(&self, bytes: &[u8], from: SocketAddr) -> Option<CanFrame> {
+        let is_own = self.own.as_ref().is_ok_and(|own| *own == from);
+        if is_own { None } else { decode(bytes) }
     }
 
     /// Returns the group and its port.

@@ -29,6 +29,7 @@ fn application(slot: Slot, version: u32, lowest_key: u8, key: &SigningKey) -> Im
         version,
         entries: [256; 3],
         lowest_key,
+        ..ReleaseInfo::default()
     };
     Image::sign(
         ImageTarget::Application(slot),

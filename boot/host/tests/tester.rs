@@ -127,7 +127,7 @@ impl Bench {
     fn challenge(&mut self) -> Vec<u8> {
         let parts =
             (0..3).flat_map(
-                |part| match self.send(HostRequest::Challenge { key: 0, part }) {
+                |part| match self.send(HostRequest::Challenge { system: None, key: 0, part }) {
                     Some(Answer::Challenge { bytes, .. }) => bytes,
                     other => panic!("{other:?}"),
                 },
@@ -140,7 +140,7 @@ impl Bench {
         let mut answer = None;
         for (part, bytes) in (0..).zip(padded.as_chunks::<5>().0) {
             let bytes = *bytes;
-            answer = self.send(HostRequest::Proof { part, bytes });
+            answer = self.send(HostRequest::Proof { system: None, part, bytes });
         }
         answer
     }
@@ -166,9 +166,10 @@ fn a_signature_is_good_once() {
     bench.connect();
     assert_ne!(bench.challenge(), first);
     assert_eq!(bench.prove(&signature), Some(Answer::Unproved));
-    let locked = bench.send(HostRequest::Challenge { key: 0, part: 0 });
-    let until_the_next_start = Answer::Locked { seconds: u16::MAX };
-    assert_eq!(locked, Some(until_the_next_start));
+    let locked = bench.send(HostRequest::Challenge { system: None, key: 0, part: 0 });
+    assert_eq!(locked, Some(Answer::Locked { seconds: 3 }));
+    bench.now = bench.now + tandem_board::Duration::from_ms(2_000);
+    assert_ne!(bench.challenge(), challenge, "a third one");
     assert_ne!(Bench::new(known(), 77).loader_challenge(), first);
 }
 
@@ -242,4 +243,28 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
         assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), None);
     }
     assert_eq!(bench.line(&lines[4]), Some(Answer::Refused(Refusal::Gap)));
+}
+
+/// T-BOOT-1: after a refusal nobody holds the loader, however often it sends whatever.
+#[test]
+fn nobody_holds_the_loader_after_a_refusal() {
+    for request in [
+        HostRequest::Data(b"S9"),
+        HostRequest::Offer { records: 4 },
+        HostRequest::RollBack {
+            system: Some(tandem_board::SystemId::B),
+        },
+    ] {
+        let mut bench = Bench::new(known(), 3);
+        bench.connect();
+        let refused = bench.line("S1130000000000000000000000000000000000000000EC\n");
+        assert_eq!(refused, Some(Answer::Refused(Refusal::Tester)));
+        let mut boots = false;
+        for _ in 0..20 {
+            bench.now = bench.now + tandem_board::Duration::from_ms(5);
+            bench.send(request);
+            boots |= !matches!(bench.loader.next(bench.now), Next::Wait(_) | Next::Send(_));
+        }
+        assert!(boots, "{request:?}: held after 100 ms");
+    }
 }

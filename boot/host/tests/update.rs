@@ -104,6 +104,7 @@ fn a_retired_key_signs_nothing_any_more() {
             version,
             entries: [256, 0, 0],
             lowest_key: 1,
+            ..ReleaseInfo::default()
         };
         Image::sign(
             ImageTarget::Application(slot),
@@ -126,6 +127,7 @@ fn a_retired_key_signs_nothing_any_more() {
             version: 9,
             entries: [0; 3],
             lowest_key: 1,
+            ..ReleaseInfo::default()
         },
         &[(256, &[7; 50])],
         &TEST_KEY,

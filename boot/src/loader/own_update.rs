@@ -1,10 +1,10 @@
 //! The update of the bootloader itself, through its backup bank. U-4
 
-use super::{Loader, Next, manifest_at, raise};
+use super::{Loader, Next, manifest_at, raise, read_manifest};
 use crate::environment::{Environment, LoaderUpdate};
 use crate::flash_access::{FlashFault, copy_to_bank, program, read};
 use crate::log::LogEvent;
-use crate::manifest::{BODY_OFFSET, Manifest};
+use crate::manifest::{BODY_OFFSET, MANIFEST_BYTES, Manifest};
 use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};
 use embedded_storage::nor_flash::NorFlash;
 
@@ -12,7 +12,7 @@ impl<F: NorFlash> Loader<'_, F> {
     /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if
     /// the loader may continue, also because the flash fails for good: the backup then runs. U-4
     ///
-    /// Not inlined, to save space.
+    ///
     #[inline(never)]
     pub(super) fn continue_update(&mut self) -> Option<Next> {
         let next = self.update_bootloader();
@@ -49,7 +49,7 @@ impl<F: NorFlash> Loader<'_, F> {
             }
             (LoaderUpdate::Staged, bank) => {
                 let old = manifest_at(&mut self.flash, ImageTarget::Staging).is_some_and(|it| {
-                    it.0.version < self.ground.lowest_version(ImageKind::Bootloader)
+                    it.version < self.ground.lowest_version(ImageKind::Bootloader)
                 });
                 if old || !self.can_boot(ImageTarget::Staging) {
                     self.log(LogEvent::SlotDamaged, ImageKind::Bootloader as u32);
@@ -111,8 +111,9 @@ impl<F: NorFlash> Loader<'_, F> {
     /// Ends an update. From now on bootloaders older than the new one are refused.
     fn end_update(&mut self) -> Result<(), FlashFault> {
         let mut environment = *self.ground.store.get();
-        let staged = manifest_at(&mut self.flash, ImageTarget::Staging);
-        if let Some((manifest, _)) = staged.filter(|it| self.setup.trust.is_authentic(&it.1, 0)) {
+        let mut bytes = [0; MANIFEST_BYTES];
+        let staged = read_manifest(&mut self.flash, ImageTarget::Staging, &mut bytes);
+        if let Some(manifest) = staged.filter(|_| self.setup.trust.is_authentic(&bytes, 0)) {
             raise(&mut environment, &manifest);
         }
         environment.loader = LoaderUpdate::Idle;

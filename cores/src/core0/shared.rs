@@ -19,10 +19,12 @@ use super::{Core0Task, TaskSet, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::Scene;
 use crate::release::TickGrid;
+use crate::tester_desk::DeskPort;
 use crate::trace::Event;
 use crate::{Config, ReceivedFrame, read_can};
 use tandem_board::{
-    Board, Can, Instant, Lines, Link, OutputDiagnosis, ResetRequest, Supply, SystemId,
+    Board, Can, CanFrame, CoreId, DeskAction, Instant, Lines, Link, OutputDiagnosis, ResetRequest,
+    Supply, SystemId,
 };
 use tandem_bus::Message;
 use tandem_redundancy::{
@@ -55,6 +57,8 @@ pub struct SharedState<'b, B: Board> {
     pub(super) grid: ControlGrid,
     pub(super) counters: Counters,
     floods: Floods,
+    /// `None` until the LMU is attached.
+    pub(super) desk: Option<DeskPort<'b>>,
 }
 
 impl<'b, B: Board> SharedState<'b, B> {
@@ -79,6 +83,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             grid: ControlGrid::new(started),
             counters: Counters::default(),
             floods: Floods::new(started),
+            desk: None,
         }
     }
 
@@ -106,7 +111,10 @@ impl<'b, B: Board> SharedState<'b, B> {
             released |= match frame {
                 ReceivedFrame::Valid(message) => self.on_message(at, message),
                 ReceivedFrame::WrongCounter(message) => self.on_stale_message(at, message),
-                ReceivedFrame::Download(system) => self.on_download_request(system),
+                ReceivedFrame::ForDesk(frame) => {
+                    self.pass_to_desk(&frame);
+                    TaskSet::NONE
+                }
             };
         }
         if left == 0 {
@@ -115,7 +123,7 @@ impl<'b, B: Board> SharedState<'b, B> {
         if let Some(report) = self.newest_report() {
             released |= self.notify(Input::LinkReport(report));
         }
-        released
+        released | self.serve_desk()
     }
 
     /// Returns the newest report that has arrived over the link, even if other datagrams follow it.
@@ -235,16 +243,38 @@ impl<'b, B: Board> SharedState<'b, B> {
         }
     }
 
-    /// Called when a host asks for the bootloader of a system. A system leaves only if the vehicle
-    /// does not need it: the other one is a master without a fault, or the vehicle stands. A master
-    /// first hands over; the host asks again. T-BOOT-1
-    fn on_download_request(&mut self, of: SystemId) -> TaskSet {
-        let redundancy = self.redundancy.running();
-        let Some(redundancy) = redundancy.filter(|_| of == self.system) else {
+    /// Passes a tester's frame to the desk on core 2, which checks signatures and the flash.
+    fn pass_to_desk(&mut self, frame: &CanFrame) {
+        if self.desk.as_mut().is_some_and(|desk| desk.pass(frame)) {
+            self.board.ring(CoreId::PLANNING);
+        }
+    }
+
+    /// Does what the desk wants, one wish in each poll.
+    fn serve_desk(&mut self) -> TaskSet {
+        match self.desk.as_mut().and_then(DeskPort::wish) {
+            None => TaskSet::NONE,
+            Some(DeskAction::Send(frame)) => {
+                // If the controller's buffer is full, the tester asks again.
+                let _unsent = self.board.can().try_send(&frame);
+                TaskSet::NONE
+            }
+            Some(DeskAction::ConfirmStart) => {
+                self.board.supply().confirm_start();
+                TaskSet::NONE
+            }
+            Some(DeskAction::Leave(request)) => self.leave_if_spared(request),
+        }
+    }
+
+    /// Resets this system if the vehicle does not need it: the other one is a master without a
+    /// fault, or the vehicle stands. A master first hands over; the desk asks again. T-BOOT-1
+    fn leave_if_spared(&mut self, request: ResetRequest) -> TaskSet {
+        let Some(redundancy) = self.redundancy.running() else {
             return TaskSet::NONE;
         };
         if self.can.stands || redundancy.may_leave(self.board.now()) {
-            self.board.supply().request_reset(ResetRequest::Download);
+            self.board.supply().request_reset(request);
             return TaskSet::NONE;
         }
         self.notify(Input::HandOver)

@@ -9,6 +9,7 @@ use crate::layout::{
     age_ns,
 };
 use crate::release::{Cycles, Grid, Release};
+use crate::tester_desk::DeskPort;
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
 use tandem_board::{
@@ -16,7 +17,7 @@ use tandem_board::{
     watchdog_answer,
 };
 use tandem_bus::Message;
-use tandem_redundancy::FailureMode;
+use tandem_redundancy::{FailureMode, Phase};
 use tandem_shm::mailbox;
 use tandem_shm::newest::Reader;
 
@@ -243,6 +244,7 @@ impl<'b, B: Board> MonitoringTask<'b, B> {
         let is_new = core::mem::replace(&mut self.silent, silent) != silent;
         let tasks = executor.shared(|shared| {
             shared.redundancy.ready.cores_run = all_seen;
+            map.show_role(shared.phase().is_some_and(Phase::sends_heartbeats));
             let core = silent?;
             if is_new {
                 shared.trace(Event::CoreSilent {
@@ -271,14 +273,14 @@ impl<'b, B: Board> TaskBody<'b, B> for MonitoringTask<'b, B> {
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.map.is_none() {
             self.attach();
-            if let Some(ControllerMap {
-                map, incarnation, ..
-            }) = &self.map
-            {
-                let steps = CONTROL_STEP.writer(map, *incarnation).ok();
-                let received = KNOWLEDGE.writer(map, *incarnation).ok();
+            if let Some(lmu) = &self.map {
+                let (map, incarnation) = (&lmu.map, lmu.incarnation);
+                let steps = CONTROL_STEP.writer(map, incarnation).ok();
+                let received = KNOWLEDGE.writer(map, incarnation).ok();
+                let desk = DeskPort::attach(lmu);
                 executor.shared(|shared| {
                     (shared.check.steps, shared.transfer.received) = (steps, received);
+                    shared.desk = desk;
                 });
             }
         }

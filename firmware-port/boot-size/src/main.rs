@@ -70,6 +70,7 @@ extern "C" fn tandem_size_boot() -> ! {
         bank: rom_choice(&mut Unknown).unwrap_or(Bank::Primary),
         cause: black_box(ResetCause::PowerOn),
         starts: black_box(1),
+        counter: black_box(0),
         noise: black_box([7; 32]),
     };
     loop {

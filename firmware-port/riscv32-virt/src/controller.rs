@@ -11,13 +11,14 @@
 //! Strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0 means none.
 
 use crate::board::VirtBoard;
-use crate::memory::{Strap, strap};
+use crate::memory::{Strap, strap, tester_key};
 use crate::program_flash::ProgramFlash;
 use crate::{doorbell, heap, log, trap};
 use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
-use tandem_board::{Board, CoreId, RoleLamp, Supply};
+use tandem_board::{Board, CoreId, Supply};
+use tandem_boot::{Bank, BootDesk, COUNTER_PAGES, OneTimeWords, Setup, Trust, TrustMode};
 use tandem_cores::core0::{Core0, Core0Task};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -49,37 +50,38 @@ pub fn core(board: &VirtBoard) {
     }
 }
 
-/// Core 2 approves an image that has kept a role for this long.
-const PROVES_ITSELF: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
-
-/// Runs one incarnation of one core of an image in a slot. Core 2 approves the image within a
-/// cycle, because programming the flash takes less time than a cycle. U-3
+/// Runs one incarnation of one core of an image in a slot. Core 2 has the bootloader's desk. U-3
 pub fn core_in_slot(board: &VirtBoard) {
     if board.identity().core != CoreId::PLANNING {
         return core(board);
     }
-    let mut planning = Core2::new(board);
-    let (mut has_role_since, mut approved) = (None, false);
-    loop {
-        let deadline = planning.poll();
-        let now = board.now();
-        has_role_since = match board.lamp() {
-            RoleLamp::Starting | RoleLamp::Suspended => None,
-            _ => has_role_since.or(Some(now)),
-        };
-        let proved = has_role_since.is_some_and(|since| now.since(since) >= PROVES_ITSELF);
-        if proved && !approved {
-            board.supply().confirm_start();
-            approved = tandem_boot::approve(&mut ProgramFlash).is_ok();
-            if approved {
-                log!(
-                    "{}: the image in the slot is approved",
-                    board.identity().system
-                );
-            }
-        }
-        board.wait(deadline);
-    }
+    let tester = tester_key();
+    let setup = Setup {
+        trust: Trust {
+            keys: &[],
+            testers: tester.as_slice(),
+            mode: TrustMode::Strict,
+        },
+        system: board.identity().system,
+        bank: Bank::Primary,
+        cause: board.supply().reset_cause(),
+        starts: board.supply().starts(),
+        counter: 0,
+        noise: noise(board),
+    };
+    let counter = OneTimeWords::new(ProgramFlash, COUNTER_PAGES);
+    let desk = BootDesk::new(ProgramFlash, counter, setup, board.now());
+    go(board, Core2::with_desk(board, desk))
+}
+
+/// Returns bytes that differ at each start. This machine has no random numbers: its clock alone can
+/// be foreseen.
+#[must_use]
+pub fn noise(board: &VirtBoard) -> [u8; 32] {
+    let mut noise = [0; 32];
+    noise[..8].copy_from_slice(&board.now().as_ns().to_le_bytes());
+    noise[8] = board.supply().starts();
+    noise
 }
 
 fn config() -> Config {

@@ -85,11 +85,22 @@ const KEY_AT: usize = 16;
 /// Returns the public key that the bootloader of this machine trusts. A chip has it in fuses.
 #[must_use]
 pub fn public_key() -> [u8; 32] {
+    key_at(KEY_AT)
+}
+
+/// Returns the public key of a tester, if this machine has one.
+#[must_use]
+pub fn tester_key() -> Option<[u8; 32]> {
+    let key = key_at(KEY_AT + 8);
+    key.iter().any(|byte| *byte != 0).then_some(key)
+}
+
+fn key_at(at: usize) -> [u8; 32] {
     let mut key = [0; 32];
     let (words, _) = key.as_chunks_mut::<4>();
     for (index, word) in words.iter_mut().enumerate() {
         // SAFETY: as in `strap`.
-        let read = unsafe { addr_of!(__straps).add(KEY_AT + index).read_volatile() };
+        let read = unsafe { addr_of!(__straps).add(at + index).read_volatile() };
         *word = read.to_le_bytes();
     }
     key

@@ -7,13 +7,16 @@
 #![no_main]
 #![deny(unsafe_code)]
 
-use tandem_board::{Board, CoreId, Supply};
+use tandem_board::{Board, CoreId, MonotonicCounter as _, Supply};
 use tandem_board_riscv32_virt::board::{ByTimer, VirtBoard, run};
-use tandem_board_riscv32_virt::memory::public_key;
+use tandem_board_riscv32_virt::controller::noise;
+use tandem_board_riscv32_virt::memory::{public_key, tester_key};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
 use tandem_board_riscv32_virt::program_flash::{BEGIN, ProgramFlash};
 use tandem_board_riscv32_virt::{entry, log};
-use tandem_boot::{Bank, Leave, Trust, TrustMode, rom_choice, start};
+use tandem_boot::{
+    Bank, COUNTER_PAGES, Leave, OneTimeWords, Security, Trust, TrustMode, rom_choice, start,
+};
 
 entry!(main);
 
@@ -42,27 +45,22 @@ fn core(board: &VirtBoard) {
     board.jump();
 }
 
-/// Returns bytes that differ at each start. This machine has no random numbers: its clock alone can
-/// be foreseen.
-fn noise(board: &VirtBoard) -> [u8; 32] {
-    let mut noise = [0; 32];
-    noise[..8].copy_from_slice(&board.now().as_ns().to_le_bytes());
-    noise[8] = board.supply().starts();
-    noise
-}
-
 fn boot(board: &VirtBoard) -> tandem_boot::Launch {
-    let keys = [public_key()];
+    let (keys, tester) = ([public_key()], tester_key());
     let trust = Trust {
         keys: &keys,
-        testers: &[],
+        testers: tester.as_slice(),
         mode: TrustMode::Strict,
+    };
+    let security = Security {
+        noise: noise(board),
+        counter: OneTimeWords::new(ProgramFlash, COUNTER_PAGES).value(),
     };
     let keeper = ByTimer::new(board);
     // If the flash holds no bootloader, this program runs as the primary one.
     let mut bank = rom_choice(&mut ProgramFlash).unwrap_or(Bank::Primary);
     loop {
-        match start(board, ProgramFlash, trust, bank, &keeper, noise(board)) {
+        match start(board, ProgramFlash, trust, bank, &keeper, security) {
             Leave::Jump(launch) => return launch,
             Leave::StartPrimary => bank = Bank::Primary,
         }

@@ -1,0 +1,24 @@
+//! What answers a tester while the application runs. T-BOOT-1
+
+use crate::{CanFrame, Instant, ResetRequest};
+
+/// What the desk wants of core 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeskAction {
+    /// Send this frame.
+    Send(CanFrame),
+    /// Reset the system as soon as the vehicle does not need it.
+    Leave(ResetRequest),
+    /// This start has worked: see [`Supply::confirm_start`](crate::Supply::confirm_start).
+    ConfirmStart,
+}
+
+/// Answers a tester beside the application. Core 2 calls it between two plans, because a desk may
+/// check a signature or write the flash; core 0 passes the frames on and does what the desk wants.
+pub trait TesterDesk {
+    /// Takes a frame of a tester, or of the other system's desk. Task context; may block.
+    fn hear(&mut self, now: Instant, frame: &CanFrame) -> Option<DeskAction>;
+
+    /// Does what is due. `has_role`: this system is master or standby. Task context; may block.
+    fn poll(&mut self, now: Instant, has_role: bool) -> Option<DeskAction>;
+}

@@ -1,0 +1,301 @@
+//! The bootloader's desk beside a running application: it answers testers, and approves the release.
+//!
+//! A paired release is approved by both systems or by none. Each one tells its stage on CAN:
+//!
+//! | stage | the other system must be at | then |
+//! |---|---|---|
+//! | trial | anything; a role for [`PROVES_ITSELF`] | works |
+//! | works | works | it records that it is ready |
+//! | ready | ready | approved |
+//!
+//! A start rolls a release back that is not ready. A system that is ready cannot know whether the
+//! other one has approved it: it starts the release again. If the other one then runs another
+//! release, this one gives its release up. T-BOOT-1, U-3
+
+use crate::environment::{Environment, EnvironmentStore, Trial};
+use crate::flash_access::FlashFault;
+use crate::info;
+use crate::loader::{HOST_SILENCE, Setup, approve, manifest_at};
+use crate::log::{LogEvent, append, wrong_testers};
+use crate::map::ImageTarget;
+use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};
+use crate::tester::{Judged, Tester};
+use crate::trust::Trust;
+use embedded_storage::nor_flash::NorFlash;
+use tandem_board::{
+    CanFrame, DeskAction, Duration, Instant, MonotonicCounter, ResetRequest, SystemId, TesterDesk,
+};
+
+/// A release works if its system has had a role for this long without a break.
+pub const PROVES_ITSELF: Duration = Duration::from_ms(1_000);
+/// Period of the release frames, and of attempts to write the flash.
+const TELLS_EVERY: Duration = Duration::from_ms(200);
+/// A release frame of the other system is true for this long.
+const TRUE_FOR: Duration = Duration::from_ms(1_000);
+
+/// The release that runs.
+#[derive(Clone, Copy, Debug)]
+struct Release {
+    version: u32,
+    stage: ReleaseStage,
+    paired: bool,
+    security_counter: u8,
+}
+
+/// The desk of one system, with its program flash and its counter.
+#[derive(Debug)]
+pub struct BootDesk<'k, F, C> {
+    flash: F,
+    counter: C,
+    trust: Trust<'k>,
+    system: SystemId,
+    starts: u8,
+    tester: Tester,
+    /// When the tester was proved.
+    proved_at: Option<Instant>,
+    has_role_since: Option<Instant>,
+    is_start_confirmed: bool,
+    /// `None` until it is read from the flash.
+    release: Option<Release>,
+    /// What the other system told last.
+    peer: Option<(Instant, ReleaseStage, u32)>,
+    told: Option<Instant>,
+    /// The release is given up as soon as the vehicle does not need this system.
+    gives_up: bool,
+}
+
+impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
+    /// Creates the desk when the application starts. `setup`: as for the bootloader, with other
+    /// noise. Reads the log if the system knows testers.
+    pub fn new(mut flash: F, counter: C, setup: Setup<'k>, now: Instant) -> Self {
+        let wrong = match setup.trust.testers {
+            [] => None,
+            _ => wrong_testers(&mut flash),
+        };
+        Self {
+            flash,
+            counter,
+            trust: setup.trust,
+            system: setup.system,
+            starts: setup.starts,
+            tester: Tester::new(setup.noise, wrong.unwrap_or_default(), now),
+            proved_at: None,
+            has_role_since: None,
+            is_start_confirmed: false,
+            release: None,
+            peer: None,
+            told: None,
+            gives_up: false,
+        }
+    }
+
+    /// Returns the flash.
+    pub const fn flash(&self) -> &F {
+        &self.flash
+    }
+
+    /// Returns the flash and the counter.
+    pub fn into_parts(self) -> (F, C) {
+        (self.flash, self.counter)
+    }
+
+    /// Reads from the flash which release runs.
+    fn read_release(&mut self) -> Option<Release> {
+        let store = EnvironmentStore::load(&mut self.flash)?;
+        let Environment { active, trial, .. } = *store.get();
+        let trial = trial.filter(|trial| trial.executed);
+        let selection = trial.map_or(active, |trial| trial.selection.over(active));
+        let application = ImageTarget::Application(selection.application?);
+        let manifest = manifest_at(&mut self.flash, application)?;
+        let stage = match trial {
+            None => ReleaseStage::Approved,
+            Some(Trial { ready: true, .. }) => ReleaseStage::Ready,
+            Some(_) => ReleaseStage::Trial,
+        };
+        let is_new = trial.is_some_and(|trial| trial.selection.application.is_some());
+        Some(Release {
+            version: manifest.version,
+            stage,
+            paired: manifest.paired && is_new,
+            security_counter: manifest.security_counter,
+        })
+    }
+
+    /// Returns whether the other system runs this version too, and has told that it is at least at
+    /// this stage.
+    fn peer_is_at(&self, now: Instant, version: u32, stage: ReleaseStage) -> bool {
+        self.peer.is_some_and(|(at, its_stage, its_version)| {
+            now.since(at) <= TRUE_FOR && its_version == version && its_stage >= stage
+        })
+    }
+
+    /// Returns whether the other system runs an approved release of another version.
+    fn peer_has_another(&self, now: Instant, version: u32) -> bool {
+        self.peer.is_some_and(|(at, stage, its_version)| {
+            now.since(at) <= TRUE_FOR
+                && its_version != version
+                && stage == ReleaseStage::Approved
+        })
+    }
+
+    /// Takes the next step of the release, if it is due. What the flash does not take is tried
+    /// again.
+    fn advance(&mut self, now: Instant, has_proved: bool) -> Result<(), FlashFault> {
+        let Some(release) = self.release else {
+            self.release = self.read_release();
+            return Ok(());
+        };
+        let version = release.version;
+        let stage = match release.stage {
+            ReleaseStage::Trial if has_proved && release.paired => ReleaseStage::Works,
+            ReleaseStage::Trial if has_proved => self.approve()?,
+            ReleaseStage::Works if self.peer_is_at(now, version, ReleaseStage::Works) => {
+                self.set_ready(true)?;
+                ReleaseStage::Ready
+            }
+            ReleaseStage::Ready if self.peer_is_at(now, version, ReleaseStage::Ready) => {
+                self.approve()?
+            }
+            ReleaseStage::Ready if self.peer_has_another(now, version) => {
+                self.give_up()?;
+                ReleaseStage::Trial
+            }
+            ReleaseStage::Approved => {
+                let _not_raised = self.counter.raise(release.security_counter.into());
+                ReleaseStage::Approved
+            }
+            stage => stage,
+        };
+        self.release = Some(Release { stage, ..release });
+        Ok(())
+    }
+
+    fn approve(&mut self) -> Result<ReleaseStage, FlashFault> {
+        approve(&mut self.flash)?;
+        Ok(ReleaseStage::Approved)
+    }
+
+    fn set_ready(&mut self, ready: bool) -> Result<(), FlashFault> {
+        let mut store = EnvironmentStore::load(&mut self.flash).ok_or(FlashFault)?;
+        let mut environment = *store.get();
+        if let Some(trial) = &mut environment.trial {
+            trial.ready = ready;
+        }
+        store.write(&mut self.flash, environment)
+    }
+
+    /// Lets the next start roll the release back, and this system leave for that.
+    fn give_up(&mut self) -> Result<(), FlashFault> {
+        self.set_ready(false)?;
+        self.gives_up = true;
+        Ok(())
+    }
+
+    /// Returns whether who asks may do what changes this system.
+    fn may_program(&self, now: Instant) -> bool {
+        let is_fresh = self.proved_at.is_some_and(|at| now.since(at) <= HOST_SILENCE);
+        self.trust.testers.is_empty() || is_fresh
+    }
+
+    fn prove(&mut self, now: Instant, part: u8, bytes: [u8; 5]) -> Option<Answer> {
+        let place = (now, self.system);
+        let judged = self.tester.on_proof(place, part, bytes, &self.trust)?;
+        let (event, answer) = match judged {
+            Judged::Right => (LogEvent::TesterProved, Answer::Proved),
+            Judged::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
+        };
+        self.proved_at = (judged == Judged::Right).then_some(now);
+        let _unlogged = append(&mut self.flash, event, self.tester.wrong().into());
+        Some(answer)
+    }
+
+    fn on_request(&mut self, now: Instant, request: HostRequest<'_>) -> Option<DeskAction> {
+        let answer = match request {
+            HostRequest::Connect { .. } if self.may_program(now) => {
+                return Some(DeskAction::Leave(ResetRequest::Download));
+            }
+            HostRequest::RollBack { .. } if self.may_program(now) => {
+                let is_trial = self.release?.stage != ReleaseStage::Approved;
+                // If the flash does not take it, the tester asks again.
+                return (is_trial && self.give_up().is_ok())
+                    .then_some(DeskAction::Leave(ResetRequest::Software));
+            }
+            HostRequest::Connect { .. } | HostRequest::RollBack { .. } => {
+                Some(Answer::Refused(Refusal::Tester))
+            }
+            HostRequest::Challenge { key, part, .. } => self.tester.on_challenge(now, key, part),
+            HostRequest::Proof { part, bytes, .. } => self.prove(now, part, bytes),
+            HostRequest::Info { question, .. } => {
+                let store = EnvironmentStore::load(&mut self.flash)?;
+                info::answer(&mut self.flash, store.get(), self.starts, question)
+            }
+            HostRequest::Offer { .. } | HostRequest::GoBack { .. } | HostRequest::Data(_) => None,
+        };
+        answer.and_then(Answer::frame).map(DeskAction::Send)
+    }
+}
+
+/// Returns the system that a request names.
+const fn named(request: &HostRequest<'_>) -> Option<SystemId> {
+    match *request {
+        HostRequest::Connect { system, .. }
+        | HostRequest::Challenge { system, .. }
+        | HostRequest::Proof { system, .. }
+        | HostRequest::Info { system, .. }
+        | HostRequest::RollBack { system } => system,
+        HostRequest::Offer { .. } | HostRequest::GoBack { .. } | HostRequest::Data(_) => None,
+    }
+}
+
+impl<F: NorFlash, C: MonotonicCounter> TesterDesk for BootDesk<'_, F, C> {
+    fn hear(&mut self, now: Instant, frame: &CanFrame) -> Option<DeskAction> {
+        match frame.id() {
+            TO_LOADER => {
+                let request = HostRequest::decode(frame.data());
+                // A request that names no system is for a bootloader.
+                let is_ours = named(&request) == Some(self.system);
+                is_ours.then(|| self.on_request(now, request)).flatten()
+            }
+            RELEASES => {
+                if let Some(Answer::Release {
+                    system,
+                    stage,
+                    version,
+                }) = Answer::decode(frame.data())
+                    && system != self.system
+                {
+                    self.peer = Some((now, stage, version));
+                }
+                None
+            }
+            _ => None,
+        }
+    }
+
+    fn poll(&mut self, now: Instant, has_role: bool) -> Option<DeskAction> {
+        let since = self.has_role_since.get_or_insert(now);
+        let has_proved = has_role && now.since(*since) >= PROVES_ITSELF;
+        if !has_role {
+            self.has_role_since = None;
+        }
+        if has_proved && !self.is_start_confirmed {
+            self.is_start_confirmed = true;
+            return Some(DeskAction::ConfirmStart);
+        }
+        if self.told.is_some_and(|told| now.since(told) < TELLS_EVERY) {
+            return None;
+        }
+        self.told = Some(now);
+        let _again = self.advance(now, has_proved);
+        if self.gives_up {
+            return Some(DeskAction::Leave(ResetRequest::Software));
+        }
+        let release = self.release?;
+        let told = Answer::Release {
+            system: self.system,
+            stage: release.stage,
+            version: release.version,
+        };
+        told.frame().map(DeskAction::Send)
+    }
+}
