@@ -15,7 +15,7 @@
 use crate::environment::{Environment, EnvironmentStore, Trial};
 use crate::flash_access::FlashFault;
 use crate::info;
-use crate::loader::{HOST_SILENCE, Setup, approve, manifest_at};
+use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works, manifest_at};
 use crate::log::{LogEvent, append, wrong_testers};
 use crate::map::ImageTarget;
 use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};
@@ -55,6 +55,8 @@ pub struct BootDesk<'k, F, C> {
     proved_at: Option<Instant>,
     has_role_since: Option<Instant>,
     is_start_confirmed: bool,
+    /// The bootloader that started this application works.
+    is_loader_approved: bool,
     /// `None` until it is read from the flash.
     release: Option<Release>,
     /// What the other system told last.
@@ -82,6 +84,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             proved_at: None,
             has_role_since: None,
             is_start_confirmed: false,
+            is_loader_approved: false,
             release: None,
             peer: None,
             told: None,
@@ -145,6 +148,10 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             self.release = self.read_release();
             return Ok(());
         };
+        if has_proved && !self.is_loader_approved {
+            bootloader_works(&mut self.flash)?;
+            self.is_loader_approved = true;
+        }
         let version = release.version;
         let stage = match release.stage {
             ReleaseStage::Trial if has_proved && release.paired => ReleaseStage::Works,
@@ -279,7 +286,7 @@ impl<F: NorFlash, C: MonotonicCounter> TesterDesk for BootDesk<'_, F, C> {
             self.has_role_since = None;
         }
         if has_proved && !self.is_start_confirmed {
-            self.is_start_confirmed = true;
+            (self.is_start_confirmed, self.starts) = (true, 1);
             return Some(DeskAction::ConfirmStart);
         }
         if self.told.is_some_and(|told| now.since(told) < TELLS_EVERY) {

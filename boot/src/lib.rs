@@ -38,7 +38,9 @@ pub use environment::{
 };
 pub use flash_access::{FlashFault, rom_choice};
 pub use info::{LOG_ANSWERS, PLACES, Question};
-pub use loader::{CONNECT_WINDOW, HOST_SILENCE, Launch, Loader, Next, Setup, approve};
+pub use loader::{
+    CONNECT_WINDOW, HOST_SILENCE, Launch, Loader, Next, Setup, approve, bootloader_works,
+};
 pub use log::{LogEntry, LogEvent, read_log};
 pub use manifest::{
     BODY_OFFSET, HARDWARE, ImagePart, MANIFEST_BYTES, MAX_PARTS, Manifest, ManifestError,

@@ -2,6 +2,10 @@
 
 mod own_update;
 
+pub use own_update::bootloader_works;
+use own_update::approve_bootloader;
+
+
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
 use crate::flash_access::{FlashFault, body_crc, is_intact, read};
@@ -105,8 +109,8 @@ pub enum Next {
     Send(CanFrame),
     /// Clean up (T-BOOT-7: clear RAM, reset the CAN module, disable interrupts), then jump.
     Jump(Launch),
-    /// Clean up as before a jump, then start the bootloader in the primary bank, which is on trial.
-    StartPrimary,
+    /// Clean up as before a jump, then start the bootloader in this bank.
+    StartBank(Bank),
     /// Request an orderly reset.
     Reset,
 }
@@ -244,7 +248,13 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             return;
         }
         self.was_busy = self.session.is_open();
-        let answer = match HostRequest::decode(frame.data()) {
+        let request = HostRequest::decode(frame.data());
+        if self.was_busy && !matches!(request, HostRequest::Connect { .. }) {
+            // A host has heard an answer of this bootloader. If that cannot be written, an
+            // application that runs approves it.
+            let _unwritten = approve_bootloader(&mut self.flash, &mut self.ground.store);
+        }
+        let answer = match request {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
                 self.ground.tester.leave();
                 self.session.connect(now, resume)
@@ -444,8 +454,6 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         let Some(application) = selection.application else {
             return self.last_resort();
         };
-        // If that fails, the next start seals the new bootloader, or restores the old one.
-        let _unsealed = self.approve_bootloader();
         self.launch(application, selection.configuration)
     }
 

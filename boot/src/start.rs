@@ -13,8 +13,8 @@ use tandem_board::{Board, Can, Duration, Instant, ResetRequest, Supply, watchdog
 pub enum Leave {
     /// In the application. Clean up (T-BOOT-7), then jump.
     Jump(Launch),
-    /// In the bootloader on trial in the primary bank. Clean up as for a jump, then start it.
-    StartPrimary,
+    /// In the bootloader in this bank. Clean up as for a jump, then start it.
+    StartBank(Bank),
 }
 
 /// Services the watchdog if the bootloader runs longer than half the limit of the first service.
@@ -121,10 +121,10 @@ pub fn start<B: Board>(
             Next::Jump(launch) if keeper.hand_over() => {
                 break leave(board, Leave::Jump(launch));
             }
-            Next::StartPrimary if keeper.hand_over() => {
-                break leave(board, Leave::StartPrimary);
+            Next::StartBank(bank) if keeper.hand_over() => {
+                break leave(board, Leave::StartBank(bank));
             }
-            Next::Jump(_) | Next::StartPrimary | Next::Reset => reset(board),
+            Next::Jump(_) | Next::StartBank(_) | Next::Reset => reset(board),
         };
         let due = keeper.keep();
         match board.can().try_receive() {

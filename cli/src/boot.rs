@@ -210,7 +210,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
         let security = Security { noise, counter };
         match start(&board, &mut *file, trust, bank, &keeper, security) {
             Leave::Jump(launch) => return Ok(launch.application),
-            Leave::StartPrimary => bank = Bank::Primary,
+            Leave::StartBank(other) => bank = other,
         }
     }
 }

@@ -140,7 +140,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         let mut loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
         match serve(&wire, clock, &mut loader)? {
             Next::Jump(launch) => return tandem::print(&shown(&launch)),
-            Next::StartPrimary => setup.bank = Bank::Primary,
+            Next::StartBank(other) => setup.bank = other,
             _ => {
                 setup.cause = ResetCause::Software;
                 setup.starts = setup.starts.saturating_add(1);

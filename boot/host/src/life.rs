@@ -106,12 +106,19 @@ impl<'a> Life<'a> {
             run.starts = starts;
             let Some(bank) = rom_choice(flash) else { break };
             let mut next = run.loader(self, flash, bank, cause);
-            if flash.is_on() && next == Next::StartPrimary {
-                if self.new_loader_crashes {
-                    cause = ResetCause::Watchdog;
-                    continue;
+            let mut crashes = false;
+            while let Next::StartBank(bank) = next
+                && flash.is_on()
+                && !crashes
+            {
+                crashes = bank == Bank::Primary && self.new_loader_crashes;
+                if !crashes {
+                    next = run.loader(self, flash, bank, cause);
                 }
-                next = run.loader(self, flash, Bank::Primary, cause);
+            }
+            if crashes {
+                cause = ResetCause::Watchdog;
+                continue;
             }
             match next {
                 _ if !flash.is_on() => break,
@@ -156,6 +163,7 @@ impl Run {
         if life.approves {
             // An application that cannot approve itself continues; the next start rolls it back.
             let _ = approve(flash);
+            let _ = tandem_boot::bootloader_works(flash);
         }
         self.ended(flash)
     }

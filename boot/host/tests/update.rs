@@ -4,8 +4,11 @@
 mod fixture;
 
 use fixture::{Images, configuration, factory, image, lives, loader, signed};
-use tandem_boot::{Bank, FlashRegion, ImageTarget, Refusal, Slot, rom_choice};
-use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1};
+use tandem_board::Instant;
+use tandem_boot::{
+    Bank, FlashRegion, HostRequest, ImageTarget, Loader, Refusal, Slot, rom_choice,
+};
+use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
 use tandem_boot_host::{Content, Image, ReleaseInfo, records};
 
 fn running(end: End) -> (Slot, u32) {
@@ -307,6 +310,48 @@ fn wrong_files_are_refused_with_the_reason() {
     }
 }
 
+/// U-4: a new bootloader that no host has heard, and under which no application has worked, is not
+/// approved: the next start restores the old one. One that a host has heard is.
+#[test]
+fn a_new_bootloader_must_have_worked() {
+    for heard in [false, true] {
+        let mut flash = factory();
+        let new = loader(2);
+        let lines = records("loader", &[&new]);
+        let life = Life {
+            approves: false,
+            ..Life::with_file(&lines, 0)
+        };
+        assert!(life.live(&mut flash).downloaded);
+        if heard {
+            // The new bootloader, in the life in which the backup has started it.
+            flash.power_on(1, None);
+            let keys = [TEST_PUBLIC];
+            let setup = fixture::setup(&keys);
+            let mut loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
+            let connect = HostRequest::Connect {
+                system: None,
+                resume: false,
+            };
+            for request in [connect, HostRequest::Data(b"S0")] {
+                loader.on_frame(Instant::ORIGIN, &request.frame().unwrap());
+                let _ = loader.next(Instant::ORIGIN);
+            }
+        }
+        let life = Life {
+            approves: false,
+            ..Life::plain()
+        };
+        for seed in 5..7 {
+            flash.power_on(seed, None);
+            assert_eq!(running(life.live(&mut flash).end), (Slot::A, 1));
+        }
+        let expected = if heard { new } else { loader(1) }.bytes;
+        assert_eq!(flash.firm(0, expected.len() as u32), Some(expected), "{heard}");
+        assert_eq!(rom_choice(&mut flash), Some(Bank::Primary));
+    }
+}
+
 /// U-4: a new bootloader is installed, tried, approves itself and is sealed; the application is
 /// unchanged.
 #[test]
@@ -317,6 +362,8 @@ fn a_new_bootloader_is_installed() {
     let outcome = Life::with_file(&lines, 0).live(&mut flash);
     assert!(outcome.downloaded);
     assert_eq!(running(outcome.end), (Slot::A, 1));
+    assert_eq!(rom_choice(&mut flash), Some(Bank::Backup), "not sealed yet");
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
     assert_eq!(flash.firm(0, new.bytes.len() as u32), Some(new.bytes));
     let backup = FlashRegion::Bank(Bank::Backup).range().start;
     let old = loader(1).bytes;

@@ -1,9 +1,9 @@
 //! The update of the bootloader itself, through its backup bank. U-4
 
 use super::{Loader, Next, manifest_at, raise, read_manifest};
-use crate::environment::{Environment, LoaderUpdate};
-use crate::flash_access::{FlashFault, copy_to_bank, program, read};
-use crate::log::LogEvent;
+use crate::environment::{Environment, EnvironmentStore, LoaderUpdate};
+use crate::flash_access::{FlashFault, copy_to_bank, read};
+use crate::log::{LogEvent, append};
 use crate::manifest::{BODY_OFFSET, MANIFEST_BYTES, Manifest};
 use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};
 use embedded_storage::nor_flash::NorFlash;
@@ -42,9 +42,16 @@ impl<F: NorFlash> Loader<'_, F> {
                 self.set_loader(LoaderUpdate::Idle)?;
                 Ok(None)
             }
-            // The ROM found the primary bank damaged: restore it.
+            // The ROM found the primary bank damaged: write it again.
             (LoaderUpdate::Idle, Bank::Backup) => {
-                self.set_loader(LoaderUpdate::Restoring)?;
+                let lowest = self.ground.lowest_version(ImageKind::Bootloader);
+                let staged = manifest_at(&mut self.flash, ImageTarget::Staging);
+                let is_newest = staged.is_some_and(|it| it.version == lowest)
+                    && self.can_boot(ImageTarget::Staging);
+                self.set_loader(match is_newest {
+                    true => LoaderUpdate::Sealing,
+                    false => LoaderUpdate::Restoring,
+                })?;
                 self.update_bootloader()
             }
             (LoaderUpdate::Staged, bank) => {
@@ -63,7 +70,13 @@ impl<F: NorFlash> Loader<'_, F> {
                 self.set_loader(LoaderUpdate::Installing)?;
                 self.update_bootloader()
             }
-            (LoaderUpdate::Installing, _) => {
+            // A bootloader does not overwrite itself, and does not trust what was not finished,
+            // although the ROM has found its seal.
+            (
+                LoaderUpdate::Installing | LoaderUpdate::Sealing | LoaderUpdate::Restoring,
+                Bank::Primary,
+            ) => Ok(Some(Next::StartBank(Bank::Backup))),
+            (LoaderUpdate::Installing, Bank::Backup) => {
                 self.copy(staging, Bank::Primary, false)?;
                 self.set_loader(LoaderUpdate::Trial)?;
                 self.log(LogEvent::LoaderInstalled, 0);
@@ -72,40 +85,25 @@ impl<F: NorFlash> Loader<'_, F> {
             // The ROM starts only the backup: the primary bank is not sealed.
             (LoaderUpdate::Trial, Bank::Backup) => {
                 self.set_loader(LoaderUpdate::TrialExecuted)?;
-                Ok(Some(Next::StartPrimary))
+                Ok(Some(Next::StartBank(Bank::Primary)))
             }
             (LoaderUpdate::Trial | LoaderUpdate::TrialExecuted, Bank::Primary) => Ok(None),
             (LoaderUpdate::TrialExecuted, Bank::Backup) => {
                 self.set_loader(LoaderUpdate::Restoring)?;
                 self.update_bootloader()
             }
-            (LoaderUpdate::Sealing, _) => {
+            (LoaderUpdate::Sealing, Bank::Backup) => {
                 self.copy(staging, Bank::Primary, true)?;
                 self.end_update()?;
                 Ok(Some(Next::Reset))
             }
-            (LoaderUpdate::Restoring, _) => {
+            (LoaderUpdate::Restoring, Bank::Backup) => {
                 self.copy(backup, Bank::Primary, true)?;
                 self.set_loader(LoaderUpdate::Idle)?;
                 self.log(LogEvent::LoaderRestored, 0);
                 Ok(Some(Next::Reset))
             }
         }
-    }
-
-    /// The last step of an update: a new bootloader approves and seals itself. U-4
-    pub(super) fn approve_bootloader(&mut self) -> Result<(), FlashFault> {
-        if self.ground.store.get().loader != LoaderUpdate::TrialExecuted {
-            return Ok(());
-        }
-        self.set_loader(LoaderUpdate::Sealing)?;
-        let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
-        let seal = read::<PAGE_BYTES>(&mut self.flash, staging)?;
-        let primary = FlashRegion::Bank(Bank::Primary).range().start;
-        program(&mut self.flash, primary, &seal)?;
-        self.end_update()?;
-        self.log(LogEvent::LoaderApproved, 0);
-        Ok(())
     }
 
     /// Ends an update. From now on bootloaders older than the new one are refused.
@@ -132,4 +130,32 @@ impl<F: NorFlash> Loader<'_, F> {
             ..*self.ground.store.get()
         })
     }
+}
+
+/// Approves a bootloader on trial, which a host or an application has shown to work. The backup
+/// seals it at the next start. U-4
+#[inline(never)]
+pub(crate) fn approve_bootloader(
+    flash: &mut impl NorFlash,
+    store: &mut EnvironmentStore,
+) -> Result<(), FlashFault> {
+    let mut environment = *store.get();
+    if environment.loader != LoaderUpdate::TrialExecuted {
+        return Ok(());
+    }
+    environment.loader = LoaderUpdate::Sealing;
+    store.write(flash, environment)?;
+    // Nothing depends on the log.
+    let _unlogged = append(flash, LogEvent::LoaderApproved, 0);
+    Ok(())
+}
+
+/// Approves the bootloader that started this application, if it is on trial. The application's desk
+/// calls it once the application works. Blocks while the flash is busy.
+///
+/// # Errors
+/// [`FlashFault`] if the flash cannot be read or written; try again.
+pub fn bootloader_works(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
+    let mut store = EnvironmentStore::load(flash).ok_or(FlashFault)?;
+    approve_bootloader(flash, &mut store)
 }

@@ -85,7 +85,7 @@ extern "C" fn tandem_size_boot() -> ! {
                     }
                 }
                 Next::Send(_) => {}
-                Next::Jump(_) | Next::StartPrimary | Next::Reset => break,
+                Next::Jump(_) | Next::StartBank(_) | Next::Reset => break,
             }
         }
     }

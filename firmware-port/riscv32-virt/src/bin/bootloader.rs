@@ -62,7 +62,7 @@ fn boot(board: &VirtBoard) -> tandem_boot::Launch {
     loop {
         match start(board, ProgramFlash, trust, bank, &keeper, security) {
             Leave::Jump(launch) => return launch,
-            Leave::StartPrimary => bank = Bank::Primary,
+            Leave::StartBank(other) => bank = other,
         }
     }
 }
