@@ -135,9 +135,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     /// Returns whether the other system runs an approved release of another version.
     fn peer_has_another(&self, now: Instant, version: u32) -> bool {
         self.peer.is_some_and(|(at, stage, its_version)| {
-            now.since(at) <= TRUE_FOR
-                && its_version != version
-                && stage == ReleaseStage::Approved
+            now.since(at) <= TRUE_FOR && its_version != version && stage == ReleaseStage::Approved
         })
     }
 
@@ -200,7 +198,9 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
 
     /// Returns whether who asks may do what changes this system.
     fn may_program(&self, now: Instant) -> bool {
-        let is_fresh = self.proved_at.is_some_and(|at| now.since(at) <= HOST_SILENCE);
+        let is_fresh = self
+            .proved_at
+            .is_some_and(|at| now.since(at) <= HOST_SILENCE);
         self.trust.testers.is_empty() || is_fresh
     }
 

@@ -47,8 +47,8 @@ pub use manifest::{
     SIGNED_BYTES,
 };
 pub use map::{
-    Bank, COUNTER_PAGES, FLASH_BYTES, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, SECTORS, SMALLEST_SECTOR,
-    Slot, offset_of, sector, sector_at,
+    Bank, COUNTER_PAGES, FLASH_BYTES, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, SECTORS,
+    SMALLEST_SECTOR, Slot, offset_of, sector, sector_at,
 };
 pub use one_time_words::OneTimeWords;
 pub use protocol::{
@@ -59,4 +59,4 @@ pub use srec::{Assembler, MAX_DATA, SRecord, SRecordError, SRecordType};
 pub use start::{BetweenSteps, Keeper, Leave, Security, first_service, next_service, start};
 pub use tester::{TESTER_MESSAGE_BYTES, tester_message};
 pub use three_frames::{FIRST_ID, three_frames};
-pub use trust::{Trust, TrustMode};
+pub use trust::{Trust, TrustMode, Verify, ed25519};

@@ -2,9 +2,8 @@
 
 mod own_update;
 
-pub use own_update::bootloader_works;
 use own_update::approve_bootloader;
-
+pub use own_update::bootloader_works;
 
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
@@ -298,9 +297,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// connected asks.
     #[inline(never)]
     fn answers(&self, system: Option<SystemId>) -> bool {
-        system.map_or(self.session.is_open(), |system| {
-            system == self.setup.system
-        })
+        system.map_or(self.session.is_open(), |system| system == self.setup.system)
     }
 
     /// Takes a part of a tester's signature.
@@ -641,6 +638,7 @@ pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trust::ed25519;
 
     /// T-BOOT-1: tests the whole table of the entry rule.
     #[test]
@@ -659,6 +657,7 @@ mod tests {
                     keys: &[],
                     testers: &[],
                     mode: TrustMode::Strict,
+                    verify: ed25519,
                 },
                 system: SystemId::A,
                 bank: Bank::Primary,

@@ -3,6 +3,9 @@
 use crate::manifest::{MANIFEST_BYTES, SIGNED_BYTES};
 use salty::{CompressedY, EdwardsPoint, Sha512};
 
+/// Returns whether a signature of a message verifies with a public key.
+pub type Verify = fn(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool;
+
 /// The treatment of an image that is not authentic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrustMode {
@@ -21,6 +24,8 @@ pub struct Trust<'k> {
     pub testers: &'k [[u8; 32]],
     /// The treatment of an image that is not authentic.
     pub mode: TrustMode,
+    /// Verifies a signature: [`ed25519`], or what the chip has for it.
+    pub verify: Verify,
 }
 
 /// The order of the group, little endian. A valid signature's scalar is below it (RFC 8032, 5.1.7).
@@ -39,16 +44,17 @@ impl Trust<'_> {
         let key = key.filter(|_| number >= lowest_key);
         let (message, signature) = manifest.split_at(SIGNED_BYTES);
         match (key, <&[u8; 64]>::try_from(signature)) {
-            (Some(key), Ok(signature)) => verify(key, message, signature),
+            (Some(key), Ok(signature)) => (self.verify)(key, message, signature),
             _ => false,
         }
     }
 }
 
-/// Verifies an Ed25519 signature (RFC 8032, 5.1.7) with the points and the hash of `salty`. The
+/// Verifies an Ed25519 signature (RFC 8032, 5.1.7) in software, with the points and the hash of `salty`. The
 /// verification of `salty` itself is 5.5 KiB larger and slower, and accepts a second form of each
 /// signature.
-pub(crate) fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
+#[must_use]
+pub fn ed25519(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     let (point, scalar) = signature.split_at(32);
     let Ok(public) = CompressedY(*key).decompressed() else {
         return false;
@@ -137,8 +143,8 @@ mod tests {
             "085ac1e43e15996e458f3613d0f11d8c387b2eaeb4302aeeb00d291612bb0c00"
         ));
         let (key, signature) = (key.try_into().unwrap(), signature.try_into().unwrap());
-        assert!(verify(&key, &[0x72], &signature));
-        assert!(!verify(&key, &[0x73], &signature));
+        assert!(ed25519(&key, &[0x72], &signature));
+        assert!(!ed25519(&key, &[0x73], &signature));
     }
 
     /// E-4: a changed bit is detected; another key, an unknown one and a retired one are refused.
@@ -153,6 +159,7 @@ mod tests {
                 keys,
                 testers,
                 mode,
+                verify: ed25519,
             };
             trust.is_authentic(bytes, lowest_key)
         };
@@ -182,7 +189,7 @@ mod tests {
                 signature[bit / 8] ^= 1 << (bit % 8);
             }
             let public = pair.public.to_bytes();
-            prop_assert_eq!(verify(&public, &message, &signature), changed.is_none());
+            prop_assert_eq!(ed25519(&public, &message, &signature), changed.is_none());
         }
 
         /// E-4: reduces numbers of up to 512 bits, including multiples of the order.
@@ -215,6 +222,6 @@ mod tests {
             public.verify(message, &form.into()).is_ok(),
             "salty takes it"
         );
-        assert!(!verify(&key, message, form));
+        assert!(!ed25519(&key, message, form));
     }
 }

@@ -14,7 +14,7 @@ use tandem_board_host::{CoreArgs, HostBoard, jump};
 use tandem_boot::{
     BODY_OFFSET, Bank, BetweenSteps, BootDesk, COUNTER_PAGES, EnvironmentStore, FlashRegion,
     ImageTarget, Leave, Manifest, OneTimeWords, SIGNED_BYTES, Security, Setup, Slot, Trust,
-    TrustMode, rom_choice, start,
+    TrustMode, ed25519, rom_choice, start,
 };
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 
@@ -41,11 +41,7 @@ impl ProgramFlashes {
     ///
     /// # Errors
     /// If a file cannot be read or created, or is not a flash.
-    pub fn of(
-        files: [PathBuf; 2],
-        key: &SigningKey,
-        tester: &SigningKey,
-    ) -> anyhow::Result<Self> {
+    pub fn of(files: [PathBuf; 2], key: &SigningKey, tester: &SigningKey) -> anyhow::Result<Self> {
         for file in files.iter().filter(|file| !file.exists()) {
             let image = application(CONTROLLER, Slot::A, 1, key);
             FlashFile::open(file)
@@ -200,6 +196,7 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlashes) -> anyhow
         keys: &[flash.public],
         testers: &flash.testers,
         mode: TrustMode::Strict,
+        verify: ed25519,
     };
     let keeper = BetweenSteps::new(&board);
     let counter = OneTimeWords::new(flash.open(board.identity().system)?, COUNTER_PAGES).value();
@@ -250,6 +247,7 @@ pub fn desk<'k>(
             keys: &[],
             testers,
             mode: TrustMode::Strict,
+            verify: ed25519,
         },
         system,
         bank: Bank::Primary,
@@ -259,5 +257,10 @@ pub fn desk<'k>(
         noise: noise()?,
     };
     let counter = OneTimeWords::new(flash.open(system)?, COUNTER_PAGES);
-    Ok(BootDesk::new(flash.open(system)?, counter, setup, board.now()))
+    Ok(BootDesk::new(
+        flash.open(system)?,
+        counter,
+        setup,
+        board.now(),
+    ))
 }

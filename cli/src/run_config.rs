@@ -13,9 +13,9 @@ use tandem_board_host::Alarm;
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
 
+use crate::args::CanKind;
 use crate::args::RunArgs;
 use crate::boot::ProgramFlashes;
-use crate::args::CanKind;
 use crate::can_udp::CanGroup;
 use crate::files::RunFiles;
 

@@ -16,5 +16,5 @@ const PERIOD: Duration = Duration::from_ms(20);
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     const { assert!(HostSupply::WINDOW_CLOSES_US as u64 * 1_000 > PERIOD.as_ns()) };
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
-    tandem_boot::three_frames(&board, PERIOD)
+    tandem_boot::three_frames(&board, PERIOD, &mut ())
 }

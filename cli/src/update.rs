@@ -157,8 +157,9 @@ impl Update {
     fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
             let peer = system.peer();
-            let works = self.told[peer.index()]
-                .is_some_and(|(stage, version)| version == self.release && stage > ReleaseStage::Trial);
+            let works = self.told[peer.index()].is_some_and(|(stage, version)| {
+                version == self.release && stage > ReleaseStage::Trial
+            });
             let is_ready = match (roles[system.index()], roles[peer.index()]) {
                 (RoleLamp::Standby, RoleLamp::Master | RoleLamp::DegradedMaster) => {
                     works || self.lines[peer.index()].is_some()
@@ -255,10 +256,7 @@ mod tests {
                 a(old) + &b(works) + refused + "\n" + &b(old),
                 vec![refused, "B runs release 1, approved"],
             ),
-            (
-                a(old) + &b(new),
-                vec!["A runs release 1, approved", mixed],
-            ),
+            (a(old) + &b(new), vec!["A runs release 1, approved", mixed]),
             (
                 String::new(),
                 vec!["A keeps its release", "B keeps its release"],

@@ -176,6 +176,10 @@ fn if_one_system_refuses_the_other_goes_back() {
     }
     for (system, release) in [("A", 5), ("B", 1)] {
         let flash = flash.join(format!("{system}.pflash"));
-        assert_eq!(boots(&flash), Some((Some(Slot::A), release, false)), "{system}");
+        assert_eq!(
+            boots(&flash),
+            Some((Some(Slot::A), release, false)),
+            "{system}"
+        );
     }
 }

@@ -26,9 +26,9 @@ pub mod trace;
 pub mod words;
 
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant};
-pub use tester_desk::Unguarded;
 use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
+pub use tester_desk::Unguarded;
 
 /// The work of one core, in steps that terminate.
 pub trait Core {

@@ -1,7 +1,8 @@
 //! Passes each image's linker script to the linker.
 
-/// Images that a bootloader starts from a slot, with their linker scripts.
-const IN_SLOTS: [(&str, &str); 3] = [
+/// Images in the program flash, with their linker scripts.
+const IN_SLOTS: [(&str, &str); 4] = [
+    ("bank-loader", "bank.x"),
     ("slot-controller", "slot-a.x"),
     ("slot-controller-b", "slot-b.x"),
     ("slot-frames", "slot-a.x"),
@@ -28,6 +29,7 @@ fn main() {
         "link-slot.x",
         "slot-a.x",
         "slot-b.x",
+        "bank.x",
         "src/start.S",
         "src/bin",
     ] {

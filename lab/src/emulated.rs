@@ -6,7 +6,10 @@ use std::time::Instant;
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::SystemId;
-use tandem_board_qemu::{BootFrom, EmulatedWorld, MachineOptions, PROGRAM_FLASH_AT, WorldLayout};
+use tandem_board_qemu::{
+    BootFrom, EmulatedWorld, LOADER_RAM_AT, MachineOptions, PROGRAM_FLASH_AT, WorldLayout,
+};
+use tandem_boot::{Bank, FlashRegion, ImageTarget};
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
 use tandem_vehicle::Scenario;
 
@@ -62,12 +65,32 @@ pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Resu
     Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
 }
 
+/// Signs a bootloader for the emulated board, as it is staged.
+///
+/// # Errors
+/// If the file is not an image for a bank.
+pub(crate) fn bootloader_of_elf(
+    elf: &[u8],
+    version: u32,
+    key: &SigningKey,
+) -> anyhow::Result<Image> {
+    let release = ReleaseInfo {
+        version,
+        ..ReleaseInfo::default()
+    };
+    let staging = FlashRegion::Target(ImageTarget::Staging).range().start;
+    Ok(Image::of_elf(elf, LOADER_RAM_AT - staging, release, key)?)
+}
+
 /// The images of the controller.
 pub(crate) enum Images {
     /// One image that starts without a bootloader.
     Alone(PathBuf),
     /// An image in the slot of each system, and the bootloader that starts it.
     Booting {
+        /// The boot ROM.
+        rom: PathBuf,
+        /// For the banks of the program flash.
         bootloader: PathBuf,
         /// By slot: the factory image, and the update.
         applications: [PathBuf; 2],
@@ -85,7 +108,8 @@ impl Images {
             return Ok(Self::Alone(image("controller", args.firmware.as_deref())?));
         }
         Ok(Self::Booting {
-            bootloader: image("bootloader", None)?,
+            rom: image("bootloader", None)?,
+            bootloader: image("bank-loader", None)?,
             applications: [
                 image("slot-controller", None)?,
                 image("slot-controller-b", None)?,
@@ -102,7 +126,7 @@ impl Images {
         files: &RunFiles,
         folder: &Path,
     ) -> anyhow::Result<(EmulatedWorld, Option<UpdateFiles>)> {
-        let (bootloader, [first, second]) = match self {
+        let (rom, bootloader, [first, second]) = match self {
             Self::Alone(image) => {
                 ensure!(
                     args.update.is_none(),
@@ -117,9 +141,10 @@ impl Images {
                 return Ok((world, None));
             }
             Self::Booting {
+                rom,
                 bootloader,
                 applications,
-            } => (bootloader, applications),
+            } => (rom, bootloader, applications),
         };
         let key = boot::new_key()?;
         let tester = files.tester();
@@ -130,6 +155,9 @@ impl Images {
             of_elf(&elf, release, &key)
         };
         let image = signed(first, 1)?;
+        let elf = std::fs::read(bootloader);
+        let elf = elf.with_context(|| bootloader.display().to_string())?;
+        let loader = bootloader_of_elf(&elf, 1, &key)?;
         let from = SystemId::ALL.map(|system| {
             let from = BootFrom {
                 flash: folder.join(format!("{system}.pflash")),
@@ -139,18 +167,28 @@ impl Images {
             (system, from)
         });
         for (_, from) in &from {
-            let flash = FlashFile::open(&from.flash)
-                .and_then(|flash| flash.load(image.place(), &image.bytes));
+            let flash = FlashFile::open(&from.flash).and_then(|flash| {
+                for bank in [Bank::Primary, Bank::Backup] {
+                    let place = FlashRegion::Bank(bank).range().start;
+                    flash.load(place, &loader.bytes)?;
+                }
+                flash.load(image.place(), &image.bytes)
+            });
             flash.with_context(|| from.flash.display().to_string())?;
         }
         let update = match args.update {
             Some(release) => {
                 let lines = records(boot::CONTROLLER, &[&signed(second, release)?]);
-                Some(UpdateFiles::write(files, [&lines, &lines], release, tester)?)
+                Some(UpdateFiles::write(
+                    files,
+                    [&lines, &lines],
+                    release,
+                    tester,
+                )?)
             }
             None => None,
         };
-        let world = EmulatedWorld::start_booting(bootloader, args.reintegrate, &from)?;
+        let world = EmulatedWorld::start_booting(rom, args.reintegrate, &from)?;
         Ok((world, update))
     }
 }

@@ -13,7 +13,7 @@ use tandem::failure::Failure;
 use tandem_board::{Duration, Instant, MonotonicCounter as _, ResetCause};
 use tandem_boot::{
     Bank, COUNTER_PAGES, Launch, Loader, Manifest, Next, OneTimeWords, Setup, Trust, TrustMode,
-    approve, rom_choice,
+    approve, ed25519, rom_choice,
 };
 use tandem_boot_host::{
     Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, records, send_file, serve,
@@ -123,6 +123,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             } else {
                 TrustMode::Strict
             },
+            verify: ed25519,
         },
         system: args.system,
         bank: bank(&mut flash),

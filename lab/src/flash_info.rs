@@ -99,8 +99,12 @@ fn as_text(info: &SystemInfo) -> String {
         },
     );
     for (region, version) in &info.places {
-        let version = version.map_or_else(|| "-".to_owned(), |version| format!("release {version}"));
-        line(place(*region), format!("{version:<16}{}", role(info, *region)));
+        let version =
+            version.map_or_else(|| "-".to_owned(), |version| format!("release {version}"));
+        line(
+            place(*region),
+            format!("{version:<16}{}", role(info, *region)),
+        );
     }
     let environment = &info.environment;
     let [application, configuration, bootloader] = environment.versions;
@@ -114,14 +118,23 @@ fn as_text(info: &SystemInfo) -> String {
     );
     line("on trial", trial(info).to_owned());
     line("bootloader's update", format!("{:?}", environment.loader));
-    line("starts that failed", info.starts.saturating_sub(1).to_string());
+    line(
+        "starts that failed",
+        info.starts.saturating_sub(1).to_string(),
+    );
     let refusal = last_refusal(info);
     line(
         "last refusal",
-        refusal.map_or_else(|| "none".to_owned(), |why| format!("{} ({why:?})", why as u32)),
+        refusal.map_or_else(
+            || "none".to_owned(),
+            |why| format!("{} ({why:?})", why as u32),
+        ),
     );
     for (index, event) in info.log.iter().enumerate() {
-        line(if index == 0 { "log, newest first" } else { "" }, entry(event));
+        line(
+            if index == 0 { "log, newest first" } else { "" },
+            entry(event),
+        );
     }
     text
 }
@@ -130,9 +143,10 @@ fn as_json(info: &SystemInfo) -> Value {
     let places = info.places.iter().map(|(region, version)| {
         json!({ "place": place(*region), "release": version, "role": role(info, *region) })
     });
-    let log = info.log.iter().map(|(event, value)| {
-        json!({ "event": format!("{event:?}"), "value": value })
-    });
+    let log = info
+        .log
+        .iter()
+        .map(|(event, value)| json!({ "event": format!("{event:?}"), "value": value }));
     let environment = &info.environment;
     let [application, configuration, bootloader] = environment.versions;
     json!({

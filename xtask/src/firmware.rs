@@ -8,6 +8,7 @@ use crate::{cargo, read_json, succeed, target_dir, write_json};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Subcommand, ValueEnum};
 use serde_json::{Value, json};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -165,8 +166,23 @@ fn build(root: &Path) -> Result<()> {
     for name in &names {
         arguments.extend(["--bin", name]);
     }
-    cargo_build(root, &arguments)
+    cargo_build(root, &arguments)?;
+    // The bootloader for a bank has 32 KiB, and its linker script refuses a larger one.
+    let small = [
+        "--profile",
+        "boot",
+        "--no-default-features",
+        "--bin",
+        BANK_LOADER,
+    ];
+    cargo_build(root, &small)?;
+    let built = build_dir(root).join(TARGET).join("boot").join(BANK_LOADER);
+    fs::copy(&built, released(root, BANK_LOADER)).with_context(|| built.display().to_string())?;
+    Ok(())
 }
+
+/// The image for a bank of the program flash.
+const BANK_LOADER: &str = "bank-loader";
 
 /// Builds images of the board.
 fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {

@@ -22,3 +22,14 @@ pub trait TesterDesk {
     /// Does what is due. `has_role`: this system is master or standby. Task context; may block.
     fn poll(&mut self, now: Instant, has_role: bool) -> Option<DeskAction>;
 }
+
+/// Answers nobody.
+impl TesterDesk for () {
+    fn hear(&mut self, _now: Instant, _frame: &CanFrame) -> Option<DeskAction> {
+        None
+    }
+
+    fn poll(&mut self, _now: Instant, _has_role: bool) -> Option<DeskAction> {
+        None
+    }
+}

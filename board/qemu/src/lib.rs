@@ -13,5 +13,7 @@ mod machine;
 mod world;
 
 pub use alone::run_to_end;
-pub use machine::{BootFrom, Machine, MachineError, MachineOptions, PROGRAM_FLASH_AT};
+pub use machine::{
+    BootFrom, LOADER_RAM_AT, Machine, MachineError, MachineOptions, PROGRAM_FLASH_AT,
+};
 pub use world::{EmulatedWorld, WorldLayout};

@@ -18,6 +18,8 @@ pub(crate) const QEMU: &str = "qemu-system-riscv32";
 const STRAPS_AT: u32 = 0x8090_0000;
 /// Address of the public key that the bootloader trusts.
 const KEY_AT: u32 = STRAPS_AT + 64;
+/// Start of the RAM that a bootloader from a bank runs from: its image is linked there.
+pub const LOADER_RAM_AT: u32 = 0x8048_0000;
 /// Start of the system's program flash.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
 /// A machine that sends no report for this long has hung. One step takes far less than a second.

@@ -139,6 +139,7 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
             keys: &keys,
             testers: &[],
             mode,
+            verify: ed25519,
         },
         system: SystemId::A,
         bank: Bank::Primary,

@@ -3,7 +3,8 @@
 use crate::{FileSender, SigningKey, SimulatedFlash, ToDo};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Bank, Launch, Loader, Next, Refusal, Setup, Slot, Trust, TrustMode, approve, rom_choice,
+    Bank, Launch, Loader, Next, Refusal, Setup, Slot, Trust, TrustMode, approve, ed25519,
+    rom_choice,
 };
 
 /// A private key for tests. Its public key is in no product.
@@ -186,6 +187,7 @@ impl Run {
                 keys: &life.keys,
                 testers: &life.testers,
                 mode,
+                verify: ed25519,
             },
             system: SystemId::A,
             bank,

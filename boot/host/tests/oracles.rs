@@ -11,7 +11,7 @@ use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::Command;
-use tandem_boot::{SIGNED_BYTES, Slot, Trust, TrustMode};
+use tandem_boot::{SIGNED_BYTES, Slot, Trust, TrustMode, ed25519};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Content, line, records};
 
@@ -307,6 +307,7 @@ fn openssl_signs_and_verifies_the_same() {
         keys: &keys,
         testers: &[],
         mode: TrustMode::Strict,
+        verify: ed25519,
     };
     let with = |message: &[u8]| -> [u8; 256] { [message, &theirs].concat().try_into().unwrap() };
     assert!(trust.is_authentic(&with(&image.bytes[..SIGNED_BYTES]), 0));

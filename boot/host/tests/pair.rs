@@ -181,7 +181,11 @@ impl World {
             };
             let environment = *EnvironmentStore::load(&mut flash).unwrap().get();
             let lowest = environment.versions[0];
-            (environment.active.application, lowest, environment.trial.is_some())
+            (
+                environment.active.application,
+                lowest,
+                environment.trial.is_some(),
+            )
         })
     }
 }
@@ -207,7 +211,10 @@ fn both_approve_a_release_that_works_on_both() {
     let mut world = World::new([controller(true), controller(true)], [None; 2]);
     world.run(1_300);
     let trial = Some((ReleaseStage::Trial, 2));
-    assert_eq!(world.told, [trial; 2], "not before the stated time in a role");
+    assert_eq!(
+        world.told, [trial; 2],
+        "not before the stated time in a role"
+    );
     world.run(1_700);
     assert_eq!(world.told, [Some((ReleaseStage::Approved, 2)); 2]);
     assert_eq!(world.boots(), [NEW; 2]);
@@ -259,7 +266,10 @@ fn same(cuts: [Option<(u64, Tear)>; 2], flashes: &[SimulatedFlash; 2]) -> bool {
     let mut world = World::new(flashes.clone(), cuts);
     world.run(15_000);
     let boots = world.boots();
-    assert!(boots == [OLD; 2] || boots == [NEW; 2], "{cuts:?}: {boots:?}");
+    assert!(
+        boots == [OLD; 2] || boots == [NEW; 2],
+        "{cuts:?}: {boots:?}"
+    );
     boots == [NEW; 2]
 }
 
@@ -277,7 +287,10 @@ fn no_cut_divides_the_pair() {
             }
         }
     }
-    assert!(new > 0 && new < points, "{new} of {points}: both ends occur");
+    assert!(
+        new > 0 && new < points,
+        "{new} of {points}: both ends occur"
+    );
 }
 
 /// The same if both systems lose their power, each at its own byte.

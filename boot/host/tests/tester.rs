@@ -125,13 +125,16 @@ impl Bench {
     }
 
     fn challenge(&mut self) -> Vec<u8> {
-        let parts =
-            (0..3).flat_map(
-                |part| match self.send(HostRequest::Challenge { system: None, key: 0, part }) {
-                    Some(Answer::Challenge { bytes, .. }) => bytes,
-                    other => panic!("{other:?}"),
-                },
-            );
+        let parts = (0..3).flat_map(|part| {
+            match self.send(HostRequest::Challenge {
+                system: None,
+                key: 0,
+                part,
+            }) {
+                Some(Answer::Challenge { bytes, .. }) => bytes,
+                other => panic!("{other:?}"),
+            }
+        });
         parts.collect()
     }
 
@@ -140,7 +143,11 @@ impl Bench {
         let mut answer = None;
         for (part, bytes) in (0..).zip(padded.as_chunks::<5>().0) {
             let bytes = *bytes;
-            answer = self.send(HostRequest::Proof { system: None, part, bytes });
+            answer = self.send(HostRequest::Proof {
+                system: None,
+                part,
+                bytes,
+            });
         }
         answer
     }
@@ -166,7 +173,11 @@ fn a_signature_is_good_once() {
     bench.connect();
     assert_ne!(bench.challenge(), first);
     assert_eq!(bench.prove(&signature), Some(Answer::Unproved));
-    let locked = bench.send(HostRequest::Challenge { system: None, key: 0, part: 0 });
+    let locked = bench.send(HostRequest::Challenge {
+        system: None,
+        key: 0,
+        part: 0,
+    });
     assert_eq!(locked, Some(Answer::Locked { seconds: 3 }));
     bench.now = bench.now + tandem_board::Duration::from_ms(2_000);
     assert_ne!(bench.challenge(), challenge, "a third one");

@@ -5,9 +5,7 @@ mod fixture;
 
 use fixture::{Images, configuration, factory, image, lives, loader, signed};
 use tandem_board::Instant;
-use tandem_boot::{
-    Bank, FlashRegion, HostRequest, ImageTarget, Loader, Refusal, Slot, rom_choice,
-};
+use tandem_boot::{Bank, FlashRegion, HostRequest, ImageTarget, Loader, Refusal, Slot, rom_choice};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
 use tandem_boot_host::{Content, Image, ReleaseInfo, records};
 
@@ -347,7 +345,11 @@ fn a_new_bootloader_must_have_worked() {
             assert_eq!(running(life.live(&mut flash).end), (Slot::A, 1));
         }
         let expected = if heard { new } else { loader(1) }.bytes;
-        assert_eq!(flash.firm(0, expected.len() as u32), Some(expected), "{heard}");
+        assert_eq!(
+            flash.firm(0, expected.len() as u32),
+            Some(expected),
+            "{heard}"
+        );
         assert_eq!(rom_choice(&mut flash), Some(Bank::Primary));
     }
 }

@@ -8,7 +8,7 @@ use core::panic::PanicInfo;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
-    Bank, FLASH_BYTES, Loader, Next, PAGE_BYTES, SMALLEST_SECTOR, Setup, Trust, TrustMode,
+    Bank, FLASH_BYTES, Loader, Next, PAGE_BYTES, SMALLEST_SECTOR, Setup, Trust, TrustMode, ed25519,
     rom_choice,
 };
 
@@ -65,6 +65,7 @@ extern "C" fn tandem_size_boot() -> ! {
             keys: &[key],
             testers: black_box(&[[0; 32]]),
             mode: black_box(TrustMode::Strict),
+            verify: ed25519,
         },
         system: black_box(SystemId::A),
         bank: rom_choice(&mut Unknown).unwrap_or(Bank::Primary),

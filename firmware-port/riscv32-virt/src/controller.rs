@@ -11,14 +11,12 @@
 //! Strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0 means none.
 
 use crate::board::VirtBoard;
-use crate::memory::{Strap, strap, tester_key};
-use crate::program_flash::ProgramFlash;
-use crate::{doorbell, heap, log, trap};
+use crate::memory::{Strap, strap};
+use crate::{boot_rom, doorbell, heap, log, trap};
 use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
-use tandem_board::{Board, CoreId, Supply};
-use tandem_boot::{Bank, BootDesk, COUNTER_PAGES, OneTimeWords, Setup, Trust, TrustMode};
+use tandem_board::{Board, CoreId};
 use tandem_cores::core0::{Core0, Core0Task};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -55,33 +53,8 @@ pub fn core_in_slot(board: &VirtBoard) {
     if board.identity().core != CoreId::PLANNING {
         return core(board);
     }
-    let tester = tester_key();
-    let setup = Setup {
-        trust: Trust {
-            keys: &[],
-            testers: tester.as_slice(),
-            mode: TrustMode::Strict,
-        },
-        system: board.identity().system,
-        bank: Bank::Primary,
-        cause: board.supply().reset_cause(),
-        starts: board.supply().starts(),
-        counter: 0,
-        noise: noise(board),
-    };
-    let counter = OneTimeWords::new(ProgramFlash, COUNTER_PAGES);
-    let desk = BootDesk::new(ProgramFlash, counter, setup, board.now());
+    let desk = boot_rom::desk(board);
     go(board, Core2::with_desk(board, desk))
-}
-
-/// Returns bytes that differ at each start. This machine has no random numbers: its clock alone can
-/// be foreseen.
-#[must_use]
-pub fn noise(board: &VirtBoard) -> [u8; 32] {
-    let mut noise = [0; 32];
-    noise[..8].copy_from_slice(&board.now().as_ns().to_le_bytes());
-    noise[8] = board.supply().starts();
-    noise
 }
 
 fn config() -> Config {

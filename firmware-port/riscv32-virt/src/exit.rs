@@ -26,15 +26,19 @@ pub const EXCEPTION: u16 = 102;
 
 #[panic_handler]
 fn on_panic(info: &PanicInfo<'_>) -> ! {
-    print_now(format_args!("hart {}: {info}", crate::hart::number()));
+    if cfg!(feature = "log") {
+        print_now(format_args!("hart {}: {info}", crate::hart::number()));
+    }
     exit(PANICKED)
 }
 
 #[unsafe(no_mangle)]
 extern "C" fn tandem_on_exception(cause: usize, at: usize, value: usize) -> ! {
     let hart = crate::hart::number();
-    print_now(format_args!(
-        "hart {hart}: exception {cause:#x} at {at:#x}, value {value:#x}"
-    ));
+    if cfg!(feature = "log") {
+        print_now(format_args!(
+            "hart {hart}: exception {cause:#x} at {at:#x}, value {value:#x}"
+        ));
+    }
     exit(EXCEPTION)
 }

@@ -9,6 +9,7 @@
 extern crate alloc;
 
 pub mod board;
+pub mod boot_rom;
 pub mod clint;
 pub mod controller;
 pub mod doorbell;

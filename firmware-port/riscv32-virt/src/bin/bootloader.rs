@@ -7,16 +7,11 @@
 #![no_main]
 #![deny(unsafe_code)]
 
-use tandem_board::{Board, CoreId, MonotonicCounter as _, Supply};
-use tandem_board_riscv32_virt::board::{ByTimer, VirtBoard, run};
-use tandem_board_riscv32_virt::controller::noise;
-use tandem_board_riscv32_virt::memory::{public_key, tester_key};
+use tandem_board::{Board, CoreId, Supply};
+use tandem_board_riscv32_virt::board::{VirtBoard, run};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
-use tandem_board_riscv32_virt::program_flash::{BEGIN, ProgramFlash};
-use tandem_board_riscv32_virt::{entry, log};
-use tandem_boot::{
-    Bank, COUNTER_PAGES, Leave, OneTimeWords, Security, Trust, TrustMode, rom_choice, start,
-};
+use tandem_board_riscv32_virt::{boot_rom, entry, log};
+use tandem_boot::Bank;
 
 entry!(main);
 
@@ -30,8 +25,10 @@ fn main(hart: usize) -> ! {
 /// Runs first on each core, in each of its incarnations.
 fn core(board: &VirtBoard) {
     if board.identity().core == CoreId::CONTROL {
+        boot_rom::start_from_flash(board);
         let begin = board.now();
-        let launch = boot(board);
+        // If the flash holds no bootloader, this program runs as the primary one.
+        let launch = boot_rom::bootloader(board, Some(Bank::Primary));
         log!(
             "{}: {:?}: slot {:?}, version {}, after {} us",
             board.identity().system,
@@ -40,29 +37,30 @@ fn core(board: &VirtBoard) {
             launch.version,
             board.now().since(begin).as_ns() / 1_000
         );
-        board.set_entries(launch.entries.map(|entry| Some(BEGIN + entry?)));
+        boot_rom::launch(board, &launch);
     }
     board.jump();
 }
 
-fn boot(board: &VirtBoard) -> tandem_boot::Launch {
-    let (keys, tester) = ([public_key()], tester_key());
-    let trust = Trust {
-        keys: &keys,
-        testers: tester.as_slice(),
-        mode: TrustMode::Strict,
+/// The service of the boot ROM that `boot_rom` calls from an image in the flash.
+///
+/// # Safety
+/// The arguments are valid for reads: a key of 32 bytes, a message, a signature of 64 bytes.
+#[allow(unsafe_code, reason = "the start-up code finds it by its name")]
+#[unsafe(no_mangle)]
+unsafe extern "C" fn tandem_rom_verify(
+    key: *const [u8; 32],
+    message: *const u8,
+    length: usize,
+    signature: *const [u8; 64],
+) -> bool {
+    // SAFETY: the caller's contract.
+    let (key, message, signature) = unsafe {
+        (
+            &*key,
+            core::slice::from_raw_parts(message, length),
+            &*signature,
+        )
     };
-    let security = Security {
-        noise: noise(board),
-        counter: OneTimeWords::new(ProgramFlash, COUNTER_PAGES).value(),
-    };
-    let keeper = ByTimer::new(board);
-    // If the flash holds no bootloader, this program runs as the primary one.
-    let mut bank = rom_choice(&mut ProgramFlash).unwrap_or(Bank::Primary);
-    loop {
-        match start(board, ProgramFlash, trust, bank, &keeper, security) {
-            Leave::Jump(launch) => return launch,
-            Leave::StartBank(other) => bank = other,
-        }
-    }
+    tandem_boot::ed25519(key, message, signature)
 }

@@ -3,9 +3,9 @@
 #![no_main]
 #![deny(unsafe_code)]
 
-use tandem_board::Duration;
+use tandem_board::{Board, CoreId, Duration};
 use tandem_board_riscv32_virt::board::{VirtBoard, run_in_slot};
-use tandem_board_riscv32_virt::entry;
+use tandem_board_riscv32_virt::{boot_rom, entry};
 
 entry!(main);
 
@@ -17,5 +17,9 @@ fn main(hart: usize) -> ! {
 }
 
 fn core(board: &VirtBoard) {
-    tandem_boot::three_frames(board, PERIOD)
+    if board.identity().core == CoreId::PLANNING {
+        let mut desk = boot_rom::desk(board);
+        tandem_boot::three_frames(board, PERIOD, &mut desk)
+    }
+    tandem_boot::three_frames(board, PERIOD, &mut ())
 }

@@ -71,6 +71,10 @@ pub(crate) struct SystemRegisters {
     pub(crate) released: AtomicU32,
     /// Start address of each core in the slot that booted; 0 for a core that does not start.
     pub(crate) entries: [AtomicU32; CoreId::COUNT],
+    /// The bank of the bootloader that the boot ROM has started, from 1 on; 0 for none.
+    pub(crate) bank: AtomicU32,
+    /// The bank to start after the next reset, likewise.
+    pub(crate) asked_bank: AtomicU32,
 }
 
 impl CoreRegisters {
