@@ -12,7 +12,7 @@ use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{
     FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at,
 };
-use crate::page::PageBuffer;
+use crate::page::{Page, PageBuffer};
 use crate::protocol::Refusal;
 use crate::srec::{SRecord, SRecordType};
 use crate::tester::Tester;
@@ -193,7 +193,12 @@ impl Download {
         match record.record_type {
             SRecordType::Header => Ok(false),
             SRecordType::Data => {
-                self.data(record, flash, ground)?;
+                self.data(record.address, record.data(), flash, ground)?;
+                self.count += 1;
+                Ok(false)
+            }
+            SRecordType::Copy => {
+                self.copy(record, flash, ground)?;
                 self.count += 1;
                 Ok(false)
             }
@@ -206,14 +211,33 @@ impl Download {
         }
     }
 
-    fn data(
+    /// Takes bytes from the flash, usually of the running application, instead of from the host.
+    fn copy(
         &mut self,
         record: &SRecord,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
     ) -> Result<(), Refusal> {
-        let mut at = offset_of(record.address).ok_or(Refusal::Address)?;
-        let mut data = record.data();
+        let (mut from, mut left) = record.copied();
+        let mut to = record.address;
+        while left > 0 {
+            let page: Page = read(flash, from).map_err(|FlashFault| Refusal::Flash)?;
+            let length = left.min(PAGE_BYTES as u32);
+            self.data(to, &page[..length as usize], flash, ground)?;
+            (from, to, left) = (from + length, to + length, left - length);
+        }
+        Ok(())
+    }
+
+    fn data(
+        &mut self,
+        address: u32,
+        mut data: &[u8],
+        flash: &mut impl NorFlash,
+        ground: &mut Ground<'_>,
+    ) -> Result<(), Refusal> {
+        let mut at = offset_of(address).ok_or(Refusal::Address)?;
+        let length = data.len() as u32;
         let end = at + data.len() as u32;
         while !data.is_empty() {
             let image = match &mut self.images[self.current] {
@@ -263,7 +287,7 @@ impl Download {
             at += now.len() as u32;
             data = rest;
         }
-        self.last = end - record.data().len() as u32..end;
+        self.last = end - length..end;
         Ok(())
     }
 

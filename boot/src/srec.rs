@@ -7,6 +7,9 @@ const MAX_LINE: usize = 2 + 2 * 256;
 /// The largest number of data bytes in a record: an S1 record of 255 bytes.
 pub const MAX_DATA: usize = 252;
 
+/// Data bytes of a copy record.
+const COPY_BYTES: usize = 6;
+
 /// The type of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SRecordType {
@@ -14,6 +17,9 @@ pub enum SRecordType {
     Header,
     /// S1, S2, S3: data at an address.
     Data,
+    /// S4, reserved in the format, is our own: copy bytes of the flash to an address. The data are
+    /// the offset of the bytes and their number, 4 and 2 bytes, the high byte first.
+    Copy,
     /// S5, S6: the address is the number of data records before it.
     Count,
     /// S7, S8, S9: the address is the entry; ends the file.
@@ -23,7 +29,7 @@ pub enum SRecordType {
 /// Why a line is not an S-record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SRecordError {
-    /// It does not begin with `S` and a digit from 0 to 3 or 5 to 9.
+    /// It does not begin with `S` and a digit.
     Type,
     /// The number of digits does not match its length field, or is too small for the address.
     Length,
@@ -61,6 +67,7 @@ impl SRecord {
             b'1' => (SRecordType::Data, 2),
             b'2' => (SRecordType::Data, 3),
             b'3' => (SRecordType::Data, 4),
+            b'4' => (SRecordType::Copy, 4),
             b'5' => (SRecordType::Count, 2),
             b'6' => (SRecordType::Count, 3),
             b'7' => (SRecordType::Entry, 4),
@@ -88,6 +95,9 @@ impl SRecord {
             return Err(SRecordError::Checksum);
         }
         let (address, data) = content.split_at(address_bytes);
+        if record_type == SRecordType::Copy && data.len() != COPY_BYTES {
+            return Err(SRecordError::Length);
+        }
         if !data.is_empty() && matches!(record_type, SRecordType::Count | SRecordType::Entry) {
             return Err(SRecordError::Length);
         }
@@ -102,6 +112,13 @@ impl SRecord {
         };
         record.bytes[..data.len()].copy_from_slice(data);
         Ok(record)
+    }
+
+    /// Returns what a copy record copies: the offset in the flash, and the number of bytes.
+    pub(crate) fn copied(&self) -> (u32, u32) {
+        let [a, b, c, d, high, low, ..] = self.bytes;
+        let length = u16::from_be_bytes([high, low]);
+        (u32::from_be_bytes([a, b, c, d]), length.into())
     }
 
     /// Returns the data; empty for a count and an entry.

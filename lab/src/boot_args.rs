@@ -14,6 +14,7 @@ Examples:
   tandem flash app.srec --key key.der --release 7      sign it and send it
   tandem flash app.srec --key key.der --release 7 --sign-only app.signed.srec
   tandem flash app.signed.srec --to B --resume         continue an interrupted transfer
+  tandem flash app.srec --key key.der --release 8 --from app7.srec    what differs alone
   tandem flash --info --to A                           what system A holds
   tandem bootloader --flash a.flash --public key.pub.der --requested
                                                        a bootloader to send it to
@@ -69,6 +70,11 @@ pub(crate) struct FlashArgs {
     /// board has a monotonic counter
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     pub(crate) security_counter: u8,
+
+    /// Send only the difference to this file, the application that the controller runs: S-records,
+    /// signed or not
+    #[arg(long, value_name = "FILE")]
+    pub(crate) from: Option<PathBuf>,
 
     /// Write the signed file instead of sending it
     #[arg(long, value_name = "FILE")]

@@ -13,10 +13,11 @@ use tandem::failure::Failure;
 use tandem_board::{Duration, Instant, MonotonicCounter as _, ResetCause};
 use tandem_boot::{
     Bank, COUNTER_PAGES, Launch, Loader, Manifest, Next, OneTimeWords, Setup, Trust, TrustMode,
-    approve, ed25519, rom_choice,
+    approve, ed25519, offset_of, rom_choice,
 };
 use tandem_boot_host::{
-    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, records, send_file, serve,
+    Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, delta, records, send_file,
+    serve,
 };
 
 /// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
@@ -41,6 +42,14 @@ pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
 fn lines(args: &FlashArgs, file: &Path) -> anyhow::Result<Vec<String>> {
     let name = file.display();
     let text = fs::read_to_string(file).with_context(|| name.to_string())?;
+    let as_it_is = || {
+        let lines = text.lines().filter(|line| !line.trim().is_empty());
+        lines.map(|line| format!("{}\r\n", line.trim())).collect()
+    };
+    if text.lines().any(|line| line.starts_with("S4")) {
+        // A difference, which is made after the signature.
+        return Ok(as_it_is());
+    }
     let content = Content::parse(&text).with_context(|| name.to_string())?;
     let begins_signed = |(_, bytes): &(u32, Vec<u8>)| {
         bytes
@@ -48,8 +57,11 @@ fn lines(args: &FlashArgs, file: &Path) -> anyhow::Result<Vec<String>> {
             .is_some_and(|page| Manifest::seal(page).is_some())
     };
     if content.runs.iter().any(begins_signed) {
-        let lines = text.lines().filter(|line| !line.trim().is_empty());
-        return Ok(lines.map(|line| format!("{}\r\n", line.trim())).collect());
+        let Some(old) = &args.from else {
+            return Ok(as_it_is());
+        };
+        let image = Image::of_signed(&content).with_context(|| name.to_string())?;
+        return difference(&name.to_string(), &image, old);
     }
     let Some(path) = &args.key else {
         bail!(
@@ -74,7 +86,20 @@ fn lines(args: &FlashArgs, file: &Path) -> anyhow::Result<Vec<String>> {
         false => Image::of(&content, release, &key),
     };
     let image = image.with_context(|| name.to_string())?;
-    Ok(records(&name.to_string(), &[&image]))
+    match &args.from {
+        Some(old) => difference(&name.to_string(), &image, old),
+        None => Ok(records(&name.to_string(), &[&image])),
+    }
+}
+
+/// Returns the records of an image as a difference to the application in a file.
+fn difference(name: &str, image: &Image, old: &Path) -> anyhow::Result<Vec<String>> {
+    let old_name = || old.display().to_string();
+    let text = fs::read_to_string(old).with_context(old_name)?;
+    let content = Content::parse(&text).with_context(old_name)?;
+    let (at, bytes) = content.runs.first().with_context(old_name)?;
+    let at = offset_of(*at).with_context(|| format!("{}: outside the flash", old_name()))?;
+    Ok(delta(name, image, bytes, at))
 }
 
 fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {

@@ -7,6 +7,7 @@
 
 mod bus_time;
 pub mod cuts;
+mod delta;
 mod file_sender;
 mod flash_file;
 mod info;
@@ -17,6 +18,7 @@ mod transfer;
 pub mod udp_bus;
 
 pub use bus_time::bits;
+pub use delta::delta;
 pub use file_sender::{ANSWER_WITHIN, CONNECT_EVERY, FileSender, ToDo};
 pub use flash_file::{FlashFile, FlashFileFault};
 pub use info::{Inquiry, SystemInfo, ask};

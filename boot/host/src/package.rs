@@ -61,6 +61,14 @@ pub enum PackageError {
         /// The number of data records.
         found: u32,
     },
+    /// The file is a difference to another one.
+    #[error(
+        "line {line} copies from the flash: sign the whole file, and make the difference after that"
+    )]
+    Copy {
+        /// The number of the line, from 1.
+        line: usize,
+    },
     /// Two records have data for the same address.
     #[error("address {address:#010X} has data twice")]
     Overlap {
@@ -114,6 +122,7 @@ impl Content {
             })?;
             match record.record_type {
                 SRecordType::Header => {}
+                SRecordType::Copy => return Err(PackageError::Copy { line: line_number }),
                 SRecordType::Data => {
                     found += 1;
                     runs.push((record.address, record.data().to_vec()));
@@ -284,6 +293,37 @@ impl Image {
         Self::of(content, ReleaseInfo { entries, ..release }, key)
     }
 
+    /// Returns the image in a signed file.
+    ///
+    /// # Errors
+    /// [`PackageError::Place`] if the file is not one image that begins with its manifest.
+    pub fn of_signed(content: &Content) -> Result<Self, PackageError> {
+        let (address, first) = content.runs.first().ok_or(PackageError::Empty)?;
+        let wrong = PackageError::Place { offset: *address };
+        let at = offset_of(*address);
+        let target = at.and_then(ImageTarget::at);
+        let manifest = first.first_chunk().map(Manifest::decode);
+        let (Some(at), Some(target), Some(Ok(manifest))) = (at, target, manifest) else {
+            return Err(wrong);
+        };
+        let mut bytes = Vec::new();
+        for (address, data) in &content.runs {
+            let offset =
+                offset_of(*address).filter(|offset| ImageTarget::at(*offset) == Some(target));
+            let offset = offset.ok_or(PackageError::Place { offset: *address })?;
+            bytes.resize((offset - at) as usize, 0xFF);
+            bytes.extend(data);
+        }
+        if bytes.len() != MANIFEST_BYTES + manifest.length as usize {
+            return Err(wrong);
+        }
+        Ok(Self {
+            target,
+            manifest,
+            bytes,
+        })
+    }
+
     /// Signs the bytes that an ELF file loads into a program flash at address `flash`. All cores
     /// begin at the file's entry.
     ///
@@ -317,7 +357,7 @@ impl Image {
     }
 
     /// Returns the bytes to send: the manifest and the parts, without the gaps between them.
-    fn runs(&self) -> impl Iterator<Item = (u32, &[u8])> {
+    pub(crate) fn runs(&self) -> impl Iterator<Item = (u32, &[u8])> {
         let manifest = (0, &self.bytes[..MANIFEST_BYTES]);
         let parts = self.manifest.parts().map(|part| {
             let (from, to) = (part.offset as usize, (part.offset + part.length) as usize);
