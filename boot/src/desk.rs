@@ -1,4 +1,4 @@
-//! The bootloader's desk beside a running application: it answers testers, and approves the release.
+//! The bootloader's desk beside an application: it answers testers, and approves the release.
 //!
 //! A paired release is approved by both systems or by none. Each one tells its stage on CAN:
 //!
@@ -13,9 +13,9 @@
 //! release, this one gives its release up. T-BOOT-1, U-3
 
 use crate::environment::{Environment, EnvironmentStore, Trial};
-use crate::flash_access::FlashFault;
+use crate::flash_access::{FlashFault, manifest_at};
 use crate::info;
-use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works, manifest_at};
+use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works};
 use crate::log::{LogEvent, append, wrong_testers};
 use crate::map::ImageTarget;
 use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};

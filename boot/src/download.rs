@@ -6,8 +6,7 @@
 //! the boot environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
-use crate::flash_access::{FlashFault, body_crc, erase, is_intact, program, read};
-use crate::loader::manifest_at;
+use crate::flash_access::{FlashFault, body_crc, erase, is_intact, manifest_at, program, read};
 use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
 use crate::map::{
     FlashRegion, ImageKind, ImageTarget, PAGE_BYTES, Slot, offset_of, sector, sector_at,

@@ -1,7 +1,7 @@
 //! Operations of the bootloader on any `NorFlash` with the TC297's geometry.
 
-use crate::manifest::{BODY_OFFSET, Manifest};
-use crate::map::{Bank, FlashRegion, PAGE_BYTES, sector_at};
+use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
+use crate::map::{Bank, FlashRegion, ImageTarget, PAGE_BYTES, sector_at};
 use crate::page::{Crc32, Page};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
@@ -91,6 +91,27 @@ pub(crate) fn is_intact(
         }
     }
     Ok(true)
+}
+
+/// Returns the manifest at the start of a place.
+#[inline(never)]
+pub(crate) fn manifest_at(flash: &mut impl NorFlash, target: ImageTarget) -> Option<Manifest> {
+    read_manifest(flash, target, &mut [0; MANIFEST_BYTES])
+}
+
+/// Reads the manifest at the start of a place.
+#[inline(never)]
+pub(crate) fn read_manifest(
+    flash: &mut impl NorFlash,
+    target: ImageTarget,
+    bytes: &mut [u8; MANIFEST_BYTES],
+) -> Option<Manifest> {
+    let range = FlashRegion::Target(target).range();
+    flash.read(range.start, bytes).ok()?;
+    let manifest = Manifest::decode(bytes.first_chunk::<SIGNED_BYTES>()?).ok()?;
+    let fits = range.start + BODY_OFFSET + manifest.length <= range.end;
+    let ours = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
+    (fits && ours).then_some(manifest)
 }
 
 /// Returns the CRC-32 of the `length` bytes after a manifest, as the boot ROM computes it.

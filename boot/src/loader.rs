@@ -7,10 +7,10 @@ pub use own_update::bootloader_works;
 
 use crate::download::Ground;
 use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
-use crate::flash_access::{FlashFault, body_crc, is_intact, read};
+use crate::flash_access::{FlashFault, body_crc, is_intact, manifest_at, read, read_manifest};
 use crate::info;
 use crate::log::{LogEvent, append, wrong_testers};
-use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
+use crate::manifest::{MANIFEST_BYTES, Manifest};
 use crate::map::{Bank, FlashRegion, ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, Refusal, TO_LOADER};
 use crate::session::Session;
@@ -48,7 +48,7 @@ pub struct Setup<'k> {
     /// Starts since power-on, or since one of them worked, this one included: see
     /// [`Supply::starts`](tandem_board::Supply::starts).
     pub starts: u8,
-    /// The value of the board's [`MonotonicCounter`](tandem_board::MonotonicCounter); 0 without one.
+    /// The value of the board's [`MonotonicCounter`](tandem_board::MonotonicCounter), or 0.
     pub counter: u32,
     /// Bytes that differ at each start: of a random number generator, if the board has one.
     pub noise: [u8; 32],
@@ -493,27 +493,6 @@ struct Image {
     version: u32,
     security_counter: u8,
     authentic: bool,
-}
-
-/// Returns the manifest at the start of a place.
-#[inline(never)]
-pub(crate) fn manifest_at(flash: &mut impl NorFlash, target: ImageTarget) -> Option<Manifest> {
-    read_manifest(flash, target, &mut [0; MANIFEST_BYTES])
-}
-
-/// Reads the manifest at the start of a place.
-#[inline(never)]
-fn read_manifest(
-    flash: &mut impl NorFlash,
-    target: ImageTarget,
-    bytes: &mut [u8; MANIFEST_BYTES],
-) -> Option<Manifest> {
-    let range = FlashRegion::Target(target).range();
-    flash.read(range.start, bytes).ok()?;
-    let manifest = Manifest::decode(bytes.first_chunk::<SIGNED_BYTES>()?).ok()?;
-    let fits = range.start + BODY_OFFSET + manifest.length <= range.end;
-    let ours = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
-    (fits && ours).then_some(manifest)
 }
 
 /// Returns the image in a place; `None` if it is missing or damaged. A key that was retired after

@@ -28,6 +28,11 @@ impl<F: NorFlash> OneTimeWords<F> {
         Self { flash, pages }
     }
 
+    /// Returns the flash.
+    pub fn into_flash(self) -> F {
+        self.flash
+    }
+
     /// Returns the offsets of the pages of a number from 1 on; `None` if it is too large.
     fn pages_of(&self, number: u32) -> Option<[u32; COPIES as usize]> {
         let first = number.checked_sub(1)?.checked_mul(NUMBER_BYTES)?;

@@ -14,13 +14,12 @@ impl Crc32 {
         Self(u32::MAX)
     }
 
-    ///
     #[inline(never)]
     pub(crate) fn update(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.0 ^= u32::from(*byte);
             for _ in 0..8 {
-                self.0 = self.0 >> 1 ^ 0xEDB8_8320 * (self.0 & 1);
+                self.0 = (self.0 >> 1) ^ (0xEDB8_8320 * (self.0 & 1));
             }
         }
     }

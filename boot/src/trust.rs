@@ -50,9 +50,9 @@ impl Trust<'_> {
     }
 }
 
-/// Verifies an Ed25519 signature (RFC 8032, 5.1.7) in software, with the points and the hash of `salty`. The
-/// verification of `salty` itself is 5.5 KiB larger and slower, and accepts a second form of each
-/// signature.
+/// Verifies an Ed25519 signature (RFC 8032, 5.1.7) in software, with the points and the hash of
+/// `salty`. The verification of `salty` itself is 5.5 KiB larger and slower, and accepts a second
+/// form of each signature.
 #[must_use]
 pub fn ed25519(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
     let (point, scalar) = signature.split_at(32);

@@ -133,8 +133,8 @@ pub struct RunArgs {
     #[arg(long, value_name = "RELEASE")]
     pub update: Option<u32>,
 
-    /// Open the bus to other programs: `udp` is the bus of python-can's udp_multicast. They hear each
-    /// frame, and what they send is on the bus; needs a route for multicast (docs/boot.md)
+    /// Open the bus to other programs: `udp` is the bus of python-can's udp_multicast. They hear
+    /// each frame, and what they send is on the bus; needs a route for multicast (docs/boot.md)
     #[arg(long, value_enum, value_name = "BUS")]
     pub can: Option<CanKind>,
 

@@ -34,8 +34,8 @@ impl CanUdp {
         Ok(Self(bus))
     }
 
-    /// Tells a frame of the bus to the other programs. A frame that cannot be sent is lost, as for a
-    /// listener that is not there.
+    /// Tells a frame of the bus to the other programs. A frame that cannot be sent is lost, as for
+    /// a listener that is not there.
     pub(crate) fn tell(&self, frame: &CanFrame) {
         let _lost = self.0.send(frame);
     }

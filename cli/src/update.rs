@@ -1,6 +1,6 @@
 //! The programming host of a vehicle. It updates both systems one after the other, each while the
-//! other system drives. Both approve the release, or none: if one does not take it, the host has the
-//! other one go back. U-3, U-5
+//! other system drives. Both approve the release, or none: if one does not take it, the host has
+//! the other one go back. U-3, U-5
 
 use std::fs::{self, File};
 use std::io::Write as _;

@@ -146,8 +146,8 @@ fn an_update_that_is_refused_fails_the_run() {
     }
 }
 
-/// U-3, U-5: if the second system refuses the update, the first one, which already runs it, gets its
-/// old release back. The run ends non-zero and names both releases.
+/// U-3, U-5: if the second system refuses the update, the first one, which already runs it, gets
+/// its old release back. The run ends non-zero and names both releases.
 #[test]
 fn if_one_system_refuses_the_other_goes_back() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,7 +2,6 @@
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
-use crate::tester_desk::DeskWords;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant, LmuWord};
 use tandem_shm::LINE_WORDS;
@@ -38,6 +37,8 @@ pub const CONTROL_STEP: Region<Newest<ControlStep>> = TRAJECTORY.then("control s
 
 /// Core 0 publishes the knowledge of another system; cores 1 and 2 read it when newly started.
 pub const KNOWLEDGE: Region<Newest<Knowledge>> = CONTROL_STEP.then("knowledge");
+/// A frame for the desk or a wish of the desk: what it is, and eight bytes.
+pub(crate) type DeskWords = [u32; 3];
 /// Core 0 passes frames to the desk on core 2.
 pub(crate) const TO_DESK: Region<Fifo<DeskWords, 16>> = KNOWLEDGE.then("to the desk");
 /// What the desk wants of core 0.

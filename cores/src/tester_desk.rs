@@ -3,7 +3,7 @@
 //! Core 0 has no time to check a signature, and core 2 has no CAN. Whoever dies or restarts between
 //! them loses frames, which a tester repeats.
 
-use crate::layout::{ControllerMap, FROM_DESK, TO_DESK};
+use crate::layout::{ControllerMap, DeskWords, FROM_DESK, TO_DESK};
 use tandem_board::{CanFrame, CanId, DeskAction, Instant, ResetRequest, SystemId, TesterDesk};
 use tandem_shm::fifo::{Consumer, Producer};
 
@@ -16,9 +16,6 @@ const CONNECT: u32 = 0x083E_572D;
 const RELEASES: CanId = CanId::Extended(0x0CFF_0128);
 /// The first byte of a frame of the protocol's extension.
 const EXTENSION: u8 = b'W';
-
-/// A frame or a wish: what it is, and eight bytes.
-pub(crate) type DeskWords = [u32; 3];
 
 /// What the first word says.
 const FOR_LOADER: u32 = 0;

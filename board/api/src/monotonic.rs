@@ -6,8 +6,8 @@ pub trait MonotonicCounter {
     /// Returns its value. Task context.
     fn value(&mut self) -> u32;
 
-    /// Raises it to `to` if it is lower. Task context; may block. If power is lost meanwhile, it has
-    /// any value up to `to`, and not less than before. Returns whether it is at least `to`.
+    /// Raises it to `to` if it is lower. Task context; may block. If power is lost meanwhile, it
+    /// has any value up to `to`, and not less than before. Returns whether it is at least `to`.
     fn raise(&mut self, to: u32) -> bool;
 }
 

@@ -15,7 +15,7 @@ use std::thread;
 use tandem_board::{Instant, ResetCause, SystemId};
 use tandem_boot::{
     Answer, Bank, FlashRegion, HostRequest, ImageTarget, Loader, Manifest, Next, Setup, Slot,
-    Trust, TrustMode,
+    Trust, TrustMode, ed25519,
 };
 use tandem_boot_host::life::{Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash, line, records};

@@ -56,6 +56,8 @@ pub struct Life<'a> {
     pub keys: Vec<[u8; 32]>,
     /// Public keys of testers; if there are any, the host must prove that it has one of them.
     pub testers: Vec<[u8; 32]>,
+    /// The board's monotonic counter.
+    pub counter: u32,
     /// The key with which the host proves itself.
     pub tester: Option<SigningKey>,
 }
@@ -193,7 +195,7 @@ impl Run {
             bank,
             cause,
             starts: self.starts,
-            counter: 0,
+            counter: life.counter,
             noise: std::array::from_fn(|at| self.starts ^ at as u8),
         };
         let file = life

@@ -120,13 +120,13 @@ impl UdpBus {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(error),
             };
-            if let Some(frame) = self.from_another(&bytes[..length], from) {
+            if let Some(frame) = self.decode_foreign(&bytes[..length], from) {
                 return Ok(Some(frame));
             }
         }
     }
 
-    /// Makes [`UdpBus::poll`] and all sending return at once. [`UdpBus::receive`] does not work then.
+    /// Makes [`UdpBus::poll`] and all sending return at once. Do not call [`UdpBus::receive`] then.
     ///
     /// # Errors
     /// An error of the operating system.
@@ -148,14 +148,14 @@ impl UdpBus {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(error),
             };
-            if let Some(frame) = self.from_another(&bytes[..length], from) {
+            if let Some(frame) = self.decode_foreign(&bytes[..length], from) {
                 return Ok(Some(frame));
             }
         }
     }
 
     /// Decodes a datagram; `None` for this end's own.
-    fn from_another(&self, bytes: &[u8], from: SocketAddr) -> Option<CanFrame> {
+    fn decode_foreign(&self, bytes: &[u8], from: SocketAddr) -> Option<CanFrame> {
         let is_own = self.own.as_ref().is_ok_and(|own| *own == from);
         if is_own { None } else { decode(bytes) }
     }

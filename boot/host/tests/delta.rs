@@ -46,7 +46,7 @@ fn text_bytes(lines: &[String]) -> usize {
     lines.iter().map(String::len).sum()
 }
 
-/// U-5: the difference is a fraction of the file, and gives the same image, with and without a window.
+/// U-5: the difference is a fraction of the file, and gives the same image, with each window.
 #[test]
 fn a_difference_gives_the_whole_image() {
     let [old, new] = releases();

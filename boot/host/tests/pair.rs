@@ -108,7 +108,7 @@ impl World {
     }
 
     fn step(&mut self) {
-        self.now = self.now + STEP;
+        self.now += STEP;
         let mut frames: Vec<(SystemId, CanFrame)> = Vec::new();
         for system in SystemId::ALL {
             let power = self.systems[system.index()].take().unwrap();

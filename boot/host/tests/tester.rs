@@ -179,7 +179,7 @@ fn a_signature_is_good_once() {
         part: 0,
     });
     assert_eq!(locked, Some(Answer::Locked { seconds: 3 }));
-    bench.now = bench.now + tandem_board::Duration::from_ms(2_000);
+    bench.now += tandem_board::Duration::from_ms(2_000);
     assert_ne!(bench.challenge(), challenge, "a third one");
     assert_ne!(Bench::new(known(), 77).loader_challenge(), first);
 }
@@ -272,7 +272,7 @@ fn nobody_holds_the_loader_after_a_refusal() {
         assert_eq!(refused, Some(Answer::Refused(Refusal::Tester)));
         let mut boots = false;
         for _ in 0..20 {
-            bench.now = bench.now + tandem_board::Duration::from_ms(5);
+            bench.now += tandem_board::Duration::from_ms(5);
             bench.send(request);
             boots |= !matches!(bench.loader.next(bench.now), Next::Wait(_) | Next::Send(_));
         }

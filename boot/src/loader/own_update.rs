@@ -1,8 +1,8 @@
 //! The update of the bootloader itself, through its backup bank. U-4
 
-use super::{Loader, Next, manifest_at, raise, read_manifest};
+use super::{Loader, Next, raise};
 use crate::environment::{Environment, EnvironmentStore, LoaderUpdate};
-use crate::flash_access::{FlashFault, copy_to_bank, read};
+use crate::flash_access::{FlashFault, copy_to_bank, manifest_at, read, read_manifest};
 use crate::log::{LogEvent, append};
 use crate::manifest::{BODY_OFFSET, MANIFEST_BYTES, Manifest};
 use crate::map::{Bank, FlashRegion, ImageKind, ImageTarget, PAGE_BYTES};

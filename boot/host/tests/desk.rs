@@ -1,0 +1,286 @@
+//! The desk beside a running application: whoever has no key changes nothing and takes nobody out.
+#![allow(clippy::unwrap_used)]
+
+mod fixture;
+
+use fixture::{Images, factory, image};
+use tandem_board::{
+    CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
+};
+use tandem_boot::{
+    Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, Question, Refusal,
+    ReleaseStage, Slot, tester_message,
+};
+use tandem_boot_host::life::{Life, TEST_KEY, TEST_KEY_1};
+use tandem_boot_host::{FileSender, Inquiry, SigningKey, SimulatedFlash, ToDo, records};
+
+const TESTER: SigningKey = SigningKey {
+    number: 0,
+    ..TEST_KEY_1
+};
+
+struct Bench {
+    desk: BootDesk<'static, SimulatedFlash, NoCounter>,
+    now: Instant,
+}
+
+impl Bench {
+    fn new(flash: SimulatedFlash) -> Self {
+        let mut setup = fixture::setup(&[]);
+        setup.trust.testers = Box::leak(Box::new([TESTER.public()]));
+        let now = Instant::ORIGIN;
+        let desk = BootDesk::new(flash, NoCounter, setup, now);
+        Self { desk, now }
+    }
+
+    fn hear(&mut self, request: HostRequest<'_>) -> Option<DeskAction> {
+        self.now += Duration::from_ms(1);
+        self.desk.hear(self.now, &request.frame().unwrap())
+    }
+
+    fn answer(&mut self, request: HostRequest<'_>) -> Option<Answer> {
+        match self.hear(request)? {
+            DeskAction::Send(frame) => Answer::decode(frame.data()),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Answers a challenge with a key. Returns the judgement.
+    fn prove(&mut self, key: &SigningKey) -> Option<Answer> {
+        let mut challenge = Vec::new();
+        for part in 0..3 {
+            let request = HostRequest::Challenge {
+                system: A,
+                key: key.number,
+                part,
+            };
+            match self.answer(request)? {
+                Answer::Challenge { bytes, .. } => challenge.extend(bytes),
+                other => return Some(other),
+            }
+        }
+        let message = tester_message(SystemId::A, key.number, &challenge.try_into().unwrap());
+        let signature = [&key.sign(&message)[..], &[0]].concat();
+        let mut answer = None;
+        for (part, piece) in (0..).zip(signature.chunks(5)) {
+            answer = self.answer(HostRequest::Proof {
+                system: A,
+                part,
+                bytes: piece.try_into().unwrap(),
+            });
+        }
+        answer
+    }
+
+    fn wait(&mut self, ms: u64) {
+        self.now += Duration::from_ms(ms);
+    }
+}
+
+const A: Option<SystemId> = Some(SystemId::A);
+const CONNECT: HostRequest<'_> = HostRequest::Connect {
+    system: A,
+    resume: false,
+};
+const ROLL_BACK: HostRequest<'_> = HostRequest::RollBack { system: A };
+const LEAVE: Option<DeskAction> = Some(DeskAction::Leave(ResetRequest::Download));
+
+/// T-BOOT-1, E-4: without a proof no frame takes the standby out; with one it leaves, for as long
+/// as the proof holds.
+#[test]
+fn only_a_tester_takes_a_system_out() {
+    let mut bench = Bench::new(factory());
+    let refused = Some(Answer::Refused(Refusal::Tester));
+    for request in [CONNECT, ROLL_BACK] {
+        assert_eq!(bench.answer(request), refused);
+    }
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
+    assert_eq!(bench.hear(CONNECT), LEAVE);
+    bench.wait(9_900);
+    assert_eq!(bench.hear(CONNECT), LEAVE);
+    bench.wait(200);
+    assert_eq!(bench.answer(CONNECT), refused, "the proof holds for 10 s");
+}
+
+/// E-4: a wrong key takes nobody out, and locks the desk, also that of the next start.
+#[test]
+fn a_wrong_key_locks_the_desk() {
+    let wrong = SigningKey {
+        number: 0,
+        ..TEST_KEY
+    };
+    let mut bench = Bench::new(factory());
+    assert_eq!(bench.prove(&wrong), Some(Answer::Unproved));
+    assert!(matches!(bench.prove(&TESTER), Some(Answer::Locked { .. })));
+    let (flash, NoCounter) = bench.desk.into_parts();
+    let mut bench = Bench::new(flash);
+    assert!(matches!(bench.prove(&TESTER), Some(Answer::Locked { .. })));
+    bench.wait(3_000);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
+    assert_eq!(bench.hear(CONNECT), LEAVE);
+}
+
+/// T-BOOT-1: the desk ignores what is for another system, for a bootloader, or a download's data.
+/// It writes nothing for anybody.
+#[test]
+fn what_names_another_system_is_ignored() {
+    let mut bench = Bench::new(factory());
+    let before = bench.desk.flash().work();
+    for system in [None, Some(SystemId::B)] {
+        for request in [
+            HostRequest::Connect {
+                system,
+                resume: false,
+            },
+            HostRequest::RollBack { system },
+            HostRequest::Info {
+                system,
+                question: 0,
+            },
+            HostRequest::Challenge {
+                system,
+                key: 0,
+                part: 0,
+            },
+            HostRequest::Proof {
+                system,
+                part: 0,
+                bytes: [0; 5],
+            },
+            HostRequest::Offer { records: 4 },
+            HostRequest::GoBack { record: 0 },
+            HostRequest::Data(b"S1130000"),
+        ] {
+            assert_eq!(bench.hear(request), None, "{request:?}");
+        }
+    }
+    assert_eq!(bench.desk.flash().work(), before);
+}
+
+/// U-2: everybody may ask. The answers are those of the flash.
+#[test]
+fn the_desk_answers_questions() {
+    let mut bench = Bench::new(Images::updated().flash);
+    let place = FlashRegion::Target(ImageTarget::Application(Slot::B));
+    let request = HostRequest::Info {
+        system: A,
+        question: Question::Place(place).code().unwrap(),
+    };
+    let answer = bench.answer(request);
+    assert!(matches!(
+        answer,
+        Some(Answer::Info {
+            detail: 1,
+            value: 2,
+            ..
+        })
+    ));
+    for code in [0x10 + 7, 0x30, 0xFF] {
+        let request = HostRequest::Info {
+            system: A,
+            question: code,
+        };
+        assert_eq!(bench.answer(request), None, "{code:#x}");
+    }
+    let mut inquiry = Inquiry::new(SystemId::A);
+    let info = loop {
+        bench.wait(1);
+        match inquiry.next(bench.now) {
+            ToDo::Send(frame) => {
+                if let Some(DeskAction::Send(answer)) = bench.desk.hear(bench.now, &frame) {
+                    inquiry.on_frame(bench.now, &answer);
+                }
+            }
+            ToDo::Wait(_) => {
+                if let Some(DeskAction::Send(told)) = bench.desk.poll(bench.now, true) {
+                    inquiry.on_frame(bench.now, &told);
+                }
+            }
+            _ => break inquiry.info().unwrap(),
+        }
+    };
+    assert_eq!(info.running, Some((ReleaseStage::Approved, 2)));
+    assert_eq!(info.environment.active.application, Some(Slot::B));
+    assert_eq!(info.environment.versions, [2, 1, 0]);
+    let versions: Vec<_> = info.places.iter().map(|(_, version)| *version).collect();
+    let expected = [Some(1), Some(2), Some(1), None, None, Some(1), Some(1)];
+    assert_eq!(versions, expected);
+}
+
+/// T-BOOT-1: the host's sender proves itself to the application, and then to the bootloader.
+#[test]
+fn a_sender_goes_from_the_application_to_its_bootloader() {
+    let mut bench = Bench::new(factory());
+    let lines = records("new", &[&image(Slot::B, 2, 40)]);
+    let mut sender = FileSender::new(lines, A, 8).proving(SystemId::A, TESTER);
+    let mut leaves = false;
+    while !leaves {
+        bench.wait(1);
+        if let ToDo::Send(frame) = sender.next(bench.now) {
+            match bench.desk.hear(bench.now, &frame) {
+                Some(DeskAction::Send(answer)) => sender.on_frame(bench.now, &answer),
+                action => leaves = action == LEAVE,
+            }
+        }
+    }
+    // A sender without a key ends with the refusal.
+    let mut sender = FileSender::new(Vec::new(), A, 8);
+    let refused = Answer::Refused(Refusal::Tester).frame().unwrap();
+    let ToDo::Send(_) = sender.next(bench.now) else {
+        panic!("it connects");
+    };
+    sender.on_frame(bench.now, &refused);
+    assert_eq!(sender.next(bench.now), ToDo::Refused(Refusal::Tester));
+}
+
+/// U-3: a tester has a release on trial given up: the next start boots the old one. There is
+/// nothing to give up when it is approved.
+#[test]
+fn a_release_on_trial_is_given_up() {
+    let mut flash = factory();
+    let lines = records("new", &[&image(Slot::B, 2, 40)]);
+    let life = Life {
+        approves: false,
+        ..Life::with_file(&lines, 0)
+    };
+    assert!(life.live(&mut flash).downloaded);
+    let mut bench = Bench::new(flash);
+    let told = |action: Option<DeskAction>| match action {
+        Some(DeskAction::Send(frame)) => Answer::decode(frame.data()),
+        _ => None,
+    };
+    let release = Some(Answer::Release {
+        system: SystemId::A,
+        stage: ReleaseStage::Trial,
+        version: 2,
+    });
+    assert_eq!(told(bench.desk.poll(bench.now, true)), release);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
+    let leave = DeskAction::Leave(ResetRequest::Software);
+    assert_eq!(bench.hear(ROLL_BACK), Some(leave));
+    bench.wait(200);
+    assert_eq!(
+        bench.desk.poll(bench.now, true),
+        Some(leave),
+        "until it left"
+    );
+    let (mut flash, NoCounter) = bench.desk.into_parts();
+    fixture::lives(&mut flash, 1);
+    let environment = *EnvironmentStore::load(&mut flash).unwrap().get();
+    assert_eq!(environment.active.application, Some(Slot::A));
+
+    let mut bench = Bench::new(flash);
+    let _reads = bench.desk.poll(bench.now, true);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
+    assert_eq!(bench.hear(ROLL_BACK), None, "it is approved");
+}
+
+/// A frame of the other system that is forged or too short changes nothing.
+#[test]
+fn strange_release_frames_are_ignored() {
+    let mut bench = Bench::new(factory());
+    for data in [&[0x57, 0x86, 2, 9, 1, 0, 0, 0][..], &[0x57, 0x86], &[]] {
+        let frame = CanFrame::new(tandem_boot::RELEASES, false, data).unwrap();
+        assert_eq!(bench.desk.hear(bench.now, &frame), None);
+    }
+}
