@@ -64,6 +64,8 @@ pub struct BootDesk<'k, F, C> {
     told: Option<Instant>,
     /// The release is given up as soon as the vehicle does not need this system.
     gives_up: bool,
+    /// The last poll asked core 0 to leave for that.
+    asked: bool,
 }
 
 impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
@@ -89,6 +91,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             peer: None,
             told: None,
             gives_up: false,
+            asked: false,
         }
     }
 
@@ -294,10 +297,12 @@ impl<F: NorFlash, C: MonotonicCounter> TesterDesk for BootDesk<'_, F, C> {
         }
         self.told = Some(now);
         let _again = self.advance(now, has_proved);
-        if self.gives_up {
+        let release = self.release?;
+        // A master first hands over. Until it leaves it tells what it still runs.
+        self.asked = self.gives_up && !self.asked;
+        if self.asked {
             return Some(DeskAction::Leave(ResetRequest::Software));
         }
-        let release = self.release?;
         let told = Answer::Release {
             system: self.system,
             stage: release.stage,

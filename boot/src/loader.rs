@@ -255,7 +255,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         }
         let answer = match request {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
-                self.ground.tester.leave();
+                // A connection that goes on keeps its proof.
+                if !(resume && self.session.is_open()) {
+                    self.ground.tester.leave();
+                }
                 self.session.connect(now, resume)
             }
             // A request to another system, or to an application.

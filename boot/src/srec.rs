@@ -245,15 +245,25 @@ mod tests {
                 .fold(0, |sum, byte| sum << 8 | u32::from(*byte));
             assert_eq!(record.address, expected);
         }
-        for other in [
-            "",
-            "S",
-            "S4030000FC",
-            "s1030000FC",
-            "X1030000FC",
-            ":00000001FF",
-        ] {
+        for other in ["", "S", "s1030000FC", "X1030000FC", ":00000001FF"] {
             assert_eq!(SRecord::parse(other.as_bytes()), Err(SRecordError::Type));
+        }
+    }
+
+    /// U-5: a copy record has a source and a length, high byte first, and nothing else.
+    #[test]
+    fn a_copy_names_its_source_and_its_length() {
+        let data = [0x00, 0x04, 0x01, 0x00, 0x10, 0x02];
+        let to = [0x00, 0x10, 0x01, 0x00];
+        let record = SRecord::parse(line(4, &to, &data).as_bytes()).unwrap();
+        assert_eq!(record.record_type, SRecordType::Copy);
+        assert_eq!(
+            (record.address, record.copied()),
+            (0x10_0100, (0x4_0100, 0x1002))
+        );
+        for wrong in [&data[..5], &[0; 7], &[]] {
+            let refused = SRecord::parse(line(4, &to, wrong).as_bytes());
+            assert_eq!(refused, Err(SRecordError::Length));
         }
     }
 

@@ -183,3 +183,65 @@ fn if_one_system_refuses_the_other_goes_back() {
         );
     }
 }
+
+/// U-2, U-3, T-BOOT-1: a foreign tester, written from `docs/boot.md` alone, updates both systems of
+/// a driving vehicle over python-can; one with a wrong key changes nothing.
+#[test]
+fn a_foreign_tester_updates_a_driving_vehicle() {
+    let needed = [
+        "unshare -rn true",
+        "ip -V",
+        "openssl version",
+        "objcopy --version",
+        "python3 -c 'import can, msgpack'",
+    ];
+    for tool in needed {
+        let output = Command::new("sh").args(["-c", tool]).output();
+        if !output.is_ok_and(|output| output.status.success()) {
+            eprintln!("a_foreign_tester_updates_a_driving_vehicle: skipped: no `{tool}`");
+            return;
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let script = r#"
+        set -e
+        ip link set lo up multicast on
+        ip route add 224.0.0.0/4 dev lo
+        "$TANDEM" run --can udp --reintegrate --program-flash flash --scenario free-lane \
+            --duration 40 --out report > run.txt 2>&1 &
+        until test -s flash/tester.der; do sleep 0.1; done
+        sleep 4
+        openssl genpkey -algorithm ed25519 -outform DER -out other.der
+        update() { timeout 90 python3 "$CLIENT" --key flash/key.der "$@" 2>&1; }
+        update --release 2 --tester-key other.der || echo "status $?"
+        update --release 2 --tester-key flash/tester.der
+        wait
+        cat run.txt
+    "#;
+    let client = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../boot/host/examples/update_a_vehicle.py"
+    );
+    let output = Command::new("unshare")
+        .args(["-rn", "bash", "-c", script])
+        .env("TANDEM", env!("CARGO_BIN_EXE_tandem"))
+        .env("CLIENT", client)
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}{errors}");
+    for line in [
+        "does not accept this tester's key",
+        "status 1",
+        "system A runs release 2, approved",
+        "system B runs release 2, approved",
+    ] {
+        assert!(said.contains(line), "{line}: {said}{errors}");
+    }
+    for system in ["A", "B"] {
+        let flash = folder.path().join(format!("flash/{system}.pflash"));
+        assert_eq!(boots(&flash), Some((Some(Slot::B), 2, false)), "{system}");
+    }
+}

@@ -134,11 +134,12 @@ fn waited_ms(at_ms: f64, header: &str) -> f64 {
 fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
     let frames: Vec<(f64, u16, &str)> = candump
         .lines()
-        .map(|line| {
+        .filter_map(|line| {
             let (time, frame) = line.split_once(") can0 ").unwrap();
-            let (id, data) = frame.split_once("##1").unwrap();
+            // The applications tell their releases in classic frames.
+            let (id, data) = frame.split_once("##1")?;
             let seconds: f64 = time[1..].parse().unwrap();
-            (seconds * 1e3, u16::from_str_radix(id, 16).unwrap(), data)
+            Some((seconds * 1e3, u16::from_str_radix(id, 16).unwrap(), data))
         })
         .collect();
     let obeyed = |e: &&Moment| e.name.ends_with(" obeyed");

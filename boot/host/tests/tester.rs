@@ -256,6 +256,32 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
     assert_eq!(bench.line(&lines[4]), Some(Answer::Refused(Refusal::Gap)));
 }
 
+/// T-BOOT-3: a tester whose frames were lost for seconds goes on: to resume the connection keeps
+/// the proof and the records. To connect anew ends both, and the loader does not wait for another.
+#[test]
+fn a_connection_that_is_resumed_keeps_its_proof() {
+    let mut bench = Bench::new(known(), 3);
+    bench.connect();
+    let challenge = bench.challenge();
+    let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
+    assert_eq!(bench.prove(&TESTER.sign(&message)), Some(Answer::Proved));
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    assert_eq!(bench.line(&lines[0]), Some(Answer::Accepted { records: 0 }));
+    bench.now += tandem_board::Duration::from_ms(4_000);
+    let connect = |resume| HostRequest::Connect {
+        system: None,
+        resume,
+    };
+    assert_eq!(bench.send(connect(true)), Some(Answer::Connected));
+    assert_eq!(bench.line(&lines[1]), Some(Answer::Accepted { records: 0 }));
+    assert_eq!(bench.send(connect(false)), Some(Answer::Connected));
+    let next = bench.loader.next(bench.now);
+    assert!(
+        !matches!(next, Next::Wait(_) | Next::Send(_)),
+        "it boots: {next:?}"
+    );
+}
+
 /// T-BOOT-1: after a refusal nobody holds the loader, however often it sends whatever.
 #[test]
 fn nobody_holds_the_loader_after_a_refusal() {
