@@ -131,7 +131,7 @@ fn an_update_that_is_refused_fails_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let output = tandem()
         .args(["run", "--scenario", "free-lane", "--reintegrate"])
-        .args(["--duration", "12", "--update", "0", "--program-flash"])
+        .args(["--duration", "8", "--update", "0", "--program-flash"])
         .arg(folder.path().join("flash"))
         .arg("--out")
         .arg(folder.path().join("report"))
@@ -159,7 +159,7 @@ fn if_one_system_refuses_the_other_goes_back() {
     a.load(newer.place(), &newer.bytes).unwrap();
     let output = tandem()
         .args(["run", "--scenario", "free-lane", "--reintegrate"])
-        .args(["--duration", "25", "--update", "3", "--program-flash"])
+        .args(["--duration", "23", "--update", "3", "--program-flash"])
         .arg(&flash)
         .arg("--out")
         .arg(folder.path().join("report"))
@@ -208,7 +208,7 @@ fn a_foreign_tester_updates_a_driving_vehicle() {
         ip link set lo up multicast on
         ip route add 224.0.0.0/4 dev lo
         "$TANDEM" run --can udp --reintegrate --program-flash flash --scenario free-lane \
-            --duration 40 --out report > run.txt 2>&1 &
+            --duration 30 --out report > run.txt 2>&1 &
         until test -s flash/tester.der; do sleep 0.1; done
         sleep 4
         openssl genpkey -algorithm ed25519 -outform DER -out other.der

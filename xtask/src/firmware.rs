@@ -235,7 +235,8 @@ fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
     // The whole workspace, as in all other tests: with one package cargo would rebuild much more.
     let mut command = cargo(root, &["test", "--workspace"]);
-    for file in ["identical", "feeds", "outputs", "tasks", "chip", "emulated"] {
+    let files = ["identical", "feeds", "outputs", "tasks", "chip", "emulated"];
+    for file in files.into_iter().chain(["emulated_bootloader"]) {
         command.args(["--test", file]);
     }
     command.args(["--", "--ignored", "--test-threads", "1"]);

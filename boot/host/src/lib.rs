@@ -26,8 +26,8 @@ pub use package::{
     Content, Image, PackageError, RECORD_DATA, ReleaseInfo, SigningKey, line, records,
 };
 pub use simulated_flash::{
-    ERASE_TICKS, Failing, FlashOperation, FlashTraits, ModelError, PROGRAM_TICKS, SimulatedFlash,
-    Tear,
+    ERASE_TICKS, Failing, FlashOperation, FlashTimes, FlashTraits, ModelError, PROGRAM_TICKS,
+    SimulatedFlash, Tear,
 };
 pub use transfer::{TransferError, send_file, serve};
 pub use udp_bus::UdpBus;

@@ -244,7 +244,9 @@ impl Run {
     fn deliver(&mut self, loader: &mut Loader<'_, &mut SimulatedFlash>, frame: &CanFrame) {
         // A frame with 8 bytes has at least 131 bits, which take 262 µs at 500 kbit/s.
         self.now = Instant::from_ns(self.now.as_ns() + 270_000);
+        let before = loader.flash().busy();
         loader.on_frame(self.now, frame);
+        self.now += loader.flash().busy() - before;
     }
 }
 

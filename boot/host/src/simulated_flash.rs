@@ -13,6 +13,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use strum::{FromRepr, VariantArray};
+use tandem_board::Duration;
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
 
 type Page = [u8; PAGE_BYTES];
@@ -50,6 +51,25 @@ pub struct FlashTraits {
     pub blank_is_unreadable: bool,
     /// So many times a sector can be erased; then each erase fails, and its pages are noise.
     pub endurance: Option<u32>,
+    /// How long its operations take.
+    pub times: FlashTimes,
+}
+
+/// How long operations of a flash take; by default no time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FlashTimes {
+    /// Programming a page of 32 bytes.
+    pub page: Duration,
+    /// Erasing 16 KiB of a sector.
+    pub erase: Duration,
+}
+
+impl FlashTimes {
+    /// Those of AURIX, rounded up: a sector of 256 KiB is erased in one second.
+    pub const AURIX: Self = Self {
+        page: Duration::from_us(60),
+        erase: Duration::from_us(62_500),
+    };
 }
 
 impl FlashTraits {
@@ -59,6 +79,7 @@ impl FlashTraits {
         ecc: true,
         blank_is_unreadable: true,
         endurance: None,
+        times: FlashTimes::AURIX,
     };
 }
 
@@ -271,6 +292,14 @@ impl SimulatedFlash {
     #[must_use]
     pub const fn work(&self) -> (u64, u64) {
         (self.erased_bytes, self.programmed_pages)
+    }
+
+    /// Returns how long all operations since the flash was created took.
+    #[must_use]
+    pub fn busy(&self) -> Duration {
+        let FlashTimes { page, erase } = self.traits.times;
+        let pages = page.as_ns() * self.programmed_pages;
+        Duration::from_ns(pages + erase.as_ns() * (self.erased_bytes / 0x4000))
     }
 
     /// Returns the offsets of pages that were programmed while not erased or with weak bits.

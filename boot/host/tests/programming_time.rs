@@ -7,13 +7,11 @@ use fixture::{factory, image};
 use tandem_board::{CanFrame, Instant, SystemId};
 use tandem_boot::{Answer, HostRequest, Loader, Next, Slot};
 use tandem_boot_host::life::{TEST_KEY_1, TEST_PUBLIC};
-use tandem_boot_host::{FileSender, SigningKey, SimulatedFlash, ToDo, bits, records};
+use tandem_boot_host::{
+    FileSender, FlashTimes, FlashTraits, SigningKey, SimulatedFlash, ToDo, bits, records,
+};
 
 const BIT_NS: u64 = 2_000;
-/// Assumed times of the flash: for a page of 32 bytes, and for each 16 KiB of a sector. A sector of
-/// 256 KiB takes one second.
-const PROGRAM_NS: u64 = 60_000;
-const ERASE_NS_PER_16_KIB: u64 = 62_500_000;
 /// The time that riscv32 needs for a signature: the tester's, and that of the manifest.
 const SIGNATURE_NS: u64 = 38_000_000;
 /// The time that a PC needs between an answer and its next frame.
@@ -27,7 +25,14 @@ struct Measured {
 
 /// Sends 96 KiB over a simulated bus, as a tester that proves its key.
 fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
-    let mut flash = factory();
+    let times = match flash_takes_time {
+        true => FlashTimes::AURIX,
+        false => FlashTimes::default(),
+    };
+    let mut flash = factory().with_traits(FlashTraits {
+        times,
+        ..FlashTraits::default()
+    });
     let new = image(Slot::B, 2, 96 * 1024);
     let host = FileSender::new(records("new", &[&new]), None, window);
     let tester = SigningKey {
@@ -46,8 +51,9 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
     // The manifest's signature.
     let mut now = Instant::from_ns(SIGNATURE_NS);
     let mut loader = Loader::start(&mut flash, setup, now);
-    let work = |loader: &Loader<'_, &mut SimulatedFlash>| loader.flash().work();
-    let mut done = work(&loader);
+    let busy = |loader: &Loader<'_, &mut SimulatedFlash>| loader.flash().busy();
+    let erased = |loader: &Loader<'_, &mut SimulatedFlash>| loader.flash().work().0;
+    let mut done = (busy(&loader), erased(&loader));
     let mut send = |now: &mut Instant, frame: &CanFrame| {
         let span = u64::from(bits(frame)) * BIT_NS;
         measured.bus_ns += span;
@@ -71,12 +77,9 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
             ToDo::Send(frame) => {
                 send(&mut now, &frame);
                 loader.on_frame(now, &frame);
-                let (erased, programmed) = work(&loader);
-                let erase_ns = (erased - done.0) / 0x4000 * ERASE_NS_PER_16_KIB;
-                let erase_ns = if flash_takes_time { erase_ns } else { 0 };
-                let program_ns = if flash_takes_time { PROGRAM_NS } else { 0 };
-                let span = erase_ns + (programmed - done.1) * program_ns;
-                done = (erased, programmed);
+                let span = (busy(&loader) - done.0).as_ns();
+                let erase_ns = times.erase.as_ns() * ((erased(&loader) - done.1) / 0x4000);
+                done = (busy(&loader), erased(&loader));
                 measured.flash_ns += span;
                 // With a window, frames are sent while the flash programs, not while it erases.
                 now = Instant::from_ns(now.as_ns() + if window > 0 { erase_ns } else { span });
