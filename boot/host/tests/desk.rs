@@ -3,16 +3,18 @@
 
 mod fixture;
 
-use fixture::{Images, factory, image};
+use fixture::{Images, factory, image, loader};
 use tandem_board::{
     CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
 };
 use tandem_boot::{
-    Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, Question, Refusal,
-    ReleaseStage, Slot, tester_message,
+    Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, LoaderUpdate,
+    Question, Refusal, ReleaseStage, Slot, tester_message,
 };
 use tandem_boot_host::life::{Life, TEST_KEY, TEST_KEY_1};
-use tandem_boot_host::{FileSender, Inquiry, SigningKey, SimulatedFlash, ToDo, records};
+use tandem_boot_host::{
+    FileSender, Image, Inquiry, ReleaseInfo, SigningKey, SimulatedFlash, ToDo, records,
+};
 
 const TESTER: SigningKey = SigningKey {
     number: 0,
@@ -273,6 +275,113 @@ fn a_release_on_trial_is_given_up() {
     let _reads = bench.desk.poll(bench.now, true);
     assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
     assert_eq!(bench.hear(ROLL_BACK), None, "it is approved");
+}
+
+/// U-3, U-4: after a second in a role without a break, the desk confirms the start, once, and
+/// approves the application and the bootloader that started it. Not before.
+#[test]
+fn what_has_had_a_role_for_a_second_works() {
+    let mut flash = factory();
+    let lines = records("new", &[&loader(2), &image(Slot::B, 2, 40)]);
+    let life = Life {
+        approves: false,
+        ..Life::with_file(&lines, 0)
+    };
+    assert!(life.live(&mut flash).downloaded);
+    let mut bench = Bench::new(flash);
+    let mut confirmed = Vec::new();
+    let mut stages = Vec::new();
+    let mut states = Vec::new();
+    for ms in (0..4_000).step_by(50) {
+        bench.now = Instant::from_ns(ms * 1_000_000);
+        // The role is lost for a moment at 900 ms: the second begins again at 950 ms.
+        match bench.desk.poll(bench.now, ms != 900) {
+            Some(DeskAction::ConfirmStart) => confirmed.push(ms),
+            Some(DeskAction::Send(frame)) => {
+                if let Some(Answer::Release { stage, .. }) = Answer::decode(frame.data()) {
+                    stages.push((ms, stage));
+                    let store = EnvironmentStore::load(&mut bench.desk.flash().clone()).unwrap();
+                    states.push((ms, store.get().loader));
+                }
+            }
+            Some(other) => panic!("{other:?}"),
+            None => {}
+        }
+    }
+    assert_eq!(confirmed, [1_950]);
+    let since = |stage| {
+        stages
+            .iter()
+            .find(|(_, told)| *told == stage)
+            .map(|(ms, _)| *ms)
+    };
+    assert_eq!(since(ReleaseStage::Trial), Some(0));
+    let approved = since(ReleaseStage::Approved);
+    assert!(
+        approved.is_some_and(|ms| (1_950..2_200).contains(&ms)),
+        "{approved:?}"
+    );
+    let sealing = states
+        .iter()
+        .find(|(_, state)| *state == LoaderUpdate::Sealing);
+    assert!(
+        sealing.is_some_and(|(ms, _)| (1_950..2_200).contains(ms)),
+        "{sealing:?}"
+    );
+    assert_eq!(states[0].1, LoaderUpdate::TrialExecuted);
+    let told: Vec<_> = stages.iter().map(|(ms, _)| *ms).collect();
+    let periods = told.windows(2).map(|pair| pair[1] - pair[0]);
+    assert!(
+        periods.into_iter().all(|ms| (200..=250).contains(&ms)),
+        "{told:?}"
+    );
+}
+
+/// U-3: what the other system told more than a second ago is not true any more.
+#[test]
+fn an_old_release_frame_approves_nothing() {
+    for (age_ms, stage) in [(900, ReleaseStage::Ready), (1_100, ReleaseStage::Works)] {
+        let mut flash = factory();
+        let release = ReleaseInfo {
+            version: 2,
+            entries: [256; 3],
+            paired: true,
+            ..ReleaseInfo::default()
+        };
+        let target = ImageTarget::Application(Slot::B);
+        let image = Image::sign(target, release, &[(256, &[7; 40])], &TEST_KEY);
+        let lines = records("new", &[&image]);
+        let life = Life {
+            approves: false,
+            ..Life::with_file(&lines, 0)
+        };
+        assert!(life.live(&mut flash).downloaded);
+        let mut bench = Bench::new(flash);
+        let peer = Answer::Release {
+            system: SystemId::B,
+            stage: ReleaseStage::Works,
+            version: 2,
+        };
+        let told = 2_200 - age_ms;
+        let mut last = None;
+        for ms in (0..=2_200).step_by(100) {
+            bench.now = Instant::from_ns(ms * 1_000_000);
+            if ms == told {
+                let frame = peer.frame().unwrap();
+                assert_eq!(bench.desk.hear(bench.now, &frame), None);
+            }
+            // It has had a role since 900 ms, so it works at 2000 ms, its next look after 1900 ms.
+            if let Some(DeskAction::Send(frame)) = bench.desk.poll(bench.now, ms >= 900) {
+                last = Answer::decode(frame.data());
+            }
+        }
+        let expected = Answer::Release {
+            system: SystemId::A,
+            stage,
+            version: 2,
+        };
+        assert_eq!(last, Some(expected), "{age_ms} ms");
+    }
 }
 
 /// A frame of the other system that is forged or too short changes nothing.
