@@ -55,6 +55,8 @@ pub struct BootDesk<'k, F, C> {
     proved_at: Option<Instant>,
     has_role_since: Option<Instant>,
     is_start_confirmed: bool,
+    /// The counter was raised, or cannot be.
+    is_counter_raised: bool,
     /// The bootloader that started this application works.
     is_loader_approved: bool,
     /// `None` until it is read from the flash.
@@ -86,6 +88,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             proved_at: None,
             has_role_since: None,
             is_start_confirmed: false,
+            is_counter_raised: false,
             is_loader_approved: false,
             release: None,
             peer: None,
@@ -169,7 +172,10 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
                 ReleaseStage::Trial
             }
             ReleaseStage::Approved => {
-                let _not_raised = self.counter.raise(release.security_counter.into());
+                // If power is lost meanwhile, the next start raises it.
+                if !core::mem::replace(&mut self.is_counter_raised, true) {
+                    let _not_raised = self.counter.raise(release.security_counter.into());
+                }
                 ReleaseStage::Approved
             }
             stage => stage,
@@ -186,8 +192,9 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     fn set_ready(&mut self, ready: bool) -> Result<(), FlashFault> {
         let mut store = EnvironmentStore::load(&mut self.flash).ok_or(FlashFault)?;
         let mut environment = *store.get();
-        if let Some(trial) = &mut environment.trial {
-            trial.ready = ready;
+        match &mut environment.trial {
+            Some(trial) if trial.ready != ready => trial.ready = ready,
+            _ => return Ok(()),
         }
         store.write(&mut self.flash, environment)
     }

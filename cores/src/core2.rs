@@ -176,7 +176,10 @@ impl<B: Board, D: TesterDesk> Core for Core2<'_, B, D> {
         loop {
             self.tasks.run(receiver, planning);
             // A plan goes first: the desk may be busy for as long as a signature takes.
-            seat.poll(&mut self.desk, self.board.now(), planning.map.has_role());
+            let (now, has_role) = (self.board.now(), planning.map.has_role());
+            if seat.poll(&mut self.desk, now, has_role) {
+                return now;
+            }
             if receiver.prepare_sleep() {
                 return self.board.now() + LOOK;
             }

@@ -109,14 +109,23 @@ impl<'b> DeskSeat<'b> {
         })
     }
 
-    /// Passes what has arrived to the desk, and lets it do what is due.
-    pub(crate) fn poll(&mut self, desk: &mut impl TesterDesk, now: Instant, has_role: bool) {
-        while let Ok(Some(words)) = self.to_desk.receive() {
+    /// Passes the next frame to the desk, and lets it do what is due. Returns whether a frame was
+    /// there: more may wait. In a flood of frames a plan waits for one of them at most.
+    pub(crate) fn poll(
+        &mut self,
+        desk: &mut impl TesterDesk,
+        now: Instant,
+        has_role: bool,
+    ) -> bool {
+        let received = self.to_desk.receive();
+        let is_idle = matches!(received, Ok(None));
+        if let Ok(Some(words)) = received {
             let wish = frame_of(words).and_then(|frame| desk.hear(now, &frame));
             self.wish(wish);
         }
         let wish = desk.poll(now, has_role);
         self.wish(wish);
+        !is_idle
     }
 
     /// Tells core 0. If core 0 does not listen, the tester asks again.
@@ -151,5 +160,40 @@ impl TesterDesk for Unguarded {
 
     fn poll(&mut self, _now: Instant, _has_role: bool) -> Option<DeskAction> {
         None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// T-BOOT-1: records of a download to the other system stay away from core 2, and what crosses
+    /// the LMU arrives as it was sent. Words that are no frame are none.
+    #[test]
+    fn only_frames_for_the_desk_cross() {
+        let frame = |id, data: &[u8]| CanFrame::new(id, false, data).ok();
+        let connect = [0x2D, 0x57, 0x3E, 0x08, 1, 0, 0, 0];
+        let question = [b'W', 5, 0x20, 0, 2, 0, 0, 0];
+        let told = [b'W', 0x86, 2, 1, 9, 0, 0, 0x80];
+        for (id, data) in [
+            (TO_LOADER, &connect[..]),
+            (TO_LOADER, &question),
+            (RELEASES, &told),
+        ] {
+            let sent = frame(id, data);
+            assert!(sent.is_some_and(|frame| concerns(&frame)));
+            assert_eq!(sent.and_then(|frame| frame_of(words_of(&frame)?)), sent);
+        }
+        for (id, data) in [
+            (TO_LOADER, &b"S1130000"[..]),
+            (TO_LOADER, &connect[..7]),
+            (TO_HOST, &question),
+            (CanId::Standard(0x126), &connect),
+        ] {
+            assert!(frame(id, data).is_some_and(|frame| !concerns(&frame)));
+        }
+        for words in [[3, 0, 0], [4, 0, 0], [u32::MAX, 1, 2]] {
+            assert_eq!(frame_of(words), None);
+        }
     }
 }

@@ -1,7 +1,19 @@
 //! Tests of a host that requests the bootloader from a driving controller. T-BOOT-1
 
-use tandem_board::{CanFrame, CanId, Duration, ResetCause, RoleLamp, SystemId};
+use std::cell::RefCell;
+use std::rc::Rc;
+use tandem_board::{
+    Board, CanFrame, CanId, CoreId, DeskAction, Duration, Instant, NoCounter, ResetCause, RoleLamp,
+    SystemId, TesterDesk,
+};
 use tandem_board_sim::SystemEventKind;
+use tandem_boot::{
+    Answer, Bank, BootDesk, CHALLENGE_BYTES, EnvironmentStore, HostRequest, Question, Refusal,
+    Selection, Setup, Slot, Trust, TrustMode, ed25519, tester_message,
+};
+use tandem_boot_host::{SigningKey, SimulatedFlash};
+use tandem_cores::Core as _;
+use tandem_cores::core2::Core2;
 use tandem_redundancy::Evidence;
 use tandem_sim::drive::{Drive, poller};
 
@@ -106,4 +118,152 @@ fn a_standby_does_not_leave_a_master_that_fails() {
         assert_eq!(drive.masters(), SystemId::ALL);
         assert!(drive.gap_max() <= MS(20), "{:?}", drive.gap_max());
     }
+}
+
+const TESTER: SigningKey = SigningKey {
+    number: 0,
+    seed: [3; 32],
+};
+
+/// A desk, and what both desks have answered.
+struct Watched<D>(D, Rc<RefCell<Vec<Answer>>>);
+
+impl<D: TesterDesk> TesterDesk for Watched<D> {
+    fn hear(&mut self, now: Instant, frame: &CanFrame) -> Option<DeskAction> {
+        let action = self.0.hear(now, frame);
+        if let Some(DeskAction::Send(frame)) = &action {
+            self.1.borrow_mut().extend(Answer::decode(frame.data()));
+        }
+        action
+    }
+
+    fn poll(&mut self, now: Instant, has_role: bool) -> Option<DeskAction> {
+        self.0.poll(now, has_role)
+    }
+}
+
+/// Starts a drive whose core 2 has a bootloader's desk that knows one tester. Also returns what the
+/// desks answer.
+fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
+    let answers: Rc<RefCell<Vec<Answer>>> = Rc::default();
+    let seen = answers.clone();
+    let mut config = tandem_cores::Config::rt();
+    config.redundancy.reintegrate = true;
+    let testers: &'static [[u8; 32]] = Box::leak(Box::new([TESTER.public()]));
+    let mut drive = Drive::with("free-lane", 1, move |board| {
+        if board.identity().core != CoreId::PLANNING {
+            return poller(board, config);
+        }
+        let board = Box::leak(Box::new(board.clone()));
+        let setup = Setup {
+            trust: Trust {
+                keys: &[],
+                testers,
+                mode: TrustMode::Strict,
+                verify: ed25519,
+            },
+            system: board.identity().system,
+            bank: Bank::Primary,
+            cause: ResetCause::PowerOn,
+            starts: 1,
+            counter: 0,
+            noise: [board.identity().system.index() as u8; 32],
+        };
+        let mut flash = SimulatedFlash::new();
+        let mut environment = tandem_boot::Environment::default();
+        environment.active = Selection {
+            application: Some(Slot::A),
+            configuration: None,
+        };
+        EnvironmentStore::new(environment)
+            .settle(&mut flash)
+            .expect("a flash");
+        let desk = BootDesk::new(flash, NoCounter, setup, board.now());
+        let mut core = Core2::with_desk(board, Watched(desk, seen.clone()));
+        Box::new(move |_| core.poll())
+    });
+    drive.run_for(MS(4_000));
+    assert_eq!(lamps(&drive), DUAL);
+    (drive, answers)
+}
+
+fn send(drive: &mut Drive, request: HostRequest<'_>) {
+    let frame = request.frame().expect("a frame");
+    drive.seen.borrow_mut().forged.push(frame);
+    drive.run_for(MS(1));
+}
+
+/// Asks for the challenge of a system.
+fn challenge(
+    drive: &mut Drive,
+    answers: &RefCell<Vec<Answer>>,
+    system: SystemId,
+) -> [u8; CHALLENGE_BYTES] {
+    let mut challenge = [0; CHALLENGE_BYTES];
+    for part in 0..3 {
+        let system = Some(system);
+        send(
+            drive,
+            HostRequest::Challenge {
+                system,
+                key: 0,
+                part,
+            },
+        );
+    }
+    drive.run_for(MS(60));
+    let mut found = 0;
+    for answer in answers.borrow().iter() {
+        if let Answer::Challenge { part, bytes } = answer {
+            challenge[usize::from(*part) * 5..][..5].copy_from_slice(bytes);
+            found |= 1 << part;
+        }
+    }
+    assert_eq!(found, 0b111, "all parts");
+    challenge
+}
+
+/// T-BOOT-1, E-4: the frame that took a standby out of a driving vehicle does nothing without a
+/// proof, however often it comes, and neither does a flood of questions. A tester with the key
+/// takes the standby out.
+#[test]
+fn only_a_tester_takes_the_standby_out_of_a_driving_vehicle() {
+    let (mut drive, answers) = drive_with_desks();
+    for _ in 0..200 {
+        drive.seen.borrow_mut().forged.push(connect(2));
+        drive.seen.borrow_mut().forged.push(connect(1));
+        for age in 0..3 {
+            let request = HostRequest::Info {
+                system: Some(SystemId::B),
+                question: Question::Log(age).code().expect("a question"),
+            };
+            let frame = request.frame().expect("a frame");
+            drive.seen.borrow_mut().forged.push(frame);
+        }
+        drive.run_for(MS(5));
+    }
+    for system in SystemId::ALL {
+        assert_eq!(resets(&drive, system), [], "{system}");
+    }
+    assert_eq!(lamps(&drive), DUAL, "nobody handed over");
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+
+    let refused = Answer::Refused(Refusal::Tester);
+    assert!(answers.borrow().contains(&refused));
+    let challenge = challenge(&mut drive, &answers, SystemId::B);
+    let message = tester_message(SystemId::B, 0, &challenge);
+    let signature = [&TESTER.sign(&message)[..], &[0]].concat();
+    for (part, piece) in (0..).zip(signature.chunks(5)) {
+        let request = HostRequest::Proof {
+            system: Some(SystemId::B),
+            part,
+            bytes: piece.try_into().expect("five bytes"),
+        };
+        send(&mut drive, request);
+    }
+    ask(&mut drive, SystemId::B);
+    drive.run_for(MS(4_000));
+    assert_eq!(resets(&drive, SystemId::B), [ResetCause::Download]);
+    assert_eq!(resets(&drive, SystemId::A), []);
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
 }
