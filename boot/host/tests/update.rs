@@ -5,9 +5,12 @@ mod fixture;
 
 use fixture::{Images, configuration, factory, image, lives, loader, signed};
 use tandem_board::Instant;
-use tandem_boot::{Bank, FlashRegion, HostRequest, ImageTarget, Loader, Refusal, Slot, rom_choice};
+use tandem_boot::{
+    Answer, Bank, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, Loader, Next, Refusal,
+    Slot, rom_choice,
+};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
-use tandem_boot_host::{Content, Image, ReleaseInfo, records};
+use tandem_boot_host::{Content, Image, ReleaseInfo, SimulatedFlash, records};
 
 fn running(end: End) -> (Slot, u32) {
     match end {
@@ -473,4 +476,63 @@ fn a_plain_file_is_signed() {
         panic!("not running")
     };
     assert_eq!(launch.entries, [Some(0x10_0142), None, None]);
+}
+
+/// Sends lines to a bootloader at power-on, without a window, and takes the flash away from it
+/// before it resets. Returns the last answer.
+fn sends_at_power_on(flash: &mut SimulatedFlash, lines: &[String]) -> Option<Answer> {
+    let keys = [TEST_PUBLIC];
+    flash.power_on(9, None);
+    let mut loader = Loader::start(&mut *flash, fixture::setup(&keys), Instant::ORIGIN);
+    let connect = HostRequest::Connect {
+        system: None,
+        resume: false,
+    };
+    let pieces = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
+    let mut last = None;
+    for request in std::iter::once(connect).chain(pieces.map(HostRequest::Data)) {
+        loader.on_frame(Instant::ORIGIN, &request.frame().unwrap());
+        while let Next::Send(frame) = loader.next(Instant::ORIGIN) {
+            last = Answer::decode(frame.data());
+        }
+    }
+    last
+}
+
+/// U-4, U-5: a record after the end of a file takes the whole file back, also a bootloader.
+#[test]
+fn a_record_after_the_end_takes_a_bootloader_back() {
+    let mut flash = factory();
+    let mut lines = records("loader", &[&loader(2)]);
+    lines.push(tandem_boot_host::line(3, &[0, 4, 1, 0], &[7; 16]));
+    let last = sends_at_power_on(&mut flash, &lines);
+    assert_eq!(last, Some(Answer::Refused(Refusal::AfterEnd)));
+    lives(&mut flash, 3);
+    let old = loader(1).bytes;
+    assert_eq!(flash.firm(0, old.len() as u32), Some(old));
+}
+
+/// U-3: an image on trial that was not started yet is forgotten before its place is erased, of each
+/// kind; one in another place stays on trial.
+#[test]
+fn a_trial_is_forgotten_before_its_place_is_erased() {
+    let application = |version| image(Slot::B, version, 300);
+    let pairs = [
+        (application(2), application(3), false),
+        (configuration(Slot::B, 2), configuration(Slot::B, 3), false),
+        (configuration(Slot::B, 2), application(3), true),
+        (application(2), configuration(Slot::B, 3), true),
+        (application(2), loader(3), true),
+    ];
+    for (first, second, stays) in pairs {
+        let mut flash = factory();
+        let lines = records("first", &[&first]);
+        let last = sends_at_power_on(&mut flash, &lines);
+        assert_eq!(last, Some(Answer::Accepted { records: 0 }));
+        // The second file breaks off behind its manifest.
+        let lines = records("second", &[&second]);
+        sends_at_power_on(&mut flash, &lines[..18]);
+        let store = EnvironmentStore::load(&mut flash).unwrap();
+        assert_eq!(store.get().trial.is_some(), stays, "{:?}", second.target);
+    }
 }

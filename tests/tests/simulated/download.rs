@@ -8,8 +8,8 @@ use tandem_board::{
 };
 use tandem_board_sim::SystemEventKind;
 use tandem_boot::{
-    Answer, Bank, BootDesk, CHALLENGE_BYTES, EnvironmentStore, HostRequest, Question, Refusal,
-    Selection, Setup, Slot, Trust, TrustMode, ed25519, tester_message,
+    Answer, Bank, BootDesk, CHALLENGE_BYTES, Environment, EnvironmentStore, HostRequest, Question,
+    Refusal, Selection, Setup, Slot, Trust, TrustMode, ed25519, tester_message,
 };
 use tandem_boot_host::{SigningKey, SimulatedFlash};
 use tandem_cores::Core as _;
@@ -170,10 +170,12 @@ fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
             noise: [board.identity().system.index() as u8; 32],
         };
         let mut flash = SimulatedFlash::new();
-        let mut environment = tandem_boot::Environment::default();
-        environment.active = Selection {
-            application: Some(Slot::A),
-            configuration: None,
+        let environment = Environment {
+            active: Selection {
+                application: Some(Slot::A),
+                configuration: None,
+            },
+            ..Environment::default()
         };
         EnvironmentStore::new(environment)
             .settle(&mut flash)
