@@ -17,11 +17,12 @@ use crate::flash_access::{FlashFault, manifest_at};
 use crate::info;
 use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works};
 use crate::log::{LogEvent, append, wrong_testers};
-use crate::map::ImageTarget;
+use crate::map::{ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};
 use crate::tester::{Judged, Tester};
-use crate::trust::Trust;
+use crate::trust::{Trust, TrustMode};
 use embedded_storage::nor_flash::NorFlash;
+use strum::VariantArray as _;
 use tandem_board::{
     CanFrame, DeskAction, Duration, Instant, MonotonicCounter, ResetRequest, SystemId, TesterDesk,
 };
@@ -32,6 +33,13 @@ pub const PROVES_ITSELF: Duration = Duration::from_ms(1_000);
 const TELLS_EVERY: Duration = Duration::from_ms(200);
 /// A release frame of the other system is true for this long.
 const TRUE_FOR: Duration = Duration::from_ms(1_000);
+/// What the other system tells counts after it has told nothing else for this long: a forged frame
+/// stands against five true ones.
+const TOLD_FOR: Duration = Duration::from_ms(1_000);
+/// At most one question is answered in this time: a search of the log takes milliseconds.
+const ANSWERS_EVERY: Duration = Duration::from_ms(20);
+/// How many times core 0 is told that this start works, because a word to it may be lost.
+const CONFIRMATIONS: u8 = 5;
 
 /// The release that runs.
 #[derive(Clone, Copy, Debug)]
@@ -40,6 +48,41 @@ struct Release {
     stage: ReleaseStage,
     paired: bool,
     security_counter: u8,
+}
+
+/// What the other system tells.
+#[derive(Clone, Copy, Debug)]
+struct Peer {
+    version: u32,
+    /// When it told that last.
+    at: Instant,
+    /// Since when it has told nothing below each stage.
+    since: [Option<Instant>; ReleaseStage::VARIANTS.len()],
+}
+
+impl Peer {
+    /// `before`: what it told before, of the same version.
+    fn told(before: Option<Self>, now: Instant, stage: ReleaseStage, version: u32) -> Self {
+        let mut since = before.map_or([None; ReleaseStage::VARIANTS.len()], |before| before.since);
+        for (index, since) in since.iter_mut().enumerate() {
+            *since = (index <= stage as usize).then(|| since.unwrap_or(now));
+        }
+        Self {
+            version,
+            at: now,
+            since,
+        }
+    }
+
+    fn is_fresh(&self, now: Instant) -> bool {
+        now.since(self.at) <= TRUE_FOR
+    }
+
+    /// Returns whether it has told, for long enough, that it is at least at this stage.
+    fn has_told(&self, now: Instant, stage: ReleaseStage) -> bool {
+        let since = self.since[stage as usize];
+        self.is_fresh(now) && since.is_some_and(|since| now.since(since) >= TOLD_FOR)
+    }
 }
 
 /// The desk of one system, with its program flash and its counter.
@@ -54,7 +97,7 @@ pub struct BootDesk<'k, F, C> {
     /// When the tester was proved.
     proved_at: Option<Instant>,
     has_role_since: Option<Instant>,
-    is_start_confirmed: bool,
+    confirmations: u8,
     /// The counter was raised, or cannot be.
     is_counter_raised: bool,
     /// The bootloader that started this application works.
@@ -62,7 +105,11 @@ pub struct BootDesk<'k, F, C> {
     /// `None` until it is read from the flash.
     release: Option<Release>,
     /// What the other system told last.
-    peer: Option<(Instant, ReleaseStage, u32)>,
+    peer: Option<Peer>,
+    /// When the last question was answered.
+    answered: Option<Instant>,
+    /// The slot of the application that runs.
+    running: Slot,
     told: Option<Instant>,
     /// The release is given up as soon as the vehicle does not need this system.
     gives_up: bool,
@@ -71,9 +118,9 @@ pub struct BootDesk<'k, F, C> {
 }
 
 impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
-    /// Creates the desk when the application starts. `setup`: as for the bootloader, with other
-    /// noise. Reads the log if the system knows testers.
-    pub fn new(mut flash: F, counter: C, setup: Setup<'k>, now: Instant) -> Self {
+    /// Creates the desk when the application in slot `running` starts. `setup`: as for the
+    /// bootloader, with other noise. Reads the log if the system knows testers.
+    pub fn new(mut flash: F, counter: C, setup: Setup<'k>, running: Slot, now: Instant) -> Self {
         let wrong = match setup.trust.testers {
             [] => None,
             _ => wrong_testers(&mut flash),
@@ -87,11 +134,13 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             tester: Tester::new(setup.noise, wrong.unwrap_or_default(), now),
             proved_at: None,
             has_role_since: None,
-            is_start_confirmed: false,
+            confirmations: 0,
             is_counter_raised: false,
             is_loader_approved: false,
             release: None,
             peer: None,
+            answered: None,
+            running,
             told: None,
             gives_up: false,
             asked: false,
@@ -112,9 +161,13 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     fn read_release(&mut self) -> Option<Release> {
         let store = EnvironmentStore::load(&mut self.flash)?;
         let Environment { active, trial, .. } = *store.get();
-        let trial = trial.filter(|trial| trial.executed);
-        let selection = trial.map_or(active, |trial| trial.selection.over(active));
-        let application = ImageTarget::Application(selection.application?);
+        // What the flash did not record, or a reset loop, may have booted something else.
+        let runs = |trial: &Trial| {
+            let selection = trial.selection.over(active);
+            trial.executed && selection.application == Some(self.running)
+        };
+        let trial = trial.filter(runs);
+        let application = ImageTarget::Application(self.running);
         let manifest = manifest_at(&mut self.flash, application)?;
         let stage = match trial {
             None => ReleaseStage::Approved,
@@ -133,15 +186,14 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     /// Returns whether the other system runs this version too, and has told that it is at least at
     /// this stage.
     fn peer_is_at(&self, now: Instant, version: u32, stage: ReleaseStage) -> bool {
-        self.peer.is_some_and(|(at, its_stage, its_version)| {
-            now.since(at) <= TRUE_FOR && its_version == version && its_stage >= stage
-        })
+        self.peer
+            .is_some_and(|peer| peer.version == version && peer.has_told(now, stage))
     }
 
     /// Returns whether the other system runs an approved release of another version.
     fn peer_has_another(&self, now: Instant, version: u32) -> bool {
-        self.peer.is_some_and(|(at, stage, its_version)| {
-            now.since(at) <= TRUE_FOR && its_version != version && stage == ReleaseStage::Approved
+        self.peer.is_some_and(|peer| {
+            peer.version != version && peer.has_told(now, ReleaseStage::Approved)
         })
     }
 
@@ -152,6 +204,9 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             self.release = self.read_release();
             return Ok(());
         };
+        if self.gives_up {
+            return Ok(());
+        }
         if has_proved && !self.is_loader_approved {
             bootloader_works(&mut self.flash)?;
             self.is_loader_approved = true;
@@ -173,7 +228,8 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             }
             ReleaseStage::Approved => {
                 // If power is lost meanwhile, the next start raises it.
-                if !core::mem::replace(&mut self.is_counter_raised, true) {
+                let strict = self.trust.mode == TrustMode::Strict;
+                if strict && !core::mem::replace(&mut self.is_counter_raised, true) {
                     let _not_raised = self.counter.raise(release.security_counter.into());
                 }
                 ReleaseStage::Approved
@@ -203,6 +259,9 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     fn give_up(&mut self) -> Result<(), FlashFault> {
         self.set_ready(false)?;
         self.gives_up = true;
+        if let Some(release) = &mut self.release {
+            release.stage = ReleaseStage::Trial;
+        }
         Ok(())
     }
 
@@ -232,7 +291,8 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
                 return Some(DeskAction::Leave(ResetRequest::Download));
             }
             HostRequest::RollBack { .. } if self.may_program(now) => {
-                let is_trial = self.release?.stage != ReleaseStage::Approved;
+                // Who has told that it is ready may not give up alone: the other one may approve.
+                let is_trial = self.release?.stage < ReleaseStage::Ready;
                 // If the flash does not take it, the tester asks again.
                 return (is_trial && self.give_up().is_ok())
                     .then_some(DeskAction::Leave(ResetRequest::Software));
@@ -242,7 +302,15 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             }
             HostRequest::Challenge { key, part, .. } => self.tester.on_challenge(now, key, part),
             HostRequest::Proof { part, bytes, .. } => self.prove(now, part, bytes),
+            HostRequest::Info { .. }
+                if self
+                    .answered
+                    .is_some_and(|at| now.since(at) < ANSWERS_EVERY) =>
+            {
+                None
+            }
             HostRequest::Info { question, .. } => {
+                self.answered = Some(now);
                 let store = EnvironmentStore::load(&mut self.flash)?;
                 info::answer(&mut self.flash, store.get(), self.starts, question)
             }
@@ -281,7 +349,9 @@ impl<F: NorFlash, C: MonotonicCounter> TesterDesk for BootDesk<'_, F, C> {
                 }) = Answer::decode(frame.data())
                     && system != self.system
                 {
-                    self.peer = Some((now, stage, version));
+                    let before = self.peer.filter(|peer| peer.is_fresh(now));
+                    let before = before.filter(|peer| peer.version == version);
+                    self.peer = Some(Peer::told(before, now, stage, version));
                 }
                 None
             }
@@ -295,8 +365,8 @@ impl<F: NorFlash, C: MonotonicCounter> TesterDesk for BootDesk<'_, F, C> {
         if !has_role {
             self.has_role_since = None;
         }
-        if has_proved && !self.is_start_confirmed {
-            (self.is_start_confirmed, self.starts) = (true, 1);
+        if has_proved && self.confirmations < CONFIRMATIONS {
+            (self.confirmations, self.starts) = (self.confirmations + 1, 1);
             return Some(DeskAction::ConfirmStart);
         }
         if self.told.is_some_and(|told| now.since(told) < TELLS_EVERY) {

@@ -39,9 +39,11 @@ pub(crate) struct Ground<'k> {
 impl Ground<'_> {
     /// Returns whether a download may erase this place.
     fn is_free(&self, target: ImageTarget) -> bool {
+        // The other system may have approved what is ready.
+        let is_ready = self.store.get().trial.is_some_and(|trial| trial.ready);
         match target {
-            ImageTarget::Application(slot) => self.keep.application != Some(slot),
-            ImageTarget::Configuration(slot) => self.keep.configuration != Some(slot),
+            ImageTarget::Application(slot) => !is_ready && self.keep.application != Some(slot),
+            ImageTarget::Configuration(slot) => !is_ready && self.keep.configuration != Some(slot),
             ImageTarget::Staging => matches!(
                 self.store.get().loader,
                 LoaderUpdate::Idle | LoaderUpdate::BackupOnly
@@ -82,16 +84,6 @@ impl Ground<'_> {
             version_and_needs(flash, ImageTarget::Configuration(slot))
         });
         bootloader <= self.running_version() && lowest <= configuration
-    }
-
-    /// Removes from the environment what a file brought that ends wrongly.
-    pub(crate) fn forget_all(&mut self, flash: &mut impl NorFlash) -> Result<(), FlashFault> {
-        let mut environment = *self.store.get();
-        environment.trial = None;
-        if environment.loader == LoaderUpdate::Staged {
-            environment.loader = LoaderUpdate::Idle;
-        }
-        self.store.write(flash, environment)
     }
 
     /// Removes a trial from the environment if it names the target, which is about to be erased.
@@ -334,6 +326,8 @@ impl Download {
             .flush(|at, page| program_in(flash, erased, at, page))
             .map_err(fault)?;
         let mut environment = *ground.store.get();
+        // In a reset loop the fallback runs, and the file may have replaced what was active.
+        environment.active = ground.keep.over(environment.active);
         let before = environment.trial;
         let mut selection = before.map_or(Selection::default(), |trial| trial.selection);
         let mut authentic = before.is_none_or(|trial| trial.authentic);

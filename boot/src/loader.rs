@@ -188,7 +188,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if core::mem::take(&mut self.was_busy) {
             // The loader does not read CAN while the flash is busy: that time does not count as
             // silence of the host.
-            self.session.hear(now);
+            self.session.progress(now);
+            let _seen = self.session.take_progress();
         }
         if let Some(frame) = self.answer.take() {
             return Next::Send(frame);
@@ -203,7 +204,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             return self.next(now);
         }
         let session_ends = match self.entry {
-            _ if self.session.has_ended() => Some(self.session.heard() + FAREWELL),
+            _ if self.session.has_ended() => Some(self.session.progressed() + FAREWELL),
             _ if self.session.is_open() => Some(self.session_ends()),
             Entry::Never => Some(now),
             Entry::Until(moment) => Some(moment),
@@ -230,7 +231,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Returns when the loader boots although a host is connected: after a silence of the host, or
     /// if it has not proved itself in time, unless nothing can boot.
     fn session_ends(&self) -> Instant {
-        let silent = self.session.heard() + HOST_SILENCE;
+        let silent = self.session.progressed() + HOST_SILENCE;
         let may_program = self.ground.tester.may_program(&self.setup.trust);
         match self.entry {
             Entry::Never | Entry::Until(_) if !may_program => {
@@ -246,14 +247,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
             return;
         }
-        self.was_busy = self.session.is_open();
-        let request = HostRequest::decode(frame.data());
-        if self.was_busy && !matches!(request, HostRequest::Connect { .. }) {
-            // A host has heard an answer of this bootloader. If that cannot be written, an
-            // application that runs approves it.
-            let _unwritten = approve_bootloader(&mut self.flash, &mut self.ground.store);
-        }
-        let answer = match request {
+        let answer = match HostRequest::decode(frame.data()) {
             HostRequest::Connect { system, resume } if self.is_for_us(system) => {
                 // A connection that goes on keeps its proof.
                 if !(resume && self.session.is_open()) {
@@ -283,6 +277,12 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                 self.session.on_request(now, request, flash, ground)
             }
         };
+        self.was_busy = self.session.take_progress();
+        if self.was_busy {
+            // A host has heard this bootloader. If that cannot be written, an application that runs
+            // approves it.
+            let _unwritten = approve_bootloader(&mut self.flash, &mut self.ground.store);
+        }
         match self.session.refusal() {
             // Without a proof nothing on the bus fills the log.
             Some(refusal) if !self.refusal_logged && refusal != Refusal::Tester => {
@@ -314,6 +314,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             Judged::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
         };
         let wrong = tester.wrong();
+        if event == LogEvent::TesterProved {
+            self.session.progress(now);
+        }
         self.log(event, wrong.into());
         Some(answer)
     }
@@ -342,7 +345,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Forgets an image on trial that was started and did not approve itself before this start. U-3
     fn roll_back(&mut self) {
         let environment = *self.ground.store.get();
-        let has_failed = |trial: Trial| trial.executed && !trial.ready || self.loops();
+        let has_failed = |trial: Trial| trial.executed && (!trial.ready || self.loops());
         if environment.trial.is_some_and(has_failed) {
             self.forget_trial(LogEvent::RolledBack);
         }

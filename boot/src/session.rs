@@ -5,7 +5,6 @@
 //! host goes back to the record that the loader names.
 
 use crate::download::{Download, Ground, free_slot};
-use crate::flash_access::FlashFault;
 use crate::protocol::{Answer, HostRequest, Refusal};
 use crate::srec::{Assembler, SRecord, SRecordType};
 use embedded_storage::nor_flash::NorFlash;
@@ -52,6 +51,10 @@ pub(crate) struct Session {
     /// repeats it.
     last: Option<u32>,
     heard: Instant,
+    /// When the host last brought something: a connection, a proof, a record that was accepted.
+    progressed: Instant,
+    /// It has brought something since [`Session::take_progress`].
+    brought: bool,
 }
 
 impl Session {
@@ -68,14 +71,20 @@ impl Session {
         matches!(self.state, State::Open)
     }
 
-    /// Returns the time at which the host was last heard.
-    pub(crate) const fn heard(&self) -> Instant {
-        self.heard
+    /// Returns when the host last brought something. Frames that bring nothing, of whichever node,
+    /// do not keep the loader waiting.
+    pub(crate) const fn progressed(&self) -> Instant {
+        self.progressed
     }
 
-    /// Sets the time at which the host was last heard.
-    pub(crate) const fn hear(&mut self, now: Instant) {
-        self.heard = now;
+    /// Notes that the host has brought something, or that the flash was busy with it until now.
+    pub(crate) const fn progress(&mut self, now: Instant) {
+        (self.heard, self.progressed, self.brought) = (now, now, true);
+    }
+
+    /// Returns whether the host has brought something since the last call.
+    pub(crate) const fn take_progress(&mut self) -> bool {
+        core::mem::replace(&mut self.brought, false)
     }
 
     /// Connects a host; `None` after a file was accepted: a connection takes one file.
@@ -85,6 +94,7 @@ impl Session {
         }
         if !(resume && self.is_open()) {
             *self = Self::default();
+            self.progressed = now;
         }
         (self.state, self.heard) = (State::Open, now);
         // The host repeats the record that it was sending when the connection broke.
@@ -138,13 +148,14 @@ impl Session {
             }
             HostRequest::Data(data) => {
                 let record = self.assembler.push(data)?;
-                Some(self.on_record(record.ok(), flash, ground)).flatten()
+                Some(self.on_record(now, record.ok(), flash, ground)).flatten()
             }
         }
     }
 
     fn on_record(
         &mut self,
+        now: Instant,
         record: Option<SRecord>,
         flash: &mut impl NorFlash,
         ground: &mut Ground<'_>,
@@ -168,16 +179,16 @@ impl Session {
         let is_last = self.last == Some(record.print);
         let repeated = self.window == 0 && is_last;
         if self.state == State::Finished && !is_last {
-            let forgotten = ground.forget_all(flash);
-            return Some(self.refuse(match forgotten {
-                Ok(()) => Refusal::AfterEnd,
-                Err(FlashFault) => Refusal::Flash,
-            }));
+            // Whoever sent it: what the file brought stays on trial.
+            return Some(Answer::Refused(Refusal::AfterEnd));
         }
         if !repeated && self.state == State::Open {
             match self.download.take(&record, flash, ground) {
                 Ok(ended) => {
                     (self.attempts, self.doubted) = (0, None);
+                    if record.record_type != SRecordType::Header {
+                        self.progress(now);
+                    }
                     self.accepted += 1;
                     self.unanswered += 1;
                     if ended {

@@ -113,9 +113,12 @@ pub fn start<B: Board>(
         let wait = match loader.next(board.now()) {
             Next::Wait(until) => until,
             Next::Send(frame) => {
-                while board.can().try_send(&frame).is_err() {
+                // If the buffer stays full, the host asks again.
+                if board.can().try_send(&frame).is_err() {
                     board.wait(board.now() + Duration::from_ms(1));
+                    let _lost = board.can().try_send(&frame);
                 }
+                keeper.keep();
                 continue;
             }
             Next::Jump(launch) if keeper.hand_over() => {

@@ -180,13 +180,19 @@ pub fn run(args: &CoreArgs, flash: &ProgramFlashes) -> anyhow::Result<()> {
         let slot = boot(args, &mut file, flash)?;
         jump::set_booted(args, slot as u32)?;
         slot
-    } else if jump::booted(args)? == Slot::B as u32 {
-        Slot::B
     } else {
-        Slot::A
+        booted(args)?
     };
     let program = program(&mut file, slot, args.identity.core)?;
     Err(jump::jump(&program, args)).with_context(|| format!("executing slot {slot:?}"))
+}
+
+/// Returns the slot that core 0's bootloader has started.
+fn booted(args: &CoreArgs) -> anyhow::Result<Slot> {
+    Ok(match jump::booted(args)? == Slot::B as u32 {
+        true => Slot::B,
+        false => Slot::A,
+    })
 }
 
 /// Runs the bootloader until core 0 starts an application. Returns the slot of that application.
@@ -238,6 +244,7 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
 /// If the flash cannot be opened, or the operating system does not provide random numbers.
 pub fn desk<'k>(
     board: &HostBoard,
+    args: &CoreArgs,
     flash: &ProgramFlashes,
     testers: &'k [[u8; 32]],
 ) -> anyhow::Result<BootDesk<'k, FlashFile, OneTimeWords<FlashFile>>> {
@@ -257,10 +264,6 @@ pub fn desk<'k>(
         noise: noise()?,
     };
     let counter = OneTimeWords::new(flash.open(system)?, COUNTER_PAGES);
-    Ok(BootDesk::new(
-        flash.open(system)?,
-        counter,
-        setup,
-        board.now(),
-    ))
+    let (flash, running) = (flash.open(system)?, booted(args)?);
+    Ok(BootDesk::new(flash, counter, setup, running, board.now()))
 }

@@ -39,7 +39,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),
         _ => match &run.program_flash {
             Some(flash) => {
-                let desk = boot::desk(&board, flash, &flash.testers)?;
+                let desk = boot::desk(&board, args, flash, &flash.testers)?;
                 go(&board, Core2::with_desk(&board, desk))
             }
             None => go(&board, Core2::new(&board)),

@@ -90,7 +90,10 @@ impl<'b> DeskPort<'b> {
                 may.then_some(DeskAction::Leave(request))
             }
             [CONFIRM_START, ..] => Some(DeskAction::ConfirmStart),
-            words => frame_of(words).map(DeskAction::Send),
+            // A desk does not ask other systems.
+            words => frame_of(words)
+                .filter(|frame| frame.id() != TO_LOADER)
+                .map(DeskAction::Send),
         }
     }
 }

@@ -9,7 +9,7 @@ use tandem_boot::{
 };
 
 /// A question is repeated after this time without an answer.
-const ANSWER_WITHIN: Duration = Duration::from_ms(100);
+const ANSWER_WITHIN: Duration = Duration::from_ms(30);
 /// An application tells its release five times a second.
 const TELLS_WITHIN: Duration = Duration::from_ms(450);
 

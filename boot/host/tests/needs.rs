@@ -129,6 +129,7 @@ fn nothing_below_the_counter_boots() {
         flash.clone(),
         OneTimeWords::new(flash, COUNTER_PAGES),
         fixture::setup(&[]),
+        Slot::B,
         Instant::ORIGIN,
     );
     let now = |ms: u64| Instant::from_ns(ms * 1_000_000);

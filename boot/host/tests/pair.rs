@@ -65,12 +65,12 @@ struct World {
     seed: u64,
 }
 
-fn desk_of(system: SystemId, flash: SimulatedFlash, now: Instant) -> Box<Desk> {
+fn desk_of(system: SystemId, flash: SimulatedFlash, running: Slot, now: Instant) -> Box<Desk> {
     let setup = Setup {
         system,
         ..fixture::setup(&KEYS)
     };
-    Box::new(BootDesk::new(flash, NoCounter, setup, now))
+    Box::new(BootDesk::new(flash, NoCounter, setup, running, now))
 }
 
 impl World {
@@ -88,7 +88,7 @@ impl World {
         for ((system, mut flash), cut) in SystemId::ALL.into_iter().zip(flashes).zip(cuts) {
             flash.power_on(2, cut);
             let launch = launch_of(&mut flash);
-            let desk = desk_of(system, flash, world.now);
+            let desk = desk_of(system, flash, launch.application, world.now);
             world.systems[system.index()] = Some(Power::On(desk, launch, world.now));
         }
         world
@@ -104,7 +104,11 @@ impl World {
         let End::Running(launch) = life.live(&mut flash).end else {
             panic!("{system} does not boot");
         };
-        Power::On(desk_of(system, flash, self.now), launch, self.now)
+        Power::On(
+            desk_of(system, flash, launch.application, self.now),
+            launch,
+            self.now,
+        )
     }
 
     fn step(&mut self) {
@@ -215,7 +219,7 @@ fn both_approve_a_release_that_works_on_both() {
         world.told, [trial; 2],
         "not before the stated time in a role"
     );
-    world.run(1_700);
+    world.run(3_700);
     assert_eq!(world.told, [Some((ReleaseStage::Approved, 2)); 2]);
     assert_eq!(world.boots(), [NEW; 2]);
 }
@@ -255,7 +259,7 @@ fn lost_frames_divide_nobody() {
 /// Returns the points at which power can be lost from the start of release 2 to its approval.
 fn ticks_of_an_approval() -> u64 {
     let mut world = World::new([controller(true), controller(true)], [None; 2]);
-    world.run(3_000);
+    world.run(5_000);
     let Some(Power::On(desk, ..)) = world.systems[0].take() else {
         panic!("A is off");
     };
@@ -264,7 +268,7 @@ fn ticks_of_an_approval() -> u64 {
 
 fn same(cuts: [Option<(u64, Tear)>; 2], flashes: &[SimulatedFlash; 2]) -> bool {
     let mut world = World::new(flashes.clone(), cuts);
-    world.run(15_000);
+    world.run(20_000);
     let boots = world.boots();
     assert!(
         boots == [OLD; 2] || boots == [NEW; 2],

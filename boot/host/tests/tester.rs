@@ -207,10 +207,10 @@ fn an_unproved_host_writes_nothing() {
 }
 
 /// T-BOOT-1: a host that does not prove itself keeps the loader for at most two seconds, whatever
-/// it sends; without testers for as long as it sends.
+/// it sends; without testers for ten seconds after the last thing that it has brought.
 #[test]
 fn an_unproved_host_does_not_hold_the_loader() {
-    for (testers, holds) in [(known(), false), (&[][..], true)] {
+    for (testers, holds_ms) in [(known(), 2_000), (&[][..], 10_000)] {
         let mut bench = Bench::new(testers, 5);
         bench.connect();
         let mut held_ms = 0;
@@ -224,7 +224,7 @@ fn an_unproved_host_does_not_hold_the_loader() {
                 _ => break,
             }
         }
-        assert_eq!(held_ms >= 60_000, holds, "{held_ms} ms");
+        assert!((holds_ms..holds_ms + 20).contains(&held_ms), "{held_ms} ms");
     }
 }
 

@@ -334,7 +334,10 @@ fn a_new_bootloader_must_have_worked() {
                 system: None,
                 resume: false,
             };
-            for request in [connect, HostRequest::Data(b"S0")] {
+            // A connection that nobody answers to, and then a record that it accepts.
+            let accepted = records("new", &[&image(Slot::B, 2, 40)]).swap_remove(1);
+            let pieces = accepted.as_bytes().chunks(8).map(HostRequest::Data);
+            for request in std::iter::once(connect).chain(pieces) {
                 loader.on_frame(Instant::ORIGIN, &request.frame().unwrap());
                 let _ = loader.next(Instant::ORIGIN);
             }
@@ -499,17 +502,17 @@ fn sends_at_power_on(flash: &mut SimulatedFlash, lines: &[String]) -> Option<Ans
     last
 }
 
-/// U-4, U-5: a record after the end of a file takes the whole file back, also a bootloader.
+/// U-4, T-BOOT-1: a record after the end of a file is refused, and takes nothing back.
 #[test]
-fn a_record_after_the_end_takes_a_bootloader_back() {
+fn a_record_after_the_end_takes_nothing_back() {
     let mut flash = factory();
     let mut lines = records("loader", &[&loader(2)]);
     lines.push(tandem_boot_host::line(3, &[0, 4, 1, 0], &[7; 16]));
     let last = sends_at_power_on(&mut flash, &lines);
     assert_eq!(last, Some(Answer::Refused(Refusal::AfterEnd)));
     lives(&mut flash, 3);
-    let old = loader(1).bytes;
-    assert_eq!(flash.firm(0, old.len() as u32), Some(old));
+    let new = loader(2).bytes;
+    assert_eq!(flash.firm(0, new.len() as u32), Some(new));
 }
 
 /// U-3: an image on trial that was not started yet is forgotten before its place is erased, of each

@@ -273,7 +273,9 @@ impl<'b, B: Board> SharedState<'b, B> {
         let Some(redundancy) = self.redundancy.running() else {
             return TaskSet::NONE;
         };
-        if self.can.stands || redundancy.may_leave(self.board.now()) {
+        // A release is given up only if the other system drives.
+        let may = self.can.stands && request == ResetRequest::Download;
+        if may || redundancy.may_leave(self.board.now()) {
             self.board.supply().request_reset(request);
             return TaskSet::NONE;
         }

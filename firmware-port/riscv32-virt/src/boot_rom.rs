@@ -11,8 +11,8 @@ use core::sync::atomic::Ordering::Relaxed;
 use embedded_storage::nor_flash::ReadNorFlash as _;
 use tandem_board::{Board, Instant, MonotonicCounter as _, ResetRequest, Supply};
 use tandem_boot::{
-    BODY_OFFSET, Bank, BootDesk, COUNTER_PAGES, FlashRegion, Launch, Leave, OneTimeWords,
-    PAGE_BYTES, Security, Setup, Trust, TrustMode, rom_choice, start,
+    BODY_OFFSET, Bank, BootDesk, COUNTER_PAGES, FlashRegion, ImageTarget, Launch, Leave,
+    OneTimeWords, PAGE_BYTES, Security, Setup, Slot, Trust, TrustMode, rom_choice, start,
 };
 
 /// Starts the bootloader in the flash, if there is one, and returns if there is none.
@@ -120,7 +120,14 @@ pub fn desk(board: &VirtBoard) -> BootDesk<'static, ProgramFlash, OneTimeWords<P
         noise: noise(board),
     };
     let counter = OneTimeWords::new(ProgramFlash, COUNTER_PAGES);
-    BootDesk::new(ProgramFlash, counter, setup, board.now())
+    // Both slots have one entry for all cores, inside the slot.
+    let entries = &system(board.identity().system).entries;
+    let at = entries[0].load(Relaxed).wrapping_sub(BEGIN);
+    let running = match ImageTarget::at(at) {
+        Some(ImageTarget::Application(slot)) => slot,
+        _ => Slot::A,
+    };
+    BootDesk::new(ProgramFlash, counter, setup, running, board.now())
 }
 
 /// Returns bytes that differ at each start. This machine has no random numbers: its clock alone can

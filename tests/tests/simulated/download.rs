@@ -180,7 +180,7 @@ fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
         EnvironmentStore::new(environment)
             .settle(&mut flash)
             .expect("a flash");
-        let desk = BootDesk::new(flash, NoCounter, setup, board.now());
+        let desk = BootDesk::new(flash, NoCounter, setup, Slot::A, board.now());
         let mut core = Core2::with_desk(board, Watched(desk, seen.clone()));
         Box::new(move |_| core.poll())
     });
