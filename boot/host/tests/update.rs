@@ -539,3 +539,55 @@ fn a_trial_is_forgotten_before_its_place_is_erased() {
         assert_eq!(store.get().trial.is_some(), stays, "{:?}", second.target);
     }
 }
+
+/// U-3: a download in a reset loop goes to the slot that does not run, although that was the active
+/// one. What runs is active from then on, so a start without approval boots it.
+#[test]
+fn a_download_in_a_reset_loop_does_not_become_active() {
+    let Images { mut flash, .. } = Images::updated();
+    let lines = records("new", &[&image(Slot::B, 3, 300)]);
+    let keys = [TEST_PUBLIC];
+    let start = |flash: &mut SimulatedFlash, starts, lines: &[String]| {
+        let mut setup = fixture::setup(&keys);
+        setup.starts = starts;
+        setup.cause = match lines {
+            [] => tandem_board::ResetCause::Watchdog,
+            _ => tandem_board::ResetCause::Download,
+        };
+        let mut loader = Loader::start(&mut *flash, setup, Instant::ORIGIN);
+        let connect = HostRequest::Connect {
+            system: None,
+            resume: false,
+        };
+        let pieces = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
+        let pieces = pieces.map(HostRequest::Data);
+        let connects = (!lines.is_empty()).then_some(connect);
+        for request in connects.into_iter().chain(pieces) {
+            loader.on_frame(Instant::ORIGIN, &request.frame().unwrap());
+            while let Next::Send(_) = loader.next(Instant::ORIGIN) {}
+        }
+        loader.next(Instant::from_ns(20_000_000_000))
+    };
+    // Slot B with release 2 is active, and after eight failed starts slot A runs.
+    assert_eq!(start(&mut flash, 10, &lines), Next::Reset);
+    let environment = *EnvironmentStore::load(&mut flash).unwrap().get();
+    assert_eq!(environment.active.application, Some(Slot::A));
+    assert!(environment.trial.is_some());
+    let Next::Jump(launch) = start(&mut flash, 11, &[]) else {
+        panic!("it boots");
+    };
+    assert_eq!(
+        (launch.application, launch.version),
+        (Slot::B, 3),
+        "on trial"
+    );
+    // The next power-on ends the loop.
+    let Next::Jump(launch) = start(&mut flash, 1, &[]) else {
+        panic!("it boots");
+    };
+    assert_eq!(
+        (launch.application, launch.version),
+        (Slot::A, 1),
+        "rolled back"
+    );
+}
