@@ -399,7 +399,7 @@ impl Bench {
 #[test]
 fn forged_release_frames_move_nothing() {
     use ReleaseStage::{Approved, Ready, Works};
-    let truth = |ms: u64| (ms % 200 == 0).then_some((Approved, 1));
+    let truth = |ms: u64| ms.is_multiple_of(200).then_some((Approved, 1));
     for forged in [(Works, 2), (Ready, 2), (Approved, 2), (Approved, 7)] {
         let seen = on_trial().beside(|ms| truth(ms).into_iter().chain([forged]).collect());
         assert_eq!(seen, (Works, false), "{forged:?}");
