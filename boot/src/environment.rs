@@ -21,6 +21,8 @@ pub const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 const SLOT_BYTES: u32 = 3 * PAGE_BYTES as u32;
 /// Slots of a copy. Its sector is erased once for this number of changes.
 const SLOTS: u32 = SMALLEST_SECTOR / SLOT_BYTES;
+/// Slots that a start leaves for the application.
+const RESERVE: u32 = 12;
 /// So many slots are tried before the sector is erased.
 const ATTEMPTS: u32 = 3;
 const MAGIC: [u8; 4] = *b"TENV";
@@ -267,6 +269,21 @@ impl EnvironmentStore {
         }
         self.is_current = true;
         Ok(())
+    }
+
+    /// Erases early, so that an application that writes the environment need not: its core would
+    /// stand still for the erase. Writes both copies again if one of them is nearly full.
+    pub(crate) fn make_room(&mut self, flash: &mut impl NorFlash) -> Result<(), FlashFault> {
+        let mut nearly_full = false;
+        for next in &mut self.next {
+            if *next > SLOTS - RESERVE {
+                (*next, nearly_full) = (SLOTS, true);
+            }
+        }
+        match nearly_full {
+            true => self.write(flash, self.current),
+            false => Ok(()),
+        }
     }
 
     /// Replaces the environment in both copies. Atomic: after a loss of power at any moment, the

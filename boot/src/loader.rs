@@ -151,6 +151,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         };
         // Worn-out sectors must not prevent booting.
         let settled = store.settle(&mut flash);
+        let _full = store.make_room(&mut flash);
         if loaded.is_none() && settled.is_ok() {
             let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
         }

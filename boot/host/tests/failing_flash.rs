@@ -5,7 +5,7 @@ mod fixture;
 
 use fixture::{Images, factory, image, lives, loader};
 use strum::VariantArray as _;
-use tandem_boot::{Bank, FlashRegion, ImageTarget, Slot};
+use tandem_boot::{Bank, EnvironmentStore, FlashRegion, ImageTarget, Slot, approve};
 use tandem_boot_host::cuts::{CutCase, CutScenario, LifePlan, Stage};
 use tandem_boot_host::life::{End, Life};
 use tandem_boot_host::{Failing, FlashOperation, FlashTraits, SimulatedFlash, records};
@@ -234,4 +234,31 @@ fn a_new_controller_with_an_ecc_boots() {
     let (outcome, _, mut flash) = stage.live(stage.start(), plan).unwrap();
     assert!(outcome.downloaded);
     assert_eq!(stage.brick(&outcome, &mut flash), None);
+}
+
+/// U-2: the application never meets a full sector of the environment: a start makes room for the
+/// records that an approval writes. The erase would hold core 2 up.
+#[test]
+fn an_approval_needs_no_erase() {
+    for shift in 0..6 {
+        let mut flash = factory();
+        for _ in 0..shift {
+            let mut store = EnvironmentStore::load(&mut flash).unwrap();
+            let environment = *store.get();
+            store.write(&mut flash, environment).unwrap();
+        }
+        for release in 2..60 {
+            let slot = [Slot::A, Slot::B][release as usize % 2 ^ 1];
+            let lines = records("new", &[&image(slot, release, 40)]);
+            let life = Life {
+                approves: false,
+                ..Life::with_file(&lines, 8)
+            };
+            flash.power_on(release.into(), None);
+            assert!(life.live(&mut flash).downloaded, "{release}");
+            let before = flash.work().0;
+            approve(&mut flash).unwrap();
+            assert_eq!(flash.work().0, before, "{shift}: release {release} erased");
+        }
+    }
 }
