@@ -248,7 +248,7 @@ fn an_approval_needs_no_erase() {
             store.write(&mut flash, environment).unwrap();
         }
         for release in 2..60 {
-            let slot = [Slot::A, Slot::B][release as usize % 2 ^ 1];
+            let slot = [Slot::B, Slot::A][release as usize % 2];
             let lines = records("new", &[&image(slot, release, 40)]);
             let life = Life {
                 approves: false,
