@@ -16,7 +16,7 @@ use crate::environment::{Environment, EnvironmentStore, Trial};
 use crate::flash_access::{FlashFault, manifest_at};
 use crate::info;
 use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works};
-use crate::log::{LogEvent, append, wrong_testers};
+use crate::log::{append, wrong_testers};
 use crate::map::{ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};
 use crate::tester::{Judged, Tester};
@@ -276,10 +276,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
     fn prove(&mut self, now: Instant, part: u8, bytes: [u8; 5]) -> Option<Answer> {
         let place = (now, self.system);
         let judged = self.tester.on_proof(place, part, bytes, &self.trust)?;
-        let (event, answer) = match judged {
-            Judged::Right => (LogEvent::TesterProved, Answer::Proved),
-            Judged::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
-        };
+        let (event, answer) = judged.outcome();
         self.proved_at = (judged == Judged::Right).then_some(now);
         let _unlogged = append(&mut self.flash, event, self.tester.wrong().into());
         Some(answer)

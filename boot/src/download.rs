@@ -38,6 +38,7 @@ pub(crate) struct Ground<'k> {
 
 impl Ground<'_> {
     /// Returns whether a download may erase this place.
+    #[inline(never)]
     fn is_free(&self, target: ImageTarget) -> bool {
         // The other system may have approved what is ready.
         let is_ready = self.store.get().trial.is_some_and(|trial| trial.ready);
@@ -173,8 +174,12 @@ pub(crate) struct Download {
 }
 
 impl Download {
+    /// Returns the offset behind the received bytes.
+    pub(crate) const fn received(&self) -> u32 {
+        self.last.end
+    }
+
     /// Processes a record. Returns `Ok(true)` if the file has ended and is on trial.
-    #[inline(never)]
     pub(crate) fn take(
         &mut self,
         record: &SRecord,

@@ -189,8 +189,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if core::mem::take(&mut self.was_busy) {
             // The loader does not read CAN while the flash is busy: that time does not count as
             // silence of the host.
-            self.session.progress(now);
-            let _seen = self.session.take_progress();
+            self.session.excuse(now);
         }
         if let Some(frame) = self.answer.take() {
             return Next::Send(frame);
@@ -310,14 +309,12 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         let trust = self.setup.trust;
         let place = (now, self.setup.system);
         let tester = &mut self.ground.tester;
-        let (event, answer) = match tester.on_proof(place, part, bytes, &trust)? {
-            Judged::Right => (LogEvent::TesterProved, Answer::Proved),
-            Judged::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
-        };
+        let judged = tester.on_proof(place, part, bytes, &trust)?;
         let wrong = tester.wrong();
-        if event == LogEvent::TesterProved {
+        if judged == Judged::Right {
             self.session.progress(now);
         }
+        let (event, answer) = judged.outcome();
         self.log(event, wrong.into());
         Some(answer)
     }

@@ -51,7 +51,7 @@ pub(crate) struct Session {
     /// repeats it.
     last: Option<u32>,
     heard: Instant,
-    /// When the host last brought something: a connection, a proof, a record that was accepted.
+    /// When the host last brought something: a connection, a proof, bytes of an image, the end.
     progressed: Instant,
     /// It has brought something since [`Session::take_progress`].
     brought: bool,
@@ -77,9 +77,15 @@ impl Session {
         self.progressed
     }
 
-    /// Notes that the host has brought something, or that the flash was busy with it until now.
+    /// Does not count the time until now as silence: the flash was busy.
+    pub(crate) const fn excuse(&mut self, now: Instant) {
+        (self.heard, self.progressed) = (now, now);
+    }
+
+    /// Notes that the host has brought something.
     pub(crate) const fn progress(&mut self, now: Instant) {
-        (self.heard, self.progressed, self.brought) = (now, now, true);
+        self.excuse(now);
+        self.brought = true;
     }
 
     /// Returns whether the host has brought something since the last call.
@@ -148,7 +154,13 @@ impl Session {
             }
             HostRequest::Data(data) => {
                 let record = self.assembler.push(data)?;
-                Some(self.on_record(now, record.ok(), flash, ground)).flatten()
+                let was_open = self.is_open();
+                let answer = self.on_record(now, record.ok(), flash, ground);
+                if was_open && self.has_ended() {
+                    // From now on the host may ask for this answer again.
+                    self.excuse(now);
+                }
+                answer
             }
         }
     }
@@ -183,10 +195,11 @@ impl Session {
             return Some(Answer::Refused(Refusal::AfterEnd));
         }
         if !repeated && self.state == State::Open {
+            let received = self.download.received();
             match self.download.take(&record, flash, ground) {
                 Ok(ended) => {
                     (self.attempts, self.doubted) = (0, None);
-                    if record.record_type != SRecordType::Header {
+                    if ended || self.download.received() != received {
                         self.progress(now);
                     }
                     self.accepted += 1;
@@ -222,6 +235,7 @@ impl Session {
         })
     }
 
+    #[inline(never)]
     fn refuse(&mut self, refusal: Refusal) -> Answer {
         self.state = State::Refused(refusal);
         self.download = Download::default();

@@ -5,6 +5,7 @@
 //! keeps the number of wrong ones over a reset. A running application asks for the same proof.
 
 use crate::flash_access::sha256;
+use crate::log::LogEvent;
 use crate::protocol::{Answer, CHALLENGE_BYTES, PROOF_BYTES, PROOF_PARTS, PROOF_PIECE};
 use crate::trust::Trust;
 use tandem_board::{Duration, Instant, SystemId};
@@ -37,6 +38,16 @@ pub fn tester_message(
 pub(crate) enum Judged {
     Right,
     Wrong,
+}
+
+impl Judged {
+    /// Returns what is logged, and what the tester hears.
+    pub(crate) const fn outcome(self) -> (LogEvent, Answer) {
+        match self {
+            Self::Right => (LogEvent::TesterProved, Answer::Proved),
+            Self::Wrong => (LogEvent::TesterRefused, Answer::Unproved),
+        }
+    }
 }
 
 /// The tester at the other end.

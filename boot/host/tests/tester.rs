@@ -282,6 +282,39 @@ fn a_connection_that_is_resumed_keeps_its_proof() {
     );
 }
 
+/// T-BOOT-1: who has proved itself and left does not leave the loader to others: no record that
+/// brings nothing keeps it from booting.
+#[test]
+fn records_that_bring_nothing_do_not_hold_the_loader() {
+    for nothing in ["S5030000FC\n", "S40B00000000000000000000F4\n"] {
+        let mut bench = Bench::new(known(), 3);
+        bench.connect();
+        let challenge = bench.challenge();
+        let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
+        assert_eq!(bench.prove(&TESTER.sign(&message)), Some(Answer::Proved));
+        let mut boots = false;
+        for record in [nothing, "S0030000FC\n"].into_iter().cycle().take(8) {
+            bench.now += tandem_board::Duration::from_ms(2_000);
+            bench.line(record);
+            boots |= !matches!(bench.loader.next(bench.now), Next::Wait(_) | Next::Send(_));
+        }
+        assert!(boots, "{nothing}: held for 16 s");
+    }
+}
+
+/// T-BOOT-3: a refusal that comes long after the last record can be asked for again.
+#[test]
+fn a_late_refusal_is_told_again() {
+    let mut bench = Bench::new(&[], 3);
+    bench.connect();
+    bench.now += tandem_board::Duration::from_ms(5_000);
+    let refused = Some(Answer::Refused(Refusal::Protected));
+    let protected = "S30D000100000102030405060708CD\n";
+    assert_eq!(bench.line(protected), refused);
+    bench.now += tandem_board::Duration::from_ms(40);
+    assert_eq!(bench.line(protected), refused, "within 50 ms");
+}
+
 /// T-BOOT-1: after a refusal nobody holds the loader, however often it sends whatever.
 #[test]
 fn nobody_holds_the_loader_after_a_refusal() {
