@@ -15,7 +15,7 @@
 use crate::environment::{Environment, EnvironmentStore, Trial};
 use crate::flash_access::{FlashFault, manifest_at};
 use crate::info;
-use crate::loader::{HOST_SILENCE, Setup, approve, bootloader_works};
+use crate::loader::{HOST_SILENCE, approve, bootloader_works};
 use crate::log::{append, wrong_testers};
 use crate::map::{ImageTarget, Slot};
 use crate::protocol::{Answer, HostRequest, RELEASES, Refusal, ReleaseStage, TO_LOADER};
@@ -85,6 +85,21 @@ impl Peer {
     }
 }
 
+/// The circumstances of the application that the desk is beside.
+#[derive(Clone, Copy, Debug)]
+pub struct DeskSetup<'k> {
+    /// The testers, and how their signatures are verified. Its keys are not used.
+    pub trust: Trust<'k>,
+    /// Which system this is.
+    pub system: SystemId,
+    /// The slot of the application that runs.
+    pub running: Slot,
+    /// As in [`Setup::starts`](crate::Setup::starts).
+    pub starts: u8,
+    /// As in [`Setup::noise`](crate::Setup::noise), and not that of the bootloader.
+    pub noise: [u8; 32],
+}
+
 /// The desk of one system, with its program flash and its counter.
 #[derive(Debug)]
 pub struct BootDesk<'k, F, C> {
@@ -118,9 +133,8 @@ pub struct BootDesk<'k, F, C> {
 }
 
 impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
-    /// Creates the desk when the application in slot `running` starts. `setup`: as for the
-    /// bootloader, with other noise. Reads the log if the system knows testers.
-    pub fn new(mut flash: F, counter: C, setup: Setup<'k>, running: Slot, now: Instant) -> Self {
+    /// Creates the desk when the application starts. Reads the log if the system knows testers.
+    pub fn new(mut flash: F, counter: C, setup: DeskSetup<'k>, now: Instant) -> Self {
         let wrong = match setup.trust.testers {
             [] => None,
             _ => wrong_testers(&mut flash),
@@ -140,7 +154,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
             release: None,
             peer: None,
             answered: None,
-            running,
+            running: setup.running,
             told: None,
             gives_up: false,
             asked: false,

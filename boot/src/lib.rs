@@ -32,7 +32,7 @@ mod tester;
 mod three_frames;
 mod trust;
 
-pub use desk::{BootDesk, PROVES_ITSELF};
+pub use desk::{BootDesk, DeskSetup, PROVES_ITSELF};
 pub use environment::{
     Environment, EnvironmentStore, LoaderUpdate, RECORD_BYTES, Selection, Trial,
 };

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 use tandem_board::{Board, CoreId, MonotonicCounter as _, Supply as _, SystemId};
 use tandem_board_host::{CoreArgs, HostBoard, jump};
 use tandem_boot::{
-    BODY_OFFSET, Bank, BetweenSteps, BootDesk, COUNTER_PAGES, EnvironmentStore, FlashRegion,
-    ImageTarget, Leave, Manifest, OneTimeWords, SIGNED_BYTES, Security, Setup, Slot, Trust,
+    BODY_OFFSET, Bank, BetweenSteps, BootDesk, COUNTER_PAGES, DeskSetup, EnvironmentStore,
+    FlashRegion, ImageTarget, Leave, Manifest, OneTimeWords, SIGNED_BYTES, Security, Slot, Trust,
     TrustMode, ed25519, rom_choice, start,
 };
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
@@ -249,7 +249,7 @@ pub fn desk<'k>(
     testers: &'k [[u8; 32]],
 ) -> anyhow::Result<BootDesk<'k, FlashFile, OneTimeWords<FlashFile>>> {
     let (system, supply) = (board.identity().system, board.supply());
-    let setup = Setup {
+    let setup = DeskSetup {
         trust: Trust {
             keys: &[],
             testers,
@@ -257,13 +257,15 @@ pub fn desk<'k>(
             verify: ed25519,
         },
         system,
-        bank: Bank::Primary,
-        cause: supply.reset_cause(),
+        running: booted(args)?,
         starts: supply.starts(),
-        counter: 0,
         noise: noise()?,
     };
     let counter = OneTimeWords::new(flash.open(system)?, COUNTER_PAGES);
-    let (flash, running) = (flash.open(system)?, booted(args)?);
-    Ok(BootDesk::new(flash, counter, setup, running, board.now()))
+    Ok(BootDesk::new(
+        flash.open(system)?,
+        counter,
+        setup,
+        board.now(),
+    ))
 }

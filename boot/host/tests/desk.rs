@@ -36,11 +36,10 @@ struct Bench {
 
 impl Bench {
     fn new(mut flash: SimulatedFlash) -> Self {
-        let mut setup = fixture::setup(&[]);
+        let mut setup = fixture::desk(running(&mut flash));
         setup.trust.testers = Box::leak(Box::new([TESTER.public()]));
         let now = Instant::ORIGIN;
-        let running = running(&mut flash);
-        let desk = BootDesk::new(flash, NoCounter, setup, running, now);
+        let desk = BootDesk::new(flash, NoCounter, setup, now);
         Self { desk, now }
     }
 
@@ -449,8 +448,8 @@ fn who_is_ready_does_not_give_up_alone() {
 fn what_does_not_run_is_not_approved() {
     let bench = on_trial();
     let (flash, NoCounter) = bench.desk.into_parts();
-    let setup = fixture::setup(&[]);
-    let mut desk = BootDesk::new(flash, NoCounter, setup, Slot::A, Instant::ORIGIN);
+    let setup = fixture::desk(Slot::A);
+    let mut desk = BootDesk::new(flash, NoCounter, setup, Instant::ORIGIN);
     for ms in (0..4_000).step_by(50) {
         let action = desk.poll(Instant::from_ns(ms * 1_000_000), true);
         if let Some(DeskAction::Send(frame)) = action {

@@ -128,8 +128,7 @@ fn nothing_below_the_counter_boots() {
     let mut desk = BootDesk::new(
         flash.clone(),
         OneTimeWords::new(flash, COUNTER_PAGES),
-        fixture::setup(&[]),
-        Slot::B,
+        fixture::desk(Slot::B),
         Instant::ORIGIN,
     );
     let now = |ms: u64| Instant::from_ns(ms * 1_000_000);

@@ -10,12 +10,11 @@ use tandem_board::{
     CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
 };
 use tandem_boot::{
-    Answer, BootDesk, EnvironmentStore, ImageTarget, Launch, ReleaseStage, Setup, Slot,
+    Answer, BootDesk, DeskSetup, EnvironmentStore, ImageTarget, Launch, ReleaseStage, Slot,
 };
-use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
+use tandem_boot_host::life::{End, Life, TEST_KEY};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
 
-const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
 const STEP: Duration = Duration::from_ms(50);
 /// A system has a role this long after its start.
 const STARTS_IN: Duration = Duration::from_ms(400);
@@ -66,11 +65,11 @@ struct World {
 }
 
 fn desk_of(system: SystemId, flash: SimulatedFlash, running: Slot, now: Instant) -> Box<Desk> {
-    let setup = Setup {
+    let setup = DeskSetup {
         system,
-        ..fixture::setup(&KEYS)
+        ..fixture::desk(running)
     };
-    Box::new(BootDesk::new(flash, NoCounter, setup, running, now))
+    Box::new(BootDesk::new(flash, NoCounter, setup, now))
 }
 
 impl World {

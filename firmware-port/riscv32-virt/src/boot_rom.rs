@@ -11,8 +11,8 @@ use core::sync::atomic::Ordering::Relaxed;
 use embedded_storage::nor_flash::ReadNorFlash as _;
 use tandem_board::{Board, Instant, MonotonicCounter as _, ResetRequest, Supply};
 use tandem_boot::{
-    BODY_OFFSET, Bank, BootDesk, COUNTER_PAGES, FlashRegion, ImageTarget, Launch, Leave,
-    OneTimeWords, PAGE_BYTES, Security, Setup, Slot, Trust, TrustMode, rom_choice, start,
+    BODY_OFFSET, Bank, BootDesk, COUNTER_PAGES, DeskSetup, FlashRegion, ImageTarget, Launch, Leave,
+    OneTimeWords, PAGE_BYTES, Security, Slot, Trust, TrustMode, rom_choice, start,
 };
 
 /// Starts the bootloader in the flash, if there is one, and returns if there is none.
@@ -105,21 +105,6 @@ pub fn launch(board: &VirtBoard, launch: &Launch) {
 /// Returns the bootloader's desk beside an application.
 #[must_use]
 pub fn desk(board: &VirtBoard) -> BootDesk<'static, ProgramFlash, OneTimeWords<ProgramFlash>> {
-    let setup = Setup {
-        trust: Trust {
-            keys: &[],
-            testers: testers(),
-            mode: TrustMode::Strict,
-            verify: rom_verify,
-        },
-        system: board.identity().system,
-        bank: Bank::Primary,
-        cause: board.supply().reset_cause(),
-        starts: board.supply().starts(),
-        counter: 0,
-        noise: noise(board),
-    };
-    let counter = OneTimeWords::new(ProgramFlash, COUNTER_PAGES);
     // Both slots have one entry for all cores, inside the slot.
     let entries = &system(board.identity().system).entries;
     let at = entries[0].load(Relaxed).wrapping_sub(BEGIN);
@@ -127,7 +112,20 @@ pub fn desk(board: &VirtBoard) -> BootDesk<'static, ProgramFlash, OneTimeWords<P
         Some(ImageTarget::Application(slot)) => slot,
         _ => Slot::A,
     };
-    BootDesk::new(ProgramFlash, counter, setup, running, board.now())
+    let setup = DeskSetup {
+        trust: Trust {
+            keys: &[],
+            testers: testers(),
+            mode: TrustMode::Strict,
+            verify: rom_verify,
+        },
+        system: board.identity().system,
+        running,
+        starts: board.supply().starts(),
+        noise: noise(board),
+    };
+    let counter = OneTimeWords::new(ProgramFlash, COUNTER_PAGES);
+    BootDesk::new(ProgramFlash, counter, setup, board.now())
 }
 
 /// Returns bytes that differ at each start. This machine has no random numbers: its clock alone can

@@ -8,8 +8,8 @@ use tandem_board::{
 };
 use tandem_board_sim::SystemEventKind;
 use tandem_boot::{
-    Answer, Bank, BootDesk, CHALLENGE_BYTES, Environment, EnvironmentStore, HostRequest, Question,
-    Refusal, Selection, Setup, Slot, Trust, TrustMode, ed25519, tester_message,
+    Answer, BootDesk, CHALLENGE_BYTES, DeskSetup, Environment, EnvironmentStore, HostRequest,
+    Question, Refusal, Selection, Slot, Trust, TrustMode, ed25519, tester_message,
 };
 use tandem_boot_host::{SigningKey, SimulatedFlash};
 use tandem_cores::Core as _;
@@ -155,7 +155,7 @@ fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
             return poller(board, config);
         }
         let board = Box::leak(Box::new(board.clone()));
-        let setup = Setup {
+        let setup = DeskSetup {
             trust: Trust {
                 keys: &[],
                 testers,
@@ -163,10 +163,8 @@ fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
                 verify: ed25519,
             },
             system: board.identity().system,
-            bank: Bank::Primary,
-            cause: ResetCause::PowerOn,
+            running: Slot::A,
             starts: 1,
-            counter: 0,
             noise: [board.identity().system.index() as u8; 32],
         };
         let mut flash = SimulatedFlash::new();
@@ -180,7 +178,7 @@ fn drive_with_desks() -> (Drive, Rc<RefCell<Vec<Answer>>>) {
         EnvironmentStore::new(environment)
             .settle(&mut flash)
             .expect("a flash");
-        let desk = BootDesk::new(flash, NoCounter, setup, Slot::A, board.now());
+        let desk = BootDesk::new(flash, NoCounter, setup, board.now());
         let mut core = Core2::with_desk(board, Watched(desk, seen.clone()));
         Box::new(move |_| core.poll())
     });
