@@ -3,22 +3,14 @@
 //! All values are little endian. `docs/boot.md` has the same tables for authors of host tools.
 
 use strum::{FromRepr, VariantArray};
-use tandem_board::{CanFrame, CanId, SystemId};
-
-/// Frames from the bootloader to the host.
-pub const TO_HOST: CanId = CanId::Extended(0x0CFF_0127);
-/// Frames from the host to the bootloader.
-pub const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
-/// From an application to everybody: the release that it runs.
-pub const RELEASES: CanId = CanId::Extended(0x0CFF_0128);
+use tandem_board::tester_desk::{CONNECT, EXTENSION};
+pub use tandem_board::tester_desk::{RELEASES, TO_HOST, TO_LOADER};
+use tandem_board::{CanFrame, SystemId};
 
 const CONNECTED: u64 = 0x0706_0504_0302_0100;
 const ACCEPTED: u32 = 0x0021_4B1D;
 const RESEND: u32 = 0x0053_4F53;
 const REFUSED: u32 = 0x0044_454E;
-const CONNECT: u32 = 0x083E_572D;
-/// First byte of the extension's frames. No record and no value of the thesis begins with it.
-const EXTENSION: u8 = b'W';
 const OFFER: u8 = 1;
 const GO_BACK: u8 = 2;
 const CHALLENGE: u8 = 3;
@@ -431,6 +423,7 @@ impl<'a> HostRequest<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_board::CanId;
 
     /// T-BOOT-3: the bytes on the bus are those of the thesis.
     #[test]

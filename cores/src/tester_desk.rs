@@ -4,18 +4,9 @@
 //! them loses frames, which a tester repeats.
 
 use crate::layout::{ControllerMap, DeskWords, FROM_DESK, TO_DESK};
-use tandem_board::{CanFrame, CanId, DeskAction, Instant, ResetRequest, SystemId, TesterDesk};
+use tandem_board::tester_desk::{CONNECT, EXTENSION, RELEASES, TO_HOST, TO_LOADER};
+use tandem_board::{CanFrame, DeskAction, Instant, ResetRequest, SystemId, TesterDesk};
 use tandem_shm::fifo::{Consumer, Producer};
-
-/// From a host to a bootloader: see `docs/boot.md`.
-const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
-const TO_HOST: CanId = CanId::Extended(0x0CFF_0127);
-/// Connect, in the first four bytes.
-const CONNECT: u32 = 0x083E_572D;
-/// From an application to everybody: the release that it runs.
-const RELEASES: CanId = CanId::Extended(0x0CFF_0128);
-/// The first byte of a frame of the protocol's extension.
-const EXTENSION: u8 = b'W';
 
 /// What the first word says.
 const FOR_LOADER: u32 = 0;
@@ -169,6 +160,7 @@ impl TesterDesk for Unguarded {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_board::CanId;
 
     /// T-BOOT-1: records of a download to the other system stay away from core 2, and what crosses
     /// the LMU arrives as it was sent. Words that are no frame are none.

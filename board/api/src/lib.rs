@@ -27,7 +27,7 @@ mod identity;
 mod lines;
 mod monotonic;
 mod supply;
-mod tester_desk;
+pub mod tester_desk;
 mod time;
 mod trace;
 mod vehicle;

@@ -1,6 +1,17 @@
 //! What answers a tester while the application runs. T-BOOT-1
 
-use crate::{CanFrame, Instant, ResetRequest};
+use crate::{CanFrame, CanId, Instant, ResetRequest};
+
+/// From a host to a bootloader, or to a desk: see `docs/boot.md`.
+pub const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
+/// From a bootloader or a desk to the host.
+pub const TO_HOST: CanId = CanId::Extended(0x0CFF_0127);
+/// From a desk to everybody: the release that its application runs.
+pub const RELEASES: CanId = CanId::Extended(0x0CFF_0128);
+/// Connect, in the first four bytes of a frame to a bootloader, little endian.
+pub const CONNECT: u32 = 0x083E_572D;
+/// The first byte of a frame of the protocol's extension.
+pub const EXTENSION: u8 = b'W';
 
 /// What the desk wants of core 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
