@@ -107,23 +107,14 @@ impl UdpBus {
     /// An error of the operating system.
     pub fn receive(&self, within: Duration) -> io::Result<Option<CanFrame>> {
         let end = std::time::Instant::now() + within;
-        let mut bytes = [0; 2048];
-        loop {
+        self.next_foreign(|| {
             let left = end.saturating_duration_since(std::time::Instant::now());
             if left.is_zero() {
-                return Ok(None);
+                return Ok(false);
             }
             self.socket.set_read_timeout(Some(left))?;
-            let (length, from) = match self.socket.recv_from(&mut bytes) {
-                Ok(received) => received,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                Err(error) => return Err(error),
-            };
-            if let Some(frame) = self.decode_foreign(&bytes[..length], from) {
-                return Ok(Some(frame));
-            }
-        }
+            Ok(true)
+        })
     }
 
     /// Makes [`UdpBus::poll`] and all sending return at once. Do not call [`UdpBus::receive`] then.
@@ -140,8 +131,17 @@ impl UdpBus {
     /// # Errors
     /// An error of the operating system.
     pub fn poll(&self) -> io::Result<Option<CanFrame>> {
+        self.next_foreign(|| Ok(true))
+    }
+
+    /// Returns the next data frame of another end. Before each datagram it asks `goes_on` whether to
+    /// take one.
+    fn next_foreign(
+        &self,
+        mut goes_on: impl FnMut() -> io::Result<bool>,
+    ) -> io::Result<Option<CanFrame>> {
         let mut bytes = [0; 2048];
-        loop {
+        while goes_on()? {
             let (length, from) = match self.socket.recv_from(&mut bytes) {
                 Ok(received) => received,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
@@ -152,6 +152,7 @@ impl UdpBus {
                 return Ok(Some(frame));
             }
         }
+        Ok(None)
     }
 
     /// Decodes a datagram; `None` for this end's own.
