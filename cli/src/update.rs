@@ -143,9 +143,10 @@ impl Update {
         note(&self.ended, &format!("{system} {what}: {why}\n"));
         self.lines = [None, None];
         let peer = system.peer();
-        let is_new = |told: &Told| told.1 == self.release && told.0 != ReleaseStage::Approved;
-        if errand == Errand::Download && self.told[peer.index()].as_ref().is_some_and(is_new) {
-            // Two systems with the same release are better than two releases.
+        let goes_back = |told: &Told| told.1 == self.release && told.0 < ReleaseStage::Ready;
+        if errand == Errand::Download && self.told[peer.index()].as_ref().is_some_and(goes_back) {
+            // Two systems with the same release are better than two releases. A system that is
+            // ready does not go back alone.
             let sender = FileSender::rolling_back(peer).proving(peer, self.tester);
             self.under_way = Some((peer, sender, Errand::RollBack));
         }

@@ -6,6 +6,8 @@ use tandem_boot::{Answer, CHALLENGE_BYTES, HostRequest, Refusal, tester_message}
 
 /// Time between two connect requests.
 pub const CONNECT_EVERY: Duration = Duration::from_ms(5);
+/// Time between two requests to give up a release: a system needs longer to go back.
+const ROLL_BACK_EVERY: Duration = Duration::from_ms(100);
 /// Silence after which a record is repeated: longer than the erase of the largest sector.
 pub const ANSWER_WITHIN: Duration = Duration::from_ms(3_000);
 /// The host gives up after this many attempts in a row. The loader gives up earlier and sends the
@@ -168,12 +170,13 @@ impl FileSender {
         match self.state {
             State::Ended(end) => end,
             State::Connecting if now >= self.due => {
-                self.due = now + CONNECT_EVERY;
                 let (system, resume) = (self.system, self.resume);
-                self.send(match self.rolls_back {
-                    true => HostRequest::RollBack { system },
-                    false => HostRequest::Connect { system, resume },
-                })
+                let (request, every) = match self.rolls_back {
+                    true => (HostRequest::RollBack { system }, ROLL_BACK_EVERY),
+                    false => (HostRequest::Connect { system, resume }, CONNECT_EVERY),
+                };
+                self.due = now + every;
+                self.send(request)
             }
             State::Connecting => ToDo::Wait(self.due),
             State::Asking(part) if self.asks => {

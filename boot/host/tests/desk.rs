@@ -1,4 +1,5 @@
-//! The desk beside a running application: whoever has no key changes nothing and takes nobody out.
+//! The desk beside a running application: a host without a key changes nothing and takes no system
+//! out.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -112,7 +113,7 @@ fn only_a_tester_takes_a_system_out() {
     assert_eq!(bench.answer(CONNECT), refused, "the proof holds for 10 s");
 }
 
-/// E-4: a wrong key takes nobody out, and locks the desk, also that of the next start.
+/// E-4: a wrong key takes no system out. It locks the desk, also that of the next start.
 #[test]
 fn a_wrong_key_locks_the_desk() {
     let wrong = SigningKey {
@@ -427,7 +428,8 @@ fn forged_release_frames_move_nothing() {
     assert_eq!(silent, (Works, false));
 }
 
-/// U-3: a system that has told that it is ready does not give up alone, whoever asks.
+/// U-3: a system that has told that it is ready does not give up alone, not even for a
+/// proven tester.
 #[test]
 fn who_is_ready_does_not_give_up_alone() {
     let mut bench = on_trial();
@@ -440,6 +442,19 @@ fn who_is_ready_does_not_give_up_alone() {
     assert_eq!(bench.hear(ROLL_BACK), None);
     let trial = EnvironmentStore::load(&mut bench.desk.flash().clone()).unwrap();
     assert!(trial.get().trial.is_some_and(|trial| trial.ready));
+}
+
+/// T-BOOT-3: a host asks for a release to be given up each 0.1 s, as `docs/boot.md` says.
+#[test]
+fn a_host_asks_again_each_100_ms() {
+    let mut sender = FileSender::rolling_back(SystemId::A);
+    let asks: Vec<u64> = (0..1_000)
+        .filter(|ms| match sender.next(Instant::from_ns(ms * 1_000_000)) {
+            ToDo::Send(frame) => ROLL_BACK.frame() == Some(frame),
+            _ => false,
+        })
+        .collect();
+    assert_eq!(asks, (0..1_000).step_by(100).collect::<Vec<u64>>());
 }
 
 /// U-3: a release that is on trial but does not run, because the flash did not record that it had
