@@ -21,6 +21,7 @@ use tandem_vehicle::Scenario;
 use crate::args::{CpuList, RunArgs, Timing};
 use crate::board_kind::BoardKind;
 use crate::boot::{self, ProgramFlashes};
+use crate::can_udp::CanUdp;
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::files::RunFiles;
@@ -28,7 +29,7 @@ use crate::live::Progress;
 use crate::metrics::{Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
-use crate::run_config::{LimitProfile, RunConfig, UpdateFiles};
+use crate::run_config::{LimitProfile, RunConfig, UpdateFiles, can_group};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::update::objections;
 use crate::{core_process, summary, vehicle};
@@ -286,6 +287,7 @@ impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;
+        can_group(args).map(CanUdp::join).transpose()?;
         let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;

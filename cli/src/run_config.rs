@@ -150,10 +150,7 @@ impl RunConfig {
             overrides_s: args.overrides,
             answers_after_s: args.answers,
             sensor_faults: args.sensor_fault.clone(),
-            can: args.can.map(|CanKind::Udp| CanGroup {
-                group: args.can_group,
-                port: args.can_port,
-            }),
+            can: can_group(args),
             ..Self::default()
         }
     }
@@ -212,6 +209,14 @@ impl RunConfig {
         serde_json::from_str(text)
             .context("the configuration of the run (made by this program itself)")
     }
+}
+
+/// Returns where other programs hear the bus, if they do.
+pub(crate) fn can_group(args: &RunArgs) -> Option<CanGroup> {
+    args.can.map(|CanKind::Udp| CanGroup {
+        group: args.can_group,
+        port: args.can_port,
+    })
 }
 
 #[cfg(test)]

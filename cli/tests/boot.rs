@@ -184,6 +184,29 @@ fn if_one_system_refuses_the_other_goes_back() {
     }
 }
 
+/// A run whose bus has no way to other programs does not start. It leaves nothing, and
+/// says what to do.
+#[test]
+fn a_bus_without_a_route_is_a_clear_error() {
+    let isolated = Command::new("unshare").args(["-rn", "true"]).output();
+    if !isolated.is_ok_and(|output| output.status.success()) {
+        eprintln!("a_bus_without_a_route_is_a_clear_error: skipped: no `unshare -rn`");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new("unshare")
+        .args(["-rn", env!("CARGO_BIN_EXE_tandem")])
+        .args(["run", "--can", "udp", "--scenario", "free-lane"])
+        .args(["--program-flash", "flash", "--out", "report"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("ip route add 224.0.0.0/4 dev lo"), "{said}");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+}
+
 /// U-2, U-3, T-BOOT-1: a foreign tester, written from `docs/boot.md` alone, updates both systems of
 /// a driving vehicle over python-can; one with a wrong key changes nothing.
 #[test]

@@ -3,7 +3,6 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use clap::Args;
 use tandem::args::parse_system;
 use tandem_board::SystemId;
@@ -161,6 +160,6 @@ pub(crate) struct BusArgs {
 impl BusArgs {
     /// Joins the bus.
     pub(crate) fn join(&self) -> anyhow::Result<UdpBus> {
-        UdpBus::join(self.group, self.port).context("CAN over UDP multicast")
+        Ok(UdpBus::join(self.group, self.port)?)
     }
 }

@@ -54,8 +54,19 @@ impl UdpBus {
     /// Joins a group. Other processes of this machine may join the same group.
     ///
     /// # Errors
-    /// An error of the operating system, usually because there is no route to the group.
+    /// An error of the operating system, usually because there is no route to the group. Its
+    /// text says what to do.
     pub fn join(group: Ipv4Addr, port: u16) -> io::Result<Self> {
+        Self::open(group, port).map_err(|error| {
+            let why = format!(
+                "CAN over UDP multicast, {group}:{port}: {error}; `ip link set lo up multicast on` and \
+                 `ip route add 224.0.0.0/4 dev lo` give this machine a route (docs/boot.md)"
+            );
+            io::Error::new(error.kind(), why)
+        })
+    }
+
+    fn open(group: Ipv4Addr, port: u16) -> io::Result<Self> {
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
         socket.set_reuse_address(true)?;
         let group = SocketAddrV4::new(group, port);
@@ -134,8 +145,8 @@ impl UdpBus {
         self.next_foreign(|| Ok(true))
     }
 
-    /// Returns the next data frame of another end. Before each datagram it asks `goes_on` whether to
-    /// take one.
+    /// Returns the next data frame of another end. Before each datagram it asks `goes_on` whether
+    /// to take one.
     fn next_foreign(
         &self,
         mut goes_on: impl FnMut() -> io::Result<bool>,
