@@ -241,7 +241,7 @@ impl<'k, F: NorFlash, C: MonotonicCounter> BootDesk<'k, F, C> {
                 ReleaseStage::Trial
             }
             ReleaseStage::Approved => {
-                // If power is lost meanwhile, the next start raises it.
+                // If power is lost here, the next start raises it.
                 let strict = self.trust.mode == TrustMode::Strict;
                 if strict && !core::mem::replace(&mut self.is_counter_raised, true) {
                     let _not_raised = self.counter.raise(release.security_counter.into());

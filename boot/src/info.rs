@@ -17,7 +17,8 @@ pub const LOG_ANSWERS: u8 = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
     /// Value: this word of the present [`Environment`], as [`Environment::encode`] writes it with
-    /// the sequence number 0. Detail: the starts of which none worked.
+    /// the sequence number 0. Detail: the starts since power-on or since one has worked, this
+    /// one included.
     Environment(u8),
     /// Detail: 1 if it begins with a manifest, 0 if not. Value: the version.
     Place(FlashRegion),

@@ -5,8 +5,8 @@ use crate::map::PAGE_BYTES;
 /// One page of flash.
 pub(crate) type Page = [u8; PAGE_BYTES];
 
-/// CRC-32/ISO-HDLC of bytes, piece by piece: the checksum of all data in the flash. A tenth of the
-/// size of the `crc` crate's, with which a test compares it.
+/// CRC-32/ISO-HDLC of bytes, piece by piece: the checksum of all data in the flash. A sixth of the
+/// size of the `crc` crate's without a table, with which a test compares it.
 pub(crate) struct Crc32(u32);
 
 impl Crc32 {

@@ -191,7 +191,7 @@ impl Session {
         let is_last = self.last == Some(record.print);
         let repeated = self.window == 0 && is_last;
         if self.state == State::Finished && !is_last {
-            // Whoever sent it: what the file brought stays on trial.
+            // Any host could have sent it: what the file brought stays on trial.
             return Some(Answer::Refused(Refusal::AfterEnd));
         }
         if !repeated && self.state == State::Open {

@@ -1,7 +1,7 @@
 //! The way of a tester's frames from core 0 to the desk on core 2, and of its wishes back.
 //!
-//! Core 0 has no time to check a signature, and core 2 has no CAN. Whoever dies or restarts between
-//! them loses frames, which a tester repeats.
+//! Core 0 has no time to check a signature, and core 2 has no CAN. If one of them dies or restarts,
+//! frames are lost; a tester repeats them.
 
 use crate::layout::{ControllerMap, DeskWords, FROM_DESK, TO_DESK};
 use tandem_board::tester_desk::{CONNECT, EXTENSION, RELEASES, TO_HOST, TO_LOADER};
@@ -136,8 +136,8 @@ impl<'b> DeskSeat<'b> {
     }
 }
 
-/// The desk of an application without a bootloader of its own, as in the thesis: whoever names this
-/// system may have it leave for a download.
+/// The desk of an application without a bootloader of its own, as in the thesis: each host that
+/// names this system may have it leave for a download.
 #[derive(Clone, Copy, Debug)]
 pub struct Unguarded(pub SystemId);
 

@@ -6,8 +6,8 @@ pub trait MonotonicCounter {
     /// Returns its value. Task context.
     fn value(&mut self) -> u32;
 
-    /// Raises it to `to` if it is lower. Task context; may block. If power is lost meanwhile, it
-    /// has any value up to `to`, and not less than before. Returns whether it is at least `to`.
+    /// Raises it to `to` if it is lower. Task context; may block. After a loss of power in
+    /// this time it has any value from the old one to `to`. Returns whether it is at least `to`.
     fn raise(&mut self, to: u32) -> bool;
 }
 

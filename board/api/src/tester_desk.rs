@@ -34,7 +34,7 @@ pub trait TesterDesk {
     fn poll(&mut self, now: Instant, has_role: bool) -> Option<DeskAction>;
 }
 
-/// Answers nobody.
+/// Answers no frame.
 impl TesterDesk for () {
     fn hear(&mut self, _now: Instant, _frame: &CanFrame) -> Option<DeskAction> {
         None

@@ -113,7 +113,7 @@ impl Inquiry {
     }
 
     /// Returns what the system holds; `None` before all answers are there, or if they are no
-    /// environment: it changed meanwhile.
+    /// environment because it changed between two answers.
     #[must_use]
     pub fn info(&self) -> Option<SystemInfo> {
         let (words, rest) = self.answers.split_at_checked(RECORD_BYTES / 4)?;

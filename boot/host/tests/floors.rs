@@ -126,8 +126,8 @@ fn an_unsigned_image_raises_nothing() {
     assert!(sends(&mut flash, &[&image(Slot::A, 3, 50)], true).downloaded);
 }
 
-/// T-BOOT-1, T-BOOT-5: what follows the end of a file is refused, whoever sends it. The file itself
-/// stays on trial: nobody without a key takes it back.
+/// T-BOOT-1, T-BOOT-5: what follows the end of a file is refused. The file itself stays on trial: a
+/// host without a key cannot take it back.
 #[test]
 fn records_after_the_end_are_refused() {
     let mut flash = factory();

@@ -241,7 +241,7 @@ fn one_alone_gets_its_release_back() {
 
 /// Frames that are lost delay the approval, and do not divide the pair.
 #[test]
-fn lost_frames_divide_nobody() {
+fn lost_frames_do_not_divide_the_pair() {
     let rules: [fn(u32) -> bool; 3] = [
         |sent| sent % 3 != 0,
         |sent| sent.wrapping_mul(0x9E37_79B9) >> 30 != 0,

@@ -206,8 +206,8 @@ fn an_unproved_host_writes_nothing() {
     assert_eq!(bench.loader.flash().work(), before);
 }
 
-/// T-BOOT-1: a host that does not prove itself keeps the loader for at most two seconds, whatever
-/// it sends; without testers for ten seconds after the last thing that it has brought.
+/// T-BOOT-1: a host that does not prove itself keeps the loader for at most two seconds with
+/// any record; without testers for ten seconds after the last record that the loader has accepted.
 #[test]
 fn an_unproved_host_does_not_hold_the_loader() {
     for (testers, holds_ms) in [(known(), 2_000), (&[][..], 10_000)] {
@@ -315,9 +315,9 @@ fn a_late_refusal_is_told_again() {
     assert_eq!(bench.line(protected), refused, "within 50 ms");
 }
 
-/// T-BOOT-1: after a refusal nobody holds the loader, however often it sends whatever.
+/// T-BOOT-1: after a refusal no frame holds the loader.
 #[test]
-fn nobody_holds_the_loader_after_a_refusal() {
+fn no_frame_holds_the_loader_after_a_refusal() {
     for request in [
         HostRequest::Data(b"S9"),
         HostRequest::Offer { records: 4 },

@@ -334,7 +334,7 @@ fn a_new_bootloader_must_have_worked() {
                 system: None,
                 resume: false,
             };
-            // A connection that nobody answers to, and then a record that it accepts.
+            // A connection whose answer is not read, and then a record that the loader accepts.
             let accepted = records("new", &[&image(Slot::B, 2, 40)]).swap_remove(1);
             let pieces = accepted.as_bytes().chunks(8).map(HostRequest::Data);
             for request in std::iter::once(connect).chain(pieces) {

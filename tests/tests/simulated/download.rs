@@ -245,7 +245,7 @@ fn only_a_tester_takes_the_standby_out_of_a_driving_vehicle() {
     for system in SystemId::ALL {
         assert_eq!(resets(&drive, system), [], "{system}");
     }
-    assert_eq!(lamps(&drive), DUAL, "nobody handed over");
+    assert_eq!(lamps(&drive), DUAL, "no system handed over");
     assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
 
     let refused = Answer::Refused(Refusal::Tester);
