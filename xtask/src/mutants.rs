@@ -44,6 +44,8 @@ pub(crate) fn run(root: &Path, packages: &[String], every: u32, from: u32) -> Re
         let folder = target_dir(root).join("mutants").join(package);
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let mut command = cargo(root, &["mutants", "--package", package, "--baseline=skip"]);
+        // One is built while the tests of the other run.
+        command.arg("--jobs=2");
         command.args(["--timeout", TIMEOUT_SECONDS, "--sharding=round-robin"]);
         command.arg(format!("--shard={from}/{every}"));
         command.arg("--output").arg(&folder);

@@ -186,7 +186,12 @@ fn the_desk_answers_questions() {
             ..
         })
     ));
+    // One answer in 20 ms: `hear` takes one.
+    assert_eq!(bench.answer(request), None);
+    bench.wait(18);
+    assert!(bench.answer(request).is_some());
     for code in [0x10 + 7, 0x30, 0xFF] {
+        bench.wait(20);
         let request = HostRequest::Info {
             system: A,
             question: code,
@@ -268,7 +273,9 @@ fn a_release_on_trial_is_given_up() {
     assert_eq!(told(bench.desk.poll(bench.now, true)), release);
     assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
     let leave = DeskAction::Leave(ResetRequest::Software);
+    let before = bench.desk.flash().work();
     assert_eq!(bench.hear(ROLL_BACK), Some(leave));
+    assert_eq!(bench.desk.flash().work(), before, "the next start knows it");
     bench.wait(200);
     assert_eq!(
         bench.desk.poll(bench.now, true),
@@ -339,6 +346,7 @@ fn what_has_had_a_role_for_a_second_works() {
     );
     assert_eq!(states[0].1, LoaderUpdate::TrialExecuted);
     let told: Vec<_> = stages.iter().map(|(ms, _)| *ms).collect();
+    assert_eq!(told[..4], [0, 200, 400, 600]);
     let periods = told.windows(2).map(|pair| pair[1] - pair[0]);
     assert!(
         periods.into_iter().all(|ms| (200..=500).contains(&ms)),
@@ -420,6 +428,13 @@ fn forged_release_frames_move_nothing() {
         _ => vec![],
     });
     assert_eq!(back, (Ready, true));
+    // It tries another release, which it may give up as well.
+    let tries = on_trial().beside(|ms| match ms % 200 {
+        0 if ms < 4_000 => vec![(Works, 2)],
+        0 => vec![(ReleaseStage::Trial, 3)],
+        _ => vec![],
+    });
+    assert_eq!(tries, (Ready, false));
     // It has told nothing for more than a second.
     let silent = on_trial().beside(|ms| match ms % 200 {
         0 if ms < 100 => vec![(Works, 2)],

@@ -7,7 +7,7 @@ use fixture::{configuration, factory, loader};
 use tandem_board::{Instant, MonotonicCounter, NoCounter, TesterDesk};
 use tandem_boot::{
     BootDesk, COUNTER_PAGES, EnvironmentStore, FlashRegion, ImageTarget, OneTimeWords, Refusal,
-    Slot,
+    Slot, TrustMode,
 };
 use tandem_boot_host::life::{End, Life, LifeOutcome, TEST_KEY};
 use tandem_boot_host::{FlashTraits, Image, ReleaseInfo, SimulatedFlash, Tear, records};
@@ -167,6 +167,35 @@ fn nothing_below_the_counter_boots() {
             ..Life::with_file(&lines, 8)
         };
         assert_eq!(life.live(&mut flash).refused, refused, "{number}");
+    }
+}
+
+/// A counter that notes each attempt to raise it.
+#[derive(Default)]
+struct Attempts(Vec<u32>);
+
+impl MonotonicCounter for Attempts {
+    fn value(&mut self) -> u32 {
+        0
+    }
+
+    fn raise(&mut self, to: u32) -> bool {
+        self.0.push(to);
+        true
+    }
+}
+
+/// E-4: the desk raises the counter once in its life, and never if unsigned images may run.
+#[test]
+fn the_desk_raises_the_counter_once() {
+    for (mode, expected) in [(TrustMode::Strict, vec![0]), (TrustMode::Monitor, vec![])] {
+        let mut setup = fixture::desk(Slot::A);
+        setup.trust.mode = mode;
+        let mut desk = BootDesk::new(factory(), Attempts::default(), setup, Instant::ORIGIN);
+        for ms in (0..4_000).step_by(50) {
+            let _told = desk.poll(Instant::from_ns(ms * 1_000_000), true);
+        }
+        assert_eq!(desk.into_parts().1.0, expected, "{mode:?}");
     }
 }
 
