@@ -244,6 +244,11 @@ fn wrong_files_are_refused_with_the_reason() {
             Refusal::Order,
         ),
         (
+            "the record before",
+            edit(&|lines| lines.insert(body + 2, lines[body].clone())),
+            Refusal::Order,
+        ),
+        (
             "an overlap",
             edit(&|lines| lines.insert(body + 1, overlapping.clone())),
             Refusal::Overlap,
