@@ -4,7 +4,7 @@
 
 mod fixture;
 
-use fixture::{factory, image};
+use fixture::{Images, factory, image};
 use tandem_board::{Instant, ResetCause};
 use tandem_boot::{Answer, HostRequest, Loader, LogEvent, Next, Refusal, Slot, read_log};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
@@ -89,13 +89,17 @@ const TESTER: SigningKey = numbered(0, TEST_KEY_1);
 
 impl Bench {
     fn new(testers: &'static [[u8; 32]], noise: u8) -> Self {
+        Self::with(factory(), testers, noise)
+    }
+
+    fn with(flash: SimulatedFlash, testers: &'static [[u8; 32]], noise: u8) -> Self {
         const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
         let mut setup = fixture::setup(&KEYS);
         setup.trust.testers = testers;
         setup.cause = ResetCause::Download;
         setup.noise = std::array::from_fn(|at| noise ^ at as u8);
         let now = Instant::ORIGIN;
-        let loader = Loader::start(factory(), setup, now);
+        let loader = Loader::start(flash, setup, now);
         Self { loader, now }
     }
 
@@ -254,6 +258,23 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
         assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), None);
     }
     assert_eq!(bench.line(&lines[4]), Some(Answer::Refused(Refusal::Gap)));
+}
+
+/// T-BOOT-3: the loader tells which slots are free: those that do not boot.
+#[test]
+fn the_free_slots_are_told() {
+    for (flash, application) in [(factory(), 1), (Images::updated().flash, 0)] {
+        let mut bench = Bench::with(flash, &[], 6);
+        bench.connect();
+        let granted = Answer::Window {
+            records: 4,
+            application,
+            configuration: 1,
+            accepted: 0,
+        };
+        let answer = bench.send(HostRequest::Offer { records: 4 });
+        assert_eq!(answer, Some(granted));
+    }
 }
 
 /// T-BOOT-3: a tester whose frames were lost for seconds goes on: to resume the connection keeps
