@@ -21,7 +21,7 @@ fn caught_percent(package: &str) -> usize {
 }
 
 /// The tests of a crate take less time than this, even on a loaded machine.
-const TIMEOUT_SECONDS: &str = "120";
+const TIMEOUT_SECONDS: &str = "240";
 /// The exit status of cargo-mutants: 0 all caught, 2 some missed, 3 time-outs. Others are errors.
 const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];
 

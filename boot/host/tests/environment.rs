@@ -1,8 +1,10 @@
 //! How the environment uses its sectors, and what a start writes once more.
 #![allow(clippy::unwrap_used)]
 
-use tandem_boot::{Environment, EnvironmentStore, LoaderUpdate, Selection, Slot, Trial};
-use tandem_boot_host::SimulatedFlash;
+use tandem_boot::{
+    Environment, EnvironmentStore, FlashRegion, LoaderUpdate, RECORD_BYTES, Selection, Slot, Trial,
+};
+use tandem_boot_host::{Failing, FlashOperation, SimulatedFlash, Tear};
 
 const QUIET: Environment = Environment {
     active: Selection {
@@ -24,28 +26,61 @@ fn written(environment: Environment) -> (SimulatedFlash, EnvironmentStore) {
     (flash, store)
 }
 
+/// The numbers and environments of the records in a copy, in the order of its slots.
+fn records(flash: &SimulatedFlash, copy: u8) -> Vec<(u32, Environment)> {
+    let range = FlashRegion::Environment(copy).range();
+    let slots = range.step_by(RECORD_BYTES + RECORD_BYTES / 2);
+    let record = |at| flash.firm(at, RECORD_BYTES as u32);
+    let decoded = slots.map_while(|at| Environment::decode(&record(at)?.try_into().unwrap()));
+    decoded
+        .map(|(environment, number)| (number, environment))
+        .collect()
+}
+
+const fn changed(version: u32) -> Environment {
+    Environment {
+        versions: [version, 0, 0],
+        ..QUIET
+    }
+}
+
+/// A flash whose power was lost when a change was in the first copy, and not in the second.
+fn cut_after_the_first_copy() -> SimulatedFlash {
+    let (whole, _) = written(QUIET);
+    let cut_at = |ticks| {
+        let mut flash = whole.clone();
+        flash.power_on(1, Some((ticks, Tear::Clean)));
+        let mut store = EnvironmentStore::load(&mut flash).unwrap();
+        let _cut = store.write(&mut flash, changed(2));
+        flash.power_on(2, None);
+        flash
+    };
+    let holds_it = |flash: &mut SimulatedFlash| {
+        let store = EnvironmentStore::load(flash).unwrap();
+        *store.get() == changed(2)
+    };
+    let flash = (1..).map(cut_at).find(|flash| holds_it(&mut flash.clone()));
+    flash.unwrap()
+}
+
 /// U-2, lifetime: a sector takes 170 changes between two erases, as `docs/boot.md` says.
 #[test]
 fn a_sector_takes_170_changes() {
     let (mut flash, mut store) = written(QUIET);
-    let change = |version| Environment {
-        versions: [version, 0, 0],
-        ..QUIET
-    };
     let (erased, _) = flash.work();
     for version in 2..=170 {
-        store.write(&mut flash, change(version)).unwrap();
+        store.write(&mut flash, changed(version)).unwrap();
     }
     assert_eq!(flash.work().0, erased);
     assert_eq!(
         *EnvironmentStore::load(&mut flash).unwrap().get(),
-        change(170)
+        changed(170)
     );
-    store.write(&mut flash, change(171)).unwrap();
+    store.write(&mut flash, changed(171)).unwrap();
     assert!(flash.work().0 > erased);
     assert_eq!(
         *EnvironmentStore::load(&mut flash).unwrap().get(),
-        change(171)
+        changed(171)
     );
 }
 
@@ -81,5 +116,46 @@ fn what_a_start_acts_on_is_written_again() {
         assert_eq!(flash.work() != before, again, "{environment:?}");
         let read = EnvironmentStore::load(&mut flash).unwrap();
         assert_eq!(*read.get(), environment);
+    }
+}
+
+/// U-2: a change is written to the first copy, then to the second. A loss of power in between leaves
+/// them different; the next start makes them equal, with a higher number.
+#[test]
+fn a_start_makes_the_copies_equal() {
+    let mut flash = cut_after_the_first_copy();
+    assert_eq!(records(&flash, 0), [(1, QUIET), (2, changed(2))]);
+    assert_eq!(records(&flash, 1), [(1, QUIET)]);
+    let mut store = EnvironmentStore::load(&mut flash).unwrap();
+    assert_eq!(*store.get(), changed(2));
+    store.settle(&mut flash).unwrap();
+    assert_eq!(records(&flash, 1), [(1, QUIET), (3, changed(2))]);
+    let newest = records(&flash, 0).pop();
+    assert_eq!(newest, Some((3, changed(2))));
+}
+
+/// U-2: a first copy that cannot be written leaves the second one alone if that is current. If a
+/// start acts on it, it is written too.
+#[test]
+fn a_copy_that_cannot_be_written_is_no_reason_to_touch_the_other() {
+    let staged = Environment {
+        loader: LoaderUpdate::Staged,
+        ..QUIET
+    };
+    let (settled, _) = written(staged);
+    for (mut flash, broken, written) in [(cut_after_the_first_copy(), 1, 0), (settled, 0, 1)] {
+        for operation in [FlashOperation::Program, FlashOperation::Erase] {
+            flash.fail(Failing {
+                range: FlashRegion::Environment(broken).range(),
+                operation,
+                after: 0,
+                times: u32::MAX,
+            });
+        }
+        let before = records(&flash, 1 - broken);
+        let mut store = EnvironmentStore::load(&mut flash).unwrap();
+        store.settle(&mut flash).unwrap();
+        let grown = records(&flash, 1 - broken).len() - before.len();
+        assert_eq!(grown, written, "{before:?}");
     }
 }
