@@ -9,8 +9,8 @@ use tandem_board::{
     CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
 };
 use tandem_boot::{
-    Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, LoaderUpdate,
-    Question, Refusal, ReleaseStage, Slot, tester_message,
+    Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, LOG_ANSWERS,
+    LoaderUpdate, Question, Refusal, ReleaseStage, Slot, tester_message,
 };
 use tandem_boot_host::life::{Life, TEST_KEY, TEST_KEY_1};
 use tandem_boot_host::{
@@ -197,6 +197,9 @@ fn the_desk_answers_questions() {
             question: code,
         };
         assert_eq!(bench.answer(request), None, "{code:#x}");
+    }
+    for question in [Question::Environment(16), Question::Log(LOG_ANSWERS)] {
+        assert_eq!(question.code(), None, "{question:?}");
     }
     let mut inquiry = Inquiry::new(SystemId::A);
     let info = loop {
