@@ -10,7 +10,7 @@ use tandem_board::{
 };
 use tandem_boot::{
     Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, LOG_ANSWERS,
-    LoaderUpdate, Question, Refusal, ReleaseStage, Slot, tester_message,
+    LoaderUpdate, Question, Refusal, ReleaseStage, Slot, read_log, tester_message,
 };
 use tandem_boot_host::life::{Life, TEST_KEY, TEST_KEY_1};
 use tandem_boot_host::{
@@ -224,6 +224,37 @@ fn the_desk_answers_questions() {
     let versions: Vec<_> = info.places.iter().map(|(_, version)| *version).collect();
     let expected = [Some(1), Some(2), Some(1), None, None, Some(1), Some(1)];
     assert_eq!(versions, expected);
+}
+
+/// U-2: a question gets the newest entries of the log, the newest first.
+#[test]
+fn the_newest_entries_of_the_log_are_told() {
+    let wrong = SigningKey {
+        number: 0,
+        ..TEST_KEY
+    };
+    let mut bench = Bench::new(factory());
+    for attempts in 0..20 {
+        let mut entries = Vec::new();
+        read_log(&mut bench.desk.flash().clone(), &mut |entry| {
+            entries.push((entry.event as u8, entry.value));
+        });
+        for age in 0..LOG_ANSWERS {
+            bench.wait(20);
+            let answer = bench.answer(HostRequest::Info {
+                system: A,
+                question: Question::Log(age).code().unwrap(),
+            });
+            let Some(Answer::Info { detail, value, .. }) = answer else {
+                panic!("{attempts} {age}: {answer:?}");
+            };
+            let newest = entries.iter().rev().nth(age.into());
+            let expected = newest.copied().unwrap_or((0, 0));
+            assert_eq!((detail, value), expected, "{attempts} {age}");
+        }
+        bench.wait(100_000_000);
+        assert_eq!(bench.prove(&wrong), Some(Answer::Unproved));
+    }
 }
 
 /// T-BOOT-1: the host's sender proves itself to the application, and then to the bootloader.
