@@ -1,9 +1,12 @@
 //! How the environment uses its sectors, and what a start writes once more.
 #![allow(clippy::unwrap_used)]
 
+mod fixture;
+
 use tandem_boot::{
     Environment, EnvironmentStore, FlashRegion, LoaderUpdate, RECORD_BYTES, Selection, Slot, Trial,
 };
+use tandem_boot_host::life::{End, Life};
 use tandem_boot_host::{Failing, FlashOperation, SimulatedFlash, Tear};
 
 const QUIET: Environment = Environment {
@@ -61,6 +64,17 @@ fn cut_after_the_first_copy() -> SimulatedFlash {
     };
     let flash = (1..).map(cut_at).find(|flash| holds_it(&mut flash.clone()));
     flash.unwrap()
+}
+
+/// U-2, lifetime: a start that finds everything as it was writes nothing, also nothing to the log.
+#[test]
+fn a_usual_start_writes_nothing() {
+    let mut flash = fixture::factory();
+    flash.power_on(1, None);
+    let before = flash.work();
+    let end = Life::plain().live(&mut flash).end;
+    assert!(matches!(end, End::Running(_)), "{end:?}");
+    assert_eq!(flash.work(), before);
 }
 
 /// U-2, lifetime: a sector takes 170 changes between two erases, as `docs/boot.md` says.
