@@ -3,11 +3,13 @@
 
 mod fixture;
 
-use fixture::{body, configuration, image, loader};
+use fixture::{body, configuration, factory, image, loader};
+use tandem_board::{Instant, ResetCause};
 use tandem_boot::{
-    Bank, FlashRegion, ImageTarget, MANIFEST_BYTES, Manifest, SIGNED_BYTES, Slot, rom_choice,
+    Bank, Environment, EnvironmentStore, FlashRegion, ImageTarget, Loader, MANIFEST_BYTES,
+    Manifest, Next, SIGNED_BYTES, Selection, Slot, Trial, TrustMode, rom_choice,
 };
-use tandem_boot_host::life::{End, Life, TEST_KEY};
+use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash};
 
 /// Returns a new controller with bootloader and configuration, and these bytes in slot A.
@@ -46,11 +48,16 @@ fn reaching(target: ImageTarget, place: FlashRegion, beyond: usize) -> Image {
 fn an_image_boots_only_where_it_belongs() {
     let slot = ImageTarget::Application(Slot::A);
     let region = FlashRegion::Target(slot);
-    let mut foreign = image(Slot::A, 1, 300);
-    foreign.manifest.hardware ^= 1;
-    let signed: [u8; SIGNED_BYTES] = Manifest::encode(&foreign.manifest);
-    foreign.bytes[..SIGNED_BYTES].copy_from_slice(&signed);
-    foreign.bytes[SIGNED_BYTES..MANIFEST_BYTES].copy_from_slice(&TEST_KEY.sign(&signed));
+    let changed = |change: fn(&mut Manifest)| {
+        let mut image = image(Slot::A, 1, 300);
+        change(&mut image.manifest);
+        let signed = image.manifest.encode();
+        image.bytes[..SIGNED_BYTES].copy_from_slice(&signed);
+        image.bytes[SIGNED_BYTES..MANIFEST_BYTES].copy_from_slice(&TEST_KEY.sign(&signed));
+        image.bytes
+    };
+    let other_hardware = changed(|manifest| manifest.hardware ^= 1);
+    let other_crc = changed(|manifest| manifest.crc ^= 1);
     for (what, bytes, boots) in [
         ("an application", image(Slot::A, 1, 300).bytes, true),
         (
@@ -63,11 +70,77 @@ fn an_image_boots_only_where_it_belongs() {
             reaching(slot, region, 32).bytes,
             false,
         ),
-        ("one for other hardware", foreign.bytes, false),
+        ("one for other hardware", other_hardware, false),
+        (
+            "one with another checksum for the boot ROM",
+            other_crc,
+            true,
+        ),
         ("a configuration", configuration(Slot::A, 1).bytes, false),
     ] {
         let end = Life::plain().live(&mut with_application(&bytes)).end;
         assert_eq!(matches!(end, End::Running(_)), boots, "{what}: {end:?}");
+    }
+}
+
+/// U-3, U-5: an image on trial that is damaged, or lacks what it needs, is not started.
+#[test]
+fn a_trial_is_started_if_it_is_whole_and_has_what_it_needs() {
+    let needing = |needs_bootloader| {
+        let release = ReleaseInfo {
+            version: 2,
+            entries: [256; 3],
+            needs_bootloader,
+            ..ReleaseInfo::default()
+        };
+        let target = ImageTarget::Application(Slot::B);
+        Image::sign(target, release, &[(256, &body(2, 300))], &TEST_KEY)
+    };
+    for (needs_bootloader, is_damaged, version) in
+        [(1, false, 2), (1, true, 1), (9, false, 1), (9, true, 1)]
+    {
+        let new = needing(needs_bootloader);
+        let mut flash = factory();
+        flash.load(new.place(), &new.bytes);
+        if is_damaged {
+            flash.load(new.place() + 288, &[0; 32]);
+        }
+        flash.power_on(1, None);
+        let mut store = EnvironmentStore::load(&mut flash).unwrap();
+        let trial = Trial {
+            selection: Selection {
+                application: Some(Slot::B),
+                configuration: None,
+            },
+            executed: false,
+            ready: false,
+            authentic: true,
+        };
+        let environment = Environment {
+            trial: Some(trial),
+            ..*store.get()
+        };
+        store.write(&mut flash, environment).unwrap();
+        let End::Running(launch) = Life::plain().live(&mut flash).end else {
+            panic!("it boots");
+        };
+        assert_eq!(launch.version, version, "{needs_bootloader} {is_damaged}");
+    }
+}
+
+/// E-4: in monitor mode a damaged image is started if no other can boot; in strict mode none is.
+#[test]
+fn monitor_mode_starts_a_damaged_image_as_the_last_resort() {
+    for (mode, boots) in [(TrustMode::Strict, false), (TrustMode::Monitor, true)] {
+        let mut flash = factory();
+        let place = image(Slot::A, 1, 300).place();
+        flash.load(place + 288, &[0; 32]);
+        flash.power_on(1, None);
+        const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
+        let mut setup = fixture::setup(&KEYS);
+        (setup.trust.mode, setup.cause) = (mode, ResetCause::Watchdog);
+        let next = Loader::start(flash, setup, Instant::ORIGIN).next(Instant::ORIGIN);
+        assert_eq!(matches!(next, Next::Jump(_)), boots, "{mode:?}: {next:?}");
     }
 }
 
