@@ -131,9 +131,7 @@ pub(crate) fn wrong_testers(flash: &mut impl NorFlash) -> Option<u8> {
     wrong
 }
 
-/// Calls `found` for every entry. The sector with the older entries is read first.
-///
-///
+/// Calls `found` for every entry, the oldest first.
 #[inline(never)]
 pub fn read_log(flash: &mut impl NorFlash, found: &mut dyn FnMut(LogEntry)) {
     let [end_0, end_1] = ends(flash);
