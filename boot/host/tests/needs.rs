@@ -199,6 +199,28 @@ fn the_desk_raises_the_counter_once() {
     }
 }
 
+/// E-4: a number of the counter has two pages of its own. No other page changes.
+#[test]
+fn a_number_has_two_pages() {
+    const USED: &[u8] = b"one-time programmed: counts as 1";
+    for number in [1, 2, 64] {
+        let mut flash = SimulatedFlash::new();
+        flash.power_on(1, None);
+        let mut counter = OneTimeWords::new(flash, COUNTER_PAGES);
+        assert!(counter.raise(number));
+        assert_eq!(counter.value(), number);
+        let flash = counter.into_flash();
+        let first = COUNTER_PAGES.start + 64 * (number - 1);
+        assert_eq!(flash.firm(first, 64), Some(USED.repeat(2)));
+        for at in [first - 32, first + 64] {
+            assert_ne!(flash.firm(at, 32), Some(USED.to_vec()), "{number}");
+        }
+        assert_eq!(flash.work().1, 2, "pages programmed");
+    }
+    let mut counter = OneTimeWords::new(SimulatedFlash::new(), COUNTER_PAGES);
+    assert!(!counter.raise(65), "there are 64 numbers");
+}
+
 /// E-4: the counter in one-time words has its old or its new value after any loss of power, does
 /// not fall, and rises when it is raised again.
 #[test]
