@@ -262,6 +262,38 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
     assert_eq!(bench.line(&lines[4]), Some(Answer::Refused(Refusal::Gap)));
 }
 
+/// T-BOOT-3: after it has asked for a record with a window, the loader ignores records until the
+/// host says that it goes on with that one.
+#[test]
+fn a_loader_waits_for_the_record_that_it_asked_for() {
+    let mut bench = Bench::new(&[], 6);
+    bench.connect();
+    let _granted = bench.send(HostRequest::Offer { records: 1 });
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    assert_eq!(bench.line(&lines[0]), Some(Answer::Accepted { records: 1 }));
+    let resend = Some(Answer::Resend { record: 1 });
+    assert_eq!(bench.line(&lines[2]), resend);
+    assert_eq!(bench.line(&lines[1]), None, "it waits");
+    assert_eq!(bench.send(HostRequest::GoBack { record: 2 }), resend);
+    assert_eq!(bench.line(&lines[1]), None, "it still waits");
+    assert_eq!(bench.send(HostRequest::GoBack { record: 1 }), None);
+    assert_eq!(bench.line(&lines[1]), Some(Answer::Accepted { records: 2 }));
+}
+
+/// T-BOOT-3: a host without a window sends a record again from its beginning if the end was lost.
+#[test]
+fn a_record_that_was_cut_short_is_sent_again() {
+    let mut bench = Bench::new(&[], 6);
+    bench.connect();
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    let accepted = Some(Answer::Accepted { records: 0 });
+    assert_eq!(bench.line(&lines[0]), accepted);
+    let begin = HostRequest::Data(&lines[1].as_bytes()[..8]);
+    assert_eq!(bench.send(begin), None);
+    assert_eq!(bench.line(&lines[1]), accepted);
+    assert_eq!(bench.line(&lines[2]), accepted);
+}
+
 /// T-BOOT-3: the loader tells which slots are free: those that do not boot.
 #[test]
 fn the_free_slots_are_told() {
