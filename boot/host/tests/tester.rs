@@ -271,13 +271,14 @@ fn a_loader_waits_for_the_record_that_it_asked_for() {
     let _granted = bench.send(HostRequest::Offer { records: 1 });
     let lines = records("new", &[&image(Slot::B, 2, 300)]);
     assert_eq!(bench.line(&lines[0]), Some(Answer::Accepted { records: 1 }));
-    let resend = Some(Answer::Resend { record: 1 });
-    assert_eq!(bench.line(&lines[2]), resend);
-    assert_eq!(bench.line(&lines[1]), None, "it waits");
-    assert_eq!(bench.send(HostRequest::GoBack { record: 2 }), resend);
-    assert_eq!(bench.line(&lines[1]), None, "it still waits");
-    assert_eq!(bench.send(HostRequest::GoBack { record: 1 }), None);
     assert_eq!(bench.line(&lines[1]), Some(Answer::Accepted { records: 2 }));
+    let resend = Some(Answer::Resend { record: 2 });
+    assert_eq!(bench.line(&lines[3]), resend);
+    assert_eq!(bench.line(&lines[2]), None, "it waits");
+    assert_eq!(bench.send(HostRequest::GoBack { record: 3 }), resend);
+    assert_eq!(bench.line(&lines[2]), None, "it still waits");
+    assert_eq!(bench.send(HostRequest::GoBack { record: 2 }), None);
+    assert_eq!(bench.line(&lines[2]), Some(Answer::Accepted { records: 3 }));
 }
 
 /// T-BOOT-3: a host without a window sends a record again from its beginning if the end was lost.
