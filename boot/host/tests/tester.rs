@@ -299,6 +299,41 @@ fn a_record_that_was_cut_short_is_sent_again() {
     assert_eq!(bench.line(&lines[11]), refused);
 }
 
+/// T-BOOT-3: after a silence the loader itself asks for the next record, if one was begun, or if
+/// some have no answer yet.
+#[test]
+fn a_loader_asks_after_a_silence() {
+    let lines = records("new", &[&image(Slot::B, 2, 300)]);
+    for (whole, begun, asks) in [
+        (2, false, Some(Answer::Resend { record: 2 })),
+        (0, true, Some(Answer::Resend { record: 0 })),
+        (2, true, Some(Answer::Resend { record: 2 })),
+        (4, false, None),
+    ] {
+        let mut bench = Bench::new(&[], 6);
+        bench.connect();
+        let _granted = bench.send(HostRequest::Offer { records: 4 });
+        for line in &lines[..whole] {
+            let answer = bench.line(line);
+            let is_due = line == &lines[3];
+            assert_eq!(answer.is_some(), is_due, "{answer:?}");
+        }
+        if begun {
+            let begin = HostRequest::Data(&lines[whole].as_bytes()[..8]);
+            assert_eq!(bench.send(begin), None);
+        }
+        let mut asked = None;
+        for _ in 0..1_000 {
+            bench.now += tandem_board::Duration::from_ms(1);
+            if let Next::Send(frame) = bench.loader.next(bench.now) {
+                asked = Answer::decode(frame.data());
+                break;
+            }
+        }
+        assert_eq!(asked, asks, "{whole} {begun}");
+    }
+}
+
 /// T-BOOT-3: the loader tells which slots are free: those that do not boot.
 #[test]
 fn the_free_slots_are_told() {
