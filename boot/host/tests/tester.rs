@@ -332,6 +332,15 @@ fn a_loader_asks_after_a_silence() {
         }
         assert_eq!(asked, asks, "{whole} {begun}");
     }
+    // Of a record only the middle has arrived.
+    let mut bench = Bench::new(&[], 6);
+    bench.connect();
+    assert_eq!(bench.send(HostRequest::Data(b"12345678")), None);
+    let Next::Wait(until) = bench.loader.next(bench.now) else {
+        panic!("it waits");
+    };
+    assert_eq!(until.since(bench.now).as_us(), 100_000);
+    assert!(matches!(bench.loader.next(until), Next::Send(_)));
 }
 
 /// T-BOOT-3: the loader tells which slots are free: those that do not boot.
