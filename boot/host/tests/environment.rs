@@ -133,8 +133,8 @@ fn what_a_start_acts_on_is_written_again() {
     }
 }
 
-/// U-2: a change is written to the first copy, then to the second. A loss of power in between leaves
-/// them different; the next start makes them equal, with a higher number.
+/// U-2: a change is written to the first copy, then to the second. A loss of power in between
+/// leaves them different; the next start makes them equal, with a higher number.
 #[test]
 fn a_start_makes_the_copies_equal() {
     let mut flash = cut_after_the_first_copy();
