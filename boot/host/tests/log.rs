@@ -174,3 +174,31 @@ fn a_right_signature_ends_the_lock_for_good() {
     let mut bench = Bench::new(bench.desk.into_parts().0);
     assert_eq!(bench.prove(true), Some(Answer::Proved));
 }
+
+/// E-4: the log has the number of wrong signatures in a row, so that the lock of the next start is
+/// as long as the last one.
+#[test]
+fn the_lock_grows_over_starts() {
+    let mut flash = factory();
+    for wrong in 1..=5u32 {
+        let mut bench = Bench::new(flash);
+        let locked = bench.prove(true);
+        let seconds = 1u16 << (wrong - 1);
+        let expected = Some(Answer::Locked {
+            seconds: seconds + 1,
+        });
+        assert_eq!(locked == expected, wrong > 1, "{wrong}: {locked:?}");
+        bench.now = Instant::from_ns(5_000_000_000_000);
+        if wrong == 1 {
+            // The proof above was right, and ended nothing.
+            assert_eq!(locked, Some(Answer::Proved));
+        }
+        assert_eq!(bench.prove(false), Some(Answer::Unproved));
+        flash = bench.desk.into_parts().0;
+        let mut logged = None;
+        read_log(&mut flash, &mut |entry| {
+            logged = Some((entry.event, entry.value))
+        });
+        assert_eq!(logged, Some((LogEvent::TesterRefused, wrong)));
+    }
+}
