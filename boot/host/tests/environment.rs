@@ -3,8 +3,10 @@
 
 mod fixture;
 
+use tandem_board::Instant;
 use tandem_boot::{
-    Environment, EnvironmentStore, FlashRegion, LoaderUpdate, RECORD_BYTES, Selection, Slot, Trial,
+    Environment, EnvironmentStore, FlashRegion, Loader, LoaderUpdate, RECORD_BYTES, Selection,
+    Slot, Trial,
 };
 use tandem_boot_host::life::{End, Life};
 use tandem_boot_host::{Failing, FlashOperation, SimulatedFlash, Tear};
@@ -96,6 +98,25 @@ fn a_sector_takes_170_changes() {
         *EnvironmentStore::load(&mut flash).unwrap().get(),
         changed(171)
     );
+}
+
+/// U-2: a start that finds fewer than twelve slots left erases the sectors, so that the application
+/// need not. With twelve it does not.
+#[test]
+fn a_start_leaves_slots_for_the_application() {
+    for (changes, erases) in [(10, false), (157, false), (158, true), (169, true)] {
+        let (mut flash, mut store) = written(QUIET);
+        for version in 0..changes {
+            store.write(&mut flash, changed(version)).unwrap();
+        }
+        flash.power_on(1, None);
+        let before = flash.work().0;
+        let loader = Loader::start(flash, fixture::setup(&[]), Instant::ORIGIN);
+        let mut flash = loader.into_flash();
+        assert_eq!(flash.work().0 > before, erases, "{changes}");
+        let store = EnvironmentStore::load(&mut flash).unwrap();
+        assert_eq!(*store.get(), changed(changes - 1));
+    }
 }
 
 /// U-5: a start that acts on a trial or on an update of the bootloader first writes that again, so
