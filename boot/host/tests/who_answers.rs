@@ -4,7 +4,8 @@
 mod fixture;
 
 use fixture::{factory, image};
-use tandem_board::{Instant, ResetCause, SystemId};
+use tandem_board::tester_desk::{TO_HOST, TO_LOADER};
+use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
 use tandem_boot::{
     Answer, HostRequest, Loader, LogEvent, Next, Question, Refusal, Slot, read_log, tester_message,
 };
@@ -123,6 +124,25 @@ fn one_of_two_loaders_connects() {
             );
         }
     }
+}
+
+/// T-BOOT-1: a loader hears nothing under another identifier, and nothing after it has decided.
+#[test]
+fn a_loader_hears_its_own_identifier() {
+    let (system, resume) = (A, false);
+    let request = HostRequest::Connect { system, resume }.frame().unwrap();
+    for (id, connects) in [(TO_LOADER, true), (TO_HOST, false)] {
+        let frame = CanFrame::new(id, false, request.data()).unwrap();
+        let mut bench = Bench::new(factory(), SystemId::A, ResetCause::PowerOn, false);
+        bench.loader.on_frame(bench.now, &frame);
+        let answers = matches!(bench.loader.next(bench.now), Next::Send(_));
+        assert_eq!(answers, connects, "{id:?}");
+    }
+    let mut bench = Bench::new(factory(), SystemId::A, ResetCause::Watchdog, false);
+    let decided = bench.loader.next(bench.now);
+    assert!(matches!(decided, Next::Jump(_)), "{decided:?}");
+    bench.loader.on_frame(bench.now, &request);
+    assert_eq!(bench.loader.next(bench.now), decided);
 }
 
 /// T-BOOT-1, U-2: a loader answers questions and proofs that name its system, and those that name
