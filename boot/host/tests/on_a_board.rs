@@ -13,7 +13,7 @@ use tandem_board::{
 use tandem_board_sim::{Config, SimBoard, SimPair, SystemEventKind, blocking};
 use tandem_boot::{
     Bank, BetweenSteps, Environment, EnvironmentStore, FIRST_ID, Keeper, Leave, LoaderUpdate,
-    Security, Slot, Trust, TrustMode, ed25519, start, three_frames,
+    Security, Slot, Trust, TrustMode, ed25519, first_service, next_service, start, three_frames,
 };
 use tandem_boot_host::SimulatedFlash;
 use tandem_boot_host::life::TEST_PUBLIC;
@@ -139,6 +139,17 @@ fn the_application_starts_from_an_unserved_watchdog() {
         0,
         "confirmed"
     );
+}
+
+/// A bootloader serves the watchdog in the middle of its window: both edges are as far away.
+#[test]
+fn the_watchdog_is_served_in_the_middle_of_its_window() {
+    type Watchdog = <SimBoard as Board>::Supply;
+    let (opens, closes) = (Watchdog::WINDOW_OPENS_US, Watchdog::WINDOW_CLOSES_US);
+    let next = next_service::<Watchdog>().as_us() as u32;
+    assert_eq!(next - opens, closes - next);
+    let first = first_service::<Watchdog>().as_us() as u32;
+    assert_eq!(2 * first, Watchdog::FIRST_SERVICE_US);
 }
 
 /// T-BOOT-1: a bootloader that finds nothing to boot serves the watchdog for as long as it waits.

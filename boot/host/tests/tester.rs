@@ -291,8 +291,8 @@ fn a_record_that_was_cut_short_is_sent_again() {
     assert_eq!(bench.line(&lines[0]), accepted);
     let begin = HostRequest::Data(&lines[1].as_bytes()[..8]);
     assert_eq!(bench.send(begin), None);
-    for number in 1..10 {
-        assert_eq!(bench.line(&lines[number]), accepted);
+    for line in &lines[1..10] {
+        assert_eq!(bench.line(line), accepted);
     }
     // Without a window no record is on the way that could have been lost.
     let refused = Some(Answer::Refused(Refusal::Gap));

@@ -60,11 +60,7 @@ fn an_image_boots_only_where_it_belongs() {
     let other_crc = changed(|manifest| manifest.crc ^= 1);
     for (what, bytes, boots) in [
         ("an application", image(Slot::A, 1, 300).bytes, true),
-        (
-            "the longest one",
-            reaching(slot, region.clone(), 0).bytes,
-            true,
-        ),
+        ("the longest one", reaching(slot, region, 0).bytes, true),
         (
             "one that is too long",
             reaching(slot, region, 32).bytes,
