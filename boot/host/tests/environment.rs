@@ -100,6 +100,21 @@ fn a_sector_takes_170_changes() {
     );
 }
 
+/// U-2: what confirms a record names its number and its checksum, so that no erased page and no
+/// confirmation of another record does.
+#[test]
+fn a_confirmation_belongs_to_its_record() {
+    let (mut flash, mut store) = written(QUIET);
+    store.write(&mut flash, changed(2)).unwrap();
+    for (slot, number, environment) in [(0, 1u32, QUIET), (1, 2, changed(2))] {
+        let at = FlashRegion::Environment(0).range().start + slot * 96 + RECORD_BYTES as u32;
+        let record = environment.encode(number);
+        let mut expected = [&b"FIRM"[..], &number.to_le_bytes(), &record[60..]].concat();
+        expected.resize(32, 0);
+        assert_eq!(flash.firm(at, 32), Some(expected), "{slot}");
+    }
+}
+
 /// U-2: a start that finds fewer than twelve slots left erases the sectors, so that the application
 /// need not. With twelve it does not.
 #[test]
