@@ -4,89 +4,16 @@
 
 mod fixture;
 
-use fixture::{Images, factory, image, loader};
-use tandem_board::{
-    CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
-};
+use fixture::desk_bench::DeskBench as Bench;
+use fixture::proof::{TESTER, WRONG};
+use fixture::{Images, application, factory, image, loader};
+use tandem_board::{CanFrame, DeskAction, Instant, NoCounter, ResetRequest, SystemId, TesterDesk};
 use tandem_boot::{
     Answer, BootDesk, EnvironmentStore, FlashRegion, HostRequest, ImageTarget, LOG_ANSWERS,
-    LoaderUpdate, Question, Refusal, ReleaseStage, Slot, read_log, tester_message,
+    LoaderUpdate, Question, Refusal, ReleaseStage, Slot, read_log,
 };
-use tandem_boot_host::life::{Life, TEST_KEY, TEST_KEY_1};
-use tandem_boot_host::{
-    FileSender, Image, Inquiry, ReleaseInfo, SigningKey, SimulatedFlash, ToDo, records,
-};
-
-const TESTER: SigningKey = SigningKey {
-    number: 0,
-    ..TEST_KEY_1
-};
-
-/// Returns the slot that runs: the one on trial that was started, or the active one.
-fn running(flash: &mut SimulatedFlash) -> Slot {
-    let environment = *EnvironmentStore::load(flash).unwrap().get();
-    let trial = environment.trial.filter(|trial| trial.executed);
-    let selection = trial.map(|trial| trial.selection).unwrap_or_default();
-    selection.over(environment.active).application.unwrap()
-}
-
-struct Bench {
-    desk: BootDesk<'static, SimulatedFlash, NoCounter>,
-    now: Instant,
-}
-
-impl Bench {
-    fn new(mut flash: SimulatedFlash) -> Self {
-        let mut setup = fixture::desk(running(&mut flash));
-        setup.trust.testers = Box::leak(Box::new([TESTER.public()]));
-        let now = Instant::ORIGIN;
-        let desk = BootDesk::new(flash, NoCounter, setup, now);
-        Self { desk, now }
-    }
-
-    fn hear(&mut self, request: HostRequest<'_>) -> Option<DeskAction> {
-        self.now += Duration::from_ms(1);
-        self.desk.hear(self.now, &request.frame().unwrap())
-    }
-
-    fn answer(&mut self, request: HostRequest<'_>) -> Option<Answer> {
-        match self.hear(request)? {
-            DeskAction::Send(frame) => Answer::decode(frame.data()),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// Answers a challenge with a key. Returns the judgement.
-    fn prove(&mut self, key: &SigningKey) -> Option<Answer> {
-        let mut challenge = Vec::new();
-        for part in 0..3 {
-            let request = HostRequest::Challenge {
-                system: A,
-                key: key.number,
-                part,
-            };
-            match self.answer(request)? {
-                Answer::Challenge { bytes, .. } => challenge.extend(bytes),
-                other => return Some(other),
-            }
-        }
-        let message = tester_message(SystemId::A, key.number, &challenge.try_into().unwrap());
-        let signature = [&key.sign(&message)[..], &[0]].concat();
-        let mut answer = None;
-        for (part, piece) in (0..).zip(signature.chunks(5)) {
-            answer = self.answer(HostRequest::Proof {
-                system: A,
-                part,
-                bytes: piece.try_into().unwrap(),
-            });
-        }
-        answer
-    }
-
-    fn wait(&mut self, ms: u64) {
-        self.now += Duration::from_ms(ms);
-    }
-}
+use tandem_boot_host::life::Life;
+use tandem_boot_host::{FileSender, Inquiry, ReleaseInfo, ToDo, records};
 
 const A: Option<SystemId> = Some(SystemId::A);
 const CONNECT: HostRequest<'_> = HostRequest::Connect {
@@ -116,12 +43,8 @@ fn only_a_tester_takes_a_system_out() {
 /// E-4: a wrong key takes no system out. It locks the desk, also that of the next start.
 #[test]
 fn a_wrong_key_locks_the_desk() {
-    let wrong = SigningKey {
-        number: 0,
-        ..TEST_KEY
-    };
     let mut bench = Bench::new(factory());
-    assert_eq!(bench.prove(&wrong), Some(Answer::Unproved));
+    assert_eq!(bench.prove(&WRONG), Some(Answer::Unproved));
     assert!(matches!(bench.prove(&TESTER), Some(Answer::Locked { .. })));
     let (flash, NoCounter) = bench.desk.into_parts();
     let mut bench = Bench::new(flash);
@@ -229,10 +152,6 @@ fn the_desk_answers_questions() {
 /// U-2: a question gets the newest entries of the log, the newest first.
 #[test]
 fn the_newest_entries_of_the_log_are_told() {
-    let wrong = SigningKey {
-        number: 0,
-        ..TEST_KEY
-    };
     let mut bench = Bench::new(factory());
     for attempts in 0..20 {
         let mut entries = Vec::new();
@@ -253,7 +172,7 @@ fn the_newest_entries_of_the_log_are_told() {
             assert_eq!((detail, value), expected, "{attempts} {age}");
         }
         bench.wait(100_000_000);
-        assert_eq!(bench.prove(&wrong), Some(Answer::Unproved));
+        assert_eq!(bench.prove(&WRONG), Some(Answer::Unproved));
     }
 }
 
@@ -393,12 +312,10 @@ fn on_trial() -> Bench {
     let mut flash = factory();
     let release = ReleaseInfo {
         version: 2,
-        entries: [256; 3],
         paired: true,
         ..ReleaseInfo::default()
     };
-    let target = ImageTarget::Application(Slot::B);
-    let image = Image::sign(target, release, &[(256, &[7; 40])], &TEST_KEY);
+    let image = application(Slot::B, release, &[7; 40]);
     let lines = records("new", &[&image]);
     let life = Life {
         approves: false,

@@ -5,8 +5,7 @@ mod fixture;
 
 use tandem_board::Instant;
 use tandem_boot::{
-    Environment, EnvironmentStore, FlashRegion, Loader, LoaderUpdate, RECORD_BYTES, Selection,
-    Slot, Trial,
+    Environment, EnvironmentStore, FlashRegion, Loader, LoaderUpdate, RECORD_BYTES, Selection, Slot,
 };
 use tandem_boot_host::life::{End, Life};
 use tandem_boot_host::{Failing, FlashOperation, SimulatedFlash, Tear};
@@ -147,17 +146,8 @@ fn a_start_leaves_slots_for_the_application() {
 /// that no torn page can be read as newer later. What only boots is not written.
 #[test]
 fn what_a_start_acts_on_is_written_again() {
-    let trial = Trial {
-        selection: Selection {
-            application: Some(Slot::B),
-            configuration: None,
-        },
-        executed: false,
-        ready: false,
-        authentic: true,
-    };
     let on_trial = Environment {
-        trial: Some(trial),
+        trial: Some(fixture::trial(Slot::B)),
         ..QUIET
     };
     let updating = |loader| Environment { loader, ..QUIET };

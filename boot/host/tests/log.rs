@@ -4,22 +4,16 @@
 
 mod fixture;
 
+use fixture::desk_bench::DeskBench;
 use fixture::factory;
-use tandem_board::{DeskAction, Instant, NoCounter, SystemId, TesterDesk};
-use tandem_boot::{
-    Answer, BootDesk, FlashRegion, HostRequest, LogEvent, Slot, read_log, tester_message,
-};
-use tandem_boot_host::life::TEST_KEY_1;
-use tandem_boot_host::{SigningKey, SimulatedFlash};
+use fixture::proof::{TESTER, WRONG};
+use tandem_boot::{Answer, FlashRegion, LogEvent, Slot, read_log};
+use tandem_boot_host::SimulatedFlash;
 
 /// Entries of a sector.
 const ENTRIES: u32 = 1_024;
 /// Entries of both.
 const ALL: u32 = 2 * ENTRIES;
-const TESTER: SigningKey = SigningKey {
-    number: 0,
-    ..TEST_KEY_1
-};
 
 /// Returns the page of an entry, as `docs/boot.md` describes it.
 fn page(sequence: u32, value: u32) -> [u8; 32] {
@@ -50,64 +44,10 @@ fn numbers(flash: &SimulatedFlash) -> Vec<u32> {
     found
 }
 
-/// A desk that knows a tester.
-struct Bench {
-    desk: BootDesk<'static, SimulatedFlash, NoCounter>,
-    now: Instant,
-}
-
-impl Bench {
-    fn new(flash: SimulatedFlash) -> Self {
-        let mut setup = fixture::desk(Slot::A);
-        setup.trust.testers = Box::leak(Box::new([TESTER.public()]));
-        let now = Instant::from_ns(1_000_000_000_000);
-        Self {
-            desk: BootDesk::new(flash, NoCounter, setup, now),
-            now,
-        }
-    }
-
-    fn ask(&mut self, request: HostRequest<'_>) -> Option<Answer> {
-        match self.desk.hear(self.now, &request.frame().unwrap())? {
-            DeskAction::Send(frame) => Answer::decode(frame.data()),
-            _ => None,
-        }
-    }
-
-    /// Makes the desk write an entry: a signature that is right or wrong.
-    fn prove(&mut self, right: bool) -> Option<Answer> {
-        let system = Some(SystemId::A);
-        let mut challenge = Vec::new();
-        for part in 0..3 {
-            match self.ask(HostRequest::Challenge {
-                system,
-                key: 0,
-                part,
-            })? {
-                Answer::Challenge { bytes, .. } => challenge.extend(bytes),
-                other => return Some(other),
-            }
-        }
-        let message = tester_message(SystemId::A, 0, &challenge.try_into().unwrap());
-        let mut signature = [&TESTER.sign(&message)[..], &[0]].concat();
-        signature[9] ^= u8::from(!right);
-        let pieces = (0..).zip(signature.as_chunks::<5>().0);
-        let answers = pieces.map(|(part, bytes)| {
-            let bytes = *bytes;
-            self.ask(HostRequest::Proof {
-                system,
-                part,
-                bytes,
-            })
-        });
-        answers.last().flatten()
-    }
-}
-
 /// Returns the flash after one more entry was appended.
 fn appended(flash: SimulatedFlash) -> SimulatedFlash {
-    let mut bench = Bench::new(flash);
-    assert!(bench.prove(true) == Some(Answer::Proved));
+    let mut bench = DeskBench::in_slot(flash, Slot::A);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
     bench.desk.into_parts().0
 }
 
@@ -165,14 +105,14 @@ fn what_is_no_entry_is_none() {
 /// E-4: a right signature ends the lock, also for the next start.
 #[test]
 fn a_right_signature_ends_the_lock_for_good() {
-    let mut bench = Bench::new(factory());
-    assert_eq!(bench.prove(false), Some(Answer::Unproved));
-    let locked = bench.prove(true);
+    let mut bench = DeskBench::new(factory());
+    assert_eq!(bench.prove(&WRONG), Some(Answer::Unproved));
+    let locked = bench.prove(&TESTER);
     assert!(matches!(locked, Some(Answer::Locked { .. })), "{locked:?}");
-    bench.now = Instant::from_ns(2_000_000_000_000);
-    assert_eq!(bench.prove(true), Some(Answer::Proved));
-    let mut bench = Bench::new(bench.desk.into_parts().0);
-    assert_eq!(bench.prove(true), Some(Answer::Proved));
+    bench.wait(3_000);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
+    let mut bench = DeskBench::new(bench.desk.into_parts().0);
+    assert_eq!(bench.prove(&TESTER), Some(Answer::Proved));
 }
 
 /// E-4: the log has the number of wrong signatures in a row, so that the lock of the next start is
@@ -180,25 +120,19 @@ fn a_right_signature_ends_the_lock_for_good() {
 #[test]
 fn the_lock_grows_over_starts() {
     let mut flash = factory();
-    for wrong in 1..=5u32 {
-        let mut bench = Bench::new(flash);
-        let locked = bench.prove(true);
-        let seconds = 1u16 << (wrong - 1);
-        let expected = Some(Answer::Locked {
-            seconds: seconds + 1,
-        });
-        assert_eq!(locked == expected, wrong > 1, "{wrong}: {locked:?}");
-        bench.now = Instant::from_ns(5_000_000_000_000);
-        if wrong == 1 {
-            // The proof above was right, and ended nothing.
-            assert_eq!(locked, Some(Answer::Proved));
+    for wrong in 0..6u32 {
+        let mut bench = DeskBench::new(flash);
+        if wrong > 0 {
+            let seconds = 1 << wrong;
+            assert_eq!(bench.prove(&TESTER), Some(Answer::Locked { seconds }));
+            bench.wait(u64::from(seconds) * 1_000);
         }
-        assert_eq!(bench.prove(false), Some(Answer::Unproved));
+        assert_eq!(bench.prove(&WRONG), Some(Answer::Unproved));
         flash = bench.desk.into_parts().0;
         let mut logged = None;
         read_log(&mut flash, &mut |entry| {
-            logged = Some((entry.event, entry.value))
+            logged = Some((entry.event, entry.value));
         });
-        assert_eq!(logged, Some((LogEvent::TesterRefused, wrong)));
+        assert_eq!(logged, Some((LogEvent::TesterRefused, wrong + 1)));
     }
 }

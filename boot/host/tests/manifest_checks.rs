@@ -3,25 +3,14 @@
 
 mod fixture;
 
-use fixture::{factory, image, loader};
-use tandem_boot::{
-    FlashRegion, ImageKind, ImageTarget, MANIFEST_BYTES, Manifest, Refusal, SIGNED_BYTES, Slot,
-};
+use fixture::{changed, factory, image, loader};
+use tandem_boot::{FlashRegion, ImageKind, ImageTarget, MANIFEST_BYTES, Manifest, Refusal, Slot};
 use tandem_boot_host::life::{End, Life, LifeOutcome, TEST_KEY};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash, line, records};
 
 fn sends(flash: &mut SimulatedFlash, lines: &[String]) -> LifeOutcome {
     flash.power_on(3, None);
     Life::with_file(lines, 0).live(flash)
-}
-
-/// Returns an image whose manifest was changed before it was signed.
-fn changed(mut image: Image, change: impl Fn(&mut Manifest)) -> Image {
-    change(&mut image.manifest);
-    let signed = image.manifest.encode();
-    image.bytes[..SIGNED_BYTES].copy_from_slice(&signed);
-    image.bytes[SIGNED_BYTES..MANIFEST_BYTES].copy_from_slice(&TEST_KEY.sign(&signed));
-    image
 }
 
 /// Returns the bytes of an image in records of this length.

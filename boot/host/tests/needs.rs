@@ -9,16 +9,11 @@ use tandem_boot::{
     BootDesk, COUNTER_PAGES, EnvironmentStore, FlashRegion, ImageTarget, OneTimeWords, Refusal,
     Slot, TrustMode,
 };
-use tandem_boot_host::life::{End, Life, LifeOutcome, TEST_KEY};
+use tandem_boot_host::life::{End, Life, LifeOutcome};
 use tandem_boot_host::{FlashTraits, Image, ReleaseInfo, SimulatedFlash, Tear, records};
 
 fn application(release: ReleaseInfo) -> Image {
-    let release = ReleaseInfo {
-        entries: [256; 3],
-        ..release
-    };
-    let target = ImageTarget::Application(Slot::B);
-    Image::sign(target, release, &[(256, &[7; 300])], &TEST_KEY)
+    fixture::application(Slot::B, release, &[7; 300])
 }
 
 fn needs(bootloader: u32, configuration: u32) -> Image {

@@ -1,5 +1,5 @@
 //! The bootloader and the smallest application on a board in virtual time, with a watchdog that
-//! resets whoever serves it too early or too late.
+//! resets the system if a service is early or late.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
@@ -101,18 +101,15 @@ fn the_application_starts_from_an_unserved_watchdog() {
     pair.run_for(Duration::from_ms(900));
     assert_eq!(resets(&pair), []);
     let frames = pair.take_bus_log();
-    let count = |id: u16| {
-        let is = |id: u16| CanId::Standard(id);
-        frames
-            .iter()
-            .filter(|sent| sent.frame.id() == is(id))
-            .count()
+    let with = |id| {
+        let all = frames.iter();
+        let of_id: Vec<_> = all
+            .filter(|it| it.frame.id() == CanId::Standard(id))
+            .collect();
+        of_id
     };
     for core in 0..3u16 {
-        let sent: Vec<_> = frames
-            .iter()
-            .filter(|it| it.frame.id() == CanId::Standard(FIRST_ID + core))
-            .collect();
+        let sent = with(FIRST_ID + core);
         assert!((50..=75).contains(&sent.len()), "{core}: {}", sent.len());
         assert!(sent.iter().all(|it| it.frame.data() == [core as u8]));
         for two in sent.windows(2) {
@@ -120,8 +117,11 @@ fn the_application_starts_from_an_unserved_watchdog() {
             assert!((11_000..14_000).contains(&apart), "{core}: {apart} us");
         }
     }
-    let answered = count(0x123);
-    assert!(answered + 2 >= count(FIRST_ID + 1), "{answered} answers");
+    let answered = with(0x123).len();
+    assert!(
+        answered + 2 >= with(FIRST_ID + 1).len(),
+        "{answered} answers"
+    );
     // The desk leaves for a download; no host comes, so the loader waits for ten seconds.
     pair.run_for(Duration::from_ms(15_000));
     assert_eq!(resets(&pair), [ResetCause::Download, ResetCause::Software]);

@@ -4,15 +4,13 @@
 
 mod fixture;
 
-use fixture::{body, factory};
+use fixture::{application, body, factory};
 use strum::VariantArray as _;
 use tandem_board::{
     CanFrame, DeskAction, Duration, Instant, NoCounter, ResetRequest, SystemId, TesterDesk,
 };
-use tandem_boot::{
-    Answer, BootDesk, DeskSetup, EnvironmentStore, ImageTarget, Launch, ReleaseStage, Slot,
-};
-use tandem_boot_host::life::{End, Life, TEST_KEY};
+use tandem_boot::{Answer, BootDesk, DeskSetup, EnvironmentStore, Launch, ReleaseStage, Slot};
+use tandem_boot_host::life::{End, Life};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash, Tear, records};
 
 const STEP: Duration = Duration::from_ms(50);
@@ -24,12 +22,10 @@ type Desk = BootDesk<'static, SimulatedFlash, NoCounter>;
 fn paired(version: u32) -> Image {
     let release = ReleaseInfo {
         version,
-        entries: [256; 3],
         paired: true,
         ..ReleaseInfo::default()
     };
-    let target = ImageTarget::Application(Slot::B);
-    Image::sign(target, release, &[(256, &body(version, 300))], &TEST_KEY)
+    application(Slot::B, release, &body(version, 300))
 }
 
 /// A controller that runs release 1 and has downloaded release 2, or has not.

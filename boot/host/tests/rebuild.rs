@@ -4,23 +4,19 @@
 
 mod fixture;
 
-use fixture::{body, factory, loader};
+use fixture::{application, body, factory, programmed};
 use tandem_board::Instant;
-use tandem_boot::{
-    Bank, Environment, EnvironmentStore, FlashRegion, ImageTarget, Loader, Slot, TrustMode,
-};
+use tandem_boot::{Environment, EnvironmentStore, FlashRegion, Loader, Slot, TrustMode};
 use tandem_boot_host::life::{TEST_KEY, TEST_KEY_1};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash};
 
 /// Returns an application; `is_signed`: by an accepted key.
-fn application(slot: Slot, version: u32, is_signed: bool) -> Image {
+fn image(slot: Slot, version: u32, is_signed: bool) -> Image {
     let release = ReleaseInfo {
         version,
-        entries: [256; 3],
         ..ReleaseInfo::default()
     };
-    let target = ImageTarget::Application(slot);
-    let mut image = Image::sign(target, release, &[(256, &body(version, 90))], &TEST_KEY);
+    let mut image = application(slot, release, &body(version, 90));
     image.bytes[200] ^= u8::from(!is_signed);
     image
 }
@@ -35,23 +31,11 @@ fn starts(mut flash: SimulatedFlash, mode: TrustMode) -> Environment {
     *EnvironmentStore::load(&mut flash).unwrap().get()
 }
 
-/// Returns a controller as a programming station leaves it, with these applications.
-fn new_controller(applications: &[Image]) -> SimulatedFlash {
-    let mut flash = SimulatedFlash::new();
-    for bank in [Bank::Primary, Bank::Backup] {
-        flash.load(FlashRegion::Bank(bank).range().start, &loader(1).bytes);
-    }
-    for image in applications {
-        flash.load(image.place(), &image.bytes);
-    }
-    flash
-}
-
 /// E-4: a new controller accepts all keys of its bootloader; one that has lost its environment
 /// accepts the newest one only.
 #[test]
 fn only_a_new_controller_accepts_old_keys() {
-    let new = new_controller(&[application(Slot::A, 1, true)]);
+    let new = programmed(&[&image(Slot::A, 1, true)]);
     assert_eq!(starts(new, TrustMode::Strict).lowest_key, 0);
     let mut lost = factory();
     for copy in [0, 1] {
@@ -79,9 +63,9 @@ fn the_older_of_two_images_is_active() {
         ((1, false), (2, true), Monitor, (A, B, false, 2)),
         ((1, true), (2, true), Monitor, (A, B, true, 2)),
     ] {
-        let images = [(Slot::A, a), (Slot::B, b)];
-        let images = images.map(|(slot, (version, signed))| application(slot, version, signed));
-        let environment = starts(new_controller(&images), mode);
+        let [a_image, b_image] = [(Slot::A, a), (Slot::B, b)]
+            .map(|(slot, (version, signed))| image(slot, version, signed));
+        let environment = starts(programmed(&[&a_image, &b_image]), mode);
         let trial = environment.trial;
         let seen = (
             environment.active.application,

@@ -4,9 +4,11 @@
 
 mod fixture;
 
+use fixture::loader_bench::LoaderBench;
+use fixture::proof::{self, TESTER, known};
 use fixture::{Images, factory, image};
 use tandem_board::{Instant, ResetCause};
-use tandem_boot::{Answer, HostRequest, Loader, LogEvent, Next, Refusal, Slot, read_log};
+use tandem_boot::{Answer, HostRequest, LogEvent, Next, Refusal, Slot, read_log};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1, TEST_PUBLIC};
 use tandem_boot_host::{SigningKey, SimulatedFlash, records};
 
@@ -79,105 +81,53 @@ fn wrong_keys_lock_the_loader_over_resets() {
     assert!(!events(&mut flash).contains(&LogEvent::TesterProved));
 }
 
-/// A loader that knows one tester, in virtual time.
-struct Bench {
-    loader: Loader<'static, SimulatedFlash>,
-    now: Instant,
+/// A loader that was sent into a download. `noise` decides its challenges.
+fn started_with(flash: SimulatedFlash, testers: &'static [[u8; 32]], noise: u8) -> LoaderBench {
+    const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
+    let mut setup = fixture::setup(&KEYS);
+    setup.trust.testers = testers;
+    setup.cause = ResetCause::Download;
+    setup.noise = std::array::from_fn(|at| noise ^ at as u8);
+    LoaderBench::start(flash, setup)
 }
 
-const TESTER: SigningKey = numbered(0, TEST_KEY_1);
-
-impl Bench {
-    fn new(testers: &'static [[u8; 32]], noise: u8) -> Self {
-        Self::with(factory(), testers, noise)
-    }
-
-    fn with(flash: SimulatedFlash, testers: &'static [[u8; 32]], noise: u8) -> Self {
-        const KEYS: [[u8; 32]; 1] = [TEST_PUBLIC];
-        let mut setup = fixture::setup(&KEYS);
-        setup.trust.testers = testers;
-        setup.cause = ResetCause::Download;
-        setup.noise = std::array::from_fn(|at| noise ^ at as u8);
-        let now = Instant::ORIGIN;
-        let loader = Loader::start(flash, setup, now);
-        Self { loader, now }
-    }
-
-    fn send(&mut self, request: HostRequest<'_>) -> Option<Answer> {
-        self.loader.on_frame(self.now, &request.frame().unwrap());
-        match self.loader.next(self.now) {
-            Next::Send(frame) => Answer::decode(frame.data()),
-            _ => None,
-        }
-    }
-
-    /// Sends a record. Returns the answer to its last frame.
-    fn line(&mut self, line: &str) -> Option<Answer> {
-        let mut answer = None;
-        for piece in line.as_bytes().chunks(8) {
-            answer = self.send(HostRequest::Data(piece));
-        }
-        answer
-    }
-
-    fn connect(&mut self) {
-        let connect = HostRequest::Connect {
-            system: None,
-            resume: false,
-        };
-        assert_eq!(self.send(connect), Some(Answer::Connected));
-    }
-
-    fn challenge(&mut self) -> Vec<u8> {
-        let parts = (0..3).flat_map(|part| {
-            match self.send(HostRequest::Challenge {
-                system: None,
-                key: 0,
-                part,
-            }) {
-                Some(Answer::Challenge { bytes, .. }) => bytes,
-                other => panic!("{other:?}"),
-            }
-        });
-        parts.collect()
-    }
-
-    fn prove(&mut self, signature: &[u8; 64]) -> Option<Answer> {
-        let padded = [&signature[..], &[0]].concat();
-        let mut answer = None;
-        for (part, bytes) in (0..).zip(padded.as_chunks::<5>().0) {
-            let bytes = *bytes;
-            answer = self.send(HostRequest::Proof {
-                system: None,
-                part,
-                bytes,
-            });
-        }
-        answer
-    }
+fn started(testers: &'static [[u8; 32]], noise: u8) -> LoaderBench {
+    started_with(factory(), testers, noise)
 }
 
-fn known() -> &'static [[u8; 32]] {
-    Box::leak(Box::new([TESTER.public()]))
+fn connect(bench: &mut LoaderBench) {
+    assert_eq!(bench.connect(None), Some(Answer::Connected));
+}
+
+fn asked(bench: &mut LoaderBench) -> Vec<u8> {
+    proof::challenge(None, 0, |request| bench.send(request)).unwrap()
+}
+
+fn signed(bench: &mut LoaderBench, signature: &[u8; 64]) -> Option<Answer> {
+    proof::send_signature(None, signature, |request| bench.send(request))
 }
 
 /// E-4: no challenge comes twice, and an old signature proves nothing. The signed bytes are those
 /// of the page, so that a foreign tester can make them.
 #[test]
 fn a_signature_is_good_once() {
-    let mut bench = Bench::new(known(), 3);
-    bench.connect();
-    let first = bench.challenge();
-    let challenge = bench.challenge();
+    let mut bench = started(known(), 3);
+    connect(&mut bench);
+    let first = asked(&mut bench);
+    let challenge = asked(&mut bench);
     assert_eq!(first, challenge, "until it is answered");
     let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
     let signature = TESTER.sign(&message);
-    assert_eq!(bench.prove(&signature), Some(Answer::Proved));
-    assert_eq!(bench.prove(&signature), None, "the challenge is used up");
-    bench.connect();
-    let second = bench.challenge();
+    assert_eq!(signed(&mut bench, &signature), Some(Answer::Proved));
+    assert_eq!(
+        signed(&mut bench, &signature),
+        None,
+        "the challenge is used up"
+    );
+    connect(&mut bench);
+    let second = asked(&mut bench);
     assert_ne!(second, first);
-    assert_eq!(bench.prove(&signature), Some(Answer::Unproved));
+    assert_eq!(signed(&mut bench, &signature), Some(Answer::Unproved));
     let locked = bench.send(HostRequest::Challenge {
         system: None,
         key: 0,
@@ -185,27 +135,22 @@ fn a_signature_is_good_once() {
     });
     assert_eq!(locked, Some(Answer::Locked { seconds: 3 }));
     bench.now += tandem_board::Duration::from_ms(2_000);
-    let third = bench.challenge();
+    let third = asked(&mut bench);
     assert!(third != second && third != first);
-    assert_ne!(Bench::new(known(), 77).loader_challenge(), first);
-}
-
-impl Bench {
-    fn loader_challenge(mut self) -> Vec<u8> {
-        self.connect();
-        self.challenge()
-    }
+    let mut other = started(known(), 77);
+    connect(&mut other);
+    assert_ne!(asked(&mut other), first);
 }
 
 /// T-BOOT-1: a host that does not prove itself changes no page of the flash, however often it is
 /// refused: a full log would also forget the wrong keys.
 #[test]
 fn an_unproved_host_writes_nothing() {
-    let mut bench = Bench::new(known(), 8);
+    let mut bench = started(known(), 8);
     let before = bench.loader.flash().work();
     let lines = records("new", &[&image(Slot::B, 2, 300)]);
     for _ in 0..20 {
-        bench.connect();
+        connect(&mut bench);
         let refused = Some(Answer::Refused(Refusal::Tester));
         assert_eq!(bench.line(&lines[0]), refused);
     }
@@ -217,8 +162,8 @@ fn an_unproved_host_writes_nothing() {
 #[test]
 fn an_unproved_host_does_not_hold_the_loader() {
     for (testers, holds_ms) in [(known(), 2_000), (&[][..], 10_000)] {
-        let mut bench = Bench::new(testers, 5);
-        bench.connect();
+        let mut bench = started(testers, 5);
+        connect(&mut bench);
         let mut held_ms = 0;
         while held_ms < 60_000 {
             bench.now = Instant::from_ns(bench.now.as_ns() + 9_000_000);
@@ -238,8 +183,8 @@ fn an_unproved_host_does_not_hold_the_loader() {
 /// is refused.
 #[test]
 fn a_gap_in_a_window_is_asked_for_eight_times() {
-    let mut bench = Bench::new(&[], 6);
-    bench.connect();
+    let mut bench = started(&[], 6);
+    connect(&mut bench);
     let granted = bench.send(HostRequest::Offer { records: 1 });
     assert!(
         matches!(granted, Some(Answer::Window { records: 1, .. })),
@@ -266,8 +211,8 @@ fn a_gap_in_a_window_is_asked_for_eight_times() {
 /// host says that it goes on with that one.
 #[test]
 fn a_loader_waits_for_the_record_that_it_asked_for() {
-    let mut bench = Bench::new(&[], 6);
-    bench.connect();
+    let mut bench = started(&[], 6);
+    connect(&mut bench);
     let _granted = bench.send(HostRequest::Offer { records: 1 });
     let lines = records("new", &[&image(Slot::B, 2, 300)]);
     assert_eq!(bench.line(&lines[0]), Some(Answer::Accepted { records: 1 }));
@@ -284,8 +229,8 @@ fn a_loader_waits_for_the_record_that_it_asked_for() {
 /// T-BOOT-3: a host without a window sends a record again from its beginning if the end was lost.
 #[test]
 fn a_record_that_was_cut_short_is_sent_again() {
-    let mut bench = Bench::new(&[], 6);
-    bench.connect();
+    let mut bench = started(&[], 6);
+    connect(&mut bench);
     let lines = records("new", &[&image(Slot::B, 2, 300)]);
     let accepted = Some(Answer::Accepted { records: 0 });
     assert_eq!(bench.line(&lines[0]), accepted);
@@ -310,8 +255,8 @@ fn a_loader_asks_after_a_silence() {
         (2, true, Some(Answer::Resend { record: 2 })),
         (4, false, None),
     ] {
-        let mut bench = Bench::new(&[], 6);
-        bench.connect();
+        let mut bench = started(&[], 6);
+        connect(&mut bench);
         let _granted = bench.send(HostRequest::Offer { records: 4 });
         for line in &lines[..whole] {
             let answer = bench.line(line);
@@ -333,8 +278,8 @@ fn a_loader_asks_after_a_silence() {
         assert_eq!(asked, asks, "{whole} {begun}");
     }
     // Of a record only the middle has arrived.
-    let mut bench = Bench::new(&[], 6);
-    bench.connect();
+    let mut bench = started(&[], 6);
+    connect(&mut bench);
     assert_eq!(bench.send(HostRequest::Data(b"12345678")), None);
     let Next::Wait(until) = bench.loader.next(bench.now) else {
         panic!("it waits");
@@ -347,8 +292,8 @@ fn a_loader_asks_after_a_silence() {
 #[test]
 fn the_free_slots_are_told() {
     for (flash, application) in [(factory(), 1), (Images::updated().flash, 0)] {
-        let mut bench = Bench::with(flash, &[], 6);
-        bench.connect();
+        let mut bench = started_with(flash, &[], 6);
+        connect(&mut bench);
         let granted = Answer::Window {
             records: 4,
             application,
@@ -364,11 +309,14 @@ fn the_free_slots_are_told() {
 /// the proof and the records. To connect anew ends both, and the loader does not wait for another.
 #[test]
 fn a_connection_that_is_resumed_keeps_its_proof() {
-    let mut bench = Bench::new(known(), 3);
-    bench.connect();
-    let challenge = bench.challenge();
+    let mut bench = started(known(), 3);
+    connect(&mut bench);
+    let challenge = asked(&mut bench);
     let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
-    assert_eq!(bench.prove(&TESTER.sign(&message)), Some(Answer::Proved));
+    assert_eq!(
+        signed(&mut bench, &TESTER.sign(&message)),
+        Some(Answer::Proved)
+    );
     let lines = records("new", &[&image(Slot::B, 2, 300)]);
     assert_eq!(bench.line(&lines[0]), Some(Answer::Accepted { records: 0 }));
     bench.now += tandem_board::Duration::from_ms(4_000);
@@ -391,11 +339,14 @@ fn a_connection_that_is_resumed_keeps_its_proof() {
 #[test]
 fn records_that_bring_nothing_do_not_hold_the_loader() {
     for nothing in ["S5030000FC\n", "S40B00000000000000000000F4\n"] {
-        let mut bench = Bench::new(known(), 3);
-        bench.connect();
-        let challenge = bench.challenge();
+        let mut bench = started(known(), 3);
+        connect(&mut bench);
+        let challenge = asked(&mut bench);
         let message = [&b"tandem tester"[..], &[0, 0], &challenge].concat();
-        assert_eq!(bench.prove(&TESTER.sign(&message)), Some(Answer::Proved));
+        assert_eq!(
+            signed(&mut bench, &TESTER.sign(&message)),
+            Some(Answer::Proved)
+        );
         let mut boots = false;
         for record in [nothing, "S0030000FC\n"].into_iter().cycle().take(8) {
             bench.now += tandem_board::Duration::from_ms(2_000);
@@ -409,8 +360,8 @@ fn records_that_bring_nothing_do_not_hold_the_loader() {
 /// T-BOOT-3: a refusal that comes long after the last record can be asked for again.
 #[test]
 fn a_late_refusal_is_told_again() {
-    let mut bench = Bench::new(&[], 3);
-    bench.connect();
+    let mut bench = started(&[], 3);
+    connect(&mut bench);
     bench.now += tandem_board::Duration::from_ms(5_000);
     let refused = Some(Answer::Refused(Refusal::Protected));
     let protected = "S30D000100000102030405060708CD\n";
@@ -429,8 +380,8 @@ fn no_frame_holds_the_loader_after_a_refusal() {
             system: Some(tandem_board::SystemId::B),
         },
     ] {
-        let mut bench = Bench::new(known(), 3);
-        bench.connect();
+        let mut bench = started(known(), 3);
+        connect(&mut bench);
         let refused = bench.line("S1130000000000000000000000000000000000000000EC\n");
         assert_eq!(refused, Some(Answer::Refused(Refusal::Tester)));
         let mut boots = false;

@@ -3,23 +3,18 @@
 
 mod fixture;
 
-use fixture::{body, configuration, factory, image, loader};
+use fixture::{application, body, changed, configuration, factory, image, programmed, trial};
 use tandem_board::{Instant, ResetCause};
 use tandem_boot::{
-    Bank, Environment, EnvironmentStore, FlashRegion, ImageTarget, Loader, MANIFEST_BYTES,
-    Manifest, Next, SIGNED_BYTES, Selection, Slot, Trial, TrustMode, rom_choice,
+    Bank, Environment, EnvironmentStore, FlashRegion, ImageTarget, Loader, MANIFEST_BYTES, Next,
+    Slot, TrustMode, rom_choice,
 };
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_PUBLIC};
 use tandem_boot_host::{Image, ReleaseInfo, SimulatedFlash};
 
-/// Returns a new controller with bootloader and configuration, and these bytes in slot A.
+/// Returns a new controller with a configuration, and these bytes in slot A.
 fn with_application(bytes: &[u8]) -> SimulatedFlash {
-    let mut flash = SimulatedFlash::new();
-    for bank in [Bank::Primary, Bank::Backup] {
-        flash.load(FlashRegion::Bank(bank).range().start, &loader(1).bytes);
-    }
-    let configuration = configuration(Slot::A, 1);
-    flash.load(configuration.place(), &configuration.bytes);
+    let mut flash = programmed(&[&configuration(Slot::A, 1)]);
     let place = FlashRegion::Target(ImageTarget::Application(Slot::A));
     flash.load(place.range().start, bytes);
     flash.power_on(0, None);
@@ -48,16 +43,8 @@ fn reaching(target: ImageTarget, place: FlashRegion, beyond: usize) -> Image {
 fn an_image_boots_only_where_it_belongs() {
     let slot = ImageTarget::Application(Slot::A);
     let region = FlashRegion::Target(slot);
-    let changed = |change: fn(&mut Manifest)| {
-        let mut image = image(Slot::A, 1, 300);
-        change(&mut image.manifest);
-        let signed = image.manifest.encode();
-        image.bytes[..SIGNED_BYTES].copy_from_slice(&signed);
-        image.bytes[SIGNED_BYTES..MANIFEST_BYTES].copy_from_slice(&TEST_KEY.sign(&signed));
-        image.bytes
-    };
-    let other_hardware = changed(|manifest| manifest.hardware ^= 1);
-    let other_crc = changed(|manifest| manifest.crc ^= 1);
+    let other_hardware = changed(image(Slot::A, 1, 300), |manifest| manifest.hardware ^= 1);
+    let other_crc = changed(image(Slot::A, 1, 300), |manifest| manifest.crc ^= 1);
     for (what, bytes, boots) in [
         ("an application", image(Slot::A, 1, 300).bytes, true),
         ("the longest one", reaching(slot, region, 0).bytes, true),
@@ -66,10 +53,10 @@ fn an_image_boots_only_where_it_belongs() {
             reaching(slot, region, 32).bytes,
             false,
         ),
-        ("one for other hardware", other_hardware, false),
+        ("one for other hardware", other_hardware.bytes, false),
         (
             "one with another checksum for the boot ROM",
-            other_crc,
+            other_crc.bytes,
             true,
         ),
         ("a configuration", configuration(Slot::A, 1).bytes, false),
@@ -85,12 +72,10 @@ fn a_trial_is_started_if_it_is_whole_and_has_what_it_needs() {
     let needing = |needs_bootloader| {
         let release = ReleaseInfo {
             version: 2,
-            entries: [256; 3],
             needs_bootloader,
             ..ReleaseInfo::default()
         };
-        let target = ImageTarget::Application(Slot::B);
-        Image::sign(target, release, &[(256, &body(2, 300))], &TEST_KEY)
+        application(Slot::B, release, &body(2, 300))
     };
     for (needs_bootloader, is_damaged, version) in
         [(1, false, 2), (1, true, 1), (9, false, 1), (9, true, 1)]
@@ -103,17 +88,8 @@ fn a_trial_is_started_if_it_is_whole_and_has_what_it_needs() {
         }
         flash.power_on(1, None);
         let mut store = EnvironmentStore::load(&mut flash).unwrap();
-        let trial = Trial {
-            selection: Selection {
-                application: Some(Slot::B),
-                configuration: None,
-            },
-            executed: false,
-            ready: false,
-            authentic: true,
-        };
         let environment = Environment {
-            trial: Some(trial),
+            trial: Some(trial(Slot::B)),
             ..*store.get()
         };
         store.write(&mut flash, environment).unwrap();

@@ -11,8 +11,6 @@ use embedded_storage::nor_flash::NorFlash;
 impl<F: NorFlash> Loader<'_, F> {
     /// Takes the next steps of an update of the bootloader. Returns the next action, or `None` if
     /// the loader may continue, also because the flash fails for good: the backup then runs. U-4
-    ///
-    ///
     #[inline(never)]
     pub(super) fn continue_update(&mut self) -> Option<Next> {
         let next = self.update_bootloader();
