@@ -1,0 +1,4 @@
+//! Topics on the host: UDP, profiles in XML, the SoC's process.
+#![forbid(unsafe_code)]
+
+pub mod udp;

@@ -1,0 +1,20 @@
+//! Topics over DDS: a static participant of RTPS without allocation and without IO (no_std).
+//!
+//! [`Participant`] announces itself and its endpoints, finds those of others, and exchanges samples
+//! with them: reliably, with a short history. The caller brings datagrams and the time, and sends
+//! what [`Outlet`] gets. D-1 to D-4
+#![no_std]
+#![forbid(unsafe_code)]
+
+mod discovery;
+mod participant;
+mod qos;
+mod reader;
+mod wire;
+mod writer;
+
+pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant, ParticipantCounts};
+pub use qos::{Durability, Endpoint, Qos, Reliability};
+pub use reader::{ReaderCounts, Sample, WRITERS};
+pub use wire::{EntityId, Guid, GuidPrefix, Locator};
+pub use writer::{READERS, TooLong, WriterCounts};

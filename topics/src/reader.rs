@@ -1,0 +1,338 @@
+//! A reliable reader: it gives the samples of each writer in their order. (RTPS 8.4.12)
+
+use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet};
+use crate::{Durability, Reliability};
+
+/// How many writers of other participants one reader hears. D-4
+pub const WRITERS: usize = 2;
+
+/// Counts of a reader.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReaderCounts {
+    /// Samples that are lost: their writer does not have them any more.
+    pub lost: u32,
+    /// Samples that newer ones replaced before they were taken.
+    pub replaced: u32,
+    /// Samples for which there was no room; they are asked for again.
+    pub deferred: u32,
+    /// Samples that are longer than the topic's type.
+    pub too_long: u32,
+    /// Writers that were refused, because [`WRITERS`] have a place.
+    pub refused: u32,
+    /// Writers that offer another quality of service.
+    pub incompatible: u32,
+}
+
+/// How far a reliable writer was heard.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stream {
+    /// All below are there or given up. `None` until something was heard that tells where to begin.
+    next: Option<Sequence>,
+    /// What the writer still has of before is wanted too.
+    with_history: bool,
+    heartbeat: Option<u32>,
+}
+
+impl Stream {
+    pub(crate) const fn new(with_history: bool) -> Self {
+        Self {
+            next: None,
+            with_history,
+            heartbeat: None,
+        }
+    }
+
+    /// Returns whether a sample is one that is missing. Without history, the first one that arrives
+    /// is where the stream begins; with it, a heartbeat tells that.
+    pub(crate) fn lacks(&mut self, number: Sequence) -> bool {
+        if self.next.is_none() && !self.with_history {
+            self.next = Some(number);
+        }
+        self.next.is_some_and(|next| number >= next)
+    }
+
+    /// Returns the number below which all are there or given up.
+    pub(crate) const fn next(&self) -> Option<Sequence> {
+        self.next
+    }
+
+    /// Gives up what is below this number.
+    pub(crate) fn skip_to(&mut self, number: Sequence) {
+        self.next = self.next.max(Some(number));
+    }
+
+    /// Returns how many samples the writer has dropped that did not arrive; `None` if an older
+    /// heartbeat, or the same, was heard before.
+    pub(crate) fn on_heartbeat(&mut self, heartbeat: &Heartbeat) -> Option<u64> {
+        let is_new = self
+            .heartbeat
+            .is_none_or(|count| (heartbeat.count.wrapping_sub(count) as i32) > 0);
+        if !is_new {
+            return None;
+        }
+        self.heartbeat = Some(heartbeat.count);
+        let begin = if self.with_history {
+            heartbeat.first
+        } else {
+            heartbeat.last + 1
+        };
+        let next = *self.next.get_or_insert(begin);
+        self.next = Some(next.max(heartbeat.first));
+        Some(heartbeat.first.saturating_sub(next))
+    }
+
+    /// Returns how many samples will not come.
+    pub(crate) fn on_gap(&mut self, gap: &Gap) -> u64 {
+        let Some(next) = self.next.filter(|next| gap.start <= *next) else {
+            return 0;
+        };
+        let mut at = next.max(gap.set.base);
+        for number in gap.set.iter() {
+            if number == at {
+                at += 1;
+            }
+        }
+        self.next = Some(at);
+        at - next
+    }
+
+    /// Returns what to ask for: at most `most` samples up to `last`, without those that are there.
+    pub(crate) fn missing(
+        &self,
+        last: Sequence,
+        most: u64,
+        has: impl Fn(Sequence) -> bool,
+    ) -> SequenceSet {
+        let next = self.next.unwrap_or(last.saturating_add(1));
+        let mut set = SequenceSet::empty(next);
+        for number in next..=last.min(next.saturating_add(most - 1)) {
+            if !has(number) {
+                set.insert(number);
+            }
+        }
+        set
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct RemoteWriter {
+    guid: Guid,
+    is_reliable: bool,
+    stream: Stream,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Slot<const BYTES: usize> {
+    /// Which writer, and which sample of it.
+    from: u8,
+    number: Sequence,
+    len: u8,
+    bytes: [u8; BYTES],
+}
+
+/// A sample that a reader gives.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<const BYTES: usize> {
+    /// Its writer.
+    pub writer: Guid,
+    len: u8,
+    bytes: [u8; BYTES],
+}
+
+impl<const BYTES: usize> Sample<BYTES> {
+    /// Representation and body.
+    pub fn payload(&self) -> &[u8] {
+        &self.bytes[..self.len.into()]
+    }
+}
+
+#[derive(Debug)]
+pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
+    durability: Durability,
+    depth: usize,
+    writers: [Option<RemoteWriter>; WRITERS],
+    samples: [Option<Slot<BYTES>>; DEPTH],
+    pub(crate) counts: ReaderCounts,
+}
+
+impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
+    pub(crate) const fn new(durability: Durability, depth: u8) -> Self {
+        Self {
+            durability,
+            depth: if depth as usize > DEPTH || depth == 0 {
+                DEPTH
+            } else {
+                depth as usize
+            },
+            writers: [None; WRITERS],
+            samples: [None; DEPTH],
+            counts: ReaderCounts {
+                lost: 0,
+                replaced: 0,
+                deferred: 0,
+                too_long: 0,
+                refused: 0,
+                incompatible: 0,
+            },
+        }
+    }
+
+    /// Gives a writer a place.
+    pub(crate) fn add(&mut self, guid: Guid, reliability: Reliability) {
+        if self.writers.iter().flatten().any(|one| one.guid == guid) {
+            return;
+        }
+        let Some(place) = self.writers.iter_mut().find(|place| place.is_none()) else {
+            self.counts.refused = self.counts.refused.wrapping_add(1);
+            return;
+        };
+        let with_history = self.durability == Durability::TransientLocal;
+        *place = Some(RemoteWriter {
+            guid,
+            is_reliable: reliability == Reliability::Reliable,
+            stream: Stream::new(with_history),
+        });
+    }
+
+    /// Takes the places of these writers back. Their samples stay until they are taken.
+    pub(crate) fn remove(&mut self, is_gone: impl Fn(Guid) -> bool) {
+        for index in 0..WRITERS {
+            if self.writers[index].is_some_and(|writer| is_gone(writer.guid)) {
+                self.writers[index] = None;
+                for slot in &mut self.samples {
+                    if slot.is_some_and(|slot| usize::from(slot.from) == index) {
+                        *slot = None;
+                    }
+                }
+            }
+        }
+    }
+
+    fn index_of(&self, guid: Guid) -> Option<usize> {
+        let is = |writer: &Option<RemoteWriter>| writer.is_some_and(|writer| writer.guid == guid);
+        self.writers.iter().position(is)
+    }
+
+    fn has(&self, index: usize, number: Sequence) -> bool {
+        let mut slots = self.samples.iter().flatten();
+        slots.any(|slot| usize::from(slot.from) == index && slot.number == number)
+    }
+
+    /// Lets the stream pass what is there.
+    fn advance(&mut self, index: usize) {
+        while let Some(next) = self.writers[index].and_then(|writer| writer.stream.next())
+            && self.has(index, next)
+            && let Some(writer) = &mut self.writers[index]
+        {
+            writer.stream.skip_to(next + 1);
+        }
+    }
+
+    /// Returns whether the sample in this place can be taken: all before it are there or given up.
+    fn is_due(&self, slot: &Slot<BYTES>) -> bool {
+        self.writers[usize::from(slot.from)]
+            .and_then(|writer| writer.stream.next())
+            .is_some_and(|next| slot.number < next)
+    }
+
+    /// Returns the place of the oldest sample that can be taken.
+    fn oldest(&self) -> Option<usize> {
+        let due = self.samples.iter().enumerate().filter_map(|(at, slot)| {
+            let slot = slot.as_ref().filter(|slot| self.is_due(slot))?;
+            Some((slot.number, at))
+        });
+        due.min().map(|(_, at)| at)
+    }
+
+    pub(crate) fn on_data(&mut self, guid: Guid, data: &Data<'_>) {
+        let Some(index) = self.index_of(guid) else {
+            return;
+        };
+        let Some(writer) = &mut self.writers[index] else {
+            return;
+        };
+        let is_reliable = writer.is_reliable;
+        if !writer.stream.lacks(data.sequence) || self.has(index, data.sequence) {
+            return;
+        }
+        let mut slot = Slot {
+            from: index as u8,
+            number: data.sequence,
+            len: data.payload.len() as u8,
+            bytes: [0; BYTES],
+        };
+        let Some(bytes) = slot.bytes.get_mut(..data.payload.len()) else {
+            // It is of no use, and asking for it again would not help.
+            self.counts.too_long = self.counts.too_long.wrapping_add(1);
+            self.skip_to(index, data.sequence + 1);
+            return;
+        };
+        bytes.copy_from_slice(data.payload);
+        if !is_reliable {
+            // It does not send again what is missing.
+            self.skip_to(index, data.sequence);
+        }
+        let room = self
+            .samples
+            .iter()
+            .take(self.depth)
+            .position(Option::is_none);
+        if let Some(place) = room {
+            self.samples[place] = Some(slot);
+        } else if let Some(place) = self.oldest() {
+            self.counts.replaced = self.counts.replaced.wrapping_add(1);
+            self.samples[place] = Some(slot);
+        } else {
+            self.counts.deferred = self.counts.deferred.wrapping_add(1);
+        }
+        self.advance(index);
+    }
+
+    fn skip_to(&mut self, index: usize, number: Sequence) {
+        if let Some(writer) = &mut self.writers[index] {
+            writer.stream.skip_to(number);
+        }
+        self.advance(index);
+    }
+
+    /// Returns what the answer asks for, if one is due.
+    pub(crate) fn on_heartbeat(
+        &mut self,
+        guid: Guid,
+        heartbeat: &Heartbeat,
+    ) -> Option<SequenceSet> {
+        let index = self.index_of(guid)?;
+        let lost = self.writers[index]
+            .as_mut()?
+            .stream
+            .on_heartbeat(heartbeat)?;
+        self.counts.lost = self.counts.lost.wrapping_add(lost as u32);
+        self.advance(index);
+        let stream = self.writers[index]?.stream;
+        let depth = self.depth as u64;
+        let set = stream.missing(heartbeat.last, depth, |number| self.has(index, number));
+        (set.len > 0 || !heartbeat.is_final).then_some(set)
+    }
+
+    pub(crate) fn on_gap(&mut self, guid: Guid, gap: &Gap) {
+        let Some(index) = self.index_of(guid) else {
+            return;
+        };
+        if let Some(writer) = &mut self.writers[index] {
+            let lost = writer.stream.on_gap(gap);
+            self.counts.lost = self.counts.lost.wrapping_add(lost as u32);
+        }
+        self.advance(index);
+    }
+
+    /// Takes a sample of which all before it, of the same writer, are there or given up.
+    pub(crate) fn take(&mut self) -> Option<Sample<BYTES>> {
+        let slot = self.samples[self.oldest()?].take()?;
+        let writer = self.writers[usize::from(slot.from)]?.guid;
+        Some(Sample {
+            writer,
+            len: slot.len,
+            bytes: slot.bytes,
+        })
+    }
+}

@@ -1,0 +1,97 @@
+//! RTPS 2.5 on the wire: messages, submessages, parameter lists. (OMG formal/2022-04-01, chapter 9)
+
+mod message;
+mod parameters;
+mod submessage;
+
+pub(crate) use message::{DataTo, Message, ROOM};
+pub(crate) use parameters::{Parameter, ParameterWriter, Parameters, pid};
+pub(crate) use submessage::{AckNack, Cursor, Data, Gap, Heartbeat, Submessage, Submessages};
+
+/// Twelve bytes that name a participant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct GuidPrefix(pub [u8; 12]);
+
+/// Four bytes that name an endpoint of a participant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EntityId(pub [u8; 4]);
+
+impl EntityId {
+    /// All readers that match the writer.
+    pub(crate) const UNKNOWN: Self = Self([0; 4]);
+    pub(crate) const PARTICIPANT: Self = Self([0, 0, 1, 0xC1]);
+    pub(crate) const SPDP_WRITER: Self = Self([0, 1, 0, 0xC2]);
+    pub(crate) const SPDP_READER: Self = Self([0, 1, 0, 0xC7]);
+    pub(crate) const PUBLICATIONS_WRITER: Self = Self([0, 0, 3, 0xC2]);
+    pub(crate) const PUBLICATIONS_READER: Self = Self([0, 0, 3, 0xC7]);
+    pub(crate) const SUBSCRIPTIONS_WRITER: Self = Self([0, 0, 4, 0xC2]);
+    pub(crate) const SUBSCRIPTIONS_READER: Self = Self([0, 0, 4, 0xC7]);
+
+    /// The id of our writer of this index, of a topic without a key.
+    pub(crate) const fn writer(index: usize) -> Self {
+        Self([0, 0, index as u8 + 1, 0x03])
+    }
+
+    /// The id of our reader of this index, of a topic without a key.
+    pub(crate) const fn reader(index: usize) -> Self {
+        Self([0, 1, index as u8 + 1, 0x04])
+    }
+}
+
+/// The name of an endpoint in the whole domain.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Guid {
+    /// Its participant.
+    pub prefix: GuidPrefix,
+    /// Which endpoint of it.
+    pub entity: EntityId,
+}
+
+/// A UDP port of an IPv4 address.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Locator {
+    /// IPv4 address.
+    pub address: [u8; 4],
+    /// UDP port.
+    pub port: u16,
+}
+
+/// The number of a sample of its writer; the first is 1.
+pub(crate) type Sequence = u64;
+
+/// A set of sample numbers from `base` on: bit `n` of the first word, from the most significant
+/// one, stands for `base + n`. Sets of others may have 256 numbers; what stands beyond 32 is left
+/// for the next time that they send it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SequenceSet {
+    pub(crate) base: Sequence,
+    pub(crate) bits: u32,
+    pub(crate) len: u8,
+}
+
+impl SequenceSet {
+    /// An empty set.
+    pub(crate) const fn empty(base: Sequence) -> Self {
+        Self {
+            base,
+            bits: 0,
+            len: 0,
+        }
+    }
+
+    /// Adds a number that is at most 31 above the base.
+    pub(crate) fn insert(&mut self, number: Sequence) {
+        let offset = number.wrapping_sub(self.base);
+        if offset < 32 {
+            self.bits |= 1 << (31 - offset);
+            self.len = self.len.max(offset as u8 + 1);
+        }
+    }
+
+    /// Returns its numbers, the lowest first.
+    pub(crate) fn iter(self) -> impl Iterator<Item = Sequence> {
+        (0..u64::from(self.len.min(32)))
+            .filter(move |offset| self.bits & (1 << (31 - offset)) != 0)
+            .map(move |offset| self.base.saturating_add(offset))
+    }
+}

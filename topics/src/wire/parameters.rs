@@ -1,0 +1,164 @@
+//! Parameter lists: what a participant and its endpoints announce. (RTPS 9.4.2.11, 9.6.3)
+
+use super::{Cursor, EntityId, Guid, GuidPrefix, Locator};
+
+/// Numbers of parameters.
+pub(crate) mod pid {
+    pub(crate) const SENTINEL: u16 = 0x01;
+    pub(crate) const LEASE: u16 = 0x02;
+    pub(crate) const TOPIC_NAME: u16 = 0x05;
+    pub(crate) const TYPE_NAME: u16 = 0x07;
+    pub(crate) const PROTOCOL_VERSION: u16 = 0x15;
+    pub(crate) const VENDOR: u16 = 0x16;
+    pub(crate) const RELIABILITY: u16 = 0x1A;
+    pub(crate) const LIVELINESS: u16 = 0x1B;
+    pub(crate) const DURABILITY: u16 = 0x1D;
+    pub(crate) const OWNERSHIP: u16 = 0x1F;
+    pub(crate) const DEADLINE: u16 = 0x23;
+    pub(crate) const PARTITION: u16 = 0x29;
+    pub(crate) const DEFAULT_LOCATOR: u16 = 0x31;
+    pub(crate) const METATRAFFIC_LOCATOR: u16 = 0x32;
+    pub(crate) const HISTORY: u16 = 0x40;
+    pub(crate) const PARTICIPANT_GUID: u16 = 0x50;
+    pub(crate) const BUILTIN_ENDPOINTS: u16 = 0x58;
+    pub(crate) const ENDPOINT_GUID: u16 = 0x5A;
+    pub(crate) const STATUS: u16 = 0x71;
+    pub(crate) const REPRESENTATION: u16 = 0x73;
+    /// Who does not know such a parameter must not use the list.
+    pub(crate) const MUST_UNDERSTAND: u16 = 0x4000;
+}
+
+/// A kind of locator: UDP over IPv4.
+const UDP_V4: u32 = 1;
+
+/// One parameter.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parameter<'m> {
+    pub(crate) id: u16,
+    pub(crate) value: Cursor<'m>,
+}
+
+impl Parameter<'_> {
+    pub(crate) fn guid(mut self) -> Option<Guid> {
+        Some(Guid {
+            prefix: GuidPrefix(self.value.array()?),
+            entity: EntityId(self.value.array()?),
+        })
+    }
+
+    /// A locator of IPv4; `None` for others.
+    pub(crate) fn locator(mut self) -> Option<Locator> {
+        let (kind, port) = (self.value.u32()?, self.value.u32()?);
+        let address: [u8; 16] = self.value.array()?;
+        let [.., a, b, c, d] = address;
+        let port = u16::try_from(port).ok().filter(|port| *port > 0)?;
+        (kind == UDP_V4).then_some(Locator {
+            address: [a, b, c, d],
+            port,
+        })
+    }
+
+    pub(crate) fn number(mut self) -> Option<u32> {
+        self.value.u32()
+    }
+
+    /// Returns whether it is this text.
+    pub(crate) fn is(mut self, text: &str) -> bool {
+        let len = self.value.u32().unwrap_or(0) as usize;
+        let bytes = self.value.take(len).and_then(|bytes| bytes.split_last());
+        bytes == Some((&0, text.as_bytes()))
+    }
+}
+
+/// The parameters of a list, up to its end or to the first one that is not complete.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parameters<'m> {
+    rest: Cursor<'m>,
+    ended: bool,
+}
+
+impl<'m> Parameters<'m> {
+    pub(crate) const fn new(rest: Cursor<'m>) -> Self {
+        Self { rest, ended: false }
+    }
+
+    /// Returns the list in a payload; `None` if the payload has another representation.
+    pub(crate) fn of_payload(payload: &'m [u8]) -> Option<Self> {
+        let (head, body) = payload.split_at_checked(4)?;
+        match head {
+            [0, 2, ..] => Some(Self::new(Cursor::new(body, false))),
+            [0, 3, ..] => Some(Self::new(Cursor::new(body, true))),
+            _ => None,
+        }
+    }
+
+    /// Returns what stands behind the list; `None` if it has not ended as it must.
+    pub(crate) fn end(self) -> Option<Cursor<'m>> {
+        self.ended.then_some(self.rest)
+    }
+
+    /// Returns the first one with this number.
+    pub(crate) fn find(mut self, id: u16) -> Option<Parameter<'m>> {
+        Iterator::find(&mut self, |parameter| parameter.id == id)
+    }
+}
+
+impl<'m> Iterator for Parameters<'m> {
+    type Item = Parameter<'m>;
+
+    fn next(&mut self) -> Option<Parameter<'m>> {
+        if self.ended {
+            return None;
+        }
+        let (id, len) = (self.rest.u16()?, self.rest.u16()?);
+        if id == pid::SENTINEL {
+            self.ended = true;
+            return None;
+        }
+        let value = self.rest.take(len.into())?;
+        let value = Cursor::new(value, self.rest.is_little());
+        let id = id & !pid::MUST_UNDERSTAND;
+        Some(Parameter { id, value })
+    }
+}
+
+/// Writes a list as a payload: representation, parameters, end.
+pub(crate) struct ParameterWriter<'b, 'm> {
+    pub(super) message: &'b mut super::Message<'m>,
+}
+
+impl ParameterWriter<'_, '_> {
+    fn put(&mut self, id: u16, value: &[&[u8]]) {
+        let len: usize = value.iter().map(|piece| piece.len()).sum();
+        let padded = len.next_multiple_of(4);
+        self.message.put(&id.to_le_bytes());
+        self.message.put(&(padded as u16).to_le_bytes());
+        for piece in value {
+            self.message.put(piece);
+        }
+        self.message.put(&[0; 3][..padded - len]);
+    }
+
+    pub(crate) fn numbers<const N: usize>(&mut self, id: u16, numbers: [u32; N]) {
+        let bytes = numbers.map(u32::to_le_bytes);
+        self.put(id, &[bytes.as_flattened()]);
+    }
+
+    pub(crate) fn bytes(&mut self, id: u16, bytes: &[u8]) {
+        self.put(id, &[bytes]);
+    }
+
+    pub(crate) fn guid(&mut self, id: u16, guid: Guid) {
+        self.put(id, &[&guid.prefix.0, &guid.entity.0]);
+    }
+
+    pub(crate) fn text(&mut self, id: u16, text: &str) {
+        let len = text.len() as u32 + 1;
+        self.put(id, &[&len.to_le_bytes(), text.as_bytes(), &[0]]);
+    }
+
+    pub(crate) fn locator(&mut self, id: u16, locator: Locator) {
+        let head = [UDP_V4, u32::from(locator.port)].map(u32::to_le_bytes);
+        self.put(id, &[head.as_flattened(), &[0; 12], &locator.address]);
+    }
+}

@@ -1,0 +1,262 @@
+//! Reading of messages. All bytes are another participant's allegations.
+
+use super::{EntityId, GuidPrefix, Sequence, SequenceSet};
+
+/// Kinds of submessages.
+pub(super) mod kind {
+    pub(crate) const PAD: u8 = 0x01;
+    pub(crate) const ACKNACK: u8 = 0x06;
+    pub(crate) const HEARTBEAT: u8 = 0x07;
+    pub(crate) const GAP: u8 = 0x08;
+    pub(crate) const INFO_TIMESTAMP: u8 = 0x09;
+    pub(crate) const INFO_DESTINATION: u8 = 0x0E;
+    pub(crate) const DATA: u8 = 0x15;
+}
+
+/// Flags of submessages. The first one is in each of them.
+pub(super) mod flag {
+    pub(crate) const LITTLE_ENDIAN: u8 = 0x01;
+    /// HEARTBEAT, ACKNACK: no answer is asked for.
+    pub(crate) const FINAL: u8 = 0x02;
+    /// DATA: parameters stand before the payload.
+    pub(crate) const INLINE_QOS: u8 = 0x02;
+    /// DATA: the payload is a sample.
+    pub(crate) const SAMPLE: u8 = 0x04;
+    /// DATA: the payload is a key.
+    pub(crate) const KEY: u8 = 0x08;
+}
+
+/// Reads numbers from bytes. Each method returns `None` if the bytes end before.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cursor<'m> {
+    bytes: &'m [u8],
+    is_little: bool,
+}
+
+impl<'m> Cursor<'m> {
+    pub(crate) const fn new(bytes: &'m [u8], is_little: bool) -> Self {
+        Self { bytes, is_little }
+    }
+
+    pub(crate) fn take(&mut self, len: usize) -> Option<&'m [u8]> {
+        let (head, rest) = self.bytes.split_at_checked(len)?;
+        self.bytes = rest;
+        Some(head)
+    }
+
+    pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        self.take(N)?.try_into().ok()
+    }
+
+    pub(crate) fn u8(&mut self) -> Option<u8> {
+        self.array::<1>().map(|[byte]| byte)
+    }
+
+    pub(crate) fn u16(&mut self) -> Option<u16> {
+        let bytes = self.array()?;
+        Some(if self.is_little {
+            u16::from_le_bytes(bytes)
+        } else {
+            u16::from_be_bytes(bytes)
+        })
+    }
+
+    pub(crate) fn u32(&mut self) -> Option<u32> {
+        let bytes = self.array()?;
+        Some(if self.is_little {
+            u32::from_le_bytes(bytes)
+        } else {
+            u32::from_be_bytes(bytes)
+        })
+    }
+
+    pub(crate) const fn rest(&self) -> &'m [u8] {
+        self.bytes
+    }
+
+    pub(crate) const fn is_little(&self) -> bool {
+        self.is_little
+    }
+
+    fn entity(&mut self) -> Option<EntityId> {
+        self.array().map(EntityId)
+    }
+
+    /// A number of a sample, or one less than the first.
+    fn sequence(&mut self) -> Option<Sequence> {
+        let (high, low) = (self.u32()?, self.u32()?);
+        // A negative one is no number.
+        (high >> 31 == 0).then_some(u64::from(high) << 32 | u64::from(low))
+    }
+
+    fn set(&mut self) -> Option<SequenceSet> {
+        let base = self.sequence().filter(|base| *base > 0)?;
+        let len = self.u32().filter(|len| *len <= 256)?;
+        let bits = if len == 0 { 0 } else { self.u32()? };
+        for _ in 1..len.div_ceil(32) {
+            self.u32()?;
+        }
+        let len = len.min(32) as u8;
+        Some(SequenceSet { base, bits, len })
+    }
+}
+
+/// A sample, or the end of one.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Data<'m> {
+    pub(crate) reader: EntityId,
+    pub(crate) writer: EntityId,
+    pub(crate) sequence: Sequence,
+    /// The parameters before the payload.
+    pub(crate) inline: &'m [u8],
+    pub(crate) is_little: bool,
+    /// The payload is the key of what has ended, and no sample.
+    pub(crate) is_key: bool,
+    /// Representation and body.
+    pub(crate) payload: &'m [u8],
+}
+
+/// What a writer has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Heartbeat {
+    pub(crate) reader: EntityId,
+    pub(crate) writer: EntityId,
+    pub(crate) first: Sequence,
+    /// One less than `first` if it has none.
+    pub(crate) last: Sequence,
+    pub(crate) count: u32,
+    /// It asks for no answer of who has all.
+    pub(crate) is_final: bool,
+}
+
+/// What a reader has, and what it asks for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AckNack {
+    pub(crate) reader: EntityId,
+    pub(crate) writer: EntityId,
+    /// It has all below the base; the numbers in the set it asks for.
+    pub(crate) set: SequenceSet,
+    pub(crate) count: u32,
+}
+
+/// What a writer will not send.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Gap {
+    pub(crate) reader: EntityId,
+    pub(crate) writer: EntityId,
+    pub(crate) start: Sequence,
+    /// All from `start` to below the base, and the numbers in the set.
+    pub(crate) set: SequenceSet,
+}
+
+/// A part of a message.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Submessage<'m> {
+    Data(Data<'m>),
+    Heartbeat(Heartbeat),
+    AckNack(AckNack),
+    Gap(Gap),
+    /// What follows is for this participant; for all if it is 0.
+    Destination(GuidPrefix),
+    /// What this participant does not need.
+    Other,
+}
+
+/// The parts of a message.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Submessages<'m> {
+    rest: Cursor<'m>,
+}
+
+impl<'m> Submessages<'m> {
+    /// Returns the sender and the parts; `None` if these are no bytes of RTPS 2.
+    pub(crate) fn of(datagram: &'m [u8]) -> Option<(GuidPrefix, Self)> {
+        let mut rest = Cursor::new(datagram, true);
+        if rest.take(4)? != b"RTPS" || rest.u8()? != 2 {
+            return None;
+        }
+        let (_minor, _vendor) = (rest.u8()?, rest.u16()?);
+        Some((GuidPrefix(rest.array()?), Self { rest }))
+    }
+}
+
+impl<'m> Iterator for Submessages<'m> {
+    type Item = Submessage<'m>;
+
+    /// Ends at the first part that is not complete: what follows it cannot be found.
+    fn next(&mut self) -> Option<Submessage<'m>> {
+        let (kind, flags) = (self.rest.u8()?, self.rest.u8()?);
+        self.rest.is_little = flags & flag::LITTLE_ENDIAN != 0;
+        let len = usize::from(self.rest.u16()?);
+        let to_the_end = len == 0 && !matches!(kind, kind::PAD | kind::INFO_TIMESTAMP);
+        let len = if to_the_end {
+            self.rest.bytes.len()
+        } else {
+            len
+        };
+        let body = Cursor::new(self.rest.take(len)?, self.rest.is_little);
+        decode(kind, flags, body)
+    }
+}
+
+fn decode(kind: u8, flags: u8, mut body: Cursor<'_>) -> Option<Submessage<'_>> {
+    let is_final = flags & flag::FINAL != 0;
+    Some(match kind {
+        kind::DATA => Submessage::Data(data(flags, body)?),
+        kind::HEARTBEAT => {
+            let heartbeat = Heartbeat {
+                reader: body.entity()?,
+                writer: body.entity()?,
+                first: body.sequence()?,
+                last: body.sequence()?,
+                count: body.u32()?,
+                is_final,
+            };
+            let is_range = heartbeat.first > 0 && heartbeat.last + 1 >= heartbeat.first;
+            is_range.then_some(Submessage::Heartbeat(heartbeat))?
+        }
+        kind::ACKNACK => Submessage::AckNack(AckNack {
+            reader: body.entity()?,
+            writer: body.entity()?,
+            set: body.set()?,
+            count: body.u32()?,
+        }),
+        kind::GAP => Submessage::Gap(Gap {
+            reader: body.entity()?,
+            writer: body.entity()?,
+            start: body.sequence().filter(|start| *start > 0)?,
+            set: body.set()?,
+        }),
+        kind::INFO_DESTINATION => Submessage::Destination(GuidPrefix(body.array()?)),
+        _ => Submessage::Other,
+    })
+}
+
+fn data(flags: u8, mut body: Cursor<'_>) -> Option<Data<'_>> {
+    let (_extra, to_inline) = (body.u16()?, usize::from(body.u16()?));
+    let reader = body.entity()?;
+    let writer = body.entity()?;
+    let sequence = body.sequence().filter(|number| *number > 0)?;
+    // Counted from behind its own field, of which 16 bytes are read.
+    body.take(to_inline.checked_sub(16)?)?;
+    let inline = if flags & flag::INLINE_QOS == 0 {
+        &[]
+    } else {
+        let whole = body.rest();
+        let mut parameters = super::Parameters::new(body);
+        parameters.by_ref().for_each(drop);
+        let behind = parameters.end()?;
+        body = behind;
+        &whole[..whole.len() - behind.rest().len()]
+    };
+    let has_payload = flags & (flag::SAMPLE | flag::KEY) != 0;
+    Some(Data {
+        reader,
+        writer,
+        sequence,
+        inline,
+        is_little: body.is_little(),
+        is_key: flags & flag::SAMPLE == 0,
+        payload: if has_payload { body.rest() } else { &[] },
+    })
+}
