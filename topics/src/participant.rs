@@ -3,7 +3,7 @@
 use crate::Endpoint;
 use crate::discovery::{self, Announcement, Kind, Remote};
 use crate::qos::Fit;
-use crate::reader::{Reader, ReaderCounts, Sample};
+use crate::reader::{Reader, ReaderCounts, Sample, WRITERS};
 use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
 use crate::wire::{Message, Parameters, ROOM, SequenceSet, Submessage, Submessages, pid};
 use crate::writer::{TooLong, Writer, WriterCounts};
@@ -29,12 +29,6 @@ pub enum Destination {
 pub trait Outlet {
     /// Sends a message. One that cannot be sent is lost.
     fn send(&mut self, to: Destination, message: &[u8]);
-
-    /// A reader has asked this writer for a sample that it has dropped. `tag`: what
-    /// [`Participant::write`] got with the sample; `None` if that was too long ago.
-    fn lost(&mut self, writer: usize, tag: Option<u32>) {
-        let _ = (writer, tag);
-    }
 }
 
 /// Counts of a participant.
@@ -80,11 +74,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             at,
             outputs,
             inputs,
-            writers: core::array::from_fn(|index| Writer::new(outputs[index].qos.depth)),
-            readers: core::array::from_fn(|index| {
-                let qos = inputs[index].qos;
-                Reader::new(qos.durability, qos.depth)
-            }),
+            writers: core::array::from_fn(|index| Writer::new(outputs[index].qos)),
+            readers: core::array::from_fn(|index| Reader::new(inputs[index].qos)),
             remotes: [None; REMOTES],
             count: 0,
             announced: None,
@@ -125,7 +116,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         self.writers[writer].readers.iter().flatten().count()
     }
 
-    /// Publishes a sample: representation and body. `tag` names it in [`Outlet::lost`].
+    /// Publishes a sample: representation and body.
     ///
     /// # Errors
     ///
@@ -138,17 +129,16 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         &mut self,
         writer: usize,
         sample: &[u8],
-        tag: u32,
         out: &mut impl Outlet,
     ) -> Result<(), TooLong> {
-        let number = self.writers[writer].push(sample, tag)?;
+        let number = self.writers[writer].push(sample)?;
         for index in 0..REMOTES {
             let Some(remote) = self.remotes[index] else {
                 continue;
             };
             let mut readers = self.writers[writer].readers.iter().flatten();
             if readers.any(|reader| reader.guid.prefix == remote.prefix) {
-                self.send_sample(writer, number, (remote, EntityId::UNKNOWN), out);
+                self.send_sample(writer, (number, true), (remote, EntityId::UNKNOWN), out);
             }
         }
         Ok(())
@@ -179,8 +169,22 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             self.beat = now;
             self.remind(out);
         }
+        self.ask_again(now, out);
         let announces = self.announced.unwrap_or(now) + ANNOUNCES_EVERY;
         announces.min(self.beat + HEARTBEAT_PERIOD)
+    }
+
+    fn ask_again(&mut self, now: Instant, out: &mut impl Outlet) {
+        for (index, writer) in (0..R).flat_map(|index| (0..WRITERS).map(move |it| (index, it))) {
+            let Some((guid, set)) = self.readers[index].asks_again(now, writer) else {
+                continue;
+            };
+            let remote = self.index_of(guid.prefix).and_then(|at| self.remotes[at]);
+            if let Some(remote) = remote {
+                let ends = (EntityId::reader(index), guid.entity);
+                self.acknowledge((guid.prefix, remote.user), ends, set, out);
+            }
+        }
     }
 
     /// Says to all that it ends.
@@ -214,7 +218,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
                 }
                 _ if !is_ours => {}
                 Submessage::Data(data) => self.on_data(now, from, &data, out),
-                Submessage::Heartbeat(heartbeat) => self.on_heartbeat(from, &heartbeat, out),
+                Submessage::Heartbeat(heartbeat) => self.on_heartbeat(now, from, &heartbeat, out),
                 Submessage::Gap(gap) => self.on_gap(from, &gap),
                 Submessage::AckNack(acknack) => self.on_acknack(from, &acknack, out),
                 Submessage::Other => {}
@@ -346,7 +350,13 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         self.readers.iter_mut().for_each(|one| one.remove(&is_gone));
     }
 
-    fn on_heartbeat(&mut self, from: GuidPrefix, heartbeat: &Heartbeat, out: &mut impl Outlet) {
+    fn on_heartbeat(
+        &mut self,
+        now: Instant,
+        from: GuidPrefix,
+        heartbeat: &Heartbeat,
+        out: &mut impl Outlet,
+    ) {
         let Some(at) = self.index_of(from) else {
             return;
         };
@@ -370,7 +380,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             entity: heartbeat.writer,
         };
         for index in 0..R {
-            if let Some(set) = self.readers[index].on_heartbeat(guid, heartbeat) {
+            if let Some(set) = self.readers[index].on_heartbeat(now, guid, heartbeat) {
                 let ends = (EntityId::reader(index), heartbeat.writer);
                 self.acknowledge((from, user), ends, set, out);
             }
@@ -439,8 +449,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         };
         for index in 0..W {
             if EntityId::writer(index) == acknack.writer {
-                let lost = |tag| out.lost(index, tag);
-                if self.writers[index].on_acknack(guid, acknack, lost) {
+                if self.writers[index].on_acknack(guid, acknack) {
                     self.repair(index, &remote, acknack, out);
                 }
             }
@@ -469,11 +478,14 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
                 message.gap(gap);
             });
         }
+        let last = acknack.set.iter().last();
         for number in acknack.set.iter() {
             if self.writers[index].sample(number).is_some() {
                 let counts = &mut self.writers[index].counts;
                 counts.repaired = counts.repaired.wrapping_add(1);
-                self.send_sample(index, number, (*remote, acknack.reader), out);
+                // A heartbeat before the last one would have those behind it asked for again.
+                let beats = Some(number) == last;
+                self.send_sample(index, (number, beats), (*remote, acknack.reader), out);
             }
         }
     }
@@ -481,7 +493,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
     fn send_sample(
         &mut self,
         index: usize,
-        number: u64,
+        (number, beats): (u64, bool),
         (remote, reader): (Remote, EntityId),
         out: &mut impl Outlet,
     ) {
@@ -499,7 +511,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         let at = Destination::At(remote.user);
         compose(self.prefix, Some(remote.prefix), at, out, |message| {
             message.data(to, sample);
-            message.heartbeat(heartbeat);
+            if beats {
+                message.heartbeat(heartbeat);
+            }
         });
     }
 

@@ -36,6 +36,17 @@ pub struct Qos {
     pub depth: u8,
 }
 
+impl Qos {
+    /// Returns the depth within the room for `most` samples.
+    pub(crate) const fn depth_within(self, most: usize) -> usize {
+        match self.depth as usize {
+            0 => 1,
+            depth if depth < most => depth,
+            _ => most,
+        }
+    }
+}
+
 /// A topic of a participant, as a writer or a reader of it announces it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Endpoint {

@@ -1,10 +1,15 @@
 //! A reliable reader: it gives the samples of each writer in their order. (RTPS 8.4.12)
 
 use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet};
-use crate::{Durability, Reliability};
+use crate::{Durability, Qos, Reliability};
+use core::ops::Range;
+use tandem_board::{Duration, Instant};
 
 /// How many writers of other participants one reader hears. D-4
 pub const WRITERS: usize = 2;
+
+/// What is missing is asked for with each heartbeat, and in this time once more.
+pub(crate) const ASKS_EVERY: Duration = Duration::from_ms(5);
 
 /// Counts of a reader.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -45,7 +50,7 @@ impl Stream {
     /// Returns whether a sample is one that is missing. Without history, the first one that arrives
     /// is where the stream begins; with it, a heartbeat tells that.
     pub(crate) fn lacks(&mut self, number: Sequence) -> bool {
-        if self.next.is_none() && !self.with_history {
+        if self.next.is_none() && (!self.with_history || number == 1) {
             self.next = Some(number);
         }
         self.next.is_some_and(|next| number >= next)
@@ -61,9 +66,9 @@ impl Stream {
         self.next = self.next.max(Some(number));
     }
 
-    /// Returns how many samples the writer has dropped that did not arrive; `None` if an older
-    /// heartbeat, or the same, was heard before.
-    pub(crate) fn on_heartbeat(&mut self, heartbeat: &Heartbeat) -> Option<u64> {
+    /// Gives up what the writer has dropped. Returns that range; `None` if a newer heartbeat, or the
+    /// same, was heard before.
+    pub(crate) fn on_heartbeat(&mut self, heartbeat: &Heartbeat) -> Option<Range<Sequence>> {
         let is_new = self
             .heartbeat
             .is_none_or(|count| (heartbeat.count.wrapping_sub(count) as i32) > 0);
@@ -78,13 +83,13 @@ impl Stream {
         };
         let next = *self.next.get_or_insert(begin);
         self.next = Some(next.max(heartbeat.first));
-        Some(heartbeat.first.saturating_sub(next))
+        Some(next..heartbeat.first)
     }
 
-    /// Returns how many samples will not come.
-    pub(crate) fn on_gap(&mut self, gap: &Gap) -> u64 {
+    /// Gives up what will not come. Returns that range.
+    pub(crate) fn on_gap(&mut self, gap: &Gap) -> Range<Sequence> {
         let Some(next) = self.next.filter(|next| gap.start <= *next) else {
-            return 0;
+            return 0..0;
         };
         let mut at = next.max(gap.set.base);
         for number in gap.set.iter() {
@@ -93,7 +98,7 @@ impl Stream {
             }
         }
         self.next = Some(at);
-        at - next
+        next..at
     }
 
     /// Returns what to ask for: at most `most` samples up to `last`, without those that are there.
@@ -119,6 +124,10 @@ struct RemoteWriter {
     guid: Guid,
     is_reliable: bool,
     stream: Stream,
+    /// The newest sample that it has told of.
+    last: Sequence,
+    /// When it was asked for what is missing.
+    asked: Instant,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -148,7 +157,7 @@ impl<const BYTES: usize> Sample<BYTES> {
 
 #[derive(Debug)]
 pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
-    durability: Durability,
+    qos: Qos,
     depth: usize,
     writers: [Option<RemoteWriter>; WRITERS],
     samples: [Option<Slot<BYTES>>; DEPTH],
@@ -156,14 +165,10 @@ pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
-    pub(crate) const fn new(durability: Durability, depth: u8) -> Self {
+    pub(crate) const fn new(qos: Qos) -> Self {
         Self {
-            durability,
-            depth: if depth as usize > DEPTH || depth == 0 {
-                DEPTH
-            } else {
-                depth as usize
-            },
+            qos,
+            depth: qos.depth_within(DEPTH),
             writers: [None; WRITERS],
             samples: [None; DEPTH],
             counts: ReaderCounts {
@@ -186,11 +191,14 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             self.counts.refused = self.counts.refused.wrapping_add(1);
             return;
         };
-        let with_history = self.durability == Durability::TransientLocal;
+        let with_history = self.qos.durability == Durability::TransientLocal;
         *place = Some(RemoteWriter {
             guid,
-            is_reliable: reliability == Reliability::Reliable,
+            is_reliable: reliability == Reliability::Reliable
+                && reliability == self.qos.reliability,
             stream: Stream::new(with_history),
+            last: 0,
+            asked: Instant::ORIGIN,
         });
     }
 
@@ -288,6 +296,17 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         self.advance(index);
     }
 
+    /// Counts what was given up and is not there.
+    fn count_lost(&mut self, index: usize, dropped: Range<Sequence>) {
+        let slots = self.samples.iter().flatten();
+        let is_in =
+            |slot: &&Slot<BYTES>| usize::from(slot.from) == index && dropped.contains(&slot.number);
+        let there = slots.filter(is_in).count() as u64;
+        let all = dropped.end.saturating_sub(dropped.start);
+        let lost = all.saturating_sub(there) as u32;
+        self.counts.lost = self.counts.lost.saturating_add(lost);
+    }
+
     fn skip_to(&mut self, index: usize, number: Sequence) {
         if let Some(writer) = &mut self.writers[index] {
             writer.stream.skip_to(number);
@@ -295,23 +314,41 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         self.advance(index);
     }
 
-    /// Returns what the answer asks for, if one is due.
+    /// Returns the answer to a heartbeat, if one is due: what the reader asks for.
     pub(crate) fn on_heartbeat(
         &mut self,
+        now: Instant,
         guid: Guid,
         heartbeat: &Heartbeat,
     ) -> Option<SequenceSet> {
         let index = self.index_of(guid)?;
-        let lost = self.writers[index]
-            .as_mut()?
-            .stream
-            .on_heartbeat(heartbeat)?;
-        self.counts.lost = self.counts.lost.wrapping_add(lost as u32);
+        let writer = self.writers[index]
+            .as_mut()
+            .filter(|writer| writer.is_reliable)?;
+        let dropped = writer.stream.on_heartbeat(heartbeat)?;
+        (writer.last, writer.asked) = (heartbeat.last, now);
+        self.count_lost(index, dropped);
         self.advance(index);
-        let stream = self.writers[index]?.stream;
-        let depth = self.depth as u64;
-        let set = stream.missing(heartbeat.last, depth, |number| self.has(index, number));
+        let set = self.missing(index)?;
         (set.len > 0 || !heartbeat.is_final).then_some(set)
+    }
+
+    fn missing(&self, index: usize) -> Option<SequenceSet> {
+        let writer = self.writers[index]?;
+        let depth = self.depth as u64;
+        let has = |number| self.has(index, number);
+        Some(writer.stream.missing(writer.last, depth, has))
+    }
+
+    /// Returns of which writer, and for what, it asks once more: question or answer were lost.
+    pub(crate) fn asks_again(&mut self, now: Instant, index: usize) -> Option<(Guid, SequenceSet)> {
+        let set = self.missing(index).filter(|set| set.len > 0)?;
+        let writer = self.writers[index].as_mut()?;
+        let is_due = now.since(writer.asked) >= ASKS_EVERY;
+        is_due.then(|| {
+            writer.asked = now;
+            (writer.guid, set)
+        })
     }
 
     pub(crate) fn on_gap(&mut self, guid: Guid, gap: &Gap) {
@@ -319,8 +356,8 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             return;
         };
         if let Some(writer) = &mut self.writers[index] {
-            let lost = writer.stream.on_gap(gap);
-            self.counts.lost = self.counts.lost.wrapping_add(lost as u32);
+            let dropped = writer.stream.on_gap(gap);
+            self.count_lost(index, dropped);
         }
         self.advance(index);
     }

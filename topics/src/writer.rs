@@ -1,12 +1,10 @@
 //! A reliable writer: its last samples, and the readers that it serves. (RTPS 8.4.9)
 
 use crate::wire::{AckNack, EntityId, Guid, Heartbeat, Sequence};
-use crate::{Durability, Reliability};
+use crate::{Durability, Qos, Reliability};
 
 /// How many readers of other participants one writer serves. D-4
 pub const READERS: usize = 2;
-/// How far back the tags of samples are known.
-const TAGS: usize = 32;
 
 /// Counts of a writer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,7 +44,6 @@ pub struct TooLong;
 #[derive(Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     samples: [Slot<BYTES>; DEPTH],
-    tags: [u32; TAGS],
     depth: u64,
     last: Sequence,
     heartbeats: u32,
@@ -55,19 +52,13 @@ pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
-    pub(crate) const fn new(depth: u8) -> Self {
-        let depth = if (depth as usize) < DEPTH {
-            depth as u64
-        } else {
-            DEPTH as u64
-        };
+    pub(crate) const fn new(qos: Qos) -> Self {
         Self {
             samples: [Slot {
                 len: 0,
                 bytes: [0; BYTES],
             }; DEPTH],
-            tags: [0; TAGS],
-            depth: if depth == 0 { 1 } else { depth },
+            depth: qos.depth_within(DEPTH) as u64,
             last: 0,
             heartbeats: 0,
             readers: [None; READERS],
@@ -81,14 +72,13 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
     }
 
     /// Adds a sample, which has the next number.
-    pub(crate) fn push(&mut self, sample: &[u8], tag: u32) -> Result<Sequence, TooLong> {
+    pub(crate) fn push(&mut self, sample: &[u8]) -> Result<Sequence, TooLong> {
         let len = u8::try_from(sample.len()).map_err(|_| TooLong)?;
         let number = self.last + 1;
         let slot = &mut self.samples[(number % self.depth) as usize];
         let place = slot.bytes.get_mut(..sample.len()).ok_or(TooLong)?;
         place.copy_from_slice(sample);
         slot.len = len;
-        self.tags[number as usize % TAGS] = tag;
         self.last = number;
         Ok(number)
     }
@@ -107,12 +97,6 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         let is_kept = (self.first()..=self.last).contains(&number);
         let slot = &self.samples[(number % self.depth) as usize];
         is_kept.then(|| &slot.bytes[..slot.len.into()])
-    }
-
-    /// Returns the tag of a sample, also after it was dropped.
-    pub(crate) fn tag(&self, number: Sequence) -> Option<u32> {
-        let is_known = number > 0 && number <= self.last && self.last - number < TAGS as u64;
-        is_known.then(|| self.tags[number as usize % TAGS])
     }
 
     pub(crate) fn heartbeat(&mut self, own: EntityId, to: EntityId, is_final: bool) -> Heartbeat {
@@ -171,12 +155,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
 
     /// Notes what a reader has. Returns whether it is one that the writer serves, and its ACKNACK a
     /// new one.
-    pub(crate) fn on_acknack(
-        &mut self,
-        guid: Guid,
-        acknack: &AckNack,
-        mut lost: impl FnMut(Option<u32>),
-    ) -> bool {
+    pub(crate) fn on_acknack(&mut self, guid: Guid, acknack: &AckNack) -> bool {
         let (first, last) = (self.first(), self.last);
         let Some(place) = self
             .readers
@@ -200,7 +179,6 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
             if number < first && number >= reader.told {
                 reader.told = number + 1;
                 self.counts.lost = self.counts.lost.wrapping_add(1);
-                lost(self.tag(number));
             }
         }
         self.readers[place] = Some(reader);
