@@ -1,4 +1,5 @@
 //! Topics on the host: UDP, profiles in XML, the SoC's process.
 #![forbid(unsafe_code)]
 
+pub mod node;
 pub mod udp;

@@ -101,11 +101,11 @@ impl Udp {
     }
 
     /// Returns the next datagram; `None` if none has arrived.
-    pub fn receive(&mut self) -> Option<&[u8]> {
+    pub fn receive(&mut self) -> Option<Vec<u8>> {
         let len = [&self.unicast, &self.discovery]
             .into_iter()
             .find_map(|socket| socket.recv(&mut self.bytes).ok())?;
-        Some(&self.bytes[..len])
+        Some(self.bytes[..len].to_vec())
     }
 }
 

@@ -1,0 +1,106 @@
+//! A participant on its sockets: the loop that brings it datagrams and the time.
+
+use crate::udp::Udp;
+use std::io;
+use std::net::Ipv4Addr;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tandem_board::Instant;
+use tandem_topics::{Endpoint, GuidPrefix, Participant, Sample, TooLong};
+
+/// How many samples an endpoint of the host keeps at most.
+pub const DEPTH: usize = 32;
+/// The longest sample, bytes.
+pub const BYTES: usize = 255;
+
+/// Where a participant is.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// The domain, 0 to 230.
+    pub domain: u16,
+    /// The address of the interface.
+    pub interface: Ipv4Addr,
+}
+
+/// A participant of this process, with `W` writers and `R` readers.
+#[derive(Debug)]
+pub struct Node<const W: usize, const R: usize> {
+    /// The participant.
+    pub participant: Participant<W, R, DEPTH, BYTES>,
+    udp: Udp,
+    start: std::time::Instant,
+}
+
+impl<const W: usize, const R: usize> Node<W, R> {
+    /// Opens a participant with a new name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Udp::open`].
+    pub fn open(
+        place: Place,
+        outputs: &'static [Endpoint; W],
+        inputs: &'static [Endpoint; R],
+    ) -> io::Result<Self> {
+        let udp = Udp::open(place.domain, place.interface)?;
+        let since = SystemTime::now().duration_since(UNIX_EPOCH);
+        let time = since.unwrap_or_default().as_micros() as u64;
+        let mut prefix = [0; 12];
+        prefix[..4].copy_from_slice(&std::process::id().to_le_bytes());
+        prefix[4..].copy_from_slice(&(time ^ u64::from(udp.at().port) << 48).to_le_bytes());
+        Ok(Self {
+            participant: Participant::new(GuidPrefix(prefix), udp.at(), outputs, inputs),
+            udp,
+            start: std::time::Instant::now(),
+        })
+    }
+
+    /// Returns the time since the participant was opened.
+    pub fn now(&self) -> Instant {
+        Instant::from_ns(self.start.elapsed().as_nanos() as u64)
+    }
+
+    /// Does what is due, waits for datagrams at most for this time, and hears what has arrived.
+    ///
+    /// # Errors
+    ///
+    /// As [`Udp::wait`].
+    pub fn turn(&mut self, most: Duration) -> io::Result<()> {
+        let due = self.participant.poll(self.now(), &mut self.udp);
+        let until = Duration::from_nanos(due.since(self.now()).as_ns());
+        self.udp.wait(most.min(until))?;
+        while let Some(datagram) = self.udp.receive() {
+            let now = Instant::from_ns(self.start.elapsed().as_nanos() as u64);
+            self.participant.hear(now, &datagram, &mut self.udp);
+        }
+        Ok(())
+    }
+
+    /// Publishes a sample: representation and body.
+    ///
+    /// # Errors
+    ///
+    /// [`TooLong`] if it has more than [`BYTES`] bytes.
+    ///
+    /// # Panics
+    ///
+    /// If it has no writer of this index.
+    pub fn write(&mut self, writer: usize, sample: &[u8]) -> Result<(), TooLong> {
+        self.participant.write(writer, sample, &mut self.udp)
+    }
+
+    /// Takes the next sample of a reader.
+    ///
+    /// # Panics
+    ///
+    /// If it has no reader of this index.
+    pub fn take(&mut self, reader: usize) -> Option<Sample<BYTES>> {
+        self.participant.take(reader)
+    }
+}
+
+impl<const W: usize, const R: usize> Drop for Node<W, R> {
+    /// Says that the participant ends, so that nobody waits for its lease.
+    fn drop(&mut self) {
+        self.participant.leave(&mut self.udp);
+    }
+}
