@@ -2,13 +2,13 @@
 
 use crate::Endpoint;
 use crate::reader::Stream;
-use crate::wire::{DataTo, EntityId, Guid, GuidPrefix, Heartbeat, Locator, Message};
-use crate::wire::{ParameterWriter, Parameters, Sequence, pid};
+use crate::wire::{AckNack, DataTo, EntityId, GuidPrefix, Heartbeat, Locator, Message};
+use crate::wire::{Parameters, Sequence, has_risen, pid};
 use tandem_board::{Duration, Instant};
 
 /// A participant that announces nothing for the time that it stated is taken for dead; one that
 /// states no time, after this one.
-const DEFAULT_LEASE: Duration = Duration::from_ms(100_000);
+const DEFAULT_LEASE_SECONDS: u32 = 100;
 /// The time that this participant states.
 const LEASE_SECONDS: u32 = 10;
 /// Endpoints of discovery that this participant has: announcer and detector of participants, of
@@ -52,134 +52,157 @@ impl Kind {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Remote {
     pub(crate) prefix: GuidPrefix,
-    /// Where it hears discovery, and where samples.
-    pub(crate) metatraffic: Locator,
-    pub(crate) user: Locator,
+    metatraffic: Locator,
+    user: Locator,
     pub(crate) expires: Instant,
     /// How far its publications and subscriptions were heard.
     pub(crate) heard: [Stream; 2],
     /// Of ours it has all below these numbers.
     pub(crate) has: [Sequence; 2],
-    pub(crate) acknack: [Option<u32>; 2],
+    acknack: [Option<u32>; 2],
+}
+
+/// A participant, and a place where it hears.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Peer {
+    pub(crate) prefix: GuidPrefix,
+    pub(crate) at: Locator,
 }
 
 /// What another participant says of itself.
 pub(crate) struct Announcement {
-    pub(crate) prefix: GuidPrefix,
-    pub(crate) metatraffic: Locator,
-    pub(crate) user: Locator,
-    pub(crate) lease: Duration,
+    metatraffic: Locator,
+    user: Locator,
+    lease: Duration,
 }
 
 impl Announcement {
     /// Reads it; `None` if it does not say where the participant hears, or speaks for another one.
     pub(crate) fn read(from: GuidPrefix, list: Parameters<'_>) -> Option<Self> {
-        let guid = list.find(pid::PARTICIPANT_GUID)?.guid()?;
-        if guid.prefix != from {
-            return None;
+        let (mut metatraffic, mut user) = (None, None);
+        let mut seconds = DEFAULT_LEASE_SECONDS;
+        for parameter in list {
+            match parameter.id {
+                pid::PARTICIPANT_GUID if parameter.guid()?.prefix != from => return None,
+                pid::METATRAFFIC_LOCATOR => metatraffic = metatraffic.or(parameter.locator()),
+                pid::DEFAULT_LOCATOR => user = user.or(parameter.locator()),
+                pid::LEASE => seconds = parameter.number()?.clamp(1, LONGEST_LEASE_SECONDS),
+                _ => {}
+            }
         }
-        let locator = |id| {
-            let mut all = list.filter(|parameter| parameter.id == id);
-            all.find_map(crate::wire::Parameter::locator)
-        };
-        let user = locator(pid::DEFAULT_LOCATOR)?;
-        let seconds = list.find(pid::LEASE).and_then(|lease| lease.number());
-        let lease = seconds.map_or(DEFAULT_LEASE, |seconds| {
-            Duration::from_ms(1_000).times(seconds.clamp(1, LONGEST_LEASE_SECONDS))
-        });
+        let user = user?;
         Some(Self {
-            prefix: from,
-            metatraffic: locator(pid::METATRAFFIC_LOCATOR).unwrap_or(user),
+            metatraffic: metatraffic.unwrap_or(user),
             user,
-            lease,
+            lease: Duration::from_ms(1_000).times(seconds),
         })
     }
 }
 
 impl Remote {
-    pub(crate) const fn new(announced: &Announcement) -> Self {
+    pub(crate) const fn new(prefix: GuidPrefix) -> Self {
+        const NOWHERE: Locator = Locator {
+            address: [0; 4],
+            port: 0,
+        };
         Self {
-            prefix: announced.prefix,
-            metatraffic: announced.metatraffic,
-            user: announced.user,
+            prefix,
+            metatraffic: NOWHERE,
+            user: NOWHERE,
             expires: Instant::ORIGIN,
             heard: [Stream::new(true); 2],
             has: [1; 2],
             acknack: [None; 2],
         }
     }
+
+    pub(crate) fn on_announcement(&mut self, now: Instant, announced: &Announcement) {
+        self.expires = now + announced.lease;
+        (self.metatraffic, self.user) = (announced.metatraffic, announced.user);
+    }
+
+    /// Notes which of our endpoints it has. Returns whether it asks for some.
+    pub(crate) fn on_acknack(&mut self, kind: Kind, acknack: &AckNack) -> bool {
+        let last = &mut self.acknack[kind as usize];
+        let is_new = has_risen(acknack.count, *last);
+        if is_new {
+            *last = Some(acknack.count);
+            let has = &mut self.has[kind as usize];
+            *has = acknack.set.base.max(*has);
+        }
+        is_new && acknack.set.len > 0
+    }
+
+    /// Where it hears discovery.
+    pub(crate) const fn discovery(&self) -> Peer {
+        Peer {
+            prefix: self.prefix,
+            at: self.metatraffic,
+        }
+    }
+
+    /// Where it hears samples.
+    pub(crate) const fn user(&self) -> Peer {
+        Peer {
+            prefix: self.prefix,
+            at: self.user,
+        }
+    }
 }
+
+/// The sample of a participant in the topic of participants.
+pub(crate) const OF_PARTICIPANTS: DataTo = DataTo {
+    reader: EntityId::SPDP_READER,
+    writer: EntityId::SPDP_WRITER,
+    sequence: 1,
+};
 
 /// Writes the announcement of the participant itself.
-pub(crate) fn write_participant(message: &mut Message<'_>, own: GuidPrefix, at: Locator) {
-    let to = DataTo {
-        reader: EntityId::SPDP_READER,
-        writer: EntityId::SPDP_WRITER,
-        sequence: 1,
-    };
-    message.data_list(to, |list| {
-        list.bytes(pid::PROTOCOL_VERSION, &[2, 3]);
-        list.bytes(pid::VENDOR, &[0, 0]);
-        list.guid(pid::PARTICIPANT_GUID, participant(own));
-        list.locator(pid::METATRAFFIC_LOCATOR, at);
-        list.locator(pid::DEFAULT_LOCATOR, at);
-        list.numbers(pid::LEASE, [LEASE_SECONDS, 0]);
-        list.numbers(pid::BUILTIN_ENDPOINTS, [BUILTIN_ENDPOINTS]);
-    });
-}
-
-pub(crate) const fn participant(prefix: GuidPrefix) -> Guid {
-    Guid {
-        prefix,
-        entity: EntityId::PARTICIPANT,
-    }
+pub(crate) fn write_participant(message: &mut Message, own: GuidPrefix, at: Locator) {
+    message.begin_list(OF_PARTICIPANTS);
+    message.words(pid::PROTOCOL_VERSION, &[2 | 3 << 8]);
+    message.words(pid::VENDOR, &[0]);
+    message.guid(pid::PARTICIPANT_GUID, own.guid(EntityId::PARTICIPANT));
+    message.locator(pid::METATRAFFIC_LOCATOR, at);
+    message.locator(pid::DEFAULT_LOCATOR, at);
+    message.words(pid::LEASE, &[LEASE_SECONDS, 0]);
+    message.words(pid::BUILTIN_ENDPOINTS, &[BUILTIN_ENDPOINTS]);
+    message.end_list();
 }
 
 /// Writes the announcement of an endpoint: the sample of this number in its topic of discovery.
 pub(crate) fn write_endpoint(
-    message: &mut Message<'_>,
+    message: &mut Message,
     (own, kind, number): (GuidPrefix, Kind, Sequence),
     endpoint: &Endpoint,
 ) {
-    let to = DataTo {
+    let index = number as usize - 1;
+    // XCDR1 is written; XCDR1 and XCDR2 are read.
+    let (entity, representations) = match kind {
+        Kind::Publications => (EntityId::writer(index), [1, 0]),
+        Kind::Subscriptions => (EntityId::reader(index), [2, 2 << 16]),
+    };
+    message.begin_list(DataTo {
         reader: kind.reader(),
         writer: kind.writer(),
         sequence: number,
-    };
-    let index = number as usize - 1;
-    let entity = match kind {
-        Kind::Publications => EntityId::writer(index),
-        Kind::Subscriptions => EntityId::reader(index),
-    };
-    let guid = Guid {
-        prefix: own,
-        entity,
-    };
-    message.data_list(to, |list| {
-        list.guid(pid::ENDPOINT_GUID, guid);
-        list.guid(pid::PARTICIPANT_GUID, participant(own));
-        list.text(pid::TOPIC_NAME, endpoint.topic);
-        list.text(pid::TYPE_NAME, endpoint.type_name);
-        write_qos(list, kind, endpoint);
     });
-}
-
-fn write_qos(list: &mut ParameterWriter<'_, '_>, kind: Kind, endpoint: &Endpoint) {
+    message.guid(pid::ENDPOINT_GUID, own.guid(entity));
+    message.guid(pid::PARTICIPANT_GUID, own.guid(EntityId::PARTICIPANT));
+    message.text(pid::TOPIC_NAME, endpoint.topic);
+    message.text(pid::TYPE_NAME, endpoint.type_name);
     let qos = &endpoint.qos;
     // A writer never blocks: the second and third word are its longest time to do so.
-    list.numbers(pid::RELIABILITY, [qos.reliability as u32, 0, 0]);
-    list.numbers(pid::DURABILITY, [qos.durability as u32]);
+    message.words(pid::RELIABILITY, &[qos.reliability as u32, 0, 0]);
+    message.words(pid::DURABILITY, &[qos.durability as u32]);
     // Keep the last ones.
-    list.numbers(pid::HISTORY, [0, qos.depth.into()]);
-    match kind {
-        Kind::Publications => list.numbers(pid::REPRESENTATION, [1, 0]),
-        // XCDR1 and XCDR2.
-        Kind::Subscriptions => list.numbers(pid::REPRESENTATION, [2, 2 << 16]),
-    }
+    message.words(pid::HISTORY, &[0, qos.depth.into()]);
+    message.words(pid::REPRESENTATION, &representations);
+    message.end_list();
 }
 
 /// Writes what the participant has to announce in a topic of discovery.
-pub(crate) fn write_heartbeat(message: &mut Message<'_>, kind: Kind, last: Sequence, count: u32) {
+pub(crate) fn write_heartbeat(message: &mut Message, kind: Kind, last: Sequence, count: u32) {
     message.heartbeat(Heartbeat {
         reader: kind.reader(),
         writer: kind.writer(),

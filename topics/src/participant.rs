@@ -1,12 +1,12 @@
 //! The participant: it composes discovery, writers and readers, and does no input or output.
 
 use crate::Endpoint;
-use crate::discovery::{self, Announcement, Kind, Remote};
-use crate::qos::Fit;
+use crate::discovery::{self, Announcement, Kind, Peer, Remote};
 use crate::reader::{Reader, ReaderCounts, Sample, WRITERS};
 use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
-use crate::wire::{Message, Parameters, ROOM, SequenceSet, Submessage, Submessages, pid};
-use crate::writer::{TooLong, Writer, WriterCounts};
+use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
+use crate::wire::{Submessages, pid};
+use crate::writer::{WriteError, Writer, WriterCounts};
 use tandem_board::{Duration, Instant};
 
 /// Period of the heartbeat of a writer whose readers have not said that they have everything. D-4
@@ -120,7 +120,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
     ///
     /// # Errors
     ///
-    /// [`TooLong`] if it has more than `BYTES` bytes: it was not published.
+    /// [`WriteError`] says why it was not published.
     ///
     /// # Panics
     ///
@@ -130,15 +130,11 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         writer: usize,
         sample: &[u8],
         out: &mut impl Outlet,
-    ) -> Result<(), TooLong> {
+    ) -> Result<(), WriteError> {
         let number = self.writers[writer].push(sample)?;
-        for index in 0..REMOTES {
-            let Some(remote) = self.remotes[index] else {
-                continue;
-            };
-            let mut readers = self.writers[writer].readers.iter().flatten();
-            if readers.any(|reader| reader.guid.prefix == remote.prefix) {
-                self.send_sample(writer, (number, true), (remote, EntityId::UNKNOWN), out);
+        for at in 0..REMOTES {
+            if let Some(peer) = self.served(at, writer) {
+                self.send_sample(writer, (number, true), (peer, EntityId::UNKNOWN), out);
             }
         }
         Ok(())
@@ -155,15 +151,15 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
 
     /// Does what is due. Returns when it wants to be called again, at the latest.
     pub fn poll(&mut self, now: Instant, out: &mut impl Outlet) -> Instant {
-        for index in 0..REMOTES {
-            if let Some(remote) = self.remotes[index].filter(|remote| now >= remote.expires) {
+        for at in 0..REMOTES {
+            if let Some(remote) = self.remotes[at].filter(|remote| now >= remote.expires) {
                 self.forget(remote.prefix);
             }
         }
         let is_due = |last: Instant| now.since(last) >= ANNOUNCES_EVERY;
         if self.announced.is_none_or(is_due) {
             self.announced = Some(now);
-            self.announce(Destination::Everyone, None, out);
+            self.announce(None, out);
         }
         if now.since(self.beat) >= HEARTBEAT_PERIOD {
             self.beat = now;
@@ -174,31 +170,12 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         announces.min(self.beat + HEARTBEAT_PERIOD)
     }
 
-    fn ask_again(&mut self, now: Instant, out: &mut impl Outlet) {
-        for (index, writer) in (0..R).flat_map(|index| (0..WRITERS).map(move |it| (index, it))) {
-            let Some((guid, set)) = self.readers[index].asks_again(now, writer) else {
-                continue;
-            };
-            let remote = self.index_of(guid.prefix).and_then(|at| self.remotes[at]);
-            if let Some(remote) = remote {
-                let ends = (EntityId::reader(index), guid.entity);
-                self.acknowledge((guid.prefix, remote.user), ends, set, out);
-            }
-        }
-    }
-
     /// Says to all that it ends.
     pub fn leave(&mut self, out: &mut impl Outlet) {
-        let to = DataTo {
-            reader: EntityId::SPDP_READER,
-            writer: EntityId::SPDP_WRITER,
-            sequence: 2,
-        };
-        let ends = |message: &mut Message<'_>| {
-            let guid = discovery::participant(self.prefix);
-            message.ends(to, pid::PARTICIPANT_GUID, guid);
-        };
-        compose(self.prefix, None, Destination::Everyone, out, ends);
+        let guid = self.prefix.guid(EntityId::PARTICIPANT);
+        post(self.prefix, None, out, &mut |message| {
+            message.ends(discovery::OF_PARTICIPANTS, guid);
+        });
     }
 
     /// Hears a datagram.
@@ -226,40 +203,38 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         }
     }
 
-    fn index_of(&self, prefix: GuidPrefix) -> Option<usize> {
-        let is = |remote: &Option<Remote>| remote.is_some_and(|remote| remote.prefix == prefix);
-        self.remotes.iter().position(is)
+    fn remote(&mut self, prefix: GuidPrefix) -> Option<&mut Remote> {
+        let mut remotes = self.remotes.iter_mut().flatten();
+        remotes.find(|remote| remote.prefix == prefix)
     }
 
-    fn next_count(&mut self) -> u32 {
-        self.count = self.count.wrapping_add(1);
-        self.count
+    /// Returns where the participant in this place hears, if a reader of it has a place at a writer.
+    fn served(&self, at: usize, writer: usize) -> Option<Peer> {
+        let remote = self.remotes[at]?;
+        let mut readers = self.writers[writer].readers.iter().flatten();
+        let is_served = readers.any(|reader| reader.guid.prefix == remote.prefix);
+        is_served.then(|| remote.user())
     }
 
     fn on_data(&mut self, now: Instant, from: GuidPrefix, data: &Data<'_>, out: &mut impl Outlet) {
-        let guid = Guid {
-            prefix: from,
-            entity: data.writer,
-        };
         if data.writer == EntityId::SPDP_WRITER {
             self.on_participant(now, from, data, out);
         } else if let Some(kind) = Kind::of_writer(data.writer) {
-            let Some(remote) = self.index_of(from).and_then(|at| self.remotes[at].as_mut()) else {
-                return;
-            };
-            let heard = &mut remote.heard[kind as usize];
+            let heard = self
+                .remote(from)
+                .map(|remote| &mut remote.heard[kind as usize]);
             // In their order: those behind a loss are asked for once more.
-            if heard.lacks(data.sequence) && heard.next() == Some(data.sequence) {
+            if let Some(heard) = heard
+                && heard.lacks(data.sequence)
+                && heard.next() == Some(data.sequence)
+            {
                 heard.skip_to(data.sequence + 1);
                 self.on_endpoint(kind, from, data);
             }
-        } else {
+        } else if !data.is_key {
             for (index, reader) in self.readers.iter_mut().enumerate() {
-                // One that is for one reader, and not for all that match.
-                let is_for =
-                    data.reader == EntityId::UNKNOWN || data.reader == EntityId::reader(index);
-                if is_for && !data.is_key {
-                    reader.on_data(guid, data);
+                if [EntityId::UNKNOWN, EntityId::reader(index)].contains(&data.reader) {
+                    reader.on_data(from.guid(data.writer), data);
                 }
             }
         }
@@ -272,7 +247,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         data: &Data<'_>,
         out: &mut impl Outlet,
     ) {
-        if data.is_key || ended(data) {
+        if data.ends() {
             self.forget(from);
             return;
         }
@@ -280,21 +255,20 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         let Some(announced) = list.and_then(|list| Announcement::read(from, list)) else {
             return;
         };
-        let known = self.index_of(from);
-        let Some(at) = known.or_else(|| self.remotes.iter().position(Option::is_none)) else {
+        if let Some(known) = self.remote(from) {
+            known.on_announcement(now, &announced);
+            return;
+        }
+        let Some(place) = self.remotes.iter_mut().find(|place| place.is_none()) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
             return;
         };
-        let remote = self.remotes[at].get_or_insert(Remote::new(&announced));
-        remote.expires = now + announced.lease;
-        (remote.metatraffic, remote.user) = (announced.metatraffic, announced.user);
-        if known.is_none() {
-            let remote = *remote;
-            let to = Destination::At(remote.metatraffic);
-            self.announce(to, Some(remote.prefix), out);
-            for kind in Kind::ALL {
-                self.send_endpoints(&remote, kind, SequenceSet::empty(1), true, out);
-            }
+        let remote = place.insert(Remote::new(from));
+        remote.on_announcement(now, &announced);
+        let peer = remote.discovery();
+        self.announce(Some(peer), out);
+        for kind in Kind::ALL {
+            self.send_endpoints(peer, kind, |_| true, out);
         }
     }
 
@@ -302,37 +276,23 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         let Some(list) = Parameters::of_payload(data.payload) else {
             return;
         };
-        let guid = list.find(pid::ENDPOINT_GUID).and_then(|guid| guid.guid());
+        let guid = list.find(pid::ENDPOINT_GUID).and_then(Parameter::guid);
         let Some(guid) = guid.filter(|guid| guid.prefix == from) else {
             return;
         };
-        if data.is_key || ended(data) {
+        if data.ends() {
             self.remove(|one| one == guid);
             return;
         }
         match kind {
             Kind::Publications => {
                 for (reader, ours) in self.readers.iter_mut().zip(self.inputs) {
-                    match ours.judge(list, false) {
-                        Fit::Stranger => {}
-                        Fit::Incompatible => {
-                            reader.counts.incompatible = reader.counts.incompatible.wrapping_add(1);
-                        }
-                        Fit::Fits(reliability, _) => reader.add(guid, reliability),
-                    }
+                    reader.on_writer(guid, ours.judge(list, false));
                 }
             }
             Kind::Subscriptions => {
                 for (writer, ours) in self.writers.iter_mut().zip(self.outputs) {
-                    match ours.judge(list, true) {
-                        Fit::Stranger => {}
-                        Fit::Incompatible => {
-                            writer.counts.incompatible = writer.counts.incompatible.wrapping_add(1);
-                        }
-                        Fit::Fits(reliability, durability) => {
-                            writer.add(guid, (reliability, durability));
-                        }
-                    }
+                    writer.on_reader(guid, ours.judge(list, true));
                 }
             }
         }
@@ -340,8 +300,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
 
     fn forget(&mut self, prefix: GuidPrefix) {
         self.remove(|guid| guid.prefix == prefix);
-        if let Some(at) = self.index_of(prefix) {
-            self.remotes[at] = None;
+        let is_gone = |remote: &mut Remote| remote.prefix == prefix;
+        for place in &mut self.remotes {
+            let _gone = place.take_if(is_gone);
         }
     }
 
@@ -357,252 +318,226 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
         heartbeat: &Heartbeat,
         out: &mut impl Outlet,
     ) {
-        let Some(at) = self.index_of(from) else {
+        let Some(remote) = self.remote(from) else {
             return;
         };
-        let Some(remote) = self.remotes[at].as_mut() else {
-            return;
-        };
-        let (metatraffic, user) = (remote.metatraffic, remote.user);
+        let (user, discovery) = (remote.user(), remote.discovery());
         if let Some(kind) = Kind::of_writer(heartbeat.writer) {
             let heard = &mut remote.heard[kind as usize];
             if heard.on_heartbeat(heartbeat).is_some() {
                 let set = heard.missing(heartbeat.last, 32, |_| false);
                 if set.len > 0 || !heartbeat.is_final {
-                    let to = (from, metatraffic);
-                    self.acknowledge(to, (kind.reader(), kind.writer()), set, out);
+                    self.acknowledge(discovery, (kind.reader(), kind.writer()), set, out);
                 }
             }
             return;
         }
-        let guid = Guid {
-            prefix: from,
-            entity: heartbeat.writer,
-        };
+        let guid = from.guid(heartbeat.writer);
         for index in 0..R {
             if let Some(set) = self.readers[index].on_heartbeat(now, guid, heartbeat) {
-                let ends = (EntityId::reader(index), heartbeat.writer);
-                self.acknowledge((from, user), ends, set, out);
+                self.acknowledge(user, (EntityId::reader(index), guid.entity), set, out);
+            }
+        }
+    }
+
+    fn ask_again(&mut self, now: Instant, out: &mut impl Outlet) {
+        for index in 0..R * WRITERS {
+            let (reader, writer) = (index / WRITERS, index % WRITERS);
+            if let Some((guid, set)) = self.readers[reader].asks_again(now, writer)
+                && let Some(remote) = self.remote(guid.prefix)
+            {
+                let user = remote.user();
+                self.acknowledge(user, (EntityId::reader(reader), guid.entity), set, out);
             }
         }
     }
 
     fn acknowledge(
         &mut self,
-        (to, at): (GuidPrefix, Locator),
+        to: Peer,
         (reader, writer): (EntityId, EntityId),
         set: SequenceSet,
         out: &mut impl Outlet,
     ) {
+        self.count = self.count.wrapping_add(1);
         let acknack = AckNack {
             reader,
             writer,
             set,
-            count: self.next_count(),
+            count: self.count,
         };
-        compose(self.prefix, Some(to), Destination::At(at), out, |message| {
+        post(self.prefix, Some(to), out, &mut |message| {
             message.acknack(acknack);
         });
     }
 
     fn on_gap(&mut self, from: GuidPrefix, gap: &Gap) {
         if let Some(kind) = Kind::of_writer(gap.writer) {
-            if let Some(remote) = self.index_of(from).and_then(|at| self.remotes[at].as_mut()) {
+            if let Some(remote) = self.remote(from) {
                 remote.heard[kind as usize].on_gap(gap);
             }
             return;
         }
-        let guid = Guid {
-            prefix: from,
-            entity: gap.writer,
-        };
-        self.readers
-            .iter_mut()
-            .for_each(|one| one.on_gap(guid, gap));
+        let guid = from.guid(gap.writer);
+        self.readers.iter_mut().for_each(|it| it.on_gap(guid, gap));
     }
 
     fn on_acknack(&mut self, from: GuidPrefix, acknack: &AckNack, out: &mut impl Outlet) {
-        let Some(at) = self.index_of(from) else {
-            return;
-        };
-        let Some(remote) = self.remotes[at].as_mut() else {
+        let Some(remote) = self.remote(from) else {
             return;
         };
         if let Some(kind) = Kind::of_writer(acknack.writer) {
-            let last = &mut remote.acknack[kind as usize];
-            let is_new = last.is_none_or(|last| (acknack.count.wrapping_sub(last) as i32) > 0);
-            if is_new {
-                *last = Some(acknack.count);
-                let has = &mut remote.has[kind as usize];
-                *has = acknack.set.base.max(*has);
-                let remote = *remote;
-                if acknack.set.len > 0 {
-                    self.send_endpoints(&remote, kind, acknack.set, false, out);
-                }
+            if remote.on_acknack(kind, acknack) {
+                let peer = remote.discovery();
+                let asks = |number| acknack.set.iter().any(|asked| asked == number);
+                self.send_endpoints(peer, kind, asks, out);
             }
             return;
         }
-        let remote = *remote;
-        let guid = Guid {
-            prefix: from,
-            entity: acknack.reader,
-        };
+        let (peer, guid) = (remote.user(), from.guid(acknack.reader));
         for index in 0..W {
-            if EntityId::writer(index) == acknack.writer {
-                if self.writers[index].on_acknack(guid, acknack) {
-                    self.repair(index, &remote, acknack, out);
-                }
+            if EntityId::writer(index) == acknack.writer
+                && self.writers[index].on_acknack(guid, acknack)
+            {
+                self.repair(index, peer, acknack, out);
             }
         }
     }
 
     /// Sends a reader again what it asks for, and tells what is dropped.
-    fn repair(&mut self, index: usize, remote: &Remote, acknack: &AckNack, out: &mut impl Outlet) {
-        let first = self.writers[index].first();
-        if acknack.set.len == 0 {
+    fn repair(&mut self, index: usize, to: Peer, acknack: &AckNack, out: &mut impl Outlet) {
+        let (reader, writer, set) = (acknack.reader, acknack.writer, acknack.set);
+        let (first, last) = (self.writers[index].first(), self.writers[index].last());
+        if set.len == 0 && set.base <= last {
             // It is new, and asks what there is.
-            if acknack.set.base <= self.writers[index].last() {
-                self.beat(index, remote, acknack.reader, out);
-            }
-            return;
+            self.send_heartbeat(index, (to, reader), out);
         }
-        if acknack.set.base < first {
+        if set.len > 0 && set.base < first {
             let gap = Gap {
-                reader: acknack.reader,
-                writer: acknack.writer,
-                start: acknack.set.base,
+                reader,
+                writer,
+                start: set.base,
                 set: SequenceSet::empty(first),
             };
-            let to = Destination::At(remote.user);
-            compose(self.prefix, Some(remote.prefix), to, out, |message| {
-                message.gap(gap);
-            });
+            post(self.prefix, Some(to), out, &mut |message| message.gap(gap));
         }
-        let last = acknack.set.iter().last();
-        for number in acknack.set.iter() {
-            if self.writers[index].sample(number).is_some() {
+        let last = set.iter().last();
+        for number in set.iter() {
+            // A heartbeat before the last one would have those behind it asked for again.
+            let beats = Some(number) == last;
+            if self.send_sample(index, (number, beats), (to, reader), out) {
                 let counts = &mut self.writers[index].counts;
                 counts.repaired = counts.repaired.wrapping_add(1);
-                // A heartbeat before the last one would have those behind it asked for again.
-                let beats = Some(number) == last;
-                self.send_sample(index, (number, beats), (*remote, acknack.reader), out);
             }
         }
     }
 
+    /// Sends a sample, if the writer has it, with a heartbeat: so the loss of the sample before is
+    /// seen at once. Returns whether it has it.
     fn send_sample(
         &mut self,
         index: usize,
-        (number, beats): (u64, bool),
-        (remote, reader): (Remote, EntityId),
+        (number, beats): (Sequence, bool),
+        (peer, reader): (Peer, EntityId),
         out: &mut impl Outlet,
-    ) {
+    ) -> bool {
         let id = EntityId::writer(index);
-        // With each sample, what the writer has: the loss of the sample before is seen at once.
         let heartbeat = self.writers[index].heartbeat(id, reader, true);
         let Some(sample) = self.writers[index].sample(number) else {
-            return;
+            return false;
         };
         let to = DataTo {
             reader,
             writer: id,
             sequence: number,
         };
-        let at = Destination::At(remote.user);
-        compose(self.prefix, Some(remote.prefix), at, out, |message| {
+        post(self.prefix, Some(peer), out, &mut |message| {
             message.data(to, sample);
             if beats {
                 message.heartbeat(heartbeat);
             }
         });
+        true
     }
 
-    fn beat(&mut self, index: usize, remote: &Remote, reader: EntityId, out: &mut impl Outlet) {
+    fn send_heartbeat(
+        &mut self,
+        index: usize,
+        (peer, reader): (Peer, EntityId),
+        out: &mut impl Outlet,
+    ) {
         let heartbeat = self.writers[index].heartbeat(EntityId::writer(index), reader, false);
-        let at = Destination::At(remote.user);
-        compose(self.prefix, Some(remote.prefix), at, out, |message| {
+        post(self.prefix, Some(peer), out, &mut |message| {
             message.heartbeat(heartbeat);
         });
     }
 
-    fn announce(&self, to: Destination, prefix: Option<GuidPrefix>, out: &mut impl Outlet) {
-        compose(self.prefix, prefix, to, out, |message| {
+    fn announce(&self, to: Option<Peer>, out: &mut impl Outlet) {
+        post(self.prefix, to, out, &mut |message| {
             discovery::write_participant(message, self.prefix, self.at);
         });
     }
 
-    /// Sends a participant those of our endpoints that it asks for, or all of them and a heartbeat.
+    /// Sends a participant those of our endpoints that it asks for, and how many there are.
     fn send_endpoints(
         &mut self,
-        remote: &Remote,
+        to: Peer,
         kind: Kind,
-        asked: SequenceSet,
-        all: bool,
+        asks: impl Fn(Sequence) -> bool,
         out: &mut impl Outlet,
     ) {
         let endpoints: &[Endpoint] = match kind {
             Kind::Publications => self.outputs,
             Kind::Subscriptions => self.inputs,
         };
-        let at = Destination::At(remote.metatraffic);
         for (number, endpoint) in (1..).zip(endpoints) {
-            if all || asked.iter().any(|asked| asked == number) {
-                compose(self.prefix, Some(remote.prefix), at, out, |message| {
-                    let place = (self.prefix, kind, number);
-                    discovery::write_endpoint(message, place, endpoint);
+            if asks(number) {
+                post(self.prefix, Some(to), out, &mut |message| {
+                    discovery::write_endpoint(message, (self.prefix, kind, number), endpoint);
                 });
             }
         }
-        let (last, count) = (endpoints.len() as u64, self.next_count());
-        compose(self.prefix, Some(remote.prefix), at, out, |message| {
+        self.count = self.count.wrapping_add(1);
+        let (last, count) = (endpoints.len() as Sequence, self.count);
+        post(self.prefix, Some(to), out, &mut |message| {
             discovery::write_heartbeat(message, kind, last, count);
         });
     }
 
     /// Reminds who has not said that it has everything.
     fn remind(&mut self, out: &mut impl Outlet) {
-        for index in 0..REMOTES {
-            let Some(remote) = self.remotes[index] else {
+        for at in 0..REMOTES {
+            let Some(remote) = self.remotes[at] else {
                 continue;
             };
             for (kind, last) in Kind::ALL.into_iter().zip([W, R]) {
-                if remote.has[kind as usize] <= last as u64 {
-                    self.send_endpoints(&remote, kind, SequenceSet::empty(1), false, out);
+                if remote.has[kind as usize] <= last as Sequence {
+                    self.send_endpoints(remote.discovery(), kind, |_| false, out);
                 }
             }
             for writer in 0..W {
-                let mut readers = self.writers[writer].readers.iter().flatten();
-                let is_here = readers.any(|reader| reader.guid.prefix == remote.prefix);
-                if is_here && self.writers[writer].is_awaited() {
-                    self.beat(writer, &remote, EntityId::UNKNOWN, out);
+                if self.writers[writer].is_awaited()
+                    && let Some(peer) = self.served(at, writer)
+                {
+                    self.send_heartbeat(writer, (peer, EntityId::UNKNOWN), out);
                 }
             }
         }
     }
 }
 
-/// Composes a message on the stack and sends it.
-fn compose(
+/// Composes a message on the stack and sends it to one participant, or to all.
+#[inline(never)]
+fn post(
     from: GuidPrefix,
-    to: Option<GuidPrefix>,
-    at: Destination,
+    to: Option<Peer>,
     out: &mut impl Outlet,
-    write: impl FnOnce(&mut Message<'_>),
+    write: &mut dyn FnMut(&mut Message),
 ) {
-    let mut room = ROOM;
-    let mut message = Message::new(&mut room, from, to);
+    let mut message = Message::new(from, to.map(|peer| peer.prefix));
     write(&mut message);
+    let to = to.map_or(Destination::Everyone, |peer| Destination::At(peer.at));
     if let Some(message) = message.finish() {
-        out.send(at, message);
+        out.send(to, message);
     }
-}
-
-/// Returns whether the sample says that what it is about has ended.
-fn ended(data: &Data<'_>) -> bool {
-    let inline = Parameters::new(crate::wire::Cursor::new(data.inline, data.is_little));
-    // The status is big-endian in each message: the last byte holds the flags.
-    let status = inline
-        .find(pid::STATUS)
-        .and_then(|mut status| status.value.array());
-    status.is_some_and(|[_, _, _, flags]: [u8; 4]| flags & 3 != 0)
 }

@@ -1,7 +1,7 @@
 //! Quality of service: what an endpoint offers or asks for, and whether two of them fit. (OMG DDS
 //! 1.4, 2.2.3)
 
-use crate::wire::{Parameters, pid};
+use crate::wire::{Cursor, Parameters, pid};
 
 /// Whether a reader that joins late gets the samples from before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -76,93 +76,93 @@ const XCDR2: u16 = 2;
 
 /// What the announcement of a foreign endpoint says, with the defaults of the standard.
 struct Announced {
+    is_of_topic: bool,
+    is_of_type: bool,
+    has_partition: bool,
     durability: u32,
     reliability: u32,
-    exclusive: bool,
-    /// It asks for samples or signs of life within a time.
-    in_time: bool,
+    /// It has exclusive ownership, or asks for samples or signs of life within a time.
+    asks_more: bool,
     /// It reads or writes XCDR1, and XCDR2.
-    representations: (bool, bool),
+    representations: [bool; 2],
 }
 
 impl Endpoint {
     /// Judges an endpoint of another participant. `we_write`: ours is the writer.
     pub(crate) fn judge(&self, list: Parameters<'_>, we_write: bool) -> Fit {
-        let is = |id, text| list.find(id).is_some_and(|parameter| parameter.is(text));
-        let partitions = list
-            .find(pid::PARTITION)
-            .and_then(|parameter| parameter.number());
-        if !is(pid::TOPIC_NAME, self.topic)
-            || !is(pid::TYPE_NAME, self.type_name)
-            || partitions.is_some_and(|count| count > 0)
-        {
+        let theirs = self.read(list, we_write);
+        if !theirs.is_of_topic || !theirs.is_of_type || theirs.has_partition {
             return Fit::Stranger;
         }
-        let announced = Announced::read(list, we_write);
-        let (xcdr1, xcdr2) = announced.representations;
-        let (durability, reliability) = (self.qos.durability as u32, self.qos.reliability as u32);
+        let Qos {
+            durability,
+            reliability,
+            ..
+        } = self.qos;
+        let (durability, reliability) = (durability as u32, reliability as u32);
+        let [xcdr1, xcdr2] = theirs.representations;
         let fits = if we_write {
-            announced.durability <= durability
-                && announced.reliability <= reliability
-                && !announced.in_time
-                && xcdr1
+            theirs.durability <= durability && theirs.reliability <= reliability && xcdr1
         } else {
-            announced.durability >= durability
-                && announced.reliability >= reliability
-                && (xcdr1 || xcdr2)
+            let reads = xcdr1 || xcdr2;
+            theirs.durability >= durability && theirs.reliability >= reliability && reads
         };
-        if !fits || announced.exclusive {
+        if !fits || theirs.asks_more {
             return Fit::Incompatible;
         }
-        let reliability = match announced.reliability {
+        let reliability = match theirs.reliability {
             2 => Reliability::Reliable,
             _ => Reliability::BestEffort,
         };
-        let durability = match announced.durability {
+        let durability = match theirs.durability {
             0 => Durability::Volatile,
             _ => Durability::TransientLocal,
         };
         Fit::Fits(reliability, durability)
     }
-}
 
-impl Announced {
-    fn read(list: Parameters<'_>, is_reader: bool) -> Self {
-        let number = |id, default| {
-            list.find(id)
-                .and_then(|parameter| parameter.number())
-                .unwrap_or(default)
+    fn read(&self, list: Parameters<'_>, we_write: bool) -> Announced {
+        let mut theirs = Announced {
+            is_of_topic: false,
+            is_of_type: false,
+            has_partition: false,
+            durability: 0,
+            reliability: if we_write { 1 } else { 2 },
+            asks_more: false,
+            representations: [true, false],
         };
-        let reliability = if is_reader { 1 } else { 2 };
-        let kind = number(pid::LIVELINESS, 0);
-        let lease = list.find(pid::LIVELINESS).and_then(|mut parameter| {
-            let _kind = parameter.value.u32()?;
-            parameter.value.u32()
-        });
-        Self {
-            durability: number(pid::DURABILITY, 0),
-            reliability: number(pid::RELIABILITY, reliability),
-            exclusive: number(pid::OWNERSHIP, 0) != 0,
-            in_time: number(pid::DEADLINE, INFINITE_SECONDS) != INFINITE_SECONDS
-                || kind != 0
-                || lease.is_some_and(|seconds| seconds != INFINITE_SECONDS),
-            representations: representations(list).unwrap_or((true, false)),
+        for parameter in list {
+            let first = parameter.number().unwrap_or(0);
+            match parameter.id {
+                pid::TOPIC_NAME => theirs.is_of_topic = parameter.is(self.topic),
+                pid::TYPE_NAME => theirs.is_of_type = parameter.is(self.type_name),
+                pid::PARTITION => theirs.has_partition = first > 0,
+                pid::DURABILITY => theirs.durability = first,
+                pid::RELIABILITY => theirs.reliability = first,
+                pid::OWNERSHIP => theirs.asks_more |= first != 0,
+                // A writer may offer that; ours does not.
+                pid::DEADLINE if we_write => theirs.asks_more |= first != INFINITE_SECONDS,
+                pid::LIVELINESS if we_write => {
+                    let seconds = parameter.second().unwrap_or(INFINITE_SECONDS);
+                    theirs.asks_more |= first != 0 || seconds != INFINITE_SECONDS;
+                }
+                pid::REPRESENTATION if first > 0 => {
+                    theirs.representations = representations(parameter.value);
+                }
+                _ => {}
+            }
         }
+        theirs
     }
 }
 
-/// Returns whether XCDR1 and XCDR2 are in the list; `None` if there is no list.
-fn representations(list: Parameters<'_>) -> Option<(bool, bool)> {
-    let mut value = list.find(pid::REPRESENTATION)?.value;
-    let count = value.u32().filter(|count| *count > 0)?;
-    let (mut xcdr1, mut xcdr2) = (false, false);
-    for _ in 0..count {
-        match value.u16() {
-            Some(XCDR1) => xcdr1 = true,
-            Some(XCDR2) => xcdr2 = true,
-            Some(_) => {}
-            None => break,
-        }
+/// Returns whether XCDR1 and XCDR2 are in a list that begins with its length.
+fn representations(mut list: Cursor<'_>) -> [bool; 2] {
+    let _len = list.u32();
+    let mut found = [false; 2];
+    while let Some(id) = list.u16() {
+        found[0] |= id == XCDR1;
+        found[1] |= id == XCDR2;
     }
-    Some((xcdr1, xcdr2))
+    found
 }

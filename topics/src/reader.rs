@@ -1,6 +1,7 @@
 //! A reliable reader: it gives the samples of each writer in their order. (RTPS 8.4.12)
 
-use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet};
+use crate::qos::Fit;
+use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet, has_risen};
 use crate::{Durability, Qos, Reliability};
 use core::ops::Range;
 use tandem_board::{Duration, Instant};
@@ -69,10 +70,7 @@ impl Stream {
     /// Gives up what the writer has dropped. Returns that range; `None` if a newer heartbeat, or the
     /// same, was heard before.
     pub(crate) fn on_heartbeat(&mut self, heartbeat: &Heartbeat) -> Option<Range<Sequence>> {
-        let is_new = self
-            .heartbeat
-            .is_none_or(|count| (heartbeat.count.wrapping_sub(count) as i32) > 0);
-        if !is_new {
+        if !has_risen(heartbeat.count, self.heartbeat) {
             return None;
         }
         self.heartbeat = Some(heartbeat.count);
@@ -105,7 +103,7 @@ impl Stream {
     pub(crate) fn missing(
         &self,
         last: Sequence,
-        most: u64,
+        most: u32,
         has: impl Fn(Sequence) -> bool,
     ) -> SequenceSet {
         let next = self.next.unwrap_or(last.saturating_add(1));
@@ -165,26 +163,27 @@ pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
-    pub(crate) const fn new(qos: Qos) -> Self {
+    pub(crate) fn new(qos: Qos) -> Self {
         Self {
             qos,
             depth: qos.depth_within(DEPTH),
             writers: [None; WRITERS],
             samples: [None; DEPTH],
-            counts: ReaderCounts {
-                lost: 0,
-                replaced: 0,
-                deferred: 0,
-                too_long: 0,
-                refused: 0,
-                incompatible: 0,
-            },
+            counts: ReaderCounts::default(),
         }
     }
 
-    /// Gives a writer a place.
-    pub(crate) fn add(&mut self, guid: Guid, reliability: Reliability) {
-        if self.writers.iter().flatten().any(|one| one.guid == guid) {
+    /// Gives a writer that fits a place.
+    pub(crate) fn on_writer(&mut self, guid: Guid, fit: Fit) {
+        let reliability = match fit {
+            Fit::Stranger => return,
+            Fit::Incompatible => {
+                self.counts.incompatible = self.counts.incompatible.wrapping_add(1);
+                return;
+            }
+            Fit::Fits(reliability, _) => reliability,
+        };
+        if self.index_of(guid).is_some() {
             return;
         }
         let Some(place) = self.writers.iter_mut().find(|place| place.is_none()) else {
@@ -301,9 +300,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         let slots = self.samples.iter().flatten();
         let is_in =
             |slot: &&Slot<BYTES>| usize::from(slot.from) == index && dropped.contains(&slot.number);
-        let there = slots.filter(is_in).count() as u64;
+        let there = slots.filter(is_in).count() as u32;
         let all = dropped.end.saturating_sub(dropped.start);
-        let lost = all.saturating_sub(there) as u32;
+        let lost = all.saturating_sub(there);
         self.counts.lost = self.counts.lost.saturating_add(lost);
     }
 
@@ -335,7 +334,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     fn missing(&self, index: usize) -> Option<SequenceSet> {
         let writer = self.writers[index]?;
-        let depth = self.depth as u64;
+        let depth = self.depth as u32;
         let has = |number| self.has(index, number);
         Some(writer.stream.missing(writer.last, depth, has))
     }

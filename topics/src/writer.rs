@@ -1,6 +1,7 @@
 //! A reliable writer: its last samples, and the readers that it serves. (RTPS 8.4.9)
 
-use crate::wire::{AckNack, EntityId, Guid, Heartbeat, Sequence};
+use crate::qos::Fit;
+use crate::wire::{AckNack, EntityId, Guid, Heartbeat, Sequence, has_risen};
 use crate::{Durability, Qos, Reliability};
 
 /// How many readers of other participants one writer serves. D-4
@@ -37,50 +38,67 @@ struct Slot<const BYTES: usize> {
     bytes: [u8; BYTES],
 }
 
-/// A sample that does not fit the room of a writer.
+/// Why a sample was not published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TooLong;
+pub enum WriteError {
+    /// It has more bytes than the participant has room for.
+    TooLong,
+    /// The writer has used all its numbers, 2³² − 2: seven weeks at 1 kHz. A participant with a new
+    /// name can go on.
+    Ended,
+}
 
 #[derive(Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     samples: [Slot<BYTES>; DEPTH],
-    depth: u64,
+    depth: u32,
     last: Sequence,
+    /// The slot of that one.
+    newest: u8,
     heartbeats: u32,
     pub(crate) readers: [Option<RemoteReader>; READERS],
     pub(crate) counts: WriterCounts,
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
-    pub(crate) const fn new(qos: Qos) -> Self {
+    pub(crate) fn new(qos: Qos) -> Self {
         Self {
             samples: [Slot {
                 len: 0,
                 bytes: [0; BYTES],
             }; DEPTH],
-            depth: qos.depth_within(DEPTH) as u64,
+            depth: qos.depth_within(DEPTH) as u32,
             last: 0,
+            newest: 0,
             heartbeats: 0,
             readers: [None; READERS],
-            counts: WriterCounts {
-                repaired: 0,
-                lost: 0,
-                refused: 0,
-                incompatible: 0,
-            },
+            counts: WriterCounts::default(),
         }
     }
 
     /// Adds a sample, which has the next number.
-    pub(crate) fn push(&mut self, sample: &[u8]) -> Result<Sequence, TooLong> {
-        let len = u8::try_from(sample.len()).map_err(|_| TooLong)?;
-        let number = self.last + 1;
-        let slot = &mut self.samples[(number % self.depth) as usize];
-        let place = slot.bytes.get_mut(..sample.len()).ok_or(TooLong)?;
+    pub(crate) fn push(&mut self, sample: &[u8]) -> Result<Sequence, WriteError> {
+        let len = u8::try_from(sample.len()).map_err(|_| WriteError::TooLong)?;
+        if self.last >= Sequence::MAX - 1 {
+            return Err(WriteError::Ended);
+        }
+        let newest = (self.newest + 1) % self.depth as u8;
+        let slot = &mut self.samples[usize::from(newest)];
+        let place = slot
+            .bytes
+            .get_mut(..sample.len())
+            .ok_or(WriteError::TooLong)?;
         place.copy_from_slice(sample);
         slot.len = len;
-        self.last = number;
-        Ok(number)
+        (self.newest, self.last) = (newest, self.last + 1);
+        Ok(self.last)
+    }
+
+    /// Returns the slot of a sample that is kept.
+    fn place(&self, number: Sequence) -> usize {
+        let depth = self.depth;
+        let age = self.last.wrapping_sub(number);
+        ((u32::from(self.newest) + depth - age % depth) % depth) as usize
     }
 
     /// The number of the oldest sample that it has.
@@ -95,7 +113,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
 
     pub(crate) fn sample(&self, number: Sequence) -> Option<&[u8]> {
         let is_kept = (self.first()..=self.last).contains(&number);
-        let slot = &self.samples[(number % self.depth) as usize];
+        let slot = &self.samples[self.place(number)];
         is_kept.then(|| &slot.bytes[..slot.len.into()])
     }
 
@@ -111,14 +129,18 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         }
     }
 
-    /// Gives a reader a place. Returns whether it has one.
-    pub(crate) fn add(
-        &mut self,
-        guid: Guid,
-        (reliability, durability): (Reliability, Durability),
-    ) -> bool {
+    /// Gives a reader that fits a place.
+    pub(crate) fn on_reader(&mut self, guid: Guid, fit: Fit) {
+        let (reliability, durability) = match fit {
+            Fit::Stranger => return,
+            Fit::Incompatible => {
+                self.counts.incompatible = self.counts.incompatible.wrapping_add(1);
+                return;
+            }
+            Fit::Fits(reliability, durability) => (reliability, durability),
+        };
         if self.readers.iter().flatten().any(|one| one.guid == guid) {
-            return true;
+            return;
         }
         let needs = match durability {
             Durability::Volatile => self.last + 1,
@@ -126,7 +148,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         };
         let Some(place) = self.readers.iter_mut().find(|place| place.is_none()) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
-            return false;
+            return;
         };
         *place = Some(RemoteReader {
             guid,
@@ -135,15 +157,12 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
             count: None,
             told: needs,
         });
-        true
     }
 
     /// Takes the places of these readers back.
     pub(crate) fn remove(&mut self, is_gone: impl Fn(Guid) -> bool) {
         for place in &mut self.readers {
-            if place.is_some_and(|reader| is_gone(reader.guid)) {
-                *place = None;
-            }
+            let _gone = place.take_if(|reader| is_gone(reader.guid));
         }
     }
 
@@ -157,20 +176,11 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
     /// new one.
     pub(crate) fn on_acknack(&mut self, guid: Guid, acknack: &AckNack) -> bool {
         let (first, last) = (self.first(), self.last);
-        let Some(place) = self
-            .readers
-            .iter()
-            .position(|reader| reader.is_some_and(|reader| reader.guid == guid))
-        else {
+        let mut readers = self.readers.iter_mut().flatten();
+        let Some(reader) = readers.find(|reader| reader.guid == guid) else {
             return false;
         };
-        let Some(mut reader) = self.readers[place] else {
-            return false;
-        };
-        let is_new = reader
-            .count
-            .is_none_or(|count| (acknack.count.wrapping_sub(count) as i32) > 0);
-        if !is_new || acknack.set.base > last + 1 {
+        if !has_risen(acknack.count, reader.count) || acknack.set.base > last + 1 {
             return false;
         }
         reader.count = Some(acknack.count);
@@ -181,7 +191,6 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
                 self.counts.lost = self.counts.lost.wrapping_add(1);
             }
         }
-        self.readers[place] = Some(reader);
         true
     }
 }

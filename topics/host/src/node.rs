@@ -5,7 +5,7 @@ use std::io;
 use std::net::Ipv4Addr;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tandem_board::Instant;
-use tandem_topics::{Endpoint, GuidPrefix, Participant, Sample, TooLong};
+use tandem_topics::{Endpoint, GuidPrefix, Participant, Sample, WriteError};
 
 /// How many samples an endpoint of the host keeps at most.
 pub const DEPTH: usize = 32;
@@ -79,12 +79,12 @@ impl<const W: usize, const R: usize> Node<W, R> {
     ///
     /// # Errors
     ///
-    /// [`TooLong`] if it has more than [`BYTES`] bytes.
+    /// [`WriteError`] says why it was not published.
     ///
     /// # Panics
     ///
     /// If it has no writer of this index.
-    pub fn write(&mut self, writer: usize, sample: &[u8]) -> Result<(), TooLong> {
+    pub fn write(&mut self, writer: usize, sample: &[u8]) -> Result<(), WriteError> {
         self.participant.write(writer, sample, &mut self.udp)
     }
 

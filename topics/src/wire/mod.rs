@@ -4,16 +4,29 @@ mod message;
 mod parameters;
 mod submessage;
 
-pub(crate) use message::{DataTo, Message, ROOM};
-pub(crate) use parameters::{Parameter, ParameterWriter, Parameters, pid};
+pub(crate) use message::{DataTo, Message};
+use parameters::UDP_V4;
+pub(crate) use parameters::{Parameter, Parameters, pid};
 pub(crate) use submessage::{AckNack, Cursor, Data, Gap, Heartbeat, Submessage, Submessages};
 
 /// Twelve bytes that name a participant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(align(4))]
 pub struct GuidPrefix(pub [u8; 12]);
+
+impl GuidPrefix {
+    /// The name of an endpoint of this participant.
+    pub(crate) const fn guid(self, entity: EntityId) -> Guid {
+        Guid {
+            prefix: self,
+            entity,
+        }
+    }
+}
 
 /// Four bytes that name an endpoint of a participant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(align(4))]
 pub struct EntityId(pub [u8; 4]);
 
 impl EntityId {
@@ -49,6 +62,7 @@ pub struct Guid {
 
 /// A UDP port of an IPv4 address.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(align(4))]
 pub struct Locator {
     /// IPv4 address.
     pub address: [u8; 4],
@@ -56,8 +70,14 @@ pub struct Locator {
     pub port: u16,
 }
 
-/// The number of a sample of its writer; the first is 1.
-pub(crate) type Sequence = u64;
+/// The number of a sample of its writer; the first is 1. It has 64 bits on the wire; a writer that
+/// uses more than 32 of them is not heard.
+pub(crate) type Sequence = u32;
+
+/// Returns whether a count has risen. An older message that arrives late has a lower one.
+pub(crate) fn has_risen(count: u32, last: Option<u32>) -> bool {
+    last.is_none_or(|last| (count.wrapping_sub(last) as i32) > 0)
+}
 
 /// A set of sample numbers from `base` on: bit `n` of the first word, from the most significant
 /// one, stands for `base + n`. Sets of others may have 256 numbers; what stands beyond 32 is left
@@ -90,7 +110,7 @@ impl SequenceSet {
 
     /// Returns its numbers, the lowest first.
     pub(crate) fn iter(self) -> impl Iterator<Item = Sequence> {
-        (0..u64::from(self.len.min(32)))
+        (0..u32::from(self.len.min(32)))
             .filter(move |offset| self.bits & (1 << (31 - offset)) != 0)
             .map(move |offset| self.base.saturating_add(offset))
     }

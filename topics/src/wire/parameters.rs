@@ -29,7 +29,7 @@ pub(crate) mod pid {
 }
 
 /// A kind of locator: UDP over IPv4.
-const UDP_V4: u32 = 1;
+pub(super) const UDP_V4: u32 = 1;
 
 /// One parameter.
 #[derive(Clone, Copy, Debug)]
@@ -39,6 +39,7 @@ pub(crate) struct Parameter<'m> {
 }
 
 impl Parameter<'_> {
+    #[inline(never)]
     pub(crate) fn guid(mut self) -> Option<Guid> {
         Some(Guid {
             prefix: GuidPrefix(self.value.array()?),
@@ -58,11 +59,19 @@ impl Parameter<'_> {
         })
     }
 
+    #[inline(never)]
     pub(crate) fn number(mut self) -> Option<u32> {
         self.value.u32()
     }
 
+    /// Returns the second of its numbers.
+    pub(crate) fn second(mut self) -> Option<u32> {
+        let _first = self.value.u32()?;
+        self.value.u32()
+    }
+
     /// Returns whether it is this text.
+    #[inline(never)]
     pub(crate) fn is(mut self, text: &str) -> bool {
         let len = self.value.u32().unwrap_or(0) as usize;
         let bytes = self.value.take(len).and_then(|bytes| bytes.split_last());
@@ -98,6 +107,7 @@ impl<'m> Parameters<'m> {
     }
 
     /// Returns the first one with this number.
+    #[inline(never)]
     pub(crate) fn find(mut self, id: u16) -> Option<Parameter<'m>> {
         Iterator::find(&mut self, |parameter| parameter.id == id)
     }
@@ -106,6 +116,7 @@ impl<'m> Parameters<'m> {
 impl<'m> Iterator for Parameters<'m> {
     type Item = Parameter<'m>;
 
+    #[inline(never)]
     fn next(&mut self) -> Option<Parameter<'m>> {
         if self.ended {
             return None;
@@ -119,46 +130,5 @@ impl<'m> Iterator for Parameters<'m> {
         let value = Cursor::new(value, self.rest.is_little());
         let id = id & !pid::MUST_UNDERSTAND;
         Some(Parameter { id, value })
-    }
-}
-
-/// Writes a list as a payload: representation, parameters, end.
-pub(crate) struct ParameterWriter<'b, 'm> {
-    pub(super) message: &'b mut super::Message<'m>,
-}
-
-impl ParameterWriter<'_, '_> {
-    fn put(&mut self, id: u16, value: &[&[u8]]) {
-        let len: usize = value.iter().map(|piece| piece.len()).sum();
-        let padded = len.next_multiple_of(4);
-        self.message.put(&id.to_le_bytes());
-        self.message.put(&(padded as u16).to_le_bytes());
-        for piece in value {
-            self.message.put(piece);
-        }
-        self.message.put(&[0; 3][..padded - len]);
-    }
-
-    pub(crate) fn numbers<const N: usize>(&mut self, id: u16, numbers: [u32; N]) {
-        let bytes = numbers.map(u32::to_le_bytes);
-        self.put(id, &[bytes.as_flattened()]);
-    }
-
-    pub(crate) fn bytes(&mut self, id: u16, bytes: &[u8]) {
-        self.put(id, &[bytes]);
-    }
-
-    pub(crate) fn guid(&mut self, id: u16, guid: Guid) {
-        self.put(id, &[&guid.prefix.0, &guid.entity.0]);
-    }
-
-    pub(crate) fn text(&mut self, id: u16, text: &str) {
-        let len = text.len() as u32 + 1;
-        self.put(id, &[&len.to_le_bytes(), text.as_bytes(), &[0]]);
-    }
-
-    pub(crate) fn locator(&mut self, id: u16, locator: Locator) {
-        let head = [UDP_V4, u32::from(locator.port)].map(u32::to_le_bytes);
-        self.put(id, &[head.as_flattened(), &[0; 12], &locator.address]);
     }
 }

@@ -1,6 +1,6 @@
 //! Reading of messages. All bytes are another participant's allegations.
 
-use super::{EntityId, GuidPrefix, Sequence, SequenceSet};
+use super::{EntityId, GuidPrefix, Parameters, Sequence, SequenceSet, pid};
 
 /// Kinds of submessages.
 pub(super) mod kind {
@@ -38,6 +38,7 @@ impl<'m> Cursor<'m> {
         Self { bytes, is_little }
     }
 
+    #[inline(never)]
     pub(crate) fn take(&mut self, len: usize) -> Option<&'m [u8]> {
         let (head, rest) = self.bytes.split_at_checked(len)?;
         self.bytes = rest;
@@ -52,6 +53,7 @@ impl<'m> Cursor<'m> {
         self.array::<1>().map(|[byte]| byte)
     }
 
+    #[inline(never)]
     pub(crate) fn u16(&mut self) -> Option<u16> {
         let bytes = self.array()?;
         Some(if self.is_little {
@@ -61,6 +63,7 @@ impl<'m> Cursor<'m> {
         })
     }
 
+    #[inline(never)]
     pub(crate) fn u32(&mut self) -> Option<u32> {
         let bytes = self.array()?;
         Some(if self.is_little {
@@ -83,12 +86,13 @@ impl<'m> Cursor<'m> {
     }
 
     /// A number of a sample, or one less than the first.
+    #[inline(never)]
     fn sequence(&mut self) -> Option<Sequence> {
         let (high, low) = (self.u32()?, self.u32()?);
-        // A negative one is no number.
-        (high >> 31 == 0).then_some(u64::from(high) << 32 | u64::from(low))
+        (high == 0 && low < u32::MAX).then_some(low)
     }
 
+    #[inline(never)]
     fn set(&mut self) -> Option<SequenceSet> {
         let base = self.sequence().filter(|base| *base > 0)?;
         let len = self.u32().filter(|len| *len <= 256)?;
@@ -114,6 +118,16 @@ pub(crate) struct Data<'m> {
     pub(crate) is_key: bool,
     /// Representation and body.
     pub(crate) payload: &'m [u8],
+}
+
+impl Data<'_> {
+    /// Returns whether it says that what it is about has ended.
+    pub(crate) fn ends(&self) -> bool {
+        let inline = Parameters::new(Cursor::new(self.inline, self.is_little));
+        // The status is big-endian in each message: the last byte holds the flags.
+        let status = inline.find(pid::STATUS).and_then(|mut it| it.value.array());
+        self.is_key || status.is_some_and(|[_, _, _, flags]: [u8; 4]| flags & 3 != 0)
+    }
 }
 
 /// What a writer has.
@@ -243,7 +257,7 @@ fn data(flags: u8, mut body: Cursor<'_>) -> Option<Data<'_>> {
         &[]
     } else {
         let whole = body.rest();
-        let mut parameters = super::Parameters::new(body);
+        let mut parameters = Parameters::new(body);
         parameters.by_ref().for_each(drop);
         let behind = parameters.end()?;
         body = behind;
