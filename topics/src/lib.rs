@@ -2,19 +2,23 @@
 //!
 //! [`Participant`] announces itself and its endpoints, finds those of others, and exchanges samples
 //! with them: reliably, with a short history. The caller brings datagrams and the time, and sends
-//! what [`Outlet`] gets. D-1 to D-4
+//! what [`Outlet`] gets. The types of the topics are those of `idl/tandem.idl`. D-1 to D-4
 #![no_std]
 #![forbid(unsafe_code)]
 
+mod cdr;
 mod discovery;
 mod participant;
 mod qos;
 mod reader;
+mod types;
 mod wire;
 mod writer;
 
+pub use cdr::CdrError;
 pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant, ParticipantCounts};
 pub use qos::{Durability, Endpoint, Qos, Reliability};
 pub use reader::{ReaderCounts, Sample, WRITERS};
+pub use types::*;
 pub use wire::{EntityId, Guid, GuidPrefix, Locator};
-pub use writer::{READERS, TooLong, WriterCounts};
+pub use writer::{READERS, WriteError, WriterCounts};

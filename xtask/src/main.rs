@@ -91,6 +91,12 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
+    /// Write the types of `tandem-topics` from `topics/idl/tandem.idl`
+    Idl {
+        /// Only report whether the code is stale
+        #[arg(long)]
+        check: bool,
+    },
     /// Model-check the primitives of shm with loom
     Loom {
         /// Relax each memory ordering in turn: a model must fail (twenty minutes)
@@ -305,6 +311,7 @@ fn execute() -> Result<()> {
             generated(root, "tandem-capi", "header", "TANDEM_WRITE_HEADER", check)
         }
         Task::Dbc { check } => generated(root, "tandem-bus", "dbc", "TANDEM_WRITE_DBC", check),
+        Task::Idl { check } => generated(root, "tandem-topics", "idl", "TANDEM_WRITE_IDL", check),
         Task::Loom {
             weakened: false,
             long,
