@@ -16,9 +16,9 @@ mod wire;
 mod writer;
 
 pub use cdr::CdrError;
-pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant, ParticipantCounts};
+pub use participant::{Counts, Destination, HEARTBEAT_PERIOD, Outlet, Participant};
 pub use qos::{Durability, Endpoint, Qos, Reliability};
-pub use reader::{ReaderCounts, Sample, WRITERS};
+pub use reader::{Sample, WRITERS};
 pub use types::*;
 pub use wire::{EntityId, Guid, GuidPrefix, Locator};
-pub use writer::{READERS, WriteError, WriterCounts};
+pub use writer::{READERS, WriteError};

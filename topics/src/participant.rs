@@ -2,11 +2,11 @@
 
 use crate::Endpoint;
 use crate::discovery::{self, Announcement, Kind, Peer, Remote};
-use crate::reader::{Reader, ReaderCounts, Sample, WRITERS};
+use crate::reader::{Reader, Sample, WRITERS};
 use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
 use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
 use crate::wire::{Submessages, pid};
-use crate::writer::{WriteError, Writer, WriterCounts};
+use crate::writer::{WriteError, Writer};
 use tandem_board::{Duration, Instant};
 
 /// Period of the heartbeat of a writer whose readers have not said that they have everything. D-4
@@ -31,35 +31,51 @@ pub trait Outlet {
     fn send(&mut self, to: Destination, message: &[u8]);
 }
 
-/// Counts of a participant.
+/// What a writer or a reader has counted; each wraps around.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ParticipantCounts {
-    /// Datagrams that are no message of RTPS.
-    pub foreign: u32,
-    /// Announcements of participants for which there was no place.
+pub struct Counts {
+    /// Samples that a reader lacked after the writer had dropped them.
+    pub lost: u32,
+    /// Samples that the writer sent once more.
+    pub repaired: u32,
+    /// Samples that newer ones replaced before they were taken.
+    pub replaced: u32,
+    /// Samples that are longer than the reader's room.
+    pub too_long: u32,
+    /// Endpoints of others for which there was no place: [`READERS`](crate::READERS), [`WRITERS`].
     pub refused: u32,
+    /// Endpoints of others whose quality of service does not fit.
+    pub incompatible: u32,
 }
 
 /// A participant with `W` writers and `R` readers, of which each keeps up to `DEPTH` samples of up
-/// to `BYTES` bytes (at most 255).
+/// to `OUT` bytes (writers) and `IN` bytes (readers); at most 255. An index of a writer or a reader
+/// beyond `W` or `R` panics.
 #[derive(Debug)]
-pub struct Participant<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize> {
+pub struct Participant<
+    const W: usize,
+    const R: usize,
+    const DEPTH: usize,
+    const OUT: usize,
+    const IN: usize,
+> {
     prefix: GuidPrefix,
     at: Locator,
     outputs: &'static [Endpoint; W],
     inputs: &'static [Endpoint; R],
-    writers: [Writer<DEPTH, BYTES>; W],
-    readers: [Reader<DEPTH, BYTES>; R],
+    writers: [Writer<DEPTH, OUT>; W],
+    readers: [Reader<DEPTH, IN>; R],
     remotes: [Option<Remote>; REMOTES],
     /// A count for all heartbeats of discovery, and for all ACKNACKs: each only has to rise.
     count: u32,
     announced: Option<Instant>,
     beat: Instant,
-    counts: ParticipantCounts,
+    foreign: u32,
+    refused: u32,
 }
 
-impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
-    Participant<W, R, DEPTH, BYTES>
+impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const IN: usize>
+    Participant<W, R, DEPTH, OUT, IN>
 {
     /// Creates a participant. `prefix` names it and must be new at each start; `at` is where it
     /// hears.
@@ -80,38 +96,32 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             count: 0,
             announced: None,
             beat: Instant::ORIGIN,
-            counts: ParticipantCounts::default(),
+            foreign: 0,
+            refused: 0,
         }
     }
 
-    /// Returns the counts of the participant.
-    pub const fn counts(&self) -> ParticipantCounts {
-        self.counts
+    /// Returns how many datagrams were no message of RTPS.
+    pub const fn foreign(&self) -> u32 {
+        self.foreign
+    }
+
+    /// Returns how many announcements of participants found no place.
+    pub const fn refused(&self) -> u32 {
+        self.refused
     }
 
     /// Returns the counts of a writer.
-    ///
-    /// # Panics
-    ///
-    /// If it has no writer of this index.
-    pub fn writer_counts(&self, writer: usize) -> WriterCounts {
+    pub fn writer_counts(&self, writer: usize) -> Counts {
         self.writers[writer].counts
     }
 
     /// Returns the counts of a reader.
-    ///
-    /// # Panics
-    ///
-    /// If it has no reader of this index.
-    pub fn reader_counts(&self, reader: usize) -> ReaderCounts {
+    pub fn reader_counts(&self, reader: usize) -> Counts {
         self.readers[reader].counts
     }
 
     /// Returns how many readers of others a writer serves.
-    ///
-    /// # Panics
-    ///
-    /// If it has no writer of this index.
     pub fn readers_of(&self, writer: usize) -> usize {
         self.writers[writer].readers.iter().flatten().count()
     }
@@ -121,10 +131,6 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
     /// # Errors
     ///
     /// [`WriteError`] says why it was not published.
-    ///
-    /// # Panics
-    ///
-    /// If it has no writer of this index.
     pub fn write(
         &mut self,
         writer: usize,
@@ -141,11 +147,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
     }
 
     /// Takes the next sample of a reader. Those of one writer are in their order.
-    ///
-    /// # Panics
-    ///
-    /// If it has no reader of this index.
-    pub fn take(&mut self, reader: usize) -> Option<Sample<BYTES>> {
+    pub fn take(&mut self, reader: usize) -> Option<Sample<IN>> {
         self.readers[reader].take()
     }
 
@@ -181,7 +183,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
     /// Hears a datagram.
     pub fn hear(&mut self, now: Instant, datagram: &[u8], out: &mut impl Outlet) {
         let Some((from, parts)) = Submessages::of(datagram) else {
-            self.counts.foreign = self.counts.foreign.wrapping_add(1);
+            self.foreign = self.foreign.wrapping_add(1);
             return;
         };
         if from == self.prefix {
@@ -226,7 +228,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             // In their order: those behind a loss are asked for once more.
             if let Some(heard) = heard
                 && heard.lacks(data.sequence)
-                && heard.next() == Some(data.sequence)
+                && heard.next() == data.sequence
             {
                 heard.skip_to(data.sequence + 1);
                 self.on_endpoint(kind, from, data);
@@ -260,7 +262,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const BYTES: usize>
             return;
         }
         let Some(place) = self.remotes.iter_mut().find(|place| place.is_none()) else {
-            self.counts.refused = self.counts.refused.wrapping_add(1);
+            self.refused = self.refused.wrapping_add(1);
             return;
         };
         let remote = place.insert(Remote::new(from));

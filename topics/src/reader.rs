@@ -2,7 +2,7 @@
 
 use crate::qos::Fit;
 use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet, has_risen};
-use crate::{Durability, Qos, Reliability};
+use crate::{Counts, Durability, Qos, Reliability};
 use core::ops::Range;
 use tandem_board::{Duration, Instant};
 
@@ -12,28 +12,11 @@ pub const WRITERS: usize = 2;
 /// What is missing is asked for with each heartbeat, and in this time once more.
 pub(crate) const ASKS_EVERY: Duration = Duration::from_ms(5);
 
-/// Counts of a reader.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ReaderCounts {
-    /// Samples that are lost: their writer does not have them any more.
-    pub lost: u32,
-    /// Samples that newer ones replaced before they were taken.
-    pub replaced: u32,
-    /// Samples for which there was no room; they are asked for again.
-    pub deferred: u32,
-    /// Samples that are longer than the topic's type.
-    pub too_long: u32,
-    /// Writers that were refused, because [`WRITERS`] have a place.
-    pub refused: u32,
-    /// Writers that offer another quality of service.
-    pub incompatible: u32,
-}
-
 /// How far a reliable writer was heard.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stream {
-    /// All below are there or given up. `None` until something was heard that tells where to begin.
-    next: Option<Sequence>,
+    /// All below are there or given up; 0 until something was heard that tells where to begin.
+    next: Sequence,
     /// What the writer still has of before is wanted too.
     with_history: bool,
     heartbeat: Option<u32>,
@@ -42,7 +25,7 @@ pub(crate) struct Stream {
 impl Stream {
     pub(crate) const fn new(with_history: bool) -> Self {
         Self {
-            next: None,
+            next: 0,
             with_history,
             heartbeat: None,
         }
@@ -51,20 +34,20 @@ impl Stream {
     /// Returns whether a sample is one that is missing. Without history, the first one that arrives
     /// is where the stream begins; with it, a heartbeat tells that.
     pub(crate) fn lacks(&mut self, number: Sequence) -> bool {
-        if self.next.is_none() && (!self.with_history || number == 1) {
-            self.next = Some(number);
+        if self.next == 0 && (!self.with_history || number == 1) {
+            self.next = number;
         }
-        self.next.is_some_and(|next| number >= next)
+        self.next > 0 && number >= self.next
     }
 
     /// Returns the number below which all are there or given up.
-    pub(crate) const fn next(&self) -> Option<Sequence> {
+    pub(crate) const fn next(&self) -> Sequence {
         self.next
     }
 
     /// Gives up what is below this number.
     pub(crate) fn skip_to(&mut self, number: Sequence) {
-        self.next = self.next.max(Some(number));
+        self.next = self.next.max(number);
     }
 
     /// Gives up what the writer has dropped. Returns that range; `None` if a newer heartbeat, or the
@@ -74,28 +57,28 @@ impl Stream {
             return None;
         }
         self.heartbeat = Some(heartbeat.count);
-        let begin = if self.with_history {
-            heartbeat.first
-        } else {
-            heartbeat.last + 1
+        let next = match self.next {
+            0 if self.with_history => heartbeat.first,
+            0 => heartbeat.last + 1,
+            next => next,
         };
-        let next = *self.next.get_or_insert(begin);
-        self.next = Some(next.max(heartbeat.first));
+        self.next = next.max(heartbeat.first);
         Some(next..heartbeat.first)
     }
 
     /// Gives up what will not come. Returns that range.
     pub(crate) fn on_gap(&mut self, gap: &Gap) -> Range<Sequence> {
-        let Some(next) = self.next.filter(|next| gap.start <= *next) else {
+        let next = self.next;
+        if gap.start > next {
             return 0..0;
-        };
+        }
         let mut at = next.max(gap.set.base);
         for number in gap.set.iter() {
             if number == at {
                 at += 1;
             }
         }
-        self.next = Some(at);
+        self.next = at;
         next..at
     }
 
@@ -106,9 +89,8 @@ impl Stream {
         most: u32,
         has: impl Fn(Sequence) -> bool,
     ) -> SequenceSet {
-        let next = self.next.unwrap_or(last.saturating_add(1));
-        let mut set = SequenceSet::empty(next);
-        for number in next..=last.min(next.saturating_add(most - 1)) {
+        let mut set = SequenceSet::empty(self.next);
+        for number in self.next..=last.min(self.next.saturating_add(most - 1)) {
             if !has(number) {
                 set.insert(number);
             }
@@ -159,7 +141,7 @@ pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
     depth: usize,
     writers: [Option<RemoteWriter>; WRITERS],
     samples: [Option<Slot<BYTES>>; DEPTH],
-    pub(crate) counts: ReaderCounts,
+    pub(crate) counts: Counts,
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
@@ -169,7 +151,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             depth: qos.depth_within(DEPTH),
             writers: [None; WRITERS],
             samples: [None; DEPTH],
-            counts: ReaderCounts::default(),
+            counts: Counts::default(),
         }
     }
 
@@ -227,7 +209,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     /// Lets the stream pass what is there.
     fn advance(&mut self, index: usize) {
-        while let Some(next) = self.writers[index].and_then(|writer| writer.stream.next())
+        while let Some(next) = self.writers[index].map(|writer| writer.stream.next())
             && self.has(index, next)
             && let Some(writer) = &mut self.writers[index]
         {
@@ -237,9 +219,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     /// Returns whether the sample in this place can be taken: all before it are there or given up.
     fn is_due(&self, slot: &Slot<BYTES>) -> bool {
-        self.writers[usize::from(slot.from)]
-            .and_then(|writer| writer.stream.next())
-            .is_some_and(|next| slot.number < next)
+        self.writers[usize::from(slot.from)].is_some_and(|it| slot.number < it.stream.next())
     }
 
     /// Returns the place of the oldest sample that can be taken.
@@ -289,8 +269,6 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         } else if let Some(place) = self.oldest() {
             self.counts.replaced = self.counts.replaced.wrapping_add(1);
             self.samples[place] = Some(slot);
-        } else {
-            self.counts.deferred = self.counts.deferred.wrapping_add(1);
         }
         self.advance(index);
     }

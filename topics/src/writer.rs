@@ -2,23 +2,10 @@
 
 use crate::qos::Fit;
 use crate::wire::{AckNack, EntityId, Guid, Heartbeat, Sequence, has_risen};
-use crate::{Durability, Qos, Reliability};
+use crate::{Counts, Durability, Qos, Reliability};
 
 /// How many readers of other participants one writer serves. D-4
 pub const READERS: usize = 2;
-
-/// Counts of a writer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct WriterCounts {
-    /// Samples that were sent once more.
-    pub repaired: u32,
-    /// Samples that a reader asked for after the writer had dropped them.
-    pub lost: u32,
-    /// Readers that were refused, because [`READERS`] have a place.
-    pub refused: u32,
-    /// Readers that ask for another quality of service.
-    pub incompatible: u32,
-}
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RemoteReader {
@@ -57,7 +44,7 @@ pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     newest: u8,
     heartbeats: u32,
     pub(crate) readers: [Option<RemoteReader>; READERS],
-    pub(crate) counts: WriterCounts,
+    pub(crate) counts: Counts,
 }
 
 impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
@@ -72,7 +59,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
             newest: 0,
             heartbeats: 0,
             readers: [None; READERS],
-            counts: WriterCounts::default(),
+            counts: Counts::default(),
         }
     }
 

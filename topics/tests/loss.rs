@@ -40,8 +40,8 @@ static OTHERS: [Endpoint; 1] = [Endpoint {
 static NONE: [Endpoint; 0] = [];
 const MS: Duration = Duration::from_ms(1);
 
-type Mcu = Participant<1, 0, 3, 80>;
-type Soc = Participant<0, 1, 3, 80>;
+type Mcu = Participant<1, 0, 3, 80, 0>;
+type Soc = Participant<0, 1, 3, 0, 80>;
 
 /// Messages that a participant sends, and what it tells.
 #[derive(Default)]
@@ -390,7 +390,7 @@ fn what_is_not_rtps_is_counted() {
     ] {
         world.mcu.hear(world.now, datagram, &mut sent);
     }
-    assert_eq!(world.mcu.counts().foreign, 4);
+    assert_eq!(world.mcu.foreign(), 4);
     assert!(sent.messages.is_empty());
     let _unused: Guid = Guid::default();
 }

@@ -25,7 +25,7 @@ pub struct Place {
 #[derive(Debug)]
 pub struct Node<const W: usize, const R: usize> {
     /// The participant.
-    pub participant: Participant<W, R, DEPTH, BYTES>,
+    pub participant: Participant<W, R, DEPTH, BYTES, BYTES>,
     udp: Udp,
     start: std::time::Instant,
 }
@@ -80,19 +80,11 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// # Errors
     ///
     /// [`WriteError`] says why it was not published.
-    ///
-    /// # Panics
-    ///
-    /// If it has no writer of this index.
     pub fn write(&mut self, writer: usize, sample: &[u8]) -> Result<(), WriteError> {
         self.participant.write(writer, sample, &mut self.udp)
     }
 
     /// Takes the next sample of a reader.
-    ///
-    /// # Panics
-    ///
-    /// If it has no reader of this index.
     pub fn take(&mut self, reader: usize) -> Option<Sample<BYTES>> {
         self.participant.take(reader)
     }
