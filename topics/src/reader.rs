@@ -172,11 +172,13 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             self.counts.refused = self.counts.refused.wrapping_add(1);
             return;
         };
-        let with_history = self.qos.durability == Durability::TransientLocal;
+        let is_reliable =
+            reliability == Reliability::Reliable && reliability == self.qos.reliability;
+        // Without guarantee, no heartbeat tells where the history begins.
+        let with_history = is_reliable && self.qos.durability == Durability::TransientLocal;
         *place = Some(RemoteWriter {
             guid,
-            is_reliable: reliability == Reliability::Reliable
-                && reliability == self.qos.reliability,
+            is_reliable,
             stream: Stream::new(with_history),
             last: 0,
             asked: Instant::ORIGIN,

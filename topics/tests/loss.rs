@@ -33,6 +33,13 @@ static UNSURE: [Endpoint; 1] = [Endpoint {
     qos: BEST_EFFORT,
     ..UP
 }];
+static UNSURE_OLD: [Endpoint; 1] = [Endpoint {
+    qos: Qos {
+        durability: Durability::TransientLocal,
+        ..BEST_EFFORT
+    },
+    ..UP
+}];
 static OTHERS: [Endpoint; 1] = [Endpoint {
     topic: "another",
     ..UP
@@ -310,6 +317,18 @@ fn a_reader_without_guarantee_does_not_ask() {
     world.publish(2, 10);
     assert_eq!(world.taken[0], [1, 2, 4, 5]);
     assert_eq!(world.mcu.writer_counts(0).repaired, 0);
+}
+
+/// A reader without guarantee that asks for history begins with the first sample that arrives.
+#[test]
+fn a_late_reader_without_guarantee_gets_what_is_new() {
+    let mut world = World::new(&[&UNSURE_OLD]);
+    for _ in 0..10 {
+        world.write();
+    }
+    world.run(2_000);
+    world.publish(3, 10);
+    assert_eq!(world.taken[0], [11, 12, 13]);
 }
 
 /// A participant that starts again is another one: it is found at once, and the place of the dead
