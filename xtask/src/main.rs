@@ -18,6 +18,7 @@ mod task_tables;
 mod test_runner;
 mod tidy;
 mod toolchain;
+mod topics;
 mod weakened;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -278,6 +279,13 @@ enum Campaign {
         #[arg(long, default_value_t = 0)]
         from: u32,
     },
+    /// Exchange topics with Cyclone DDS and dust_dds: each pair of writer and reader, with late
+    /// readers, loss and a quality of service that does not fit. Prints the table of all cells
+    Topics {
+        /// Write {cells, passed, skipped} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// How long, in seconds
@@ -439,6 +447,7 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command.arg(hours.to_string()).args(scenarios);
             command
         }
+        Campaign::Topics { json } => return topics::run(root, json.as_deref()),
         Campaign::WrongInBoth => trial("wrong_in_both", &[])?,
         Campaign::SimDigest { count } => return sim_digest(root, count),
         Campaign::Mutants {
