@@ -55,6 +55,8 @@ pub(crate) struct Remote {
     metatraffic: Locator,
     user: Locator,
     pub(crate) expires: Instant,
+    /// It is taken for dead if nothing of it is heard for this time.
+    lease: Duration,
     /// How far its publications and subscriptions were heard.
     pub(crate) heard: [Stream; 2],
     /// Of ours it has all below these numbers.
@@ -110,6 +112,7 @@ impl Remote {
             metatraffic: NOWHERE,
             user: NOWHERE,
             expires: Instant::ORIGIN,
+            lease: Duration::from_ms(0),
             heard: [Stream::new(true); 2],
             has: [1; 2],
             acknack: [None; 2],
@@ -117,8 +120,15 @@ impl Remote {
     }
 
     pub(crate) fn on_announcement(&mut self, now: Instant, announced: &Announcement) {
-        self.expires = now + announced.lease;
+        self.lease = announced.lease;
+        self.on_life(now);
         (self.metatraffic, self.user) = (announced.metatraffic, announced.user);
+    }
+
+    /// Notes that it lives. Announcements alone do not suffice: some vendors repeat them just before
+    /// the lease ends, and one may be lost.
+    pub(crate) fn on_life(&mut self, now: Instant) {
+        self.expires = now + self.lease;
     }
 
     /// Notes which of our endpoints it has. Returns whether it asks for some.

@@ -189,6 +189,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         if from == self.prefix {
             return;
         }
+        if let Some(remote) = self.remote(from) {
+            remote.on_life(now);
+        }
         let mut is_ours = true;
         for part in parts {
             match part {
@@ -399,17 +402,24 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         let (peer, guid) = (remote.user(), from.guid(acknack.reader));
         for index in 0..W {
             if EntityId::writer(index) == acknack.writer
-                && self.writers[index].on_acknack(guid, acknack)
+                && let Some(first) = self.writers[index].on_acknack(guid, acknack)
             {
-                self.repair(index, peer, acknack, out);
+                self.repair(index, (peer, first), acknack, out);
             }
         }
     }
 
-    /// Sends a reader again what it asks for, and tells what is dropped.
-    fn repair(&mut self, index: usize, to: Peer, acknack: &AckNack, out: &mut impl Outlet) {
+    /// Sends a reader again what it asks for, and tells what is dropped, or is older than the first
+    /// one that it may get: a volatile reader of another vendor asks for history too.
+    fn repair(
+        &mut self,
+        index: usize,
+        (to, first): (Peer, Sequence),
+        acknack: &AckNack,
+        out: &mut impl Outlet,
+    ) {
         let (reader, writer, set) = (acknack.reader, acknack.writer, acknack.set);
-        let (first, last) = (self.writers[index].first(), self.writers[index].last());
+        let last = self.writers[index].last();
         if set.len == 0 && set.base <= last {
             // It is new, and asks what there is.
             self.send_heartbeat(index, (to, reader), out);
@@ -424,7 +434,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             post(self.prefix, Some(to), out, &mut |message| message.gap(gap));
         }
         let last = set.iter().last();
-        for number in set.iter() {
+        for number in set.iter().filter(|number| *number >= first) {
             // A heartbeat before the last one would have those behind it asked for again.
             let beats = Some(number) == last;
             if self.send_sample(index, (number, beats), (to, reader), out) {

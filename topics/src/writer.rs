@@ -159,16 +159,14 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         readers.any(|reader| reader.is_reliable && reader.needs <= self.last)
     }
 
-    /// Notes what a reader has. Returns whether it is one that the writer serves, and its ACKNACK a
-    /// new one.
-    pub(crate) fn on_acknack(&mut self, guid: Guid, acknack: &AckNack) -> bool {
+    /// Notes what a reader has. Returns the oldest sample that it may get, if it is a reader that
+    /// the writer serves, and its ACKNACK a new one.
+    pub(crate) fn on_acknack(&mut self, guid: Guid, acknack: &AckNack) -> Option<Sequence> {
         let (first, last) = (self.first(), self.last);
         let mut readers = self.readers.iter_mut().flatten();
-        let Some(reader) = readers.find(|reader| reader.guid == guid) else {
-            return false;
-        };
+        let reader = readers.find(|reader| reader.guid == guid)?;
         if !has_risen(acknack.count, reader.count) || acknack.set.base > last + 1 {
-            return false;
+            return None;
         }
         reader.count = Some(acknack.count);
         reader.needs = reader.needs.max(acknack.set.base);
@@ -178,6 +176,6 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
                 self.counts.lost = self.counts.lost.wrapping_add(1);
             }
         }
-        true
+        Some(reader.needs.max(first))
     }
 }
