@@ -71,36 +71,6 @@ pub(crate) struct Peer {
     pub(crate) at: Locator,
 }
 
-/// What another participant says of itself.
-pub(crate) struct Announcement {
-    metatraffic: Locator,
-    user: Locator,
-    lease: Duration,
-}
-
-impl Announcement {
-    /// Reads it; `None` if it does not say where the participant hears, or speaks for another one.
-    pub(crate) fn read(from: GuidPrefix, list: Parameters<'_>) -> Option<Self> {
-        let (mut metatraffic, mut user) = (None, None);
-        let mut seconds = DEFAULT_LEASE_SECONDS;
-        for parameter in list {
-            match parameter.id {
-                pid::PARTICIPANT_GUID if parameter.guid()?.prefix != from => return None,
-                pid::METATRAFFIC_LOCATOR => metatraffic = metatraffic.or(parameter.locator()),
-                pid::DEFAULT_LOCATOR => user = user.or(parameter.locator()),
-                pid::LEASE => seconds = parameter.number()?.clamp(1, LONGEST_LEASE_SECONDS),
-                _ => {}
-            }
-        }
-        let user = user?;
-        Some(Self {
-            metatraffic: metatraffic.unwrap_or(user),
-            user,
-            lease: Duration::from_ms(1_000).times(seconds),
-        })
-    }
-}
-
 impl Remote {
     pub(crate) const fn new(prefix: GuidPrefix) -> Self {
         const NOWHERE: Locator = Locator {
@@ -119,14 +89,36 @@ impl Remote {
         }
     }
 
-    pub(crate) fn on_announcement(&mut self, now: Instant, announced: &Announcement) {
-        self.lease = announced.lease;
+    /// Takes its announcement. Returns `false` if that does not say where it hears, or speaks for
+    /// another one.
+    pub(crate) fn on_announcement(&mut self, now: Instant, list: Parameters<'_>) -> bool {
+        let (mut metatraffic, mut user) = (None, None);
+        let mut seconds = DEFAULT_LEASE_SECONDS;
+        for parameter in list {
+            match parameter.id {
+                pid::PARTICIPANT_GUID
+                    if parameter.guid().map(|it| it.prefix) != Some(self.prefix) =>
+                {
+                    return false;
+                }
+                pid::METATRAFFIC_LOCATOR => metatraffic = metatraffic.or(parameter.locator()),
+                pid::DEFAULT_LOCATOR => user = user.or(parameter.locator()),
+                pid::LEASE => seconds = parameter.number().unwrap_or(0),
+                _ => {}
+            }
+        }
+        let Some(user) = user else {
+            return false;
+        };
+        (self.metatraffic, self.user) = (metatraffic.unwrap_or(user), user);
+        let seconds = seconds.clamp(1, LONGEST_LEASE_SECONDS);
+        self.lease = Duration::from_ms(1_000).times(seconds);
         self.on_life(now);
-        (self.metatraffic, self.user) = (announced.metatraffic, announced.user);
+        true
     }
 
-    /// Notes that it lives. Announcements alone do not suffice: some vendors repeat them just before
-    /// the lease ends, and one may be lost.
+    /// Notes that it lives. Announcements alone do not suffice: some vendors repeat them just
+    /// before the lease ends, and one may be lost.
     pub(crate) fn on_life(&mut self, now: Instant) {
         self.expires = now + self.lease;
     }

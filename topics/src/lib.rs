@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 mod cdr;
+mod counts;
 mod discovery;
 mod participant;
 mod qos;
@@ -16,7 +17,8 @@ mod wire;
 mod writer;
 
 pub use cdr::CdrError;
-pub use participant::{Counts, Destination, HEARTBEAT_PERIOD, Outlet, Participant};
+pub use counts::Counts;
+pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant};
 pub use qos::{Durability, Endpoint, Qos, Reliability};
 pub use reader::{Sample, WRITERS};
 pub use types::*;

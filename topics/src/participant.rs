@@ -1,12 +1,12 @@
 //! The participant: it composes discovery, writers and readers, and does no input or output.
 
-use crate::Endpoint;
-use crate::discovery::{self, Announcement, Kind, Peer, Remote};
+use crate::discovery::{self, Kind, Peer, Remote};
 use crate::reader::{Reader, Sample, WRITERS};
-use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
+use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, GuidPrefix, Heartbeat, Locator};
 use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
 use crate::wire::{Submessages, pid};
 use crate::writer::{WriteError, Writer};
+use crate::{Counts, Endpoint};
 use tandem_board::{Duration, Instant};
 
 /// Period of the heartbeat of a writer whose readers have not said that they have everything. D-4
@@ -29,23 +29,6 @@ pub enum Destination {
 pub trait Outlet {
     /// Sends a message. One that cannot be sent is lost.
     fn send(&mut self, to: Destination, message: &[u8]);
-}
-
-/// What a writer or a reader has counted; each wraps around.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Samples that a reader lacked after the writer had dropped them.
-    pub lost: u32,
-    /// Samples that the writer sent once more.
-    pub repaired: u32,
-    /// Samples that newer ones replaced before they were taken.
-    pub replaced: u32,
-    /// Samples that are longer than the reader's room.
-    pub too_long: u32,
-    /// Endpoints of others for which there was no place: [`READERS`](crate::READERS), [`WRITERS`].
-    pub refused: u32,
-    /// Endpoints of others whose quality of service does not fit.
-    pub incompatible: u32,
 }
 
 /// A participant with `W` writers and `R` readers, of which each keeps up to `DEPTH` samples of up
@@ -213,7 +196,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         remotes.find(|remote| remote.prefix == prefix)
     }
 
-    /// Returns where the participant in this place hears, if a reader of it has a place at a writer.
+    /// Returns where the participant in this place hears, if the writer serves a reader of it.
     fn served(&self, at: usize, writer: usize) -> Option<Peer> {
         let remote = self.remotes[at]?;
         let mut readers = self.writers[writer].readers.iter().flatten();
@@ -256,24 +239,26 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             self.forget(from);
             return;
         }
-        let list = Parameters::of_payload(data.payload);
-        let Some(announced) = list.and_then(|list| Announcement::read(from, list)) else {
+        let Some(list) = Parameters::of_payload(data.payload) else {
             return;
         };
         if let Some(known) = self.remote(from) {
-            known.on_announcement(now, &announced);
+            known.on_announcement(now, list);
+            return;
+        }
+        let mut remote = Remote::new(from);
+        if !remote.on_announcement(now, list) {
             return;
         }
         let Some(place) = self.remotes.iter_mut().find(|place| place.is_none()) else {
             self.refused = self.refused.wrapping_add(1);
             return;
         };
-        let remote = place.insert(Remote::new(from));
-        remote.on_announcement(now, &announced);
+        *place = Some(remote);
         let peer = remote.discovery();
         self.announce(Some(peer), out);
         for kind in Kind::ALL {
-            self.send_endpoints(peer, kind, |_| true, out);
+            self.send_endpoints(peer, kind, SequenceSet::FIRST, out);
         }
     }
 
@@ -286,7 +271,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             return;
         };
         if data.ends() {
-            self.remove(|one| one == guid);
+            self.remove(from, Some(guid.entity));
             return;
         }
         match kind {
@@ -304,16 +289,18 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     }
 
     fn forget(&mut self, prefix: GuidPrefix) {
-        self.remove(|guid| guid.prefix == prefix);
+        self.remove(prefix, None);
         let is_gone = |remote: &mut Remote| remote.prefix == prefix;
         for place in &mut self.remotes {
             let _gone = place.take_if(is_gone);
         }
     }
 
-    fn remove(&mut self, is_gone: impl Fn(Guid) -> bool) {
-        self.writers.iter_mut().for_each(|one| one.remove(&is_gone));
-        self.readers.iter_mut().for_each(|one| one.remove(&is_gone));
+    fn remove(&mut self, prefix: GuidPrefix, entity: Option<EntityId>) {
+        let writers = self.writers.iter_mut();
+        writers.for_each(|one| one.remove(prefix, entity));
+        let readers = self.readers.iter_mut();
+        readers.for_each(|one| one.remove(prefix, entity));
     }
 
     fn on_heartbeat(
@@ -394,8 +381,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         if let Some(kind) = Kind::of_writer(acknack.writer) {
             if remote.on_acknack(kind, acknack) {
                 let peer = remote.discovery();
-                let asks = |number| acknack.set.iter().any(|asked| asked == number);
-                self.send_endpoints(peer, kind, asks, out);
+                self.send_endpoints(peer, kind, acknack.set, out);
             }
             return;
         }
@@ -491,19 +477,13 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     }
 
     /// Sends a participant those of our endpoints that it asks for, and how many there are.
-    fn send_endpoints(
-        &mut self,
-        to: Peer,
-        kind: Kind,
-        asks: impl Fn(Sequence) -> bool,
-        out: &mut impl Outlet,
-    ) {
+    fn send_endpoints(&mut self, to: Peer, kind: Kind, asks: SequenceSet, out: &mut impl Outlet) {
         let endpoints: &[Endpoint] = match kind {
             Kind::Publications => self.outputs,
             Kind::Subscriptions => self.inputs,
         };
-        for (number, endpoint) in (1..).zip(endpoints) {
-            if asks(number) {
+        for number in asks.iter() {
+            if let Some(endpoint) = endpoints.get(number as usize - 1) {
                 post(self.prefix, Some(to), out, &mut |message| {
                     discovery::write_endpoint(message, (self.prefix, kind, number), endpoint);
                 });
@@ -524,7 +504,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             };
             for (kind, last) in Kind::ALL.into_iter().zip([W, R]) {
                 if remote.has[kind as usize] <= last as Sequence {
-                    self.send_endpoints(remote.discovery(), kind, |_| false, out);
+                    self.send_endpoints(remote.discovery(), kind, SequenceSet::empty(1), out);
                 }
             }
             for writer in 0..W {

@@ -74,85 +74,57 @@ const INFINITE_SECONDS: u32 = 0x7FFF_FFFF;
 const XCDR1: u16 = 0;
 const XCDR2: u16 = 2;
 
-/// What the announcement of a foreign endpoint says, with the defaults of the standard.
-struct Announced {
-    is_of_topic: bool,
-    is_of_type: bool,
-    has_partition: bool,
-    durability: u32,
-    reliability: u32,
-    /// It has exclusive ownership, or asks for samples or signs of life within a time.
-    asks_more: bool,
-    /// It reads or writes XCDR1, and XCDR2.
-    representations: [bool; 2],
-}
-
 impl Endpoint {
-    /// Judges an endpoint of another participant. `we_write`: ours is the writer.
+    /// Judges an endpoint of another participant by its announcement, with the defaults of the
+    /// standard. `we_write`: ours is the writer.
     pub(crate) fn judge(&self, list: Parameters<'_>, we_write: bool) -> Fit {
-        let theirs = self.read(list, we_write);
-        if !theirs.is_of_topic || !theirs.is_of_type || theirs.has_partition {
-            return Fit::Stranger;
-        }
-        let Qos {
-            durability,
-            reliability,
-            ..
-        } = self.qos;
-        let (durability, reliability) = (durability as u32, reliability as u32);
-        let [xcdr1, xcdr2] = theirs.representations;
-        let fits = if we_write {
-            theirs.durability <= durability && theirs.reliability <= reliability && xcdr1
-        } else {
-            let reads = xcdr1 || xcdr2;
-            theirs.durability >= durability && theirs.reliability >= reliability && reads
-        };
-        if !fits || theirs.asks_more {
-            return Fit::Incompatible;
-        }
-        let reliability = match theirs.reliability {
-            2 => Reliability::Reliable,
-            _ => Reliability::BestEffort,
-        };
-        let durability = match theirs.durability {
-            0 => Durability::Volatile,
-            _ => Durability::TransientLocal,
-        };
-        Fit::Fits(reliability, durability)
-    }
-
-    fn read(&self, list: Parameters<'_>, we_write: bool) -> Announced {
-        let mut theirs = Announced {
-            is_of_topic: false,
-            is_of_type: false,
-            has_partition: false,
-            durability: 0,
-            reliability: if we_write { 1 } else { 2 },
-            asks_more: false,
-            representations: [true, false],
-        };
+        let (mut is_of_topic, mut is_of_type, mut has_partition) = (false, false, false);
+        let (mut durability, mut reliability) = (0, if we_write { 1 } else { 2 });
+        // Exclusive ownership, or samples or signs of life within a time.
+        let mut asks_more = false;
+        let [mut xcdr1, mut xcdr2] = [true, false];
         for parameter in list {
             let first = parameter.number().unwrap_or(0);
             match parameter.id {
-                pid::TOPIC_NAME => theirs.is_of_topic = parameter.is(self.topic),
-                pid::TYPE_NAME => theirs.is_of_type = parameter.is(self.type_name),
-                pid::PARTITION => theirs.has_partition = first > 0,
-                pid::DURABILITY => theirs.durability = first,
-                pid::RELIABILITY => theirs.reliability = first,
-                pid::OWNERSHIP => theirs.asks_more |= first != 0,
+                pid::TOPIC_NAME => is_of_topic = parameter.is(self.topic),
+                pid::TYPE_NAME => is_of_type = parameter.is(self.type_name),
+                pid::PARTITION => has_partition = first > 0,
+                pid::DURABILITY => durability = first,
+                pid::RELIABILITY => reliability = first,
+                pid::OWNERSHIP => asks_more |= first != 0,
                 // A writer may offer that; ours does not.
-                pid::DEADLINE if we_write => theirs.asks_more |= first != INFINITE_SECONDS,
+                pid::DEADLINE if we_write => asks_more |= first != INFINITE_SECONDS,
                 pid::LIVELINESS if we_write => {
                     let seconds = parameter.second().unwrap_or(INFINITE_SECONDS);
-                    theirs.asks_more |= first != 0 || seconds != INFINITE_SECONDS;
+                    asks_more |= first != 0 || seconds != INFINITE_SECONDS;
                 }
                 pid::REPRESENTATION if first > 0 => {
-                    theirs.representations = representations(parameter.value);
+                    [xcdr1, xcdr2] = representations(parameter.value);
                 }
                 _ => {}
             }
         }
-        theirs
+        if !is_of_topic || !is_of_type || has_partition {
+            return Fit::Stranger;
+        }
+        let ours = (self.qos.durability as u32, self.qos.reliability as u32);
+        let fits = if we_write {
+            durability <= ours.0 && reliability <= ours.1 && xcdr1
+        } else {
+            durability >= ours.0 && reliability >= ours.1 && (xcdr1 || xcdr2)
+        };
+        if !fits || asks_more {
+            return Fit::Incompatible;
+        }
+        let reliability = match reliability {
+            2 => Reliability::Reliable,
+            _ => Reliability::BestEffort,
+        };
+        let durability = match durability {
+            0 => Durability::Volatile,
+            _ => Durability::TransientLocal,
+        };
+        Fit::Fits(reliability, durability)
     }
 }
 

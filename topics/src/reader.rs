@@ -1,7 +1,8 @@
 //! A reliable reader: it gives the samples of each writer in their order. (RTPS 8.4.12)
 
 use crate::qos::Fit;
-use crate::wire::{Data, Gap, Guid, Heartbeat, Sequence, SequenceSet, has_risen};
+use crate::wire::has_risen;
+use crate::wire::{Data, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Sequence, SequenceSet};
 use crate::{Counts, Durability, Qos, Reliability};
 use core::ops::Range;
 use tandem_board::{Duration, Instant};
@@ -50,8 +51,8 @@ impl Stream {
         self.next = self.next.max(number);
     }
 
-    /// Gives up what the writer has dropped. Returns that range; `None` if a newer heartbeat, or the
-    /// same, was heard before.
+    /// Gives up what the writer has dropped. Returns that range; `None` if a newer heartbeat, or
+    /// the same, was heard before.
     pub(crate) fn on_heartbeat(&mut self, heartbeat: &Heartbeat) -> Option<Range<Sequence>> {
         if !has_risen(heartbeat.count, self.heartbeat) {
             return None;
@@ -186,9 +187,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
     }
 
     /// Takes the places of these writers back. Their samples stay until they are taken.
-    pub(crate) fn remove(&mut self, is_gone: impl Fn(Guid) -> bool) {
+    pub(crate) fn remove(&mut self, prefix: GuidPrefix, entity: Option<EntityId>) {
         for index in 0..WRITERS {
-            if self.writers[index].is_some_and(|writer| is_gone(writer.guid)) {
+            if self.writers[index].is_some_and(|writer| writer.guid.is_of(prefix, entity)) {
                 self.writers[index] = None;
                 for slot in &mut self.samples {
                     if slot.is_some_and(|slot| usize::from(slot.from) == index) {

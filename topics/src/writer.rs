@@ -1,7 +1,7 @@
 //! A reliable writer: its last samples, and the readers that it serves. (RTPS 8.4.9)
 
 use crate::qos::Fit;
-use crate::wire::{AckNack, EntityId, Guid, Heartbeat, Sequence, has_risen};
+use crate::wire::{AckNack, EntityId, Guid, GuidPrefix, Heartbeat, Sequence, has_risen};
 use crate::{Counts, Durability, Qos, Reliability};
 
 /// How many readers of other participants one writer serves. D-4
@@ -147,9 +147,9 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
     }
 
     /// Takes the places of these readers back.
-    pub(crate) fn remove(&mut self, is_gone: impl Fn(Guid) -> bool) {
+    pub(crate) fn remove(&mut self, prefix: GuidPrefix, entity: Option<EntityId>) {
         for place in &mut self.readers {
-            let _gone = place.take_if(|reader| is_gone(reader.guid));
+            let _gone = place.take_if(|reader| reader.guid.is_of(prefix, entity));
         }
     }
 

@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Instant};
 use tandem_topics::{
-    Destination, Durability, Endpoint, Guid, GuidPrefix, Locator, Outlet, Participant, Qos,
-    READERS, Reliability,
+    Destination, Durability, Endpoint, GuidPrefix, Locator, Outlet, Participant, Qos, READERS,
+    Reliability,
 };
 
 const RELIABLE: Qos = Qos {
@@ -82,6 +82,8 @@ struct World {
     under_way: VecDeque<(Instant, usize, Vec<u8>)>,
     /// Says of each datagram how often it arrives.
     copies: Box<dyn FnMut(usize, usize) -> usize>,
+    /// Announcements are lost.
+    is_silent: bool,
     taken: Vec<Vec<u32>>,
     written: u32,
 }
@@ -101,6 +103,7 @@ impl World {
                 .collect(),
             under_way: VecDeque::new(),
             copies: Box::new(|_, _| 1),
+            is_silent: false,
             taken: vec![Vec::new(); inputs.len()],
             written: 0,
         }
@@ -110,7 +113,7 @@ impl World {
         for (to, message) in sent.messages {
             for node in 0..=self.socs.len() {
                 let is_for = match to {
-                    Destination::Everyone => node != from,
+                    Destination::Everyone => node != from && !self.is_silent,
                     Destination::At(at) => at == place(node),
                 };
                 if is_for {
@@ -141,7 +144,9 @@ impl World {
                 _ => world.socs[node - 1].hear(now, &message, sent),
             });
         }
-        self.with(0, |world, sent| drop(world.mcu.poll(now, sent)));
+        self.with(0, |world, sent| {
+            world.mcu.poll(now, sent);
+        });
         for node in 1..=self.socs.len() {
             self.with(node, |world, sent| {
                 world.socs[node - 1].poll(now, sent);
@@ -404,12 +409,27 @@ fn what_is_not_rtps_is_counted() {
     for datagram in [
         &b""[..],
         b"RTP",
-        b"RTPX\x02\x03\0\0123456789012",
-        b"RTPS\x03\x03\0\0123456789012",
+        b"RTPX\x02\x03\0\0abcdefghijkl",
+        b"RTPS\x03\x03\0\0abcdefghijkl",
     ] {
         world.mcu.hear(world.now, datagram, &mut sent);
     }
     assert_eq!(world.mcu.foreign(), 4);
     assert!(sent.messages.is_empty());
-    let _unused: Guid = Guid::default();
+}
+
+/// Some vendors repeat their announcement just before its lease ends, so a lost one must not end
+/// the exchange: samples and their acknowledgements show as well that a participant lives.
+#[test]
+fn any_message_renews_a_lease() {
+    let mut world = World::new(&[&UPS]);
+    world.run(2_000);
+    world.is_silent = true;
+    // The lease is 10 s.
+    for _ in 0..1_100 {
+        world.write();
+        world.run(10);
+    }
+    world.run(10);
+    assert_eq!(world.taken[0].len(), 1_100);
 }

@@ -1,13 +1,15 @@
 //! RTPS 2.5 on the wire: messages, submessages, parameter lists. (OMG formal/2022-04-01, chapter 9)
 
+mod cursor;
 mod message;
 mod parameters;
 mod submessage;
 
+pub(crate) use cursor::Cursor;
 pub(crate) use message::{DataTo, Message};
 use parameters::UDP_V4;
 pub(crate) use parameters::{Parameter, Parameters, pid};
-pub(crate) use submessage::{AckNack, Cursor, Data, Gap, Heartbeat, Submessage, Submessages};
+pub(crate) use submessage::{AckNack, Data, Gap, Heartbeat, Submessage, Submessages};
 
 /// Twelve bytes that name a participant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -60,6 +62,13 @@ pub struct Guid {
     pub entity: EntityId,
 }
 
+impl Guid {
+    /// Returns whether it is this endpoint; any one of the participant for `None`.
+    pub(crate) fn is_of(self, prefix: GuidPrefix, entity: Option<EntityId>) -> bool {
+        self.prefix == prefix && entity.is_none_or(|entity| entity == self.entity)
+    }
+}
+
 /// A UDP port of an IPv4 address.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(align(4))]
@@ -98,6 +107,13 @@ impl SequenceSet {
             len: 0,
         }
     }
+
+    /// The first 32 numbers.
+    pub(crate) const FIRST: Self = Self {
+        base: 1,
+        bits: u32::MAX,
+        len: 32,
+    };
 
     /// Adds a number that is at most 31 above the base.
     pub(crate) fn insert(&mut self, number: Sequence) {

@@ -1,6 +1,6 @@
 //! Reading of messages. All bytes are another participant's allegations.
 
-use super::{EntityId, GuidPrefix, Parameters, Sequence, SequenceSet, pid};
+use super::{Cursor, EntityId, GuidPrefix, Parameters, Sequence, SequenceSet, pid};
 
 /// Kinds of submessages.
 pub(super) mod kind {
@@ -24,85 +24,6 @@ pub(super) mod flag {
     pub(crate) const SAMPLE: u8 = 0x04;
     /// DATA: the payload is a key.
     pub(crate) const KEY: u8 = 0x08;
-}
-
-/// Reads numbers from bytes. Each method returns `None` if the bytes end before.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Cursor<'m> {
-    bytes: &'m [u8],
-    is_little: bool,
-}
-
-impl<'m> Cursor<'m> {
-    pub(crate) const fn new(bytes: &'m [u8], is_little: bool) -> Self {
-        Self { bytes, is_little }
-    }
-
-    #[inline(never)]
-    pub(crate) fn take(&mut self, len: usize) -> Option<&'m [u8]> {
-        let (head, rest) = self.bytes.split_at_checked(len)?;
-        self.bytes = rest;
-        Some(head)
-    }
-
-    pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        self.take(N)?.try_into().ok()
-    }
-
-    pub(crate) fn u8(&mut self) -> Option<u8> {
-        self.array::<1>().map(|[byte]| byte)
-    }
-
-    #[inline(never)]
-    pub(crate) fn u16(&mut self) -> Option<u16> {
-        let bytes = self.array()?;
-        Some(if self.is_little {
-            u16::from_le_bytes(bytes)
-        } else {
-            u16::from_be_bytes(bytes)
-        })
-    }
-
-    #[inline(never)]
-    pub(crate) fn u32(&mut self) -> Option<u32> {
-        let bytes = self.array()?;
-        Some(if self.is_little {
-            u32::from_le_bytes(bytes)
-        } else {
-            u32::from_be_bytes(bytes)
-        })
-    }
-
-    pub(crate) const fn rest(&self) -> &'m [u8] {
-        self.bytes
-    }
-
-    pub(crate) const fn is_little(&self) -> bool {
-        self.is_little
-    }
-
-    fn entity(&mut self) -> Option<EntityId> {
-        self.array().map(EntityId)
-    }
-
-    /// A number of a sample, or one less than the first.
-    #[inline(never)]
-    fn sequence(&mut self) -> Option<Sequence> {
-        let (high, low) = (self.u32()?, self.u32()?);
-        (high == 0 && low < u32::MAX).then_some(low)
-    }
-
-    #[inline(never)]
-    fn set(&mut self) -> Option<SequenceSet> {
-        let base = self.sequence().filter(|base| *base > 0)?;
-        let len = self.u32().filter(|len| *len <= 256)?;
-        let bits = if len == 0 { 0 } else { self.u32()? };
-        for _ in 1..len.div_ceil(32) {
-            self.u32()?;
-        }
-        let len = len.min(32) as u8;
-        Some(SequenceSet { base, bits, len })
-    }
 }
 
 /// A sample, or the end of one.
@@ -200,15 +121,15 @@ impl<'m> Iterator for Submessages<'m> {
     /// Ends at the first part that is not complete: what follows it cannot be found.
     fn next(&mut self) -> Option<Submessage<'m>> {
         let (kind, flags) = (self.rest.u8()?, self.rest.u8()?);
-        self.rest.is_little = flags & flag::LITTLE_ENDIAN != 0;
+        self.rest.set_little(flags & flag::LITTLE_ENDIAN != 0);
         let len = usize::from(self.rest.u16()?);
         let to_the_end = len == 0 && !matches!(kind, kind::PAD | kind::INFO_TIMESTAMP);
         let len = if to_the_end {
-            self.rest.bytes.len()
+            self.rest.rest().len()
         } else {
             len
         };
-        let body = Cursor::new(self.rest.take(len)?, self.rest.is_little);
+        let body = Cursor::new(self.rest.take(len)?, self.rest.is_little());
         decode(kind, flags, body)
     }
 }
