@@ -90,8 +90,10 @@ impl Stream {
         most: u32,
         has: impl Fn(Sequence) -> bool,
     ) -> SequenceSet {
-        let mut set = SequenceSet::empty(self.next);
-        for number in self.next..=last.min(self.next.saturating_add(most - 1)) {
+        // Before the first heartbeat, nothing is known to be missing.
+        let next = self.next.max(1);
+        let mut set = SequenceSet::empty(next);
+        for number in next..=last.min(next.saturating_add(most - 1)) {
             if !has(number) {
                 set.insert(number);
             }

@@ -73,6 +73,31 @@ const fn prefix(node: usize, start: u8) -> GuidPrefix {
     GuidPrefix([1, 2, 3, 4, node as u8, start, 0, 0, 0, 0, 0, 0])
 }
 
+/// Asserts that each part of a message is valid: RTPS 2.5, 8.3.8. A reader of another vendor drops
+/// the whole message otherwise.
+fn assert_valid(message: &[u8]) {
+    let mut rest = &message[20..];
+    while let [kind, flags, low, high, body @ ..] = rest {
+        assert_eq!(flags & 1, 1, "all numbers are little-endian");
+        let (body, behind) = body.split_at(u16::from_le_bytes([*low, *high]).into());
+        let word = |at: usize| u32::from_le_bytes(body[at..at + 4].try_into().unwrap());
+        let number = |at: usize| u64::from(word(at)) << 32 | u64::from(word(at + 4));
+        assert_eq!(body.len() % 4, 0);
+        match kind {
+            0x06 => assert!(number(8) > 0, "ACKNACK: {body:?}"),
+            0x07 => assert!(
+                number(8) > 0 && number(16) + 1 >= number(8),
+                "HEARTBEAT: {body:?}"
+            ),
+            0x08 => assert!(number(8) > 0 && number(16) > number(8), "GAP: {body:?}"),
+            0x15 => assert!(number(12) > 0, "DATA: {body:?}"),
+            _ => {}
+        }
+        rest = behind;
+    }
+    assert!(rest.is_empty());
+}
+
 /// One writer and some readers on a network.
 struct World {
     now: Instant,
@@ -111,6 +136,7 @@ impl World {
 
     fn carry(&mut self, from: usize, sent: Sent) {
         for (to, message) in sent.messages {
+            assert_valid(&message);
             for node in 0..=self.socs.len() {
                 let is_for = match to {
                     Destination::Everyone => node != from && !self.is_silent,
