@@ -2,7 +2,7 @@
 
 use crate::discovery::{self, Kind, Peer, Remote};
 use crate::reader::{Reader, Sample, WRITERS};
-use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, GuidPrefix, Heartbeat, Locator};
+use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
 use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
 use crate::wire::{Submessages, pid};
 use crate::writer::{WriteError, Writer};
@@ -34,7 +34,7 @@ pub trait Outlet {
 /// A participant with `W` writers and `R` readers, of which each keeps up to `DEPTH` samples of up
 /// to `OUT` bytes (writers) and `IN` bytes (readers); at most 255. An index of a writer or a reader
 /// beyond `W` or `R` panics.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Participant<
     const W: usize,
     const R: usize,
@@ -107,6 +107,11 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// Returns how many readers of others a writer serves.
     pub fn readers_of(&self, writer: usize) -> usize {
         self.writers[writer].readers.iter().flatten().count()
+    }
+
+    /// Returns the writers of others that a reader hears.
+    pub fn writers_of(&self, reader: usize) -> impl Iterator<Item = Guid> {
+        self.readers[reader].writers()
     }
 
     /// Publishes a sample: representation and body.

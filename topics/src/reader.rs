@@ -138,7 +138,7 @@ impl<const BYTES: usize> Sample<BYTES> {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Reader<const DEPTH: usize, const BYTES: usize> {
     qos: Qos,
     depth: usize,
@@ -200,6 +200,10 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
                 }
             }
         }
+    }
+
+    pub(crate) fn writers(&self) -> impl Iterator<Item = Guid> {
+        self.writers.iter().flatten().map(|writer| writer.guid)
     }
 
     fn index_of(&self, guid: Guid) -> Option<usize> {

@@ -35,7 +35,7 @@ pub enum WriteError {
     Ended,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     samples: [Slot<BYTES>; DEPTH],
     depth: u32,

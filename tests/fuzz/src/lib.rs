@@ -5,6 +5,7 @@
 
 mod boot;
 mod mutation;
+mod rtps;
 mod text;
 mod wire;
 
@@ -43,7 +44,7 @@ const fn text(name: &'static str, body: fn(&[u8]) -> bool) -> Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 12] = [
     text("srecord", boot::record),
     bytes("frames", boot::frames),
     bytes("manifest", boot::manifest),
@@ -55,6 +56,7 @@ pub const TARGETS: [Target; 11] = [
     bytes("link", wire::link),
     bytes("flash", wire::flash),
     bytes("recording", wire::recording),
+    bytes("rtps", rtps::rtps),
 ];
 
 /// Returns the target with this name.
