@@ -46,6 +46,7 @@ impl<C: Can, L: Link, S: Supply> Board for Around<C, L, S> {
     type Can = C;
     type Lines = <SimBoard as Board>::Lines;
     type Link = L;
+    type Network = <SimBoard as Board>::Network;
     type Flash = <SimBoard as Board>::Flash;
     type Supply = S;
 
@@ -87,6 +88,10 @@ impl<C: Can, L: Link, S: Supply> Board for Around<C, L, S> {
 
     fn link(&self) -> &L {
         &self.link
+    }
+
+    fn network(&self) -> &Self::Network {
+        self.board.network()
     }
 
     fn flash(&self) -> &Self::Flash {

@@ -19,11 +19,13 @@ pub enum HardwareFault {
     Undervoltage,
     /// A supply rail's voltage is too high.
     Overvoltage,
+    /// The cable of the Ethernet port is cut: no datagram leaves or arrives.
+    Network,
 }
 
 impl HardwareFault {
     /// All faults.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::OpenLoad,
         Self::ShortCircuit,
         Self::CanTransmit,
@@ -31,6 +33,7 @@ impl HardwareFault {
         Self::ErrorPin,
         Self::Undervoltage,
         Self::Overvoltage,
+        Self::Network,
     ];
 }
 

@@ -1,9 +1,9 @@
 //! The boundary between portable code and a machine: the interface between a board and a core.
 //!
 //! A board offers what a TC297 with its carrier offers: a monotonic clock, the LMU, doorbells to
-//! the other cores of the system, lines and a link to the other system, CAN, data flash, and the
-//! supply with its watchdogs. Portable code is generic over one `B: Board` and uses nothing else of
-//! the machine.
+//! the other cores of the system, lines and a link to the other system, CAN, an Ethernet port, data
+//! flash, and the supply with its watchdogs. Portable code is generic over one `B: Board` and uses
+//! nothing else of the machine.
 //!
 //! A *task* runs in a core's main flow. A *handler* interrupts it, as a task of higher priority
 //! does. Each method says from which context it may be called:
@@ -11,9 +11,9 @@
 //! - **Any context**: from tasks and handlers, also while another call on this core is not
 //!   finished. It never blocks.
 //! - **One at a time**: from tasks and handlers, but no two calls of the same part ([`Can`],
-//!   [`Link`], [`DataFlash`], [`Supply`]) may overlap on one core. The caller ensures that, for
-//!   instance by a lock between its tasks. A call that interrupts another one may deadlock or lose
-//!   data. The call itself never blocks.
+//!   [`Link`], [`DataFlash`], [`Supply`], a channel of [`Network`]) may overlap on one core. The
+//!   caller ensures that, for instance by a lock between its tasks. A call that interrupts another
+//!   one may deadlock or lose data. The call itself never blocks.
 //! - **Task**: from one task of the core at a time, never from a handler. It may block.
 //!
 //! `tandem-board-conformance` tests the contracts written here.
@@ -26,6 +26,7 @@ mod flash;
 mod identity;
 mod lines;
 mod monotonic;
+mod network;
 mod supply;
 pub mod tester_desk;
 mod time;
@@ -38,6 +39,7 @@ pub use flash::{DataFlash, FlashError, FlashStatus};
 pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use monotonic::{MonotonicCounter, NoCounter};
+pub use network::{Channel, Datagram, Network, NetworkAddress, NetworkFull, NoNetwork, Recipient};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use tester_desk::{DeskAction, TesterDesk};
 pub use time::{Duration, Instant};
@@ -72,6 +74,8 @@ pub trait Board {
     type Lines: Lines;
     /// The data link to the other system (HSSL / SPI).
     type Link: Link;
+    /// The Ethernet port of the system, connected to core 0.
+    type Network: Network;
     /// The data flash of the system. Only core 0 programs it.
     type Flash: DataFlash;
     /// The supply (TLF35584): watchdogs, reset, reset cause.
@@ -122,6 +126,9 @@ pub trait Board {
 
     /// Returns the data link to and from the other system. Any context.
     fn link(&self) -> &Self::Link;
+
+    /// Returns the Ethernet port of this system. Any context.
+    fn network(&self) -> &Self::Network;
 
     /// Returns the data flash of this system. Any context.
     fn flash(&self) -> &Self::Flash;

@@ -3,7 +3,8 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use tandem_board::{
-    Board, Can, CanFrame, CanId, DataFlash, Edge, Line, Lines, Link, RoleLamp, Supply,
+    Board, Can, CanFrame, CanId, Channel, DataFlash, Edge, Line, Lines, Link, Network, Recipient,
+    RoleLamp, Supply,
 };
 
 use crate::case::{CaseFailure, check};
@@ -57,6 +58,7 @@ impl Handler {
         board.supply().reset_cause();
         board.supply().show_role(RoleLamp::Standby);
         board.link();
+        board.network().address(Channel::Time);
         self.runs.store(run + 1, Ordering::Relaxed);
     }
 }
@@ -81,6 +83,13 @@ pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     board.can().try_receive();
     let _ = board.link().try_send(&[round]);
     board.link().try_receive(&mut [0]);
+    for channel in Channel::ALL {
+        let _ = board
+            .network()
+            .try_send(channel, Recipient::Everyone, &[0; 8]);
+        board.network().sent_at(channel);
+        board.network().try_receive(channel, &mut [0; 8]);
+    }
     let read = board.flash().read(0, &mut [0; 8]);
     check(read.is_ok(), "an idle flash can be read")?;
     board.supply().watchdog_question();

@@ -5,8 +5,8 @@ use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
 use tandem_board::{
-    Board, CoreId, FaultSource, HardwareFault, Identity, Instant, OutputDiagnosis, SystemId,
-    TraceRecord, Wake,
+    Board, CoreId, FaultSource, HardwareFault, Identity, Instant, NoNetwork, OutputDiagnosis,
+    SystemId, TraceRecord, Wake,
 };
 use tandem_shm::FitError;
 
@@ -118,6 +118,7 @@ impl Board for HostBoard {
     type Can = HostCan;
     type Lines = HostLines;
     type Link = HostLink;
+    type Network = NoNetwork;
     type Flash = HostFlash;
     type Supply = HostSupply;
 
@@ -167,6 +168,10 @@ impl Board for HostBoard {
 
     fn link(&self) -> &HostLink {
         &self.link
+    }
+
+    fn network(&self) -> &NoNetwork {
+        &NoNetwork
     }
 
     fn flash(&self) -> &HostFlash {

@@ -46,7 +46,7 @@ impl SimPort {
     /// Charges a blocking core virtual time for reading something that may change; the other cores
     /// run in that time.
     #[inline]
-    fn look(&self) {
+    pub(crate) fn look(&self) {
         if let Some(baton) = &self.baton {
             self.pay_for_look(baton);
         }
@@ -97,7 +97,7 @@ impl SimPort {
         self.alive(|machine| machine.core(self.place).attention = Attention::Runs);
     }
 
-    fn is_control(&self) -> bool {
+    pub(crate) fn is_control(&self) -> bool {
         self.place.core == CoreId::CONTROL
     }
 }
@@ -114,16 +114,22 @@ impl SimPort {
 pub struct SimBoard {
     pub(crate) port: SimPort,
     link: SimLink,
+    network: SimNetwork,
 }
 
 /// A system's end of the data link.
 #[derive(Clone)]
 pub struct SimLink(SimPort);
 
+/// The Ethernet port of core 0; on the other cores it is not connected.
+#[derive(Clone)]
+pub struct SimNetwork(pub(crate) SimPort);
+
 impl SimBoard {
     pub(crate) fn new(port: SimPort) -> Self {
         Self {
             link: SimLink(port.clone()),
+            network: SimNetwork(port.clone()),
             port,
         }
     }
@@ -190,6 +196,7 @@ impl Board for SimBoard {
     type Can = SimPort;
     type Lines = SimPort;
     type Link = SimLink;
+    type Network = SimNetwork;
     type Flash = SimPort;
     type Supply = SimPort;
 
@@ -244,6 +251,10 @@ impl Board for SimBoard {
 
     fn link(&self) -> &SimLink {
         &self.link
+    }
+
+    fn network(&self) -> &SimNetwork {
+        &self.network
     }
 
     fn flash(&self) -> &SimPort {

@@ -90,6 +90,9 @@ pub struct Config {
     pub trace_records: usize,
     /// Transfer times and bit errors of the connections.
     pub wires: WireTimes,
+    /// The time of a datagram in the cables and the switch of the Ethernet. `None`: no system is
+    /// connected to a network.
+    pub network: Option<Duration>,
 }
 
 impl Default for Config {
@@ -115,6 +118,7 @@ impl Default for Config {
             link_datagrams: LINK_DATAGRAMS,
             trace_records: 1 << 16,
             wires: WireTimes::default(),
+            network: None,
         }
     }
 }

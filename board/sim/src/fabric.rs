@@ -4,8 +4,10 @@ use crate::event::OnBus;
 use crate::machine::Machine;
 use crate::outbox::Output;
 use std::sync::atomic::Ordering;
-use tandem_board::{CanFrame, CoreAddress, Edge, Line, LinkFull, Received, SystemId, TransmitFull};
-use tandem_peripherals::network::{Arrival, Delivery, Wire};
+use tandem_board::{
+    CanFrame, CoreAddress, Edge, Line, LinkFull, NetworkFull, Received, SystemId, TransmitFull,
+};
+use tandem_peripherals::network::{Arrival, Delivery, Station, Wire};
 use tandem_peripherals::supply::Power;
 
 impl Machine {
@@ -197,6 +199,10 @@ impl Machine {
             }
             Output::Frame(frame) => {
                 let _full: Result<(), TransmitFull> = self.send_can(from, &frame);
+            }
+            Output::Packet(channel, to, bytes) => {
+                let end = (Station::of(from.system), channel);
+                let _full: Result<(), NetworkFull> = self.send_packet(end, to, &bytes);
             }
             Output::Service(answer) => self.service_watchdog(from.system, answer),
         }

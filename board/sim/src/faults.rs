@@ -8,7 +8,7 @@ use tandem_board::{
     CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, ResetCause, SystemId,
 };
 use tandem_peripherals::memory::scribble;
-use tandem_peripherals::network::{BusFault, Wire};
+use tandem_peripherals::network::{BusFault, Station, Wire};
 
 /// Fault injection.
 impl SimPair {
@@ -163,6 +163,10 @@ impl Machine {
         let faults = &mut self.conditions().hardware[of.index()];
         faults.set(fault, present);
         let faults = *faults;
+        if let Some(ethernet) = &mut self.ethernet {
+            let is_cut = faults.has(HardwareFault::Network);
+            ethernet.set_cut(Station::of(of), is_cut, now);
+        }
         self.with_supply(of, |supply| supply.observe(now, faults));
     }
 

@@ -14,7 +14,7 @@ use tandem_board::{
     CoreAddress, CoreId, Duration, Edge, Instant, Line, LmuWord, Received, RoleLamp, SystemId,
     Traced,
 };
-use tandem_peripherals::network::{Conditions, Network};
+use tandem_peripherals::network::{Conditions, Ethernet, Network, Station};
 use tandem_peripherals::supply::{self, Power, Supply};
 
 /// Words of one LMU: 32 KiB, as on the TC297.
@@ -198,6 +198,7 @@ pub(crate) struct Machine {
     pub(crate) incarnations: u64,
     pub(crate) noise: ChaCha8Rng,
     pub(crate) network: Network,
+    pub(crate) ethernet: Option<Ethernet>,
     pub(crate) digest: Digest,
 }
 
@@ -235,6 +236,7 @@ impl Shared {
             incarnations: 0,
             noise: ChaCha8Rng::seed_from_u64(config.seed),
             network: Network::new(config.wires),
+            ethernet: config.network.map(Ethernet::new),
             digest: Digest::new(),
         };
         machine.set_now(0);
@@ -281,11 +283,16 @@ impl Machine {
         &mut self.network.conditions
     }
 
-    /// Begins an incarnation of a core and of its CAN controller.
+    /// Begins an incarnation of a core, of its CAN controller, and of the port of core 0.
     pub(crate) fn start_core(&mut self, place: CoreAddress, generation: u32) {
         let now_ns = self.now_ns;
         self.core(place).start(generation, now_ns);
         self.network.restart(place);
+        if let Some(ethernet) = &mut self.ethernet
+            && place.core == CoreId::CONTROL
+        {
+            ethernet.restart(Station::of(place.system));
+        }
     }
 
     pub(crate) fn core(&mut self, place: CoreAddress) -> &mut Core {

@@ -3,14 +3,15 @@
 use crate::allocator::uncounted;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanErrors, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Identity,
-    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    TraceRecord, TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, Channel, CoreId, DataFlash, Datagram, Edge, FlashError,
+    FlashStatus, Identity, Instant, Line, Lines, Link, LinkFull, Network, NetworkAddress,
+    NetworkFull, Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TraceRecord,
+    TransmitFull, Wake,
 };
 use tandem_board_sim::SimBoard;
 
-/// Passes every call to the simulated board, uncounted. It implements CAN, lines, link, flash and
-/// supply itself.
+/// Passes every call to the simulated board, uncounted. It implements CAN, lines, link, network,
+/// flash and supply itself.
 pub(crate) struct Counted<'a> {
     board: &'a SimBoard,
 }
@@ -25,6 +26,7 @@ impl Board for Counted<'_> {
     type Can = Self;
     type Lines = Self;
     type Link = Self;
+    type Network = Self;
     type Flash = Self;
     type Supply = Self;
 
@@ -61,6 +63,10 @@ impl Board for Counted<'_> {
     }
 
     fn link(&self) -> &Self {
+        self
+    }
+
+    fn network(&self) -> &Self {
         self
     }
 
@@ -126,6 +132,24 @@ impl Link for Counted<'_> {
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
         uncounted(|| self.board.link().try_receive(words))
+    }
+}
+
+impl Network for Counted<'_> {
+    fn address(&self, channel: Channel) -> Option<NetworkAddress> {
+        uncounted(|| self.board.network().address(channel))
+    }
+
+    fn try_send(&self, channel: Channel, to: Recipient, bytes: &[u8]) -> Result<(), NetworkFull> {
+        uncounted(|| self.board.network().try_send(channel, to, bytes))
+    }
+
+    fn sent_at(&self, channel: Channel) -> Option<Instant> {
+        uncounted(|| self.board.network().sent_at(channel))
+    }
+
+    fn try_receive(&self, channel: Channel, bytes: &mut [u8]) -> Option<Datagram> {
+        uncounted(|| self.board.network().try_receive(channel, bytes))
     }
 }
 

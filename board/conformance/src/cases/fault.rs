@@ -22,6 +22,7 @@ pub const fn case_of(fault: HardwareFault) -> &'static str {
         HardwareFault::ErrorPin => "fault-error-pin",
         HardwareFault::Undervoltage => "fault-undervoltage",
         HardwareFault::Overvoltage => "fault-overvoltage",
+        HardwareFault::Network => "fault-network",
     }
 }
 

@@ -8,6 +8,7 @@ mod flash;
 mod lines;
 mod link;
 mod lmu;
+mod network;
 mod release;
 mod supply;
 
@@ -18,7 +19,7 @@ use tandem_board::{CoreAddress, FaultSource};
 use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
 /// Number of cases in the suite.
-const COUNT: usize = 53;
+const COUNT: usize = 59;
 
 /// Makes a case whose parts have static lifetime.
 macro_rules! case {
@@ -85,6 +86,12 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
         case!("link-full", Plain, A0: link::filler::<B>, B0: link::drainer::<B>),
         case!("link-short-buffer", Plain,
             A0: link::long_sender::<B>, B0: link::short_receiver::<B>),
+        case!("network-order", Plain, A0: network::order::<B>, B0: network::order::<B>),
+        case!("network-everyone", Plain, A0: network::caller::<B>, B0: network::audience::<B>),
+        case!("network-short-buffer", Plain,
+            A0: network::long_sender::<B>, B0: network::short_receiver::<B>),
+        case!("network-full", Plain, A0: network::flood::<B>, B0: network::flooded::<B>),
+        case!("network-times", Plain, A0: network::times::<B>, B0: network::times::<B>),
         case!("flash-erase-program", Plain, B0: flash::erase_program::<B>),
         case!("flash-ranges", Plain, A0: flash::ranges::<B>),
         case!("flash-one-at-a-time", Plain, A0: flash::one_at_a_time::<B>),
@@ -113,6 +120,7 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
             A0: fault::undervoltage::<B>, B0: fault::undervoltage::<B>),
         case!("fault-overvoltage", Suspends,
             A0: fault::overvoltage::<B>, B0: fault::overvoltage::<B>),
+        case!("fault-network", Plain, A0: network::cut::<B>, B0: network::cut::<B>),
         case!("trace-and-lamp", Plain, A0: supply::trace_and_lamp::<B>),
     ]
 }

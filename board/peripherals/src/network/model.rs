@@ -434,9 +434,9 @@ impl Network {
     }
 }
 
-/// Decides at random whether a frame is lost; the probability is `permille` in a thousand. Draws no
-/// random number if `permille` is 0.
-fn is_lost(permille: u16, noise: &mut impl Rng) -> bool {
+/// Decides at random whether a frame or a datagram is lost; the probability is `permille` in a
+/// thousand. Draws no random number if `permille` is 0.
+pub(super) fn is_lost(permille: u16, noise: &mut impl Rng) -> bool {
     permille > 0 && noise.random_range(0..1000) < permille
 }
 

@@ -1,5 +1,7 @@
 //! A simulated board that breaks one contract: the conformance suite must find it.
 
+mod network;
+
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -103,6 +105,28 @@ defects! {
     LinkDrops,
     /// The rest of a datagram that is too long for a receiver's buffer arrives as the next one.
     LinkSplits,
+    /// Two datagrams of the network are swapped.
+    NetworkReordered,
+    /// A system hears what it sends to everyone.
+    NetworkEchoes,
+    /// What is sent to everyone is lost.
+    NetworkHasNoGroup,
+    /// All channels are one.
+    NetworkHasOneChannel,
+    /// A datagram has a wrong sender.
+    NetworkHidesSender,
+    /// The rest of a datagram that is too long for a receiver's buffer arrives as the next one.
+    NetworkSplits,
+    /// A datagram that was refused is sent later.
+    NetworkSendsRefused,
+    /// A datagram left before it was sent.
+    NetworkLeavesEarly,
+    /// The time of sending lies in the future.
+    NetworkLeavesLate,
+    /// A datagram arrived before it was sent.
+    NetworkComesEarly,
+    /// The time of receiving lies in the future.
+    NetworkComesLate,
     /// An erased byte reads as zero.
     EraseToZero,
     /// Programming need not be aligned to pages.
@@ -215,6 +239,8 @@ pub(crate) struct Bent {
     frames: RefCell<VecDeque<Received>>,
     received: Cell<u32>,
     datagrams: RefCell<VecDeque<Vec<u32>>>,
+    packets: RefCell<VecDeque<network::Held>>,
+    refused: RefCell<Vec<network::Held>>,
 }
 
 impl Bent {
@@ -229,6 +255,8 @@ impl Bent {
             frames: RefCell::default(),
             received: Cell::default(),
             datagrams: RefCell::default(),
+            packets: RefCell::default(),
+            refused: RefCell::default(),
         };
         if bent.is(Defect::AlwaysWakeOnReceive) {
             board.can().wake_on_receive(true);
@@ -364,6 +392,7 @@ impl Board for Bent {
     type Can = Self;
     type Lines = Self;
     type Link = Self;
+    type Network = Self;
     type Flash = Self;
     type Supply = Self;
 
@@ -461,6 +490,10 @@ impl Board for Bent {
     }
 
     fn link(&self) -> &Self {
+        self
+    }
+
+    fn network(&self) -> &Self {
         self
     }
 

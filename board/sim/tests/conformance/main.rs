@@ -115,6 +115,7 @@ impl Rig for SimRig<'_> {
 fn config() -> Config {
     Config {
         look_at_clock: Duration::from_us(20),
+        network: Some(Duration::from_us(5)),
         ..Config::default()
     }
 }

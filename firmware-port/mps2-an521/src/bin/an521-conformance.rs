@@ -29,6 +29,9 @@ fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
     if case.name.starts_with("flash-") {
         return Some("the machine has no data flash");
     }
+    if case.name.starts_with("network-") {
+        return Some("the board does not use the machine's Ethernet port");
+    }
     if case.name.starts_with("fault-") {
         return Some("the hardware of the machine has no faults");
     }

@@ -12,8 +12,8 @@ use core::cell::Cell;
 use core::sync::atomic::AtomicU32;
 use tandem_board::{
     Board, CoreAddress, CoreId, DataFlash, FaultSource, FlashError, FlashStatus, Generation,
-    HardwareFault, Identity, Instant, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
-    TraceRecord, Wake,
+    HardwareFault, Identity, Instant, NoNetwork, ResetCause, ResetRequest, RoleLamp, Supply,
+    SystemId, TraceRecord, Wake,
 };
 
 /// The core that each processor runs; `None` if the processor runs no core.
@@ -86,6 +86,7 @@ impl Board for An521Board {
     type Can = An521Can;
     type Lines = An521Lines;
     type Link = An521Link;
+    type Network = NoNetwork;
     type Flash = Absent;
     type Supply = Absent;
 
@@ -144,6 +145,10 @@ impl Board for An521Board {
 
     fn link(&self) -> &An521Link {
         &self.link
+    }
+
+    fn network(&self) -> &NoNetwork {
+        &NoNetwork
     }
 
     fn flash(&self) -> &Absent {

@@ -13,7 +13,7 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Relaxed, Release};
 use tandem_board::{
     Board, CoreAddress, CoreId, FaultSource, Generation, HardwareFault, Identity, Instant,
-    OutputDiagnosis, RoleLamp, SystemId, TraceRecord, Wake,
+    NoNetwork, OutputDiagnosis, RoleLamp, SystemId, TraceRecord, Wake,
 };
 use tandem_peripherals::codec::encode_trace;
 
@@ -57,6 +57,7 @@ impl Board for VirtBoard {
     type Can = VirtCan;
     type Lines = VirtLines;
     type Link = VirtLink;
+    type Network = NoNetwork;
     type Flash = VirtFlash;
     type Supply = VirtSupply;
 
@@ -107,6 +108,10 @@ impl Board for VirtBoard {
 
     fn link(&self) -> &VirtLink {
         &self.link
+    }
+
+    fn network(&self) -> &NoNetwork {
+        &NoNetwork
     }
 
     fn flash(&self) -> &VirtFlash {
