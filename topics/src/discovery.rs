@@ -3,7 +3,7 @@
 use crate::Endpoint;
 use crate::reader::Stream;
 use crate::wire::{AckNack, DataTo, EntityId, GuidPrefix, Heartbeat, Locator, Message};
-use crate::wire::{Parameters, Sequence, has_risen, pid};
+use crate::wire::{Parameters, Sequence, Submessage, Submessages, has_risen, pid};
 use tandem_board::{Duration, Instant};
 
 /// A participant that announces nothing for the time that it stated is taken for dead; one that
@@ -46,6 +46,35 @@ impl Kind {
     pub(crate) fn of_writer(id: EntityId) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.writer() == id)
     }
+}
+
+/// What a participant announces.
+#[derive(Clone, Copy, Debug)]
+pub struct Announced<'m> {
+    /// The participant.
+    pub from: GuidPrefix,
+    /// Its writer of this announcement, as [`EntityId::SPDP_WRITER`]: tells of what kind it is.
+    pub writer: EntityId,
+    /// What it is about has ended.
+    pub ends: bool,
+    /// What it says.
+    pub list: Parameters<'m>,
+}
+
+/// Returns what a datagram announces, for tools that list all participants and their endpoints.
+pub fn announced(datagram: &[u8]) -> impl Iterator<Item = Announced<'_>> {
+    let message = Submessages::of(datagram).into_iter();
+    message.flat_map(|(from, parts)| {
+        parts.filter_map(move |part| match part {
+            Submessage::Data(data) => Some(Announced {
+                from,
+                writer: data.writer,
+                ends: data.ends(),
+                list: Parameters::of_payload(data.payload)?,
+            }),
+            _ => None,
+        })
+    })
 }
 
 /// Another participant.

@@ -9,6 +9,7 @@
 mod cdr;
 mod counts;
 mod discovery;
+pub mod endpoints;
 mod participant;
 mod qos;
 mod reader;
@@ -18,9 +19,10 @@ mod writer;
 
 pub use cdr::CdrError;
 pub use counts::Counts;
+pub use discovery::{Announced, announced};
 pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant};
 pub use qos::{Durability, Endpoint, Qos, Reliability};
 pub use reader::{Sample, WRITERS};
 pub use types::*;
-pub use wire::{EntityId, Guid, GuidPrefix, Locator};
+pub use wire::{EntityId, Guid, GuidPrefix, Locator, Parameter, Parameters, pid};
 pub use writer::{READERS, WriteError};

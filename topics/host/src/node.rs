@@ -65,10 +65,20 @@ impl<const W: usize, const R: usize> Node<W, R> {
     ///
     /// As [`Udp::wait`].
     pub fn turn(&mut self, most: Duration) -> io::Result<()> {
+        self.turn_watched(most, |_| {})
+    }
+
+    /// As [`turn`](Self::turn); shows each datagram.
+    ///
+    /// # Errors
+    ///
+    /// As [`Udp::wait`].
+    pub fn turn_watched(&mut self, most: Duration, mut watch: impl FnMut(&[u8])) -> io::Result<()> {
         let due = self.participant.poll(self.now(), &mut self.udp);
         let until = Duration::from_nanos(due.since(self.now()).as_ns());
         self.udp.wait(most.min(until))?;
         while let Some(datagram) = self.udp.receive() {
+            watch(&datagram);
             let now = Instant::from_ns(self.start.elapsed().as_nanos() as u64);
             self.participant.hear(now, &datagram, &mut self.udp);
         }

@@ -8,7 +8,7 @@ mod submessage;
 pub(crate) use cursor::Cursor;
 pub(crate) use message::{DataTo, Message};
 use parameters::UDP_V4;
-pub(crate) use parameters::{Parameter, Parameters, pid};
+pub use parameters::{Parameter, Parameters, pid};
 pub(crate) use submessage::{AckNack, Data, Gap, Heartbeat, Submessage, Submessages};
 
 /// Twelve bytes that name a participant.
@@ -35,11 +35,14 @@ impl EntityId {
     /// All readers that match the writer.
     pub(crate) const UNKNOWN: Self = Self([0; 4]);
     pub(crate) const PARTICIPANT: Self = Self([0, 0, 1, 0xC1]);
-    pub(crate) const SPDP_WRITER: Self = Self([0, 1, 0, 0xC2]);
+    /// The writer of announcements of participants.
+    pub const SPDP_WRITER: Self = Self([0, 1, 0, 0xC2]);
     pub(crate) const SPDP_READER: Self = Self([0, 1, 0, 0xC7]);
-    pub(crate) const PUBLICATIONS_WRITER: Self = Self([0, 0, 3, 0xC2]);
+    /// The writer of announcements of writers.
+    pub const PUBLICATIONS_WRITER: Self = Self([0, 0, 3, 0xC2]);
     pub(crate) const PUBLICATIONS_READER: Self = Self([0, 0, 3, 0xC7]);
-    pub(crate) const SUBSCRIPTIONS_WRITER: Self = Self([0, 0, 4, 0xC2]);
+    /// The writer of announcements of readers.
+    pub const SUBSCRIPTIONS_WRITER: Self = Self([0, 0, 4, 0xC2]);
     pub(crate) const SUBSCRIPTIONS_READER: Self = Self([0, 0, 4, 0xC7]);
 
     /// The id of our writer of this index, of a topic without a key.

@@ -3,27 +3,28 @@
 use super::{Cursor, EntityId, Guid, GuidPrefix, Locator};
 
 /// Numbers of parameters.
-pub(crate) mod pid {
+pub mod pid {
+    #![allow(missing_docs, reason = "the names of RTPS 9.6.3")]
     pub(crate) const SENTINEL: u16 = 0x01;
     pub(crate) const LEASE: u16 = 0x02;
-    pub(crate) const TOPIC_NAME: u16 = 0x05;
-    pub(crate) const TYPE_NAME: u16 = 0x07;
+    pub const TOPIC_NAME: u16 = 0x05;
+    pub const TYPE_NAME: u16 = 0x07;
     pub(crate) const PROTOCOL_VERSION: u16 = 0x15;
     pub(crate) const VENDOR: u16 = 0x16;
-    pub(crate) const RELIABILITY: u16 = 0x1A;
-    pub(crate) const LIVELINESS: u16 = 0x1B;
-    pub(crate) const DURABILITY: u16 = 0x1D;
-    pub(crate) const OWNERSHIP: u16 = 0x1F;
-    pub(crate) const DEADLINE: u16 = 0x23;
-    pub(crate) const PARTITION: u16 = 0x29;
+    pub const RELIABILITY: u16 = 0x1A;
+    pub const LIVELINESS: u16 = 0x1B;
+    pub const DURABILITY: u16 = 0x1D;
+    pub const OWNERSHIP: u16 = 0x1F;
+    pub const DEADLINE: u16 = 0x23;
+    pub const PARTITION: u16 = 0x29;
     pub(crate) const DEFAULT_LOCATOR: u16 = 0x31;
     pub(crate) const METATRAFFIC_LOCATOR: u16 = 0x32;
-    pub(crate) const HISTORY: u16 = 0x40;
+    pub const HISTORY: u16 = 0x40;
     pub(crate) const PARTICIPANT_GUID: u16 = 0x50;
     pub(crate) const BUILTIN_ENDPOINTS: u16 = 0x58;
-    pub(crate) const ENDPOINT_GUID: u16 = 0x5A;
+    pub const ENDPOINT_GUID: u16 = 0x5A;
     pub(crate) const STATUS: u16 = 0x71;
-    pub(crate) const REPRESENTATION: u16 = 0x73;
+    pub const REPRESENTATION: u16 = 0x73;
     /// Who does not know such a parameter must not use the list.
     pub(crate) const MUST_UNDERSTAND: u16 = 0x4000;
 }
@@ -33,14 +34,15 @@ pub(super) const UDP_V4: u32 = 1;
 
 /// One parameter.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Parameter<'m> {
+pub struct Parameter<'m> {
     pub(crate) id: u16,
     pub(crate) value: Cursor<'m>,
 }
 
-impl Parameter<'_> {
+impl<'m> Parameter<'m> {
+    /// Returns the name that it has.
     #[inline(never)]
-    pub(crate) fn guid(mut self) -> Option<Guid> {
+    pub fn guid(mut self) -> Option<Guid> {
         Some(Guid {
             prefix: GuidPrefix(self.value.array()?),
             entity: EntityId(self.value.array()?),
@@ -59,13 +61,21 @@ impl Parameter<'_> {
         })
     }
 
+    /// Returns its text.
+    pub fn text(mut self) -> Option<&'m str> {
+        let len = self.value.u32()? as usize;
+        let (_zero, text) = self.value.take(len)?.split_last()?;
+        core::str::from_utf8(text).ok()
+    }
+
+    /// Returns its number, or the first of them.
     #[inline(never)]
-    pub(crate) fn number(mut self) -> Option<u32> {
+    pub fn number(mut self) -> Option<u32> {
         self.value.u32()
     }
 
     /// Returns the second of its numbers.
-    pub(crate) fn second(mut self) -> Option<u32> {
+    pub fn second(mut self) -> Option<u32> {
         let _first = self.value.u32()?;
         self.value.u32()
     }
@@ -81,7 +91,7 @@ impl Parameter<'_> {
 
 /// The parameters of a list, up to its end or to the first one that is not complete.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Parameters<'m> {
+pub struct Parameters<'m> {
     rest: Cursor<'m>,
     ended: bool,
 }
@@ -108,7 +118,7 @@ impl<'m> Parameters<'m> {
 
     /// Returns the first one with this number.
     #[inline(never)]
-    pub(crate) fn find(mut self, id: u16) -> Option<Parameter<'m>> {
+    pub fn find(mut self, id: u16) -> Option<Parameter<'m>> {
         Iterator::find(&mut self, |parameter| parameter.id == id)
     }
 }

@@ -1,4 +1,4 @@
-"""A writer or reader of `vehicle_can` on Cyclone DDS: answers each line that it reads with one."""
+"""A writer or reader of `vehicle/can` on Cyclone DDS: answers each line that it reads with one."""
 
 import os
 import sys
@@ -74,7 +74,7 @@ def take(reader):
 
 def main(role, domain, reliability, durability, depth):
     participant = DomainParticipant(int(domain))
-    topic = Topic(participant, "vehicle_can", CanFrame)
+    topic = Topic(participant, "vehicle/can", CanFrame)
     make = DataWriter if role == "writer" else DataReader
     end = make(participant, topic, qos=quality(role, reliability, durability, int(depth)))
     print("ready", flush=True)

@@ -1,7 +1,7 @@
 //! The sample that all peers exchange: a CAN FD frame whose content follows from its number.
 
 /// Name of the topic.
-pub(crate) const TOPIC: &str = "vehicle_can";
+pub(crate) const TOPIC: &str = "vehicle/can";
 /// Name of its type.
 pub(crate) const TYPE: &str = "tandem::CanFrame";
 /// Bytes of data in a frame.
