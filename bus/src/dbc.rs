@@ -49,10 +49,16 @@ value_tables! {
     AbilityCode[4] { All = 0, Lacks = 1, StopOnly = 2, None = 3 }
     /// Values of the signal `Agreement`.
     AgreementCode[3] { Agreed = 0, Disagreed = 1, Unresolved = 2 }
+    /// Values of the signal `BrakeRequest`.
+    BrakeRequestCode[3] { Keep = 0, Apply = 1, Release = 2 }
     /// Values of the signal `Class`.
     ClassCode[6] { Unknown = 0, Car = 1, Truck = 2, Motorcycle = 3, Pedestrian = 4, Static = 5 }
+    /// Values of the signal `Gear`.
+    GearCode[3] { Drive = 0, Neutral = 1, Park = 2 }
     /// Values of the signal `Mode`.
-    ModeCode[4] { None = 0, L3 = 1, DegradedL2 = 2, SafeStop = 3 }
+    ModeCode[5] { None = 0, L3 = 1, DegradedL2 = 2, SafeStop = 3, Parking = 4 }
+    /// Values of the signal `ParkingBrake`.
+    ParkingBrakeCode[4] { Released = 0, Applying = 1, Applied = 2, Releasing = 3 }
     /// Values of the signal `Role`.
     RoleCode[4] { Starting = 0, Master = 1, Standby = 2, Suspended = 3 }
     /// Values of the signal `Route`.
@@ -80,6 +86,17 @@ layouts! {
         command_age: f32 = COMMAND_AGE("CommandAge", 96, 16, 0..=65535; 0.1),
         /// Time at which the frame was made, on the vehicle's clock as the echo tells it; wraps around; 0 = unknown. 0 ..= 65535 ms
         sent_at: u16 = SENT_AT("SentAt", 112, 16, 0..=65535),
+    }
+    /// Gear and parking brake. Sent by the master only while it parks, and while it holds the vehicle after that; the vehicle obeys the term of the last accepted control frame.
+    ///
+    /// Layout of `BodyControlA`, `BodyControlB`.
+    BodyControl[0x0A2, 0x0A3] {
+        /// Requested gear; Park takes effect at standstill.
+        gear: GearCode = GEAR("Gear", 25, 2, 0..=3),
+        /// Request to the parking brake.
+        brake_request: BrakeRequestCode = BRAKE_REQUEST("BrakeRequest", 27, 2, 0..=3),
+        /// Mastership term of the sender; its lowest bit is the system. 0 ..= 4294967295
+        term: u32 = TERM("Term", 32, 32, 0..=4294967295),
     }
     /// The mastership term that the vehicle obeys: the term of the last accepted control frame.
     ///
@@ -139,6 +156,10 @@ layouts! {
     EgoMotion[0x110] {
         /// 0 until the vehicle accepts the first control frame: until then the scenario does not advance.
         world_running: bool = WORLD_RUNNING("WorldRunning", 24, 1, 0..=1),
+        /// Gear that is engaged.
+        gear: GearCode = GEAR("Gear", 25, 2, 0..=3),
+        /// State of the parking brake.
+        parking_brake: ParkingBrakeCode = PARKING_BRAKE("ParkingBrake", 27, 2, 0..=3),
         /// Longitudinal speed over ground at the centre of gravity. -327.68 ..= 327.67 m/s in steps of 0.01
         speed: f32 = SPEED("Speed", 32, 16, -32768..=32767; 0.01),
         /// Left turn positive. -3.2768 ..= 3.2767 rad/s in steps of 0.0001
@@ -164,6 +185,8 @@ layouts! {
         route: RouteCode = ROUTE("Route", 26, 2, 0..=3),
         /// The driver selects the shorter of two distances to the vehicle ahead.
         near_gap: bool = NEAR_GAP("NearGap", 28, 1, 0..=1),
+        /// The driver wants the vehicle parked: the function stops, and the SoC may command it from walking speed on.
+        park: bool = PARK("Park", 29, 1, 0..=1),
         /// Desired speed. 0 ..= 655.35 m/s in steps of 0.01
         set_speed: f32 = SET_SPEED("SetSpeed", 32, 16, 0..=65535; 0.01),
         /// Desired offset from the centre of the lane, left positive; limited to the room in the lane. -1.28 ..= 1.27 m in steps of 0.01
@@ -253,6 +276,13 @@ pub enum Message {
         /// The values.
         control: Control,
     },
+    /// Gear and parking brake.
+    BodyControl {
+        /// 0 = A, 1 = B.
+        system: u8,
+        /// The values.
+        body_control: BodyControl,
+    },
     /// The mastership term that the vehicle obeys.
     GateEcho(GateEcho),
     /// Redundancy state.
@@ -279,13 +309,14 @@ impl Message {
     pub(crate) const fn index(&self) -> usize {
         match self {
             Self::Control { system, .. } => [0, 1][(*system != 0) as usize],
-            Self::GateEcho(_) => 2,
-            Self::Status { system, .. } => [3, 4][(*system != 0) as usize],
-            Self::EgoMotion(_) => 5,
-            Self::DriverRequest(_) => 6,
-            Self::SensorHeader(sensor, _) => [7, 9, 11, 13, 15, 17][sensor.index()],
-            Self::SensorObject(sensor, _) => [8, 10, 12, 14, 16, 18][sensor.index()],
-            Self::CameraLanes(_) => 19,
+            Self::BodyControl { system, .. } => [2, 3][(*system != 0) as usize],
+            Self::GateEcho(_) => 4,
+            Self::Status { system, .. } => [5, 6][(*system != 0) as usize],
+            Self::EgoMotion(_) => 7,
+            Self::DriverRequest(_) => 8,
+            Self::SensorHeader(sensor, _) => [9, 11, 13, 15, 17, 19][sensor.index()],
+            Self::SensorObject(sensor, _) => [10, 12, 14, 16, 18, 20][sensor.index()],
+            Self::CameraLanes(_) => 21,
         }
     }
 
@@ -300,6 +331,14 @@ impl Message {
             0x0A1 => Self::Control {
                 system: 1,
                 control: Control::default(),
+            },
+            0x0A2 => Self::BodyControl {
+                system: 0,
+                body_control: BodyControl::default(),
+            },
+            0x0A3 => Self::BodyControl {
+                system: 1,
+                body_control: BodyControl::default(),
             },
             0x0A8 => Self::GateEcho(GateEcho::default()),
             0x0B0 => Self::Status {
@@ -335,6 +374,13 @@ impl Message {
                 walk.implied(&const { Signal::new("System", 29, 1, 0..=1) }, *system)?;
                 control.walk(walk)
             }
+            Self::BodyControl {
+                system,
+                body_control,
+            } => {
+                walk.implied(&const { Signal::new("System", 24, 1, 0..=1) }, *system)?;
+                body_control.walk(walk)
+            }
             Self::GateEcho(gate_echo) => gate_echo.walk(walk),
             Self::Status { status, .. } => status.walk(walk),
             Self::EgoMotion(ego_motion) => ego_motion.walk(walk),
@@ -347,9 +393,11 @@ impl Message {
 }
 
 /// Every frame of the vehicle bus, in the order of the DBC, which is by id.
-pub const FRAMES: [FrameInfo; 20] = [
+pub const FRAMES: [FrameInfo; 22] = [
     FrameInfo::new(0x0A0, "ControlA", 16, 10),
     FrameInfo::new(0x0A1, "ControlB", 16, 10),
+    FrameInfo::new(0x0A2, "BodyControlA", 8, 0),
+    FrameInfo::new(0x0A3, "BodyControlB", 8, 0),
     FrameInfo::new(0x0A8, "GateEcho", 20, 10),
     FrameInfo::new(0x0B0, "StatusA", 16, 100),
     FrameInfo::new(0x0B1, "StatusB", 16, 100),

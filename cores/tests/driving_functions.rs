@@ -218,6 +218,7 @@ fn the_drivers_request_is_passed_on() {
             overrides: false,
             route: RouteCode::Left,
             near_gap: engage,
+            park: false,
             engage,
             set_speed: 30.0,
             lane_offset: -0.3,

@@ -71,7 +71,7 @@ impl RoleState {
             (RoleCode::Suspended, _) => Self::Suspended,
             (RoleCode::Master, ModeCode::DegradedL2) => Self::Degraded,
             (RoleCode::Master, ModeCode::SafeStop) => Self::SafeStop,
-            (RoleCode::Master, ModeCode::L3 | ModeCode::None) => Self::Master,
+            (RoleCode::Master, ModeCode::L3 | ModeCode::Parking | ModeCode::None) => Self::Master,
         }
     }
 }

@@ -54,6 +54,7 @@ impl Driver {
             overrides: self.has_taken_over || self.habit.overrides_s.is_some_and(overrides),
             route: advice.route,
             near_gap: advice.near_gap,
+            park: false,
             set_speed: advice.set_speed as f32,
             lane_offset: advice.lane_offset as f32,
         }

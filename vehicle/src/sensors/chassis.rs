@@ -39,6 +39,8 @@ impl Chassis {
         let speed = noisy(ego.speed * ego.slip_angle.cos(), SPEED);
         EgoMotion {
             world_running: false,
+            gear: ego.gear,
+            parking_brake: ego.parking_brake,
             speed: if moves { speed as f32 } else { 0.0 },
             yaw_rate: noisy(ego.yaw_rate + self.yaw_rate_offset, YAW_RATE) as f32,
             long_acceleration: noisy(

@@ -11,7 +11,7 @@ mod disturbance;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use tandem_bus::{CameraLanes, EgoMotion, SensorId, SensorObject};
+use tandem_bus::{CameraLanes, EgoMotion, GearCode, ParkingBrakeCode, SensorId, SensorObject};
 
 use crate::geometry::{Pose, Vec2};
 use crate::road::{Frenet, LaneId, Road};
@@ -49,6 +49,10 @@ pub struct EgoTruth {
     pub lane: LaneId,
     /// The ego's place in that lane.
     pub place: Frenet,
+    /// The gear that is engaged.
+    pub gear: GearCode,
+    /// State of the parking brake.
+    pub parking_brake: ParkingBrakeCode,
 }
 
 impl EgoTruth {
