@@ -193,6 +193,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub answers: Option<f64>,
 
+    /// Scenario time from which the driver wants the vehicle parked: 0s or 5s [default: never]
+    #[arg(long, value_name = "TIME", value_parser = parse_start)]
+    pub parks: Option<f64>,
+
     /// Make a sensor send nothing, or 400 ms late, between two scenario times in seconds:
     /// camera-front:lost:10-15 or radar-front:late:10-15; may be repeated
     #[arg(long, value_name = "SENSOR:KIND:FROM-TO", value_parser = parse_sensor_fault)]
@@ -385,6 +389,14 @@ pub struct CpuList(pub Vec<usize>);
 
 /// The longest run, s. Limits the size of a run's log.
 const DURATION_MAX_S: f64 = 3600.0;
+
+/// Reads a time that may be the start of the scenario; returns seconds.
+fn parse_start(text: &str) -> Result<f64, String> {
+    match text.trim() {
+        "0" | "0s" => Ok(0.0),
+        later => parse_duration(later),
+    }
+}
 
 /// Parses a time such as 20, 20s, 500ms or 1.5m. Returns seconds.
 ///

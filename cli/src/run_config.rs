@@ -59,6 +59,8 @@ pub struct RunConfig {
     pub overrides_s: Option<(f64, f64)>,
     /// The driver answers a takeover request after this time, s.
     pub answers_after_s: Option<f64>,
+    /// The driver wants the vehicle parked from this scenario time on, s.
+    pub parks_from_s: Option<f64>,
     /// Failures of sensors, in the form of the command line.
     pub sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board with its own flashes.
@@ -149,6 +151,7 @@ impl RunConfig {
             reintegrate: args.reintegrate,
             overrides_s: args.overrides,
             answers_after_s: args.answers,
+            parks_from_s: args.parks,
             sensor_faults: args.sensor_fault.clone(),
             can: can_group(args),
             ..Self::default()
@@ -234,6 +237,7 @@ mod tests {
             reintegrate: true,
             overrides_s: Some((1.0, 2.5)),
             answers_after_s: None,
+            parks_from_s: Some(0.0),
             sensor_faults: vec!["camera-front:lost:1-2".into()],
             program_flash: None,
             update: Some(UpdateFiles {

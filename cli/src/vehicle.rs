@@ -118,6 +118,7 @@ where
         world.set_driver(Habit {
             overrides_s: run.overrides_s,
             answers_after_s: run.answers_after_s,
+            parks_from_s: run.parks_from_s,
         });
         let faults = run.sensor_faults.iter().map(|text| text.parse());
         world.set_sensor_faults(faults.collect::<Result<_, _>>()?);

@@ -1,5 +1,5 @@
-//! The person at the wheel: engages the function, overrides it, answers its takeover request, and
-//! drives while the function does not.
+//! The person at the wheel: engages the function, overrides it, answers its takeover request, asks
+//! for parking, and drives while the function does not.
 
 use crate::actuators::Request;
 use crate::geometry::Pose;
@@ -19,6 +19,8 @@ pub struct Habit {
     pub overrides_s: Option<(f64, f64)>,
     /// Time from the function's request to the driver's takeover, s.
     pub answers_after_s: Option<f64>,
+    /// Asks for parking from this scenario time on, s.
+    pub parks_from_s: Option<f64>,
 }
 
 /// The driver and what has happened so far.
@@ -43,6 +45,12 @@ impl Driver {
         self.asked_s = asks.then(|| self.asked_s.unwrap_or(time_s));
     }
 
+    /// Returns whether the driver wants the vehicle parked.
+    pub(crate) fn parks(&self, time_s: f64) -> bool {
+        let parks = self.habit.parks_from_s;
+        !self.has_taken_over && parks.is_some_and(|from_s| time_s >= from_s)
+    }
+
     /// Returns the content of the driver's frame.
     pub(crate) fn wish(&mut self, time_s: f64, advice: &Advice) -> DriverRequest {
         let answers = self.asked_s.zip(self.habit.answers_after_s);
@@ -54,7 +62,7 @@ impl Driver {
             overrides: self.has_taken_over || self.habit.overrides_s.is_some_and(overrides),
             route: advice.route,
             near_gap: advice.near_gap,
-            park: false,
+            park: self.parks(time_s),
             set_speed: advice.set_speed as f32,
             lane_offset: advice.lane_offset as f32,
         }

@@ -20,9 +20,11 @@
 //! time from the echoes. So the age of a frame is known in absolute terms. A frame that was held up
 //! is old, whatever held it up, and even if it is valid otherwise. A frame without a time is not
 //! checked: its sender has not heard the vehicle yet.
+//!
+//! A frame for gear and parking brake acts only in the term of the last accepted control frame.
 
 use tandem_bus::e2e::{Check, Checker};
-use tandem_bus::{Control, GateEcho, Message, ModeCode, RoleCode};
+use tandem_bus::{BodyControl, Control, GateEcho, Message, ModeCode, RoleCode};
 
 use crate::mastership::Mastership;
 
@@ -116,11 +118,41 @@ pub struct FrameCounts {
     pub unexplained: u64,
 }
 
+/// The frames of one id, as the gate has received them.
+#[derive(Debug)]
+struct Received {
+    checker: Checker,
+    last_ns: Option<u64>,
+}
+
+impl Received {
+    const fn new(id: u16) -> Self {
+        Self {
+            checker: Checker::new(id),
+            last_ns: None,
+        }
+    }
+
+    /// Checks the protection of the next frame.
+    fn check(&mut self, now_ns: u64, data: &[u8]) -> Check {
+        let check = self.checker.check(data);
+        if check == Check::CrcError {
+            return check;
+        }
+        let last_ns = self.last_ns.replace(now_ns);
+        let silence = last_ns.map(|last| now_ns.saturating_sub(last));
+        if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
+            return Check::Initial;
+        }
+        check
+    }
+}
+
 /// Judges control frames.
 #[derive(Debug)]
 pub struct Gate {
-    checkers: [Checker; 2],
-    last_ns: [Option<u64>; 2],
+    controls: [Received; 2],
+    bodies: [Received; 2],
     highest_term: u32,
     accepted: Option<Acceptance>,
     /// Demand of the last accepted frame: steering angle and acceleration.
@@ -154,8 +186,8 @@ impl Gate {
     #[must_use]
     pub fn new() -> Self {
         Self {
-            checkers: Control::IDS.map(Checker::new),
-            last_ns: [None; 2],
+            controls: Control::IDS.map(Received::new),
+            bodies: BodyControl::IDS.map(Received::new),
             highest_term: 0,
             accepted: None,
             obeyed: (0.0, 0.0),
@@ -212,16 +244,22 @@ impl Gate {
         })
     }
 
+    /// Judges a frame for gear and parking brake; returns it if it acts. It acts only in the term
+    /// of the last accepted control frame, so the same system is obeyed in both. D-3
+    pub fn on_body(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<BodyControl> {
+        let mut ids = BodyControl::IDS.iter();
+        let system = ids.position(|known| u32::from(*known) == id)?;
+        let check = self.bodies[system].check(now_ns, data);
+        let Ok(Message::BodyControl { body_control, .. }) = Message::decode(id, data) else {
+            return None;
+        };
+        let is_of_system = body_control.term & 1 == system as u32;
+        let is_obeyed = self.accepted.is_some() && body_control.term == self.highest_term;
+        (check.is_accepted() && is_of_system && is_obeyed).then_some(body_control)
+    }
+
     fn judge(&mut self, now_ns: u64, system: usize, data: &[u8]) -> (Ruling, Option<Control>) {
-        let mut check = self.checkers[system].check(data);
-        if check == Check::CrcError {
-            return (Ruling::Invalid, None);
-        }
-        let silence = self.last_ns[system].map(|last| now_ns.saturating_sub(last));
-        self.last_ns[system] = Some(now_ns);
-        if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
-            check = Check::Initial;
-        }
+        let check = self.controls[system].check(now_ns, data);
         let message = Message::decode(u32::from(Control::IDS[system]), data);
         let Ok(Message::Control { control, .. }) = message else {
             return (Ruling::Invalid, None);
@@ -416,6 +454,44 @@ mod tests {
                 ..Default::default()
             }
         );
+    }
+
+    /// D-3: gear and parking brake obey the system that the vehicle obeys, and only that one.
+    #[test]
+    fn a_body_frame_acts_in_the_obeyed_term_only() {
+        let mut gate = Gate::new();
+        let mut sender = FrameTransmitter::new();
+        let mut acts = |gate: &mut Gate, at_ms: u64, system: u8, term: u32| {
+            let body_control = BodyControl {
+                term,
+                ..BodyControl::default()
+            };
+            let message = Message::BodyControl {
+                system,
+                body_control,
+            };
+            let frame = sender.encode(&message);
+            let mut damaged = frame.data().to_vec();
+            damaged[3] ^= 4;
+            assert_eq!(gate.on_body(at_ms * MS, frame.id.into(), &damaged), None);
+            let acts = gate.on_body(at_ms * MS, frame.id.into(), frame.data());
+            let again = gate.on_body(at_ms * MS, frame.id.into(), frame.data());
+            assert_eq!(again, None, "repeated");
+            acts.is_some()
+        };
+        assert!(!acts(&mut gate, 0, 0, 0), "no master yet");
+        verdicts(&mut gate, &[(0, 0, 2)]);
+        assert!(acts(&mut gate, 1, 0, 2));
+        assert!(
+            !acts(&mut gate, 50, 1, 3),
+            "a term that the vehicle does not obey"
+        );
+        assert!(!acts(&mut gate, 51, 1, 2), "a term of the other system");
+        verdicts(&mut gate, &[(60, 1, 3)]);
+        assert!(!acts(&mut gate, 61, 0, 2), "fenced");
+        assert!(acts(&mut gate, 62, 1, 3));
+        let control = Sender(FrameTransmitter::new()).frame(1, 3, RoleCode::Master);
+        assert_eq!(gate.on_body(70 * MS, control.0, &control.1), None);
     }
 
     /// T-RED-9: a far term acts only after the current one has been silent for 100 ms and its

@@ -23,6 +23,7 @@
 #![forbid(unsafe_code)]
 
 pub mod actuators;
+pub mod body;
 pub mod commonroad;
 mod driver;
 mod emergency;

@@ -59,7 +59,7 @@ pub struct WorldMetrics {
     /// The part of that time on a lane of the other direction, s.
     pub wrong_way_s: f64,
     /// Time for which the ego stood, after the first seconds of each stop, although nothing was
-    /// near ahead, s.
+    /// near ahead and the driver did not want it parked, s.
     pub standing_s: f64,
     /// When the first of the scenario's goals was reached, s; `None` if none was.
     pub goal_reached_s: Option<f64>,
@@ -191,6 +191,8 @@ impl HardBraking {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sample {
     pub(crate) time_s: f64,
+    /// The driver wants the vehicle parked.
+    pub(crate) parks: bool,
     pub(crate) speed: f64,
     pub(crate) long_acceleration: f64,
     pub(crate) lat_acceleration: f64,
@@ -359,7 +361,7 @@ impl Meter {
 
     fn standing(&mut self, sample: &Sample) {
         let end = sample.end.min(sample.domain_end);
-        let excused = sample.gap.min(end) < STANDING_REASON_M;
+        let excused = sample.parks || sample.gap.min(end) < STANDING_REASON_M;
         if sample.speed >= STANDING || excused {
             self.stopped_since = None;
         } else if sample.time_s - *self.stopped_since.get_or_insert(sample.time_s) > STANDING_S {
@@ -496,6 +498,7 @@ mod tests {
 
     const CRUISING: Sample = Sample {
         time_s: 0.0,
+        parks: false,
         speed: 30.0,
         long_acceleration: 0.0,
         lat_acceleration: 0.0,
@@ -513,6 +516,25 @@ mod tests {
         end: f64::INFINITY,
         domain_end: f64::INFINITY,
     };
+
+    /// A stop on a free road has no reason, unless the driver wants the vehicle parked.
+    #[test]
+    fn a_vehicle_that_is_to_be_parked_may_stand() {
+        let standing_s = |parks: bool| {
+            let mut meter = Meter::new(0, Arc::new([]));
+            for ms in 0..5_000_u32 {
+                meter.step(&Sample {
+                    time_s: f64::from(ms) * 1e-3,
+                    speed: 0.0,
+                    parks,
+                    ..CRUISING
+                });
+            }
+            meter.metrics().standing_s
+        };
+        assert!((standing_s(false) - 2.0).abs() < 0.01);
+        assert_eq!(standing_s(true), 0.0);
+    }
 
     /// The brake builds up at 20 m/s³ to 6 m/s² at 1 s, and again at 5 s. Only the first time is an
     /// emergency.

@@ -3,9 +3,12 @@
 use std::iter;
 use std::sync::Arc;
 
-use tandem_bus::{self as bus, FrameTransmitter, Message, SensorHeader, SensorId};
+use tandem_bus::{
+    self as bus, FrameTransmitter, GearCode, Message, ParkingBrakeCode, SensorHeader, SensorId,
+};
 
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
+use crate::body::{Body, BodyWish};
 use crate::commonroad::Class;
 use crate::driver::{self, Driver, Habit, View};
 use crate::emergency;
@@ -105,6 +108,10 @@ pub struct WorldSnapshot {
     pub lateral_acceleration: f64,
     /// Road wheel angle, rad, left positive.
     pub steering_angle: f64,
+    /// The gear that is engaged.
+    pub gear: GearCode,
+    /// State of the parking brake.
+    pub parking_brake: ParkingBrakeCode,
     /// The request to the actuators, from the controller or, without one, from the vehicle itself.
     pub request: Request,
     /// No control frame was accepted for 100 ms: the steering is held and the brake is gently on.
@@ -141,6 +148,9 @@ pub struct World {
     state: plant::PlantState,
     actuators: Actuators,
     request: Request,
+    body: Body,
+    /// What the system that drives asks of gear and parking brake.
+    body_wish: BodyWish,
     ego: EgoTruth,
     traffic: Traffic,
     sensors: Sensors,
@@ -202,6 +212,8 @@ impl World {
             driver: Driver::default(),
             by_hand: false,
             request: Request::default(),
+            body: Body::default(),
+            body_wish: BodyWish::default(),
             actuators: Actuators::settled(Request::default()),
             next_ns: None,
             ticks: 0,
@@ -231,6 +243,13 @@ impl World {
     /// control frame; `None` for other frames, which change nothing. The first control frame that
     /// is accepted and comes from a function that drives starts the world.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
+        if let Some(wish) = self.gate.on_body(now_ns, id, data) {
+            self.body_wish = BodyWish {
+                gear: wish.gear,
+                brake: wish.brake_request,
+            };
+            return None;
+        }
         self.gate.set_speed(self.state.speed);
         let judged = self.gate.on_frame(now_ns, id, data)?;
         if let Some(control) = judged.command {
@@ -340,7 +359,12 @@ impl World {
 
     /// Moves the ego by the request for one millisecond.
     fn move_ego(&mut self) {
-        let input = self.actuators.step(self.request, &self.state, &BMW_320I);
+        if self.by_hand {
+            self.body_wish = BodyWish::DRIVE;
+        }
+        self.body.step(self.body_wish, self.state.speed);
+        let mut input = self.actuators.step(self.request, &self.state, &BMW_320I);
+        input.acceleration = self.body.limit(input.acceleration, self.state.speed);
         let before = self.state;
         self.state = before.stepped(input, TICK_S, &BMW_320I);
         if self.state.speed < 0.0 {
@@ -393,6 +417,7 @@ impl World {
         }
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
+            parks: self.driver.parks(self.snapshot.time_s),
             speed: self.ego.speed,
             long_acceleration: self.ego.long_acceleration,
             lat_acceleration: self.ego.lat_acceleration,
@@ -428,6 +453,7 @@ impl World {
         let ego = &mut self.ego;
         (ego.pose, ego.speed, ego.yaw_rate) = (pose, state.speed, state.yaw_rate);
         (ego.slip_angle, ego.steering_angle) = (state.slip_angle, state.steering_angle);
+        (ego.gear, ego.parking_brake) = (self.body.gear(), self.body.parking_brake());
         let lane = self.road.lane(ego.lane);
         ego.place = lane.project_near(pose.position, ego.place.s);
         let width = lane.width_at(ego.place.s);
@@ -492,6 +518,7 @@ impl World {
         snapshot.acceleration = ego.long_acceleration;
         snapshot.lateral_acceleration = ego.lat_acceleration;
         snapshot.steering_angle = ego.steering_angle;
+        (snapshot.gear, snapshot.parking_brake) = (ego.gear, ego.parking_brake);
         snapshot.request = self.request;
         (snapshot.lane, snapshot.station) = (ego.lane, ego.place.s);
         snapshot.lateral_offset = ego.place.d;
