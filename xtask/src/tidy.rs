@@ -18,10 +18,10 @@ rtos:
 runtime: board cores rtos
 capi: shm board redundancy
 topics: board bus
-topics-host: board bus topics
+topics-host: board board-udp bus topics
 vehicle: board bus
 page:
-board-host: board peripherals shm
+board-host: board board-udp peripherals shm
 benches: board board-host page rtos shm two-cores
 two-cores: shm
 golden: board bus cores peripherals
@@ -30,9 +30,10 @@ faults: board bus peripherals record vehicle
 sim: board board-sim bus cores faults record redundancy vehicle
 board-conformance: board
 board-sim: board peripherals
+board-udp: board
 peripherals: board
 cosim: board peripherals
-board-qemu: board cosim peripherals
+board-qemu: board board-udp cosim peripherals
 ";
 /// The top crates, which may depend on all others.
 const ON_TOP: [&str; 6] = [

@@ -1,0 +1,264 @@
+//! A station of a network on the host: UDP sockets for each channel of a board.
+//!
+//! Everything that is a station on the host uses it: the process of core 0, the bridge to emulated
+//! machines, and a participant of DDS. The ports are those of RTPS; the channel for time lies beside
+//! them in the range of a domain.
+#![forbid(unsafe_code)]
+
+use socket2::{Domain, Protocol, SockRef, Socket, Type};
+use std::fmt;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::str::FromStr;
+use tandem_board::{Channel, NetworkAddress, NetworkFull, Recipient};
+
+/// The last domain whose ports exist.
+const LAST_DOMAIN: u16 = 230;
+/// Ports of a domain begin here. (RTPS 9.6.1.1)
+const PORTS: u16 = 7_400;
+const PORTS_OF_A_DOMAIN: u16 = 250;
+/// How many stations of an interface find each other without multicast.
+const STATIONS: u16 = 10;
+
+/// The group of a channel, and its ports in the range of a domain.
+struct Layout {
+    group: Ipv4Addr,
+    /// The port of the group.
+    everyone: u16,
+    /// The port of the first station, and the distance from one to the next.
+    first: u16,
+    step: u16,
+}
+
+const fn layout(channel: Channel) -> Layout {
+    match channel {
+        // RTPS 9.6.1.4.1 and 9.6.1.1
+        Channel::Topics => Layout {
+            group: Ipv4Addr::new(239, 255, 0, 1),
+            everyone: 0,
+            first: 10,
+            step: 2,
+        },
+        // The group of PTP (IEEE 1588, annex C). Its ports below 1024 need a right.
+        Channel::Time => Layout {
+            group: Ipv4Addr::new(224, 0, 1, 129),
+            everyone: 239,
+            first: 240,
+            step: 1,
+        },
+    }
+}
+
+/// Where a station is: a domain (0 to 230), and an interface of this machine. Written as
+/// `3@127.0.0.1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UdpPlace {
+    domain: u16,
+    interface: Ipv4Addr,
+}
+
+/// The text is not a place, or the domain is beyond 230.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a place is a domain from 0 to {LAST_DOMAIN} and an IPv4 address: 3@127.0.0.1")]
+pub struct InvalidPlace;
+
+impl UdpPlace {
+    /// Makes a place.
+    ///
+    /// # Errors
+    /// [`InvalidPlace`] if there is no such domain.
+    pub const fn new(domain: u16, interface: Ipv4Addr) -> Result<Self, InvalidPlace> {
+        if domain > LAST_DOMAIN {
+            return Err(InvalidPlace);
+        }
+        Ok(Self { domain, interface })
+    }
+}
+
+impl fmt::Display for UdpPlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}", self.domain, self.interface)
+    }
+}
+
+impl FromStr for UdpPlace {
+    type Err = InvalidPlace;
+
+    fn from_str(text: &str) -> Result<Self, InvalidPlace> {
+        let (domain, interface) = text.split_once('@').ok_or(InvalidPlace)?;
+        let domain = domain.parse().map_err(|_| InvalidPlace)?;
+        Self::new(domain, interface.parse().map_err(|_| InvalidPlace)?)
+    }
+}
+
+/// The sockets of a station for one channel.
+#[derive(Debug)]
+pub struct UdpChannel {
+    /// Where this station hears, and from where it sends.
+    own: UdpSocket,
+    /// Where all stations hear.
+    group: UdpSocket,
+    at: SocketAddrV4,
+    everyone: Vec<SocketAddrV4>,
+}
+
+/// A datagram that was received.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UdpHeard {
+    /// How many bytes were copied.
+    pub len: usize,
+    /// Its sender.
+    pub from: NetworkAddress,
+    /// The index of its socket in [`UdpChannel::sockets`].
+    pub socket: usize,
+}
+
+impl UdpChannel {
+    /// Opens the sockets of the next free station of a place, and joins the group of the channel.
+    ///
+    /// # Errors
+    /// No port is free, or the machine has no such interface.
+    pub fn open(place: UdpPlace, channel: Channel) -> io::Result<Self> {
+        let UdpPlace { domain, interface } = place;
+        let layout = layout(channel);
+        let base = PORTS + PORTS_OF_A_DOMAIN * domain;
+        let all = SocketAddrV4::new(layout.group, base + layout.everyone);
+        let group = shared(all.port())?;
+        let has_group = group.join_multicast_v4(&layout.group, &interface).is_ok();
+        let stations = (0..STATIONS).map(|index| base + layout.first + layout.step * index);
+        let stations = stations.map(|port| SocketAddrV4::new(interface, port));
+        let mut bound = Err(io::ErrorKind::AddrInUse.into());
+        for at in stations.clone() {
+            bound = UdpSocket::bind(at).map(|socket| (socket, at));
+            if !matches!(&bound, Err(error) if error.kind() == io::ErrorKind::AddrInUse) {
+                break;
+            }
+        }
+        let (own, at) = bound?;
+        own.set_nonblocking(true)?;
+        let mut everyone = vec![];
+        if has_group {
+            SockRef::from(&own).set_multicast_if_v4(&interface)?;
+            everyone.push(all);
+        }
+        // Others use no multicast on the loopback interface, although it works there.
+        if interface.is_loopback() || !has_group {
+            everyone.extend(stations.filter(|other| *other != at));
+        }
+        Ok(Self {
+            own,
+            group,
+            at,
+            everyone,
+        })
+    }
+
+    /// Returns where this station hears.
+    #[must_use]
+    pub const fn address(&self) -> NetworkAddress {
+        address(self.at)
+    }
+
+    /// Returns the sockets on which datagrams arrive, to wait for them.
+    #[must_use]
+    pub const fn sockets(&self) -> [&UdpSocket; 2] {
+        [&self.own, &self.group]
+    }
+
+    /// Sends a datagram; never blocks. One that cannot reach its recipient is lost.
+    ///
+    /// # Errors
+    /// [`NetworkFull`] if the socket's buffer is full.
+    pub fn send(&self, to: Recipient, bytes: &[u8]) -> Result<(), NetworkFull> {
+        let one = match to {
+            Recipient::Everyone => None,
+            Recipient::One(at) => Some(SocketAddrV4::new(at.address.into(), at.port)),
+        };
+        let all = one
+            .as_ref()
+            .map_or(&self.everyone[..], std::slice::from_ref);
+        for (index, to) in all.iter().enumerate() {
+            if let Err(error) = self.own.send_to(bytes, to)
+                && error.kind() == io::ErrorKind::WouldBlock
+                && index == 0
+            {
+                return Err(NetworkFull);
+            }
+        }
+        Ok(())
+    }
+
+    /// Copies the next datagram of another station; `None` if there is none. Never blocks. What
+    /// does not fit is cut off.
+    pub fn receive(&self, bytes: &mut [u8]) -> Option<UdpHeard> {
+        for (index, socket) in self.sockets().into_iter().enumerate() {
+            while let Ok((len, from)) = socket.recv_from(bytes) {
+                if let SocketAddr::V4(from) = from
+                    && from != self.at
+                {
+                    return Some(UdpHeard {
+                        len,
+                        from: address(from),
+                        socket: index,
+                    });
+                }
+            }
+        }
+        None
+    }
+}
+
+const fn address(of: SocketAddrV4) -> NetworkAddress {
+    NetworkAddress {
+        address: of.ip().octets(),
+        port: of.port(),
+    }
+}
+
+/// Opens a socket on a port that the stations of this machine share.
+fn shared(port: u16) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_reuse_address(true)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port).into())?;
+    Ok(socket.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_comes_back_as_it_was_written_and_no_other_text_is_one() {
+        for text in ["0@127.0.0.1", "230@192.0.2.2"] {
+            assert_eq!(text.parse::<UdpPlace>().unwrap().to_string(), text);
+        }
+        for text in ["", "3", "231@127.0.0.1", "3@lo", "-1@127.0.0.1", "3@::1"] {
+            assert_eq!(text.parse::<UdpPlace>(), Err(InvalidPlace), "{text}");
+        }
+    }
+
+    /// RTPS 9.6.1: a participant of another vendor finds these ports by the domain.
+    #[test]
+    fn stations_take_the_ports_of_their_domain_one_after_the_other() {
+        // An address of this test alone.
+        let interface = Ipv4Addr::new(127, 77, 1, 1);
+        let place = UdpPlace::new(230, interface).unwrap();
+        for (channel, ports) in [
+            (Channel::Topics, [64_910, 64_912]),
+            (Channel::Time, [65_140, 65_141]),
+        ] {
+            let opened = ports.map(|_| UdpChannel::open(place, channel).unwrap());
+            for (channel, port) in opened.iter().zip(ports) {
+                let address = interface.octets();
+                assert_eq!(channel.address(), NetworkAddress { address, port });
+            }
+            let rest: Vec<_> = (2..STATIONS)
+                .map(|_| UdpChannel::open(place, channel))
+                .collect();
+            assert!(rest.iter().all(Result::is_ok));
+            let full = UdpChannel::open(place, channel).unwrap_err();
+            assert_eq!(full.kind(), io::ErrorKind::AddrInUse);
+        }
+    }
+}
