@@ -271,6 +271,8 @@ def main():
         Vehicle(at(-45), 1, 23.0),
         Vehicle(at(-100), 1, 24.0, "truck"),
     ])
+    # Nobody else: the vehicle stands, and an SoC may park it.
+    write("parking", 7, [(0, 0), (1200, 0)], [(0, 1200.0, [0])], 8.33, (EGO_S, 0, 0.0), [])
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ const START_ASIDE: f64 = 0.35;
 const ALONG_LANE: f64 = 1.0;
 
 /// The embedded scenarios: name, one-line description, CommonRoad XML.
-const EMBEDDED: [(&str, &str, &str); 6] = [
+const EMBEDDED: [(&str, &str, &str); 7] = [
     (
         "free-lane",
         "light traffic on three lanes with gentle curves",
@@ -53,6 +53,11 @@ const EMBEDDED: [(&str, &str, &str); 6] = [
         "stop-and-go",
         "a jam: the traffic stops twice and starts again",
         include_str!("../scenarios/stop-and-go.xml"),
+    ),
+    (
+        "parking",
+        "an empty straight road; the vehicle stands, and may be parked",
+        include_str!("../scenarios/parking.xml"),
     ),
 ];
 

@@ -300,7 +300,7 @@ fn unknown_names_and_unreadable_files_say_what_there_is() {
 
 #[test]
 fn every_embedded_scenario_has_its_name() {
-    assert_eq!(Scenario::names().len(), 6);
+    assert_eq!(Scenario::names().len(), 7);
     for name in Scenario::names() {
         assert_eq!(Scenario::load(name).unwrap().name(), name);
     }
