@@ -3,6 +3,7 @@
 use crate::driving::control::is_right;
 use crate::driving::degraded::is_right_by_scene;
 use crate::driving::knowledge::Knowledge;
+use crate::driving::parking::is_right_parking;
 use crate::driving::planning::Planner;
 use crate::driving::types::{ControlStep, Scene, StepFunction, Trajectory};
 use crate::layout::{
@@ -61,6 +62,7 @@ impl<B: Board> Planning<'_, B> {
                 is_right_by_scene(&step, scene)
             }
             (StepFunction::Blind, _, Some(scene)) => is_right_by_scene(&step, scene),
+            (StepFunction::Parking, ..) => is_right_parking(&step),
             _ => return,
         };
         self.map.judge_control(is_right);

@@ -259,6 +259,11 @@ pub enum Event {
         /// 0 this system's: it leaves. 1 the other system's, 2 the vehicle's.
         of: u8,
     },
+    /// The SoC no longer commands while the vehicle is parked: the function stops the vehicle.
+    SocSilent {
+        /// The topic that is missing, as in [`SocTopic`](crate::driving::parking::SocTopic).
+        topic: u8,
+    },
     /// This system found that its command is wrong, and leaves.
     WrongCommand {
         /// 0: the vehicle obeys a command other than the one sent, or refuses it. 1: core 2
@@ -541,6 +546,7 @@ codec! {
     49 WrongTrajectory { what: a, percent: x } 0..=4;
     50 TrajectoryCheck { what: a, percent: b } 0..=4;
     51 SensorLies { what: a, thousandths: x } 0..=6;
+    52 SocSilent { topic: a } 0..=3;
 }
 
 #[cfg(test)]
@@ -667,6 +673,7 @@ mod tests {
             },
             Event::WrongCommand { witness: 1 },
             Event::ClockWrong { of: 2 },
+            Event::SocSilent { topic: 3 },
             Event::OutputFault { found: 2 },
             Event::WrongScene {
                 what: 4,
@@ -711,6 +718,7 @@ mod tests {
             0x0320,
             0x0928,
             0x0430,
+            0x0434,
             36,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");

@@ -178,6 +178,16 @@ pub fn core_event(event: Event) -> Option<String> {
             "the vehicle's echo is wrong: the measured steering angle follows the command"
                 .to_owned()
         }
+        Event::SocSilent { topic } => {
+            let topics = [
+                "PowerControl",
+                "LateralControl",
+                "LongitudinalControl",
+                "ParkingBrake",
+            ];
+            let topic = topics.get(usize::from(topic)).copied().unwrap_or("a topic");
+            format!("stops: the SoC no longer commands, {topic} is silent or disabled")
+        }
         Event::ClockWrong { of } => match of {
             0 => "leaves: its clock has drifted from the vehicle's and the other's".to_owned(),
             1 => "finds that the other system's clock has drifted".to_owned(),

@@ -280,7 +280,7 @@ impl Gate {
             self.refused = self.refused.wrapping_add(1);
             return (Ruling::Stale, Some(control));
         }
-        let rests_on_data = matches!(control.mode, ModeCode::L3 | ModeCode::DegradedL2);
+        let rests_on_data = !matches!(control.mode, ModeCode::None | ModeCode::SafeStop);
         if rests_on_data && control.command_age > COMMAND_MAX_AGE_MS {
             return (Ruling::Stale, Some(control));
         }

@@ -11,7 +11,7 @@ shm:
 bus:
 board:
 redundancy: board
-cores: shm bus board redundancy
+cores: shm bus board redundancy topics
 boot: board
 boot-host: board boot
 rtos:

@@ -3,10 +3,11 @@
 use super::vehicle_clock::VehicleClock;
 use super::{Driving, frames};
 use crate::driving::function::Driver;
+use crate::driving::parking::BodyState;
 use crate::driving::types::{Command, Ego};
 use heapless::Deque;
 use tandem_board::Instant;
-use tandem_bus::{DriverRequest, FrameReceiver, FrameTransmitter};
+use tandem_bus::{DriverRequest, EgoMotion, FrameReceiver, FrameTransmitter};
 
 /// Capacity for motions of the chassis between two control cycles; usually one arrives.
 const MOTIONS: usize = 6;
@@ -20,6 +21,7 @@ pub(super) struct Inbox {
     /// The command that the vehicle obeys, unless this system drives.
     obeyed: Option<Command>,
     driver: Option<Driver>,
+    body: Option<BodyState>,
 }
 
 impl Inbox {
@@ -33,6 +35,9 @@ impl Inbox {
         }
         if let Some(driver) = self.driver {
             driving.on_driver(driver);
+        }
+        if let Some(body) = self.body {
+            driving.on_body(body);
         }
     }
 }
@@ -73,6 +78,10 @@ impl CanPort {
 
     pub(super) fn on_driver(&mut self, request: &DriverRequest) {
         self.inbox.driver = Some(frames::driver(request));
+    }
+
+    pub(super) const fn on_body(&mut self, motion: &EgoMotion) {
+        self.inbox.body = Some(frames::body_state(motion));
     }
 
     /// Records the command that a vehicle obeys of another system.

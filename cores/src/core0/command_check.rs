@@ -104,22 +104,22 @@ impl CommandCheck<'_> {
         let last = self.last_output.replace(*output);
         let received = self.received.take();
         let own = match phase {
-            Some(Phase::Standby) => Some((output.standalone, output.mode)),
+            Some(Phase::Standby) => Some((output.standalone, output)),
             // The other system's command is one cycle old.
             Some(Phase::Master | Phase::DegradedMaster) => {
-                last.map(|last| (last.command, last.mode))
+                last.as_ref().map(|last| (last.command, last))
             }
             _ => None,
         };
         let deviation = received
             .zip(own)
-            .and_then(|((theirs, their_mode), (own, mode))| {
-                let drives = !matches!(mode, Mode::None | Mode::SafeStop);
-                let alike = drives && frames::bus_mode(mode) == their_mode;
+            .and_then(|((theirs, their_mode), (own, by))| {
+                let drives = !matches!(by.mode, Mode::None | Mode::SafeStop);
+                let alike = drives && frames::function(by.mode, by.state) == their_mode;
                 alike.then(|| Deviation::of(&own, &theirs, output.speed))
             });
-        let is_known =
-            |step: &&ControlStep| same_scene || step.function == StepFunction::Trajectory;
+        let needs_scene = |of| !matches!(of, StepFunction::Trajectory | StepFunction::Parking);
+        let is_known = |step: &&ControlStep| same_scene || !needs_scene(step.function);
         if let (Some(steps), Some(step)) = (&mut self.steps, output.step.as_ref().filter(is_known))
         {
             steps.publish(step);
@@ -141,7 +141,7 @@ impl CommandCheck<'_> {
             Mode::None
         };
         let own = PeerCommand {
-            mode: frames::bus_mode(mode),
+            mode: frames::function(mode, output.state),
             stage: self.stage(),
             command: output.standalone,
             scene,

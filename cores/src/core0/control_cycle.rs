@@ -17,6 +17,9 @@ use tandem_board::{Board, Instant, Link};
 use tandem_bus::Message;
 use tandem_redundancy::Mode;
 
+/// Gear and parking brake are asked for in every fifth control cycle: their motors take a second.
+const BODY_CYCLES: u32 = 5;
+
 /// The inputs that the first section of a cycle takes.
 struct Inputs {
     release: Instant,
@@ -144,6 +147,13 @@ impl<'b, B: Board> SharedState<'b, B> {
         let own = self.check.datagram(begin, output, self.scene_check.own());
         let _full = self.board.link().try_send(own.as_ref());
         let transmitted = may_transmit && !self.check.is_wrong() && self.transmit(output);
+        if transmitted && self.counters.control_cycles.is_multiple_of(BODY_CYCLES) {
+            self.transmit_body(output);
+        }
+        if let Some(topic) = output.silent {
+            let topic = topic as u8;
+            self.trace(Event::SocSilent { topic });
+        }
         self.trace(Event::ControlCycle {
             lateness_ns: age_ns(begin, release),
             execution_ns: age_ns(self.board.now(), begin),
@@ -170,6 +180,21 @@ impl<'b, B: Board> SharedState<'b, B> {
         let encoded = self.can.transmitter.encode(&message);
         self.check.read_back.on_sent(encoded.data()[2], &control);
         frames::send_encoded(self.board, &encoded)
+    }
+
+    /// Asks for gear and parking brake, if the function has to do with them. The vehicle obeys the
+    /// term of a control frame before this one. D-3
+    fn transmit_body(&mut self, output: &Output) {
+        let (Some(redundancy), Some(request)) = (self.redundancy.running(), output.body) else {
+            return;
+        };
+        let message = Message::BodyControl {
+            system: self.system.index() as u8,
+            body_control: frames::body_control(redundancy, request),
+        };
+        let encoded = self.can.transmitter.encode(&message);
+        // It is asked for again.
+        let _full = frames::send_encoded(self.board, &encoded);
     }
 
     fn end_cycle(&mut self, knowledge: Option<&Knowledge>) {

@@ -5,6 +5,7 @@ use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
 use crate::driving::function::{Driver, Function, FunctionState, Inputs, stays_in_domain};
 use crate::driving::knowledge::Knowledge;
+use crate::driving::parking::{BodyRequest, BodyState, Parking, SocSample, SocTopic};
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use crate::trace::Event;
 use tandem_board::{Duration, Instant};
@@ -25,6 +26,10 @@ pub(crate) struct Output {
     /// The step that gave the command, if this system drives.
     pub(crate) step: Option<ControlStep>,
     pub(crate) state: FunctionState,
+    /// What to ask of gear and parking brake; `None` if the function has nothing to do with them.
+    pub(crate) body: Option<BodyRequest>,
+    /// The topic whose silence has ended parking in this cycle.
+    pub(crate) silent: Option<SocTopic>,
 }
 
 /// The motion control of core 0 with its inputs.
@@ -35,6 +40,7 @@ pub struct Driving {
     scene: Option<Scene>,
     motion: MotionControl,
     degraded: DegradedControl,
+    parking: Parking,
     /// The last command of this system; while it does not drive, the command that the vehicle
     /// obeys.
     last: Command,
@@ -63,6 +69,7 @@ impl Driving {
             scene: None,
             motion: MotionControl::new(),
             degraded: DegradedControl::new(),
+            parking: Parking::new(),
             last: Command::default(),
             standalone: Shaper::new(),
             follows: 0,
@@ -125,8 +132,18 @@ impl Driving {
         self.driver = driver;
     }
 
+    /// Takes a sample of the SoC that arrived at `at`, decoded and checked end to end. It acts only
+    /// while the function parks. D-3
+    pub fn on_soc(&mut self, at: Instant, sample: SocSample) {
+        self.parking.on_sample(at, sample);
+    }
+
+    pub(crate) fn on_body(&mut self, body: BodyState) {
+        self.parking.on_body(body);
+    }
+
     /// Returns the state of the driving function, with what is known at `now`.
-    fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> FunctionState {
+    fn state(&mut self, now: Instant, permitted: Mode, moves: bool, ego: &Ego) -> FunctionState {
         let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
         let scene = self.scene.as_ref().filter(fresh);
         let lanes = scene.and_then(|scene| Some((scene.lanes.as_ref()?, scene.ego.speed)));
@@ -142,6 +159,8 @@ impl Driving {
                 sees: moves && lanes.is_some(),
                 // The vehicle also leaves the domain if a sensor is lost.
                 in_domain: self.in_domain && self.scene.as_ref().is_none_or(|it| it.missing == 0),
+                parks: self.driver == Driver::Parks && self.parking.may_begin(now, ego),
+                soc_silent: self.parking.silent(now).is_some(),
             },
         )
     }
@@ -151,7 +170,11 @@ impl Driving {
     pub(crate) fn cycle(&mut self, now: Instant, permitted: Mode) -> Output {
         let fresh = self.ego.filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE);
         let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
-        let state = self.state(now, permitted, fresh.is_some());
+        let before = self.function.state();
+        let state = self.state(now, permitted, fresh.is_some(), &ego);
+        let stopped = (before, state) == (FunctionState::Parking, FunctionState::MinimalRisk);
+        let silent = self.parking.silent(now).filter(|_| stopped);
+        let body = self.parking.body(now, state, ego.speed);
         let mode = state.mode(permitted);
         if mode == Mode::None {
             // The driver drives: the function begins from the vehicle's present motion.
@@ -162,12 +185,20 @@ impl Driving {
         }
         self.motion.resume(&self.last);
         self.degraded.resume(&self.last);
+        self.parking.resume(&self.last);
         let mode = match mode {
             Mode::L3 | Mode::DegradedL2 if fresh.is_none() => Mode::SafeStop,
             mode => mode,
         };
         let stops = fresh.is_some() && mode == Mode::SafeStop;
+        let parks = state == FunctionState::Parking && !matches!(mode, Mode::None | Mode::SafeStop);
         let (command, mode, age) = match &self.scene {
+            // A parked vehicle is held by its own report.
+            _ if parks => {
+                let heard = fresh.map(|(at, _)| now.since(at));
+                let age = self.parking.age(now).or(heard);
+                (self.parking.step(now, &ego), mode, age)
+            }
             Some(scene) if stops => {
                 let command = self.degraded.stop(now, &ego, scene);
                 (command, mode, Some(now.since(scene.measured)))
@@ -179,6 +210,7 @@ impl Driving {
         }
         let standalone = match mode {
             Mode::None => command,
+            _ if parks => self.standalone.shape(&self.parking.wish(), &ego),
             Mode::L3 => self.standalone.shape(&self.motion.wish(), &ego),
             Mode::DegradedL2 | Mode::SafeStop => self.standalone.shape(&self.degraded.wish(), &ego),
         };
@@ -192,10 +224,13 @@ impl Driving {
             speed: ego.speed,
             step: match mode {
                 Mode::None => None,
+                _ if parks => Some(*self.parking.last_step()),
                 Mode::L3 => Some(*self.motion.last_step()),
                 Mode::DegradedL2 | Mode::SafeStop => Some(*self.degraded.last_step()),
             },
             state,
+            body,
+            silent,
         }
     }
 

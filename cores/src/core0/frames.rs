@@ -3,9 +3,12 @@
 
 use super::driving::Output;
 use crate::driving::function::{Driver, FunctionState};
+use crate::driving::parking::{BodyRequest, BodyState};
 use crate::driving::types::Command;
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, SystemId};
-use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Status};
+use tandem_bus::{
+    BodyControl, Control, DriverRequest, EgoMotion, Encoded, GateEcho, ModeCode, Status,
+};
 use tandem_redundancy::{
     Ability, ControlHeader, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term,
 };
@@ -28,12 +31,21 @@ const fn bus_ability(ability: Ability) -> tandem_bus::AbilityCode {
     }
 }
 
-pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::ModeCode {
+/// Returns the mode of a control frame, and of the comparison with the other system. A system that
+/// parks follows the SoC, so its command is compared only with that of another one that parks.
+pub(super) const fn function(mode: Mode, state: FunctionState) -> ModeCode {
+    match (mode, state) {
+        (Mode::L3 | Mode::DegradedL2, FunctionState::Parking) => ModeCode::Parking,
+        _ => bus_mode(mode),
+    }
+}
+
+const fn bus_mode(mode: Mode) -> ModeCode {
     match mode {
-        Mode::None => tandem_bus::ModeCode::None,
-        Mode::L3 => tandem_bus::ModeCode::L3,
-        Mode::DegradedL2 => tandem_bus::ModeCode::DegradedL2,
-        Mode::SafeStop => tandem_bus::ModeCode::SafeStop,
+        Mode::None => ModeCode::None,
+        Mode::L3 => ModeCode::L3,
+        Mode::DegradedL2 => ModeCode::DegradedL2,
+        Mode::SafeStop => ModeCode::SafeStop,
     }
 }
 
@@ -41,7 +53,7 @@ pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::ModeCode {
 pub(super) fn control(redundancy: &Redundancy, output: &Output, sent_at: Option<u16>) -> Control {
     Control {
         role: bus_role(redundancy.role()),
-        mode: bus_mode(output.mode),
+        mode: function(output.mode, output.state),
         takeover_request: output.state == FunctionState::TakeoverRequest,
         term: redundancy.term().bits(),
         steering_angle: output.command.steering_angle,
@@ -87,7 +99,11 @@ pub(super) fn received_control(from: u8, control: &Control) -> Option<ControlHea
         system: SystemId::from_index(usize::from(from))?,
         term: Term::from_bits(control.term),
         role: Role::from_repr(control.role as u8)?,
-        mode: Mode::from_repr(control.mode as u8)?,
+        mode: match control.mode {
+            // It needs no more than one system; a standby is ready for L3.
+            ModeCode::Parking => Mode::L3,
+            mode => Mode::from_repr(mode as u8)?,
+        },
     })
 }
 
@@ -110,8 +126,26 @@ pub(super) const fn obeyed(echo: &GateEcho) -> Command {
 /// Returns the request of the driver.
 pub(super) const fn driver(request: &DriverRequest) -> Driver {
     match (request.engage, request.overrides) {
+        (true, false) if request.park => Driver::Parks,
         (true, false) => Driver::Engages,
         _ => Driver::Drives,
+    }
+}
+
+/// Returns gear and parking brake of the vehicle.
+pub(super) const fn body_state(motion: &EgoMotion) -> BodyState {
+    BodyState {
+        gear: motion.gear,
+        brake: motion.parking_brake,
+    }
+}
+
+/// Returns the frame for gear and parking brake.
+pub(super) fn body_control(redundancy: &Redundancy, request: BodyRequest) -> BodyControl {
+    BodyControl {
+        gear: request.gear,
+        brake_request: request.brake,
+        term: redundancy.term().bits(),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{Core0Task, Driving, Executor, Parts, SharedState, TaskSet, Tasks};
 use crate::doorbell::{DoorbellThrottle, RingOutcome};
+use crate::driving::parking::SocSample;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
 use core::cell::{Cell, RefCell};
@@ -76,6 +77,11 @@ impl<'b, B: Board> Core0<'b, B> {
             tasks,
             due: [board.now(); Core0Task::ALL.len()],
         }
+    }
+
+    /// Takes a sample of the SoC, as [`Driving::on_soc`].
+    pub fn on_soc(&mut self, at: Instant, sample: SocSample) {
+        self.executor.drive(|drive| drive.on_soc(at, sample));
     }
 
     /// Returns the phase of this system, once the start protocol has begun.

@@ -191,6 +191,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             Message::EgoMotion(motion) => {
                 self.redundancy.ready.ego_seen = true;
                 self.ability.on_motion(at);
+                self.can.on_body(&motion);
                 let ego = ego_of(&motion);
                 self.scene_check.on_ego(at, ego);
                 self.check.read_back.wheel.on_measured(ego.steering_angle);

@@ -79,6 +79,8 @@ pub enum FunctionState {
     TakeoverRequest = 4,
     /// Brings the vehicle to standstill and holds it there.
     MinimalRisk = 5,
+    /// Parks as the SoC asks, at walking speed; then holds the vehicle.
+    Parking = 6,
 }
 
 impl FunctionState {
@@ -94,18 +96,19 @@ impl FunctionState {
         match self {
             Self::Degraded => Some(DEGRADED_LIMIT),
             Self::TakeoverRequest => Some(TAKEOVER_LIMIT),
-            Self::Off | Self::Ready | Self::Active | Self::MinimalRisk => None,
+            Self::Off | Self::Ready | Self::Active | Self::MinimalRisk | Self::Parking => None,
         }
     }
 
-    /// Returns the mode in which core 0 drives, within what the redundancy permits.
+    /// Returns the mode in which core 0 drives, within what the redundancy permits. Parking needs no
+    /// more than one system, so it has the mode that is permitted.
     #[must_use]
     pub const fn mode(self, permitted: Mode) -> Mode {
         match (self, permitted) {
             (Self::Off | Self::Ready, _) | (_, Mode::None) => Mode::None,
             (Self::MinimalRisk, _) | (_, Mode::SafeStop) => Mode::SafeStop,
             (Self::Degraded, _) | (_, Mode::DegradedL2) => Mode::DegradedL2,
-            (Self::Active | Self::TakeoverRequest, Mode::L3) => Mode::L3,
+            (Self::Active | Self::TakeoverRequest | Self::Parking, Mode::L3) => Mode::L3,
         }
     }
 }
@@ -132,6 +135,11 @@ pub enum Signal {
     Whole = 7,
     /// The time limit of the state has passed.
     Expired = 8,
+    /// The driver asks for parking, the SoC commands, and the vehicle is slow.
+    Park = 9,
+    /// The SoC does not command: a topic is older than its time-out, or disables its control. Not
+    /// while gear and parking brake hold the vehicle.
+    SocSilent = 10,
 }
 
 /// The next state: a row for each state, a column for each signal.
@@ -139,17 +147,18 @@ pub enum Signal {
 /// The driver can always take over. A minimal-risk stop is completed: only the driver ends it.
 pub const NEXT: [[FunctionState; Signal::VARIANTS.len()]; FunctionState::VARIANTS.len()] = {
     use FunctionState::{
-        Active as Act, Degraded as Deg, MinimalRisk as Mrm, Off, Ready as Rdy,
+        Active as Act, Degraded as Deg, MinimalRisk as Mrm, Off, Parking as Prk, Ready as Rdy,
         TakeoverRequest as Req,
     };
     [
-        // Blind Sees Override Engage Fault Alone Leaves Whole Expired
-        [Off, Rdy, Off, Off, Off, Off, Off, Off, Off], // off
-        [Off, Rdy, Rdy, Act, Rdy, Rdy, Rdy, Rdy, Rdy], // ready
-        [Mrm, Act, Rdy, Act, Mrm, Deg, Req, Act, Act], // active
-        [Mrm, Deg, Rdy, Deg, Mrm, Deg, Req, Act, Req], // degraded
-        [Mrm, Req, Rdy, Req, Mrm, Req, Req, Act, Mrm], // takeover request
-        [Mrm, Mrm, Rdy, Mrm, Mrm, Mrm, Mrm, Mrm, Mrm], // minimal-risk stop
+        // Blind Sees Override Engage Fault Alone Leaves Whole Expired Park SocSilent
+        [Off, Rdy, Off, Off, Off, Off, Off, Off, Off, Off, Off], // off
+        [Off, Rdy, Rdy, Act, Rdy, Rdy, Rdy, Rdy, Rdy, Rdy, Rdy], // ready
+        [Mrm, Act, Rdy, Act, Mrm, Deg, Req, Act, Act, Prk, Act], // active
+        [Mrm, Deg, Rdy, Deg, Mrm, Deg, Req, Act, Req, Deg, Deg], // degraded
+        [Mrm, Req, Rdy, Req, Mrm, Req, Req, Act, Mrm, Req, Req], // takeover request
+        [Mrm, Mrm, Rdy, Mrm, Mrm, Mrm, Mrm, Mrm, Mrm, Mrm, Mrm], // minimal-risk stop
+        [Mrm, Prk, Rdy, Prk, Mrm, Prk, Prk, Prk, Prk, Prk, Mrm], // parking
     ]
 };
 
@@ -163,6 +172,8 @@ pub enum Driver {
     Drives,
     /// Wants automated driving.
     Engages,
+    /// Wants automated driving, and the vehicle parked.
+    Parks,
 }
 
 /// The inputs of the machine in a cycle.
@@ -176,6 +187,10 @@ pub struct Inputs {
     pub sees: bool,
     /// The vehicle is within the operational design domain, and is not about to leave it.
     pub in_domain: bool,
+    /// The driver asks for parking, the SoC commands, and the vehicle is slow.
+    pub parks: bool,
+    /// The SoC does not command, and the vehicle is not parked.
+    pub soc_silent: bool,
 }
 
 /// The driving function of one system. Both systems run one each, with the same inputs.
@@ -204,7 +219,7 @@ impl Function {
         let expired = self.state.limit().is_some_and(over);
         let driver = match inputs.driver {
             Driver::Drives => Some(Signal::Override),
-            Driver::Engages => Some(Signal::Engage),
+            Driver::Engages | Driver::Parks => Some(Signal::Engage),
             Driver::Unheard => None,
         };
         let permitted = match inputs.permitted {
@@ -219,6 +234,8 @@ impl Function {
             driver,
             permitted,
             (!inputs.in_domain).then_some(Signal::Leaves),
+            inputs.parks.then_some(Signal::Park),
+            inputs.soc_silent.then_some(Signal::SocSilent),
             expired.then_some(Signal::Expired),
         ];
         let before = self.state;
@@ -245,6 +262,8 @@ mod tests {
         driver: Driver::Engages,
         sees: true,
         in_domain: true,
+        parks: false,
+        soc_silent: true,
     };
     const MS: fn(u64) -> Instant = |ms| Instant::from_ns(ms * 1_000_000);
 
@@ -285,6 +304,7 @@ mod tests {
             FunctionState::Degraded => "degraded",
             FunctionState::TakeoverRequest => "takeover request",
             FunctionState::MinimalRisk => "minimal-risk stop",
+            FunctionState::Parking => "parking",
         };
         for &state in FunctionState::VARIANTS {
             let row = docs
@@ -314,10 +334,18 @@ mod tests {
                 assert!(!ends || signal == Signal::Override, "{state:?} {signal:?}");
                 let aborts = state == FunctionState::MinimalRisk && next(signal) != state;
                 assert!(!aborts || signal == Signal::Override, "{signal:?}");
+                // The SoC commands only where the driver asked for it, and no other function goes
+                // on from where the SoC has brought the vehicle.
+                let begins =
+                    state != FunctionState::Parking && next(signal) == FunctionState::Parking;
+                assert!(!begins || signal == Signal::Park, "{state:?} {signal:?}");
+                let after = state == FunctionState::Parking && next(signal) != state;
+                let ends = [FunctionState::MinimalRisk, FunctionState::Ready];
+                assert!(!after || ends.contains(&next(signal)), "{signal:?}");
             }
         }
         let codes = FunctionState::VARIANTS.iter().map(|state| *state as u8);
-        assert!(codes.eq(0..6));
+        assert!(codes.eq(0..7));
     }
 
     #[test]
@@ -373,6 +401,56 @@ mod tests {
             ..DRIVES
         };
         assert_eq!(function.cycle(MS(at + 10), &takes), FunctionState::Ready);
+    }
+
+    /// D-3: the SoC's silence stops the vehicle if it parks, and does nothing in any other state.
+    /// One system that is left goes on parking.
+    #[test]
+    fn parking_ends_with_the_driver_or_in_a_stop() {
+        let asks = Inputs {
+            parks: true,
+            soc_silent: false,
+            driver: Driver::Parks,
+            ..DRIVES
+        };
+        let alone = Inputs {
+            permitted: Mode::DegradedL2,
+            in_domain: false,
+            ..asks
+        };
+        let silent = Inputs {
+            parks: false,
+            soc_silent: true,
+            ..alone
+        };
+        let hands = Inputs {
+            driver: Driver::Drives,
+            ..asks
+        };
+        let mut function = Function::default();
+        assert_eq!(
+            function.cycle(MS(0), &silent),
+            FunctionState::TakeoverRequest
+        );
+        let mut function = Function::default();
+        assert_eq!(function.cycle(MS(0), &asks), FunctionState::Parking);
+        let engages = Inputs {
+            parks: false,
+            driver: Driver::Engages,
+            ..asks
+        };
+        for (inputs, expected) in [
+            (&alone, FunctionState::Parking),
+            (&engages, FunctionState::Parking),
+            (&silent, FunctionState::MinimalRisk),
+            (&asks, FunctionState::MinimalRisk),
+            (&hands, FunctionState::Ready),
+            (&asks, FunctionState::Parking),
+            (&hands, FunctionState::Ready),
+        ] {
+            assert_eq!(function.cycle(MS(10), inputs), expected, "{inputs:?}");
+        }
+        assert_eq!(FunctionState::Parking.mode(Mode::SafeStop), Mode::SafeStop);
     }
 
     #[test]

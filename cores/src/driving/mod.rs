@@ -7,6 +7,7 @@ mod idm;
 pub mod knowledge;
 pub(crate) mod math;
 pub mod odometry;
+pub mod parking;
 pub mod perception;
 pub mod planning;
 pub mod road;

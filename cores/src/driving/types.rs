@@ -248,11 +248,19 @@ pub enum StepFunction {
     Stop,
     /// It stops without a scene.
     Blind,
+    /// It parks as the SoC asks.
+    Parking,
 }
 
 impl StepFunction {
     /// All functions, in the order of their numbers.
-    pub(crate) const ALL: [Self; 4] = [Self::Trajectory, Self::Keep, Self::Stop, Self::Blind];
+    pub(crate) const ALL: [Self; 5] = [
+        Self::Trajectory,
+        Self::Keep,
+        Self::Stop,
+        Self::Blind,
+        Self::Parking,
+    ];
 }
 
 /// One step of the control with its inputs (core 0 to 2): a core that has the trajectory and the
@@ -265,7 +273,9 @@ pub struct ControlStep {
     pub cycle: u32,
     /// Age of the trajectory or of the scene at the step, s.
     pub age_s: f32,
-    /// The vehicle in their frame: x and y in m, heading in rad.
+    /// The vehicle in their frame: x and y in m, heading in rad. Of a step that parks, what the SoC
+    /// asks for: road wheel angle in rad, speed in m/s, and the acceleration with which to reach
+    /// that, in m/s²; if it is negative, braking as hard as this.
     pub pose: [f32; 3],
     /// Motion of the ego vehicle, its slip angle without noise.
     pub ego: Ego,

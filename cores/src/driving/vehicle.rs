@@ -15,6 +15,10 @@ const FRONT_AXLE_M: f32 = 1.156_195_7;
 const REAR_AXLE_M: f32 = 1.422_717_1;
 /// Axle to axle, m.
 pub(crate) const WHEELBASE_M: f32 = FRONT_AXLE_M + REAR_AXLE_M;
+/// kg
+pub(crate) const MASS_KG: f32 = 1_093.3;
+/// m
+pub(crate) const WHEEL_RADIUS_M: f32 = 0.344;
 /// Height of the centre of gravity, m.
 const GRAVITY_CENTRE_HEIGHT_M: f32 = 0.613_73;
 /// Friction coefficient of the tyres.

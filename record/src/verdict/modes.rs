@@ -67,6 +67,7 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
         | Event::SensorLies { .. }
         | Event::ClockWrong { .. }
         | Event::CoreSilent { .. }
+        | Event::SocSilent { .. }
         | Event::OutputFault { .. } => true,
         _ => false,
     };

@@ -322,7 +322,9 @@ impl Perception {
         self.scene.ego = ego;
         self.scene.lanes = lanes;
         let asked = &self.request;
-        self.scene.set_speed = asked.engage.then_some(asked.set_speed);
+        // A driver who wants the vehicle parked wants it to stop where the SoC can begin. D-3
+        let set_speed = if asked.park { 0.0 } else { asked.set_speed };
+        self.scene.set_speed = asked.engage.then_some(set_speed);
         self.scene.route = asked.route;
         self.scene.near_gap = asked.near_gap;
         self.scene.lane_offset = asked.lane_offset;
