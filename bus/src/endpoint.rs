@@ -60,7 +60,7 @@ impl core::error::Error for ReceiveError {}
 #[derive(Clone, Debug)]
 pub struct FrameReceiver {
     checkers: [Checker; FRAMES.len()],
-    lost: u32,
+    lost: [u32; FRAMES.len()],
 }
 
 impl FrameReceiver {
@@ -69,7 +69,7 @@ impl FrameReceiver {
     pub fn new() -> Self {
         Self {
             checkers: FRAMES.map(|frame| Checker::new(frame.id)),
-            lost: 0,
+            lost: [0; FRAMES.len()],
         }
     }
 
@@ -92,7 +92,7 @@ impl FrameReceiver {
             return Err(ReceiveError::Protection(check));
         }
         if let Check::OkSomeLost(lost) = check {
-            self.lost = self.lost.wrapping_add(u32::from(lost));
+            self.lost[index] = self.lost[index].wrapping_add(lost.into());
         }
         Message::decode(id, data).map_err(ReceiveError::Decode)
     }
@@ -100,8 +100,18 @@ impl FrameReceiver {
     /// Returns how many frames were lost according to the counters; wraps around. Gaps that ended
     /// in [`Check::WrongSequence`] are not counted.
     #[must_use]
-    pub const fn lost(&self) -> u32 {
-        self.lost
+    pub fn lost(&self) -> u32 {
+        let sum = |all: u32, of: &u32| all.wrapping_add(*of);
+        self.lost.iter().fold(0, sum)
+    }
+
+    /// Returns how many of them are of the frame with this index in [`FRAMES`]; wraps around.
+    ///
+    /// # Panics
+    /// If there is no such frame.
+    #[must_use]
+    pub const fn lost_of(&self, index: usize) -> u32 {
+        self.lost[index]
     }
 }
 

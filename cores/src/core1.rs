@@ -152,7 +152,7 @@ impl<'b, B: Board> Core1<'b, B> {
     fn receive(&mut self) -> Option<Instant> {
         let mut completed = None;
         let mut left = CAN_FRAMES;
-        while let Some((at, frame)) = read_can(self.board, &mut self.frames, &mut left) {
+        while let Some((at, frame)) = read_can(self.board, &mut self.frames, &mut left, |_| {}) {
             if let ReceivedFrame::Valid(message) = frame {
                 self.perception.on_message(at, &message);
                 completed = match self.perception.is_round_complete() {

@@ -25,7 +25,7 @@ mod tester_desk;
 pub mod trace;
 pub mod words;
 
-use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant};
+use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, Received};
 use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
 pub use tester_desk::Unguarded;
@@ -98,15 +98,17 @@ enum ReceivedFrame {
 /// the desk, with the time at which it was on the bus. Skips other frames.
 ///
 /// Takes at most `left` frames of any kind from the receiver, and counts `left` down; 0 means that
-/// more may wait.
+/// more may wait. `hears` is called with each of them.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::FrameReceiver,
     left: &mut u32,
+    mut hears: impl FnMut(&Received),
 ) -> Option<(Instant, ReceivedFrame)> {
     while *left > 0 {
         let received = board.can().try_receive()?;
         *left -= 1;
+        hears(&received);
         let CanId::Standard(id) = received.frame.id() else {
             if tester_desk::concerns(&received.frame) {
                 return Some((received.at, ReceivedFrame::ForDesk(received.frame)));

@@ -28,6 +28,8 @@ impl TaskCode {
     pub const STATUS: Self = Self(8);
     /// Core 0: fetches scene and trajectory when core 2 signals.
     pub const TRAJECTORY_INPUT: Self = Self(9);
+    /// Core 0: topics over DDS, to and from the SoC.
+    pub const TOPICS: Self = Self(10);
 
     /// Returns whether this task runs the control cycle.
     #[must_use]
@@ -104,8 +106,9 @@ impl TaskInfo {
 
 use ReleasedBy::{Doorbell, OwnDeadline, Period, Task};
 
-/// The tasks of core 0, in falling order of priority: rate-monotonic.
-pub const CORE_0: [TaskInfo; 6] = [
+/// The tasks of core 0, in falling order of priority: rate-monotonic, with the task last that
+/// nothing on the way from a sensor to the actuators waits for.
+pub const CORE_0: [TaskInfo; 7] = [
     TaskInfo {
         code: TaskCode::ROLES,
         name: "heartbeat and roles",
@@ -169,6 +172,16 @@ pub const CORE_0: [TaskInfo; 6] = [
         priority: 3,
         uses: &[SharedPart::Shared],
         purpose: "status frame",
+    },
+    TaskInfo {
+        code: TaskCode::TOPICS,
+        name: "topics",
+        released_by: &[OwnDeadline, Task(TaskCode::ROLES)],
+        period: Duration::from_ms(5),
+        deadline: None,
+        priority: 1,
+        uses: &[SharedPart::Shared, SharedPart::Drive],
+        purpose: "publishes the frames of the bus, reads the SoC's commands; only with a network",
     },
 ];
 
@@ -279,12 +292,18 @@ mod tests {
         assert_eq!(IrqCode(9).name(), None);
     }
 
-    /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. No two
-    /// tasks have the same priority, so the kernel never chooses their order.
+    /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. Topics are
+    /// less urgent than all that drives. No two tasks have the same priority, so the kernel never
+    /// chooses their order.
     #[test]
     fn the_priorities_of_core_0_are_rate_monotonic() {
         for pair in CORE_0.windows(2) {
-            assert!(pair[0].period <= pair[1].period, "{}", pair[1].name);
+            let is_monotonic = pair[0].period <= pair[1].period;
+            assert!(
+                is_monotonic || pair[1].code == TaskCode::TOPICS,
+                "{}",
+                pair[1].name
+            );
             assert!(pair[0].priority > pair[1].priority, "{}", pair[1].name);
         }
         assert!(CORE_0.iter().all(|info| (1..=30).contains(&info.priority)));

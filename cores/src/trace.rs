@@ -261,7 +261,7 @@ pub enum Event {
     },
     /// The SoC no longer commands while the vehicle is parked: the function stops the vehicle.
     SocSilent {
-        /// The topic that is missing, as in [`SocTopic`](crate::driving::parking::SocTopic).
+        /// The topic that is missing, as in [`SocTopic`](tandem_topics::endpoints::SocTopic).
         topic: u8,
     },
     /// This system found that its command is wrong, and leaves.
@@ -340,6 +340,21 @@ pub enum Event {
     OutputFault {
         /// 1 open load, 2 short circuit.
         found: u8,
+    },
+    /// A cyclic frame of the bus has not been heard for five of its periods. Told with a network to
+    /// an SoC.
+    FrameSilent {
+        /// CAN id.
+        id: u32,
+        /// Time since the last one, ms.
+        age_ms: u32,
+    },
+    /// Frames of the bus were lost, by their counter. Told with a network to an SoC.
+    FrameGaps {
+        /// CAN id.
+        id: u32,
+        /// How many, since the last report.
+        lost: u32,
     },
     /// The longest time for which a task held the shared state.
     Held {
@@ -547,6 +562,8 @@ codec! {
     50 TrajectoryCheck { what: a, percent: b } 0..=4;
     51 SensorLies { what: a, thousandths: x } 0..=6;
     52 SocSilent { topic: a } 0..=3;
+    53 FrameSilent { id: x, age_ms: y };
+    54 FrameGaps { id: x, lost: y };
 }
 
 #[cfg(test)]

@@ -178,6 +178,8 @@ pub fn core_event(event: Event) -> Option<String> {
             "the vehicle's echo is wrong: the measured steering angle follows the command"
                 .to_owned()
         }
+        Event::FrameSilent { id, age_ms } => format!("frame {id:#05x} is silent for {age_ms} ms"),
+        Event::FrameGaps { id, lost } => format!("frame {id:#05x}: {lost} lost by their counter"),
         Event::SocSilent { topic } => {
             let topics = [
                 "PowerControl",

@@ -32,12 +32,13 @@ const GAP: f64 = 12.0;
 const NARROWEST: f64 = 1.2;
 
 /// The legend: the meaning of the colours of slices.
-const LEGEND: [(TaskCode, Color); 8] = [
+const LEGEND: [(TaskCode, Color); 9] = [
     (TaskCode::CONTROL, Color::A),
     (TaskCode::DEGRADED, Color::WARN),
     (TaskCode::ROLES, Color::CALM),
     (TaskCode::MONITORING, Color::MUTED),
     (TaskCode::STATUS, Color::OTHER),
+    (TaskCode::TOPICS, Color::THREADS),
     (TaskCode::TRAJECTORY_INPUT, Color::BAD),
     (TaskCode::PERCEPTION, Color::GOOD),
     (TaskCode::PLANNING, Color::B),

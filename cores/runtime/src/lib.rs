@@ -353,9 +353,11 @@ pub fn start<B: Board + Sync>(
         degraded,
         trajectory_input,
         status,
+        topics,
     } = tasks;
     // The least urgent first: a task releases only less urgent ones.
     let mut made = Handles::default();
+    spawn(&kernel, runtime, &mut made, topics)?;
     spawn(&kernel, runtime, &mut made, status)?;
     spawn(&kernel, runtime, &mut made, trajectory_input)?;
     spawn(&kernel, runtime, &mut made, degraded)?;

@@ -5,11 +5,12 @@ use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
 use crate::driving::function::{Driver, Function, FunctionState, Inputs, stays_in_domain};
 use crate::driving::knowledge::Knowledge;
-use crate::driving::parking::{BodyRequest, BodyState, Parking, SocSample, SocTopic};
+use crate::driving::parking::{BodyRequest, BodyState, Parking, SocSample};
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use crate::trace::Event;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
+use tandem_topics::endpoints::SocTopic;
 
 /// The content of a control frame. It is sent only if the output is open.
 #[derive(Clone, Copy, Debug)]

@@ -2,7 +2,7 @@
 //!
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
-//! Its work is six tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
+//! Its work is seven tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
 //! [`TaskBody`] that does all due work and returns when it is due next. It reaches the state that
 //! all tasks share through an [`Executor`]. [`Core0`] runs the tasks one after the other, each to
 //! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
@@ -29,6 +29,7 @@ mod scene_check;
 mod shared;
 mod state_flash;
 mod tasks;
+mod topics;
 mod vehicle_clock;
 mod wheel;
 
@@ -43,6 +44,7 @@ pub use run_to_completion::Core0;
 pub use shared::SharedState;
 use tandem_board::{Board, CoreId, Duration, Instant};
 pub use tasks::{MonitoringTask, RolesTask, StatusTask, TrajectoryInputTask};
+pub use topics::TopicsTask;
 
 /// Period of the control task.
 pub const CONTROL_PERIOD: Duration = Core0Task::Control.info().period;
@@ -62,6 +64,8 @@ pub enum Core0Task {
     TrajectoryInput,
     /// The status frame.
     Status,
+    /// Topics over DDS, to and from the SoC.
+    Topics,
 }
 
 impl Core0Task {
@@ -73,6 +77,7 @@ impl Core0Task {
         Self::Degraded,
         Self::TrajectoryInput,
         Self::Status,
+        Self::Topics,
     ];
 
     /// Returns its row of the table.
@@ -172,6 +177,7 @@ pub struct Tasks<'b, B: Board> {
     pub degraded: DegradedTask,
     pub trajectory_input: TrajectoryInputTask<'b, B>,
     pub status: StatusTask<'b, B>,
+    pub topics: TopicsTask<'b, B>,
 }
 
 impl<'b, B: Board> Tasks<'b, B> {
@@ -184,6 +190,7 @@ impl<'b, B: Board> Tasks<'b, B> {
             Core0Task::Degraded => self.degraded.poll(executor),
             Core0Task::TrajectoryInput => self.trajectory_input.poll(executor),
             Core0Task::Status => self.status.poll(executor),
+            Core0Task::Topics => self.topics.poll(executor),
         }
     }
 }
@@ -216,6 +223,7 @@ impl<'b, B: Board> Parts<'b, B> {
                 degraded: DegradedTask,
                 trajectory_input: TrajectoryInputTask::new(board),
                 status: StatusTask::new(board),
+                topics: TopicsTask::new(board),
             },
         }
     }

@@ -15,6 +15,7 @@ use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::read_back::Verdict;
 use super::redundancy_port::{Outcome, RedundancyPort};
 use super::scene_check::{SceneCheck, Suspect};
+use super::topics::Heard;
 use super::{Core0Task, TaskSet, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::Scene;
@@ -48,6 +49,7 @@ pub struct SharedState<'b, B: Board> {
     pub(super) system: SystemId,
     pub(super) redundancy: RedundancyPort<'b, B>,
     pub(super) can: CanPort,
+    pub(super) heard: Heard,
     pub(super) check: CommandCheck<'b>,
     pub(super) scene_check: SceneCheck,
     /// Core 2 was found wrong in this incarnation.
@@ -75,6 +77,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             system: identity.system,
             redundancy,
             can: CanPort::new(),
+            heard: Heard::default(),
             check: CommandCheck::new(),
             scene_check: SceneCheck::new(),
             is_plan_wrong: false,
@@ -107,7 +110,7 @@ impl<'b, B: Board> SharedState<'b, B> {
     pub(super) fn read_bus(&mut self) -> TaskSet {
         let mut released = TaskSet::NONE;
         let mut left = CAN_FRAMES;
-        while let Some((at, frame)) = read_can(self.board, &mut self.can.receiver, &mut left) {
+        while let Some((at, frame)) = self.next_frame(&mut left) {
             released |= match frame {
                 ReceivedFrame::Valid(message) => self.on_message(at, message),
                 ReceivedFrame::WrongCounter(message) => self.on_stale_message(at, message),
@@ -120,10 +123,18 @@ impl<'b, B: Board> SharedState<'b, B> {
         if left == 0 {
             self.floods.can(self.board.can().overruns());
         }
+        if self.heard.is_waiting() {
+            released |= TaskSet::of(Core0Task::Topics);
+        }
         if let Some(report) = self.newest_report() {
             released |= self.notify(Input::LinkReport(report));
         }
         released | self.serve_desk()
+    }
+
+    fn next_frame(&mut self, left: &mut u32) -> Option<(Instant, ReceivedFrame)> {
+        let (receiver, heard) = (&mut self.can.receiver, &mut self.heard);
+        read_can(self.board, receiver, left, |received| heard.push(received))
     }
 
     /// Returns the newest report that has arrived over the link, even if other datagrams follow it.

@@ -8,6 +8,7 @@
 
 use tandem_board::{Duration, Instant};
 use tandem_bus::{BrakeRequestCode, GearCode, ParkingBrakeCode};
+use tandem_topics::endpoints::SocTopic;
 use tandem_topics::{
     BrakeRequest, Gear, LateralControl, LongitudinalControl, ParkingBrake, PowerControl,
 };
@@ -56,21 +57,7 @@ const HALTS: f32 = 0.05;
 /// highest speed, and 0.8 s of releasing it softly.
 pub const SOC_STOP_LIMIT: Duration = Duration::from_ms(2_800);
 
-/// The topics with which the SoC commands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum SocTopic {
-    /// Motion that the drive train shall reach.
-    Power = 0,
-    /// Steering.
-    Lateral = 1,
-    /// Brakes and speed.
-    Longitudinal = 2,
-    /// Parking brake.
-    Brake = 3,
-}
-
-/// A sample of one of these topics, decoded and checked end to end.
+/// A sample of a topic of the SoC, decoded and checked end to end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SocSample {
     /// Motion that the drive train shall reach.
@@ -167,7 +154,7 @@ impl Parking {
             power: fresh(now, &self.power, SOC_TIMEOUT).ok_or(SocTopic::Power)?,
             lateral: lateral.ok_or(SocTopic::Lateral)?,
             longitudinal: longitudinal.ok_or(SocTopic::Longitudinal)?,
-            brake: fresh(now, &self.brake, SOC_BRAKE_TIMEOUT).ok_or(SocTopic::Brake)?,
+            brake: fresh(now, &self.brake, SOC_BRAKE_TIMEOUT).ok_or(SocTopic::ParkingBrake)?,
         })
     }
 

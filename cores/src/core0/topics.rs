@@ -1,0 +1,314 @@
+//! Topics over DDS: frames of the bus go up to the SoC, its commands come down. D-2, D-3
+//!
+//! The least urgent task of core 0: nothing that drives waits for it. Both systems publish what
+//! they hear and read what the SoC commands; only the frames of the master act on the vehicle.
+
+use super::{Core0Task, Executor, TaskBody};
+use crate::driving::parking::SocSample;
+use crate::trace::{Begin, Event};
+use heapless::Deque;
+use tandem_board::{
+    Board, CanId, Channel, Duration, Instant, Network, NetworkAddress, Received, Recipient,
+};
+use tandem_bus::e2e::Checker;
+use tandem_bus::{FRAMES, FrameInfo};
+use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic, controller_prefix};
+use tandem_topics::{
+    CanFrame, Destination, GuidPrefix, LateralControl, Locator, LongitudinalControl, Outlet,
+    ParkingBrake, Participant, PowerControl,
+};
+
+/// Capacity for frames that have not been published: what the bus carries in 5 ms.
+const FRAMES_HEARD: usize = 32;
+/// Datagrams that one job reads at most.
+const DATAGRAMS: u8 = 16;
+/// How often the port is read while no frame arrives.
+const POLLS_EVERY: Duration = Duration::from_ms(5);
+/// An SoC that has sent no valid command for this long makes room for another one.
+const SOC_SILENT: Duration = Duration::from_ms(500);
+/// A frame is silent after this many of its periods.
+const SILENT_PERIODS: u64 = 5;
+/// How often losses and silence of frames are looked for.
+const SUPERVISES_EVERY: Duration = Duration::from_ms(100);
+/// Length of the longest command, bytes.
+const COMMAND: usize = PowerControl::PAYLOAD_LEN;
+/// Length of the longest datagram that is read whole, bytes: that of an Ethernet frame.
+const LONGEST: usize = 1_472;
+
+/// The controller's participant: depth 3. D-4
+type Controller = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, COMMAND>;
+
+/// The frames that core 0 has heard and not published.
+#[derive(Default)]
+pub(super) struct Heard {
+    /// There is a network to publish them on.
+    is_open: bool,
+    frames: Deque<Received, FRAMES_HEARD>,
+}
+
+impl Heard {
+    /// Keeps a frame. One that finds no room is lost: the SoC misses its number.
+    pub(super) fn push(&mut self, received: &Received) {
+        if self.is_open {
+            let _lost = self.frames.push_back(*received);
+        }
+    }
+
+    pub(super) fn is_waiting(&self) -> bool {
+        !self.frames.is_empty()
+    }
+}
+
+/// The Ethernet port, as the participant sends.
+struct Port<'b, B>(&'b B);
+
+impl<B: Board> Outlet for Port<'_, B> {
+    fn send(&mut self, to: Destination, message: &[u8]) {
+        let to = match to {
+            Destination::Everyone => Recipient::Everyone,
+            Destination::At(Locator { address, port }) => {
+                Recipient::One(NetworkAddress { address, port })
+            }
+        };
+        // What finds no room is lost, as on the wire.
+        let _lost = self.0.network().try_send(Channel::Topics, to, message);
+    }
+}
+
+/// The SoC that commands. Another one is heard when this one is silent.
+struct Commander {
+    soc: GuidPrefix,
+    heard: Instant,
+    /// For each topic, in the order of [`SocTopic`].
+    checkers: [Checker; SocTopic::ALL.len()],
+}
+
+impl Commander {
+    const fn new(soc: GuidPrefix, heard: Instant) -> Self {
+        let checkers = [
+            PowerControl::checker(),
+            LateralControl::checker(),
+            LongitudinalControl::checker(),
+            ParkingBrake::checker(),
+        ];
+        Self {
+            soc,
+            heard,
+            checkers,
+        }
+    }
+
+    /// Decodes a command and checks it end to end. Returns `None` for one that must not act.
+    fn judge(
+        commander: &mut Option<Self>,
+        (topic, at, soc): (SocTopic, Instant, GuidPrefix),
+        payload: &[u8],
+    ) -> Option<SocSample> {
+        let mut known = match commander.take() {
+            Some(it) if it.soc == soc || at.since(it.heard) <= SOC_SILENT => it,
+            _ => Self::new(soc, at),
+        };
+        let checker = &mut known.checkers[topic as usize];
+        let sample = match topic {
+            _ if known.soc != soc => None,
+            SocTopic::Power => PowerControl::decode(payload)
+                .ok()
+                .filter(|it| it.check(checker).is_accepted())
+                .map(SocSample::Power),
+            SocTopic::Lateral => LateralControl::decode(payload)
+                .ok()
+                .filter(|it| it.check(checker).is_accepted())
+                .map(SocSample::Lateral),
+            SocTopic::Longitudinal => LongitudinalControl::decode(payload)
+                .ok()
+                .filter(|it| it.check(checker).is_accepted())
+                .map(SocSample::Longitudinal),
+            SocTopic::ParkingBrake => ParkingBrake::decode(payload)
+                .ok()
+                .filter(|it| it.check(checker).is_accepted())
+                .map(SocSample::Brake),
+        };
+        if sample.is_some() {
+            known.heard = at;
+        }
+        *commander = Some(known);
+        sample
+    }
+}
+
+/// What is known of the frames of the bus, in the order of [`FRAMES`].
+struct Supervision {
+    /// When each was heard; `None` before the first one, and while its silence is told.
+    heard: [Option<Instant>; FRAMES.len()],
+    /// How many of each were lost when that was told.
+    lost: [u32; FRAMES.len()],
+    polled: Instant,
+}
+
+impl Supervision {
+    fn on_frame(&mut self, received: &Received) {
+        if let Some(index) = index_of(received) {
+            self.heard[index] = Some(received.at);
+        }
+    }
+
+    /// Tells which frames are silent, and of which some were lost since that was told.
+    fn poll<'b, B: Board>(&mut self, now: Instant, executor: &impl Executor<'b, B>) {
+        if now.since(self.polled) < SUPERVISES_EVERY {
+            return;
+        }
+        self.polled = now;
+        executor.shared(|shared| {
+            for (index, frame) in FRAMES.iter().enumerate() {
+                let id = frame.id.into();
+                let all = shared.can.receiver.lost_of(index);
+                let lost = all.wrapping_sub(core::mem::replace(&mut self.lost[index], all));
+                if lost > 0 {
+                    shared.trace(Event::FrameGaps { id, lost });
+                }
+                let limit = Duration::from_ms(u64::from(frame.cycle_ms) * SILENT_PERIODS);
+                let silent = self.heard[index].map(|at| now.since(at));
+                if let Some(silent) = silent.filter(|it| *it > limit && is_cyclic(frame)) {
+                    self.heard[index] = None;
+                    let age_ms = (silent.as_us() / 1_000) as u32;
+                    shared.trace(Event::FrameSilent { id, age_ms });
+                }
+            }
+        });
+    }
+}
+
+/// Returns whether the bus carries a frame of this id in each of its periods. A sensor that sees
+/// nothing sends no object.
+fn is_cyclic(frame: &FrameInfo) -> bool {
+    frame.cycle_ms > 0 && !frame.name.ends_with("Object")
+}
+
+fn index_of(received: &Received) -> Option<usize> {
+    let CanId::Standard(id) = received.frame.id() else {
+        return None;
+    };
+    FRAMES.iter().position(|frame| frame.id == id)
+}
+
+/// Returns a frame as a sample.
+fn sample_of(received: &Received) -> CanFrame {
+    let bytes = received.frame.data();
+    let mut data = [0; 64];
+    data[..bytes.len()].copy_from_slice(bytes);
+    CanFrame {
+        id: match received.frame.id() {
+            CanId::Standard(id) => id.into(),
+            CanId::Extended(id) => id | 1 << 31,
+        },
+        period_ms: index_of(received).map_or(0, |index| FRAMES[index].cycle_ms as u16),
+        length: bytes.len() as u8,
+        data,
+    }
+}
+
+/// Publishes the frames, and reads the SoC's commands.
+pub struct TopicsTask<'b, B> {
+    board: &'b B,
+    participant: Option<Controller>,
+    commander: Option<Commander>,
+    supervision: Supervision,
+}
+
+impl<'b, B: Board> TopicsTask<'b, B> {
+    pub(super) fn new(board: &'b B) -> Self {
+        Self {
+            board,
+            participant: None,
+            commander: None,
+            supervision: Supervision {
+                heard: [None; FRAMES.len()],
+                lost: [0; FRAMES.len()],
+                polled: board.now(),
+            },
+        }
+    }
+
+    /// Reads what has arrived, and passes the commands on.
+    fn read(&mut self, executor: &impl Executor<'b, B>) {
+        let Some(participant) = &mut self.participant else {
+            return;
+        };
+        let mut bytes = [0; LONGEST];
+        for _ in 0..DATAGRAMS {
+            let network = self.board.network();
+            let Some(datagram) = network.try_receive(Channel::Topics, &mut bytes) else {
+                return;
+            };
+            let bytes = bytes.get(..datagram.len).unwrap_or_default();
+            participant.hear(self.board.now(), bytes, &mut Port(self.board));
+            for topic in SocTopic::ALL {
+                while let Some(sample) = participant.take(topic as usize) {
+                    let of = (topic, datagram.at, sample.writer.prefix);
+                    let command = Commander::judge(&mut self.commander, of, sample.payload());
+                    if let Some(command) = command {
+                        executor.drive(|drive| drive.on_soc(datagram.at, command));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Publishes the frames that were heard.
+    fn publish(&mut self, executor: &impl Executor<'b, B>) {
+        let Some(participant) = &mut self.participant else {
+            return;
+        };
+        for _ in 0..FRAMES_HEARD {
+            let Some(received) = executor.shared(|shared| shared.heard.frames.pop_front()) else {
+                return;
+            };
+            self.supervision.on_frame(&received);
+            if let Ok(payload) = sample_of(&received).encode() {
+                // Ends after 2^32 frames, seven weeks at 1 kHz: the SoC then hears the other system.
+                let _ended = participant.write(0, &payload, &mut Port(self.board));
+            }
+        }
+    }
+
+    /// Opens the participant if there is a network. Returns whether there is one.
+    fn open(&mut self, executor: &impl Executor<'b, B>) -> bool {
+        if self.participant.is_some() {
+            return true;
+        }
+        let Some(at) = self.board.network().address(Channel::Topics) else {
+            return false;
+        };
+        let identity = self.board.identity();
+        let NetworkAddress { address, port } = at;
+        // Nobody has heard of it before: the time and the count of starts differ at each start.
+        let [a, b, c, d, ..] = (self.board.now().as_ns() >> 10).to_le_bytes();
+        let start = [a, b, c, d, identity.generation.0 as u8];
+        let prefix = controller_prefix(identity.system.index() as u8, start);
+        let at = Locator { address, port };
+        self.participant = Some(Controller::new(prefix, at, &OUTPUTS, &INPUTS));
+        executor.shared(|shared| shared.heard.is_open = true);
+        true
+    }
+}
+
+impl<'b, B: Board> TaskBody<'b, B> for TopicsTask<'b, B> {
+    const ID: Core0Task = Core0Task::Topics;
+
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
+        if !self.open(executor) {
+            return Instant::NEVER;
+        }
+        executor.begins(Self::ID, Begin::Goes);
+        self.read(executor);
+        self.publish(executor);
+        let now = self.board.now();
+        self.supervision.poll(now, executor);
+        let due = match &mut self.participant {
+            Some(participant) => participant.poll(now, &mut Port(self.board)),
+            None => Instant::NEVER,
+        };
+        executor.ends(Self::ID);
+        due.min(now + POLLS_EVERY)
+    }
+}
