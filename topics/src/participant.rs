@@ -142,7 +142,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// Does what is due. Returns when it wants to be called again, at the latest.
     pub fn poll(&mut self, now: Instant, out: &mut impl Outlet) -> Instant {
         for at in 0..REMOTES {
-            if let Some(remote) = self.remotes[at].filter(|remote| now >= remote.expires) {
+            if let Some(remote) = &self.remotes[at]
+                && now >= remote.expires
+            {
                 self.forget(remote.prefix);
             }
         }
@@ -203,8 +205,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     /// Returns where the participant in this place hears, if the writer serves a reader of it.
     fn served(&self, at: usize, writer: usize) -> Option<Peer> {
-        let remote = self.remotes[at]?;
-        let mut readers = self.writers[writer].readers.iter().flatten();
+        let remote = self.remotes.get(at)?.as_ref()?;
+        let mut readers = self.writers.get(writer)?.readers.iter().flatten();
         let is_served = readers.any(|reader| reader.guid.prefix == remote.prefix);
         is_served.then(|| remote.user())
     }
@@ -349,6 +351,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         }
     }
 
+    #[inline(never)]
     fn acknowledge(
         &mut self,
         to: Peer,
@@ -424,8 +427,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             };
             post(self.prefix, Some(to), out, &mut |message| message.gap(gap));
         }
-        let last = set.iter().last();
-        for number in set.iter().filter(|number| *number >= first) {
+        let last = set.last();
+        for number in set.filter(|number| *number >= first) {
             // A heartbeat before the last one would have those behind it asked for again.
             let beats = Some(number) == last;
             if self.send_sample(index, (number, beats), (to, reader), out) {
@@ -487,7 +490,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             Kind::Publications => self.outputs,
             Kind::Subscriptions => self.inputs,
         };
-        for number in asks.iter() {
+        for number in asks {
             if let Some(endpoint) = endpoints.get(number as usize - 1) {
                 post(self.prefix, Some(to), out, &mut |message| {
                     discovery::write_endpoint(message, (self.prefix, kind, number), endpoint);

@@ -74,7 +74,7 @@ impl Stream {
             return 0..0;
         }
         let mut at = next.max(gap.set.base);
-        for number in gap.set.iter() {
+        for number in gap.set {
             if number == at {
                 at += 1;
             }
@@ -134,7 +134,7 @@ pub struct Sample<const BYTES: usize> {
 impl<const BYTES: usize> Sample<BYTES> {
     /// Representation and body.
     pub fn payload(&self) -> &[u8] {
-        &self.bytes[..self.len.into()]
+        self.bytes.get(..self.len.into()).unwrap_or_default()
     }
 }
 
@@ -188,15 +188,13 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         });
     }
 
-    /// Takes the places of these writers back. Their samples stay until they are taken.
+    /// Takes the places of these writers back, and drops their samples.
     pub(crate) fn remove(&mut self, prefix: GuidPrefix, entity: Option<EntityId>) {
         for index in 0..WRITERS {
-            if self.writers[index].is_some_and(|writer| writer.guid.is_of(prefix, entity)) {
-                self.writers[index] = None;
+            let is_gone = |writer: &mut RemoteWriter| writer.guid.is_of(prefix, entity);
+            if self.writers[index].take_if(is_gone).is_some() {
                 for slot in &mut self.samples {
-                    if slot.is_some_and(|slot| usize::from(slot.from) == index) {
-                        *slot = None;
-                    }
+                    let _stays = slot.take_if(|slot| usize::from(slot.from) == index);
                 }
             }
         }
@@ -207,8 +205,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
     }
 
     fn index_of(&self, guid: Guid) -> Option<usize> {
-        let is = |writer: &Option<RemoteWriter>| writer.is_some_and(|writer| writer.guid == guid);
-        self.writers.iter().position(is)
+        let is = |writer: &RemoteWriter| writer.guid == guid;
+        let mut writers = self.writers.iter();
+        writers.position(|writer| writer.as_ref().is_some_and(is))
     }
 
     fn has(&self, index: usize, number: Sequence) -> bool {
@@ -218,7 +217,8 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     /// Lets the stream pass what is there.
     fn advance(&mut self, index: usize) {
-        while let Some(next) = self.writers[index].map(|writer| writer.stream.next())
+        while let Some(writer) = &self.writers[index]
+            && let next = writer.stream.next()
             && self.has(index, next)
             && let Some(writer) = &mut self.writers[index]
         {
@@ -228,7 +228,10 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     /// Returns whether the sample in this place can be taken: all before it are there or given up.
     fn is_due(&self, slot: &Slot<BYTES>) -> bool {
-        self.writers[usize::from(slot.from)].is_some_and(|it| slot.number < it.stream.next())
+        let writer = self.writers.get(usize::from(slot.from));
+        writer
+            .and_then(Option::as_ref)
+            .is_some_and(|writer| slot.number < writer.stream.next())
     }
 
     /// Returns the place of the oldest sample that can be taken.
@@ -268,16 +271,14 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             // It does not send again what is missing.
             self.skip_to(index, data.sequence);
         }
-        let room = self
-            .samples
-            .iter()
-            .take(self.depth)
-            .position(Option::is_none);
-        if let Some(place) = room {
-            self.samples[place] = Some(slot);
-        } else if let Some(place) = self.oldest() {
-            self.counts.replaced = self.counts.replaced.wrapping_add(1);
-            self.samples[place] = Some(slot);
+        let mut places = self.samples.iter().take(self.depth);
+        let (place, replaces) = match places.position(Option::is_none) {
+            Some(free) => (Some(free), 0),
+            None => (self.oldest(), 1),
+        };
+        if let Some(place) = place.and_then(|place| self.samples.get_mut(place)) {
+            *place = Some(slot);
+            self.counts.replaced = self.counts.replaced.wrapping_add(replaces);
         }
         self.advance(index);
     }
@@ -320,7 +321,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
     }
 
     fn missing(&self, index: usize) -> Option<SequenceSet> {
-        let writer = self.writers[index]?;
+        let writer = self.writers[index].as_ref()?;
         let depth = self.depth as u32;
         let has = |number| self.has(index, number);
         Some(writer.stream.missing(writer.last, depth, has))
@@ -350,8 +351,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
 
     /// Takes a sample of which all before it, of the same writer, are there or given up.
     pub(crate) fn take(&mut self) -> Option<Sample<BYTES>> {
-        let slot = self.samples[self.oldest()?].take()?;
-        let writer = self.writers[usize::from(slot.from)]?.guid;
+        let oldest = self.oldest()?;
+        let slot = self.samples.get_mut(oldest)?.take()?;
+        let writer = self.writers.get(usize::from(slot.from))?.as_ref()?.guid;
         Some(Sample {
             writer,
             len: slot.len,

@@ -69,23 +69,17 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         if self.last >= Sequence::MAX - 1 {
             return Err(WriteError::Ended);
         }
-        let newest = (self.newest + 1) % self.depth as u8;
-        let slot = &mut self.samples[usize::from(newest)];
-        let place = slot
-            .bytes
-            .get_mut(..sample.len())
-            .ok_or(WriteError::TooLong)?;
-        place.copy_from_slice(sample);
+        let newest = match self.newest + 1 {
+            next if u32::from(next) < self.depth => next,
+            _ => 0,
+        };
+        let slot = self.samples.get_mut(usize::from(newest));
+        let slot = slot.ok_or(WriteError::TooLong)?;
+        let place = slot.bytes.get_mut(..sample.len());
+        place.ok_or(WriteError::TooLong)?.copy_from_slice(sample);
         slot.len = len;
         (self.newest, self.last) = (newest, self.last + 1);
         Ok(self.last)
-    }
-
-    /// Returns the slot of a sample that is kept.
-    fn place(&self, number: Sequence) -> usize {
-        let depth = self.depth;
-        let age = self.last.wrapping_sub(number);
-        ((u32::from(self.newest) + depth - age % depth) % depth) as usize
     }
 
     /// The number of the oldest sample that it has.
@@ -98,10 +92,14 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         self.last
     }
 
+    /// Returns a sample, if it is kept.
     pub(crate) fn sample(&self, number: Sequence) -> Option<&[u8]> {
-        let is_kept = (self.first()..=self.last).contains(&number);
-        let slot = &self.samples[self.place(number)];
-        is_kept.then(|| &slot.bytes[..slot.len.into()])
+        let age = self.last.checked_sub(number);
+        let age = age.filter(|age| *age < self.depth && number > 0)?;
+        let newest = u32::from(self.newest);
+        let place = newest.checked_sub(age).unwrap_or(newest + self.depth - age);
+        let slot = self.samples.get(place as usize)?;
+        slot.bytes.get(..slot.len.into())
     }
 
     pub(crate) fn heartbeat(&mut self, own: EntityId, to: EntityId, is_final: bool) -> Heartbeat {
@@ -170,7 +168,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         }
         reader.count = Some(acknack.count);
         reader.needs = reader.needs.max(acknack.set.base);
-        for number in acknack.set.iter() {
+        for number in acknack.set {
             if number < first && number >= reader.told {
                 reader.told = number + 1;
                 self.counts.lost = self.counts.lost.wrapping_add(1);

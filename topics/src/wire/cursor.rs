@@ -22,7 +22,19 @@ impl<'m> Cursor<'m> {
     }
 
     pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        self.take(N)?.try_into().ok()
+        let mut array = [0; N];
+        self.read(&mut array).then_some(array)
+    }
+
+    #[inline(never)]
+    fn read(&mut self, into: &mut [u8]) -> bool {
+        let Some(bytes) = self.take(into.len()) else {
+            return false;
+        };
+        for (to, from) in into.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        true
     }
 
     pub(crate) fn u8(&mut self) -> Option<u8> {

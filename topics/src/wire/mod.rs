@@ -126,11 +126,22 @@ impl SequenceSet {
             self.len = self.len.max(offset as u8 + 1);
         }
     }
+}
 
-    /// Returns its numbers, the lowest first.
-    pub(crate) fn iter(self) -> impl Iterator<Item = Sequence> {
-        (0..u32::from(self.len.min(32)))
-            .filter(move |offset| self.bits & (1 << (31 - offset)) != 0)
-            .map(move |offset| self.base.saturating_add(offset))
+impl Iterator for SequenceSet {
+    type Item = Sequence;
+
+    /// Takes the lowest number out.
+    fn next(&mut self) -> Option<Sequence> {
+        while self.len > 0 {
+            let (number, is_in) = (self.base, self.bits & 1 << 31 != 0);
+            self.base = self.base.saturating_add(1);
+            self.bits <<= 1;
+            self.len -= 1;
+            if is_in {
+                return Some(number);
+            }
+        }
+        None
     }
 }

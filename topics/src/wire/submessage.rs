@@ -182,7 +182,8 @@ fn data(flags: u8, mut body: Cursor<'_>) -> Option<Data<'_>> {
         parameters.by_ref().for_each(drop);
         let behind = parameters.end()?;
         body = behind;
-        &whole[..whole.len() - behind.rest().len()]
+        let len = whole.len().saturating_sub(behind.rest().len());
+        whole.get(..len).unwrap_or_default()
     };
     let has_payload = flags & (flag::SAMPLE | flag::KEY) != 0;
     Some(Data {

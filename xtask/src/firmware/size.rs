@@ -1,7 +1,7 @@
 //! Text and RAM of images, from the sections of their ELF files.
 
 use super::{Image, TARGET, build_dir, cargo_build, cargo_build_package, released};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::ValueEnum as _;
 use std::fs;
 use std::path::Path;
@@ -10,6 +10,11 @@ use std::path::Path;
 /// assertions, for riscv32imac by gcc 12.2 with `-Os`, unused functions removed. The functions of
 /// the C library are not counted.
 const RPMSG_LITE_TEXT: u32 = 2_762;
+
+/// The image with the participant of topics, and its limits: 16 KiB of text, 2 KiB of state.
+const TOPICS: &str = "size-topics";
+const TOPICS_TEXT: u32 = 16 << 10;
+const TOPICS_STATE: u32 = 2 << 10;
 
 /// A bootloader's bank without the manifest at its start, in bytes.
 const BANK_BYTES: u32 = (32 << 10) - 256;
@@ -30,14 +35,15 @@ struct Size {
 /// Prints a table of all images, of `shm` alone, and of the bootloader.
 ///
 /// # Errors
-/// If the bootloader does not fit in its bank.
+/// If the bootloader does not fit in its bank, or the participant exceeds its limits or can panic.
 pub(super) fn run(root: &Path) -> Result<()> {
     let mut arguments = vec!["--profile", "size"];
-    for image in ["size-none", "size-messages", "size-shm"] {
+    for image in ["size-none", "size-messages", "size-shm", "size-topics"] {
         arguments.extend(["--bin", image]);
     }
     cargo_build(root, &arguments)?;
-    let alone = |name| of(&build_dir(root).join(TARGET).join("size").join(name));
+    let path = |name| build_dir(root).join(TARGET).join("size").join(name);
+    let alone = |name| of(&path(name));
     let none = alone("size-none")?;
     println!(
         "{:<44} {:>7} {:>9} {:>7}",
@@ -54,16 +60,23 @@ pub(super) fn run(root: &Path) -> Result<()> {
     for (name, image) in [
         ("shm: mailbox and FIFO, both ends (opt s)", "size-messages"),
         ("shm: every primitive once (opt s)", "size-shm"),
+        ("topics: the controller's participant (opt s)", TOPICS),
     ] {
         let with = alone(image)?;
-        line(
-            name,
-            Size {
-                text: with.text.saturating_sub(none.text),
-                constants: with.constants.saturating_sub(none.constants),
-                ram: with.ram.saturating_sub(none.ram),
-            },
-        );
+        let size = Size {
+            text: with.text.saturating_sub(none.text),
+            constants: with.constants.saturating_sub(none.constants),
+            ram: with.ram.saturating_sub(none.ram),
+        };
+        line(name, size);
+        if image == TOPICS && (size.text > TOPICS_TEXT || size.ram > TOPICS_STATE) {
+            bail!(
+                "the participant may have {TOPICS_TEXT} bytes of text and {TOPICS_STATE} of state"
+            );
+        }
+        if image == TOPICS && can_panic(&path(image))? {
+            bail!("the participant can panic: {TOPICS} links a function of core::panicking");
+        }
     }
     println!(
         "{:<44} {RPMSG_LITE_TEXT:>7}",
@@ -88,6 +101,13 @@ fn bootloader(root: &Path) -> Result<Size> {
     let arguments = ["-p", "tandem-boot-size", "--profile", "boot"];
     cargo_build_package(root, &arguments)?;
     of(&build_dir(root).join(TARGET).join("boot/tandem-boot-size"))
+}
+
+/// Returns whether an image has a function that begins a panic, by the names of its symbols.
+fn can_panic(elf: &Path) -> Result<bool> {
+    const PANICKING: &[u8] = b"9panicking";
+    let bytes = fs::read(elf).with_context(|| elf.display().to_string())?;
+    Ok(bytes.windows(PANICKING.len()).any(|name| name == PANICKING))
 }
 
 fn of(elf: &Path) -> Result<Size> {
