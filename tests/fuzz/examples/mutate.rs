@@ -7,6 +7,7 @@
 
 use std::process::ExitCode;
 
+use rustix::time::{ClockId, clock_gettime};
 use tandem_fuzz::{Mutator, TARGETS, Target};
 
 /// Largest CPU time for one input, s, and largest memory of the process, KiB.
@@ -23,9 +24,8 @@ fn memory_kib() -> Option<u64> {
 
 /// Returns the CPU time, s. Wall-clock time would include other work of a busy machine.
 fn cpu_s() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
-    let first = text.split_whitespace().next();
-    first.and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 /// Prints the name of the input if its check panics.

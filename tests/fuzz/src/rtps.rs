@@ -137,6 +137,19 @@ fn is_plain(message: &[u8], parts: &[RtpsSubmessageReadKind]) -> bool {
     is_of_version_2 && is_whole && chain.len() == parts.len() && chain.iter().all(is_long_enough)
 }
 
+/// Returns whether the second reader may panic: it does so at a set of fragments that is too long.
+/// With a length of 0, only its samples reach to the end, and only if they are right.
+fn may_break_the_second(message: &[u8]) -> bool {
+    let (parts, _) = chain_of(message, |kind| matches!(kind, 0x15 | 0x16));
+    let is_open = |&(kind, _, body): &Part<'_>| {
+        let begin = message.len() - body.len();
+        matches!(kind, 0x15 | 0x16) && message.get(begin - 2..begin) == Some(&[0, 0])
+    };
+    let is_set = |byte: &u8| *byte == NACK_FRAGMENTS;
+    let has_open = parts.last().is_some_and(is_open);
+    parts.iter().any(|part| is_set(&part.0)) || has_open && message.iter().skip(20).any(is_set)
+}
+
 /// Returns the samples that the second reader finds for the reader that takes all.
 fn expected(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<Vec<u8>> {
     let writer = KNOWS_ALL.writers_of(TAKES_ALL).next();
@@ -181,10 +194,7 @@ pub(crate) fn rtps(datagram: &[u8]) -> bool {
     let taken: Vec<Vec<u8>> = std::iter::from_fn(|| participant.take(TAKES_ALL))
         .map(|sample| sample.payload().to_vec())
         .collect();
-    // The second reader panics at a set of fragments that is too long. With a length of 0, only its
-    // samples reach to the end.
-    let (its_parts, _) = chain_of(datagram, |kind| matches!(kind, 0x15 | 0x16));
-    if its_parts.iter().any(|(kind, ..)| *kind == NACK_FRAGMENTS) {
+    if may_break_the_second(datagram) {
         return is_rtps;
     }
     let Ok(read) = RtpsMessageRead::try_from(datagram) else {
