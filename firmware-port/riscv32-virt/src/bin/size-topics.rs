@@ -5,6 +5,7 @@
 #![deny(unsafe_code)]
 
 use core::hint::black_box;
+use core::sync::atomic::AtomicU8;
 use tandem_board::Instant;
 use tandem_board_riscv32_virt::{clint, entry, hart};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
@@ -16,7 +17,8 @@ type Controller = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, { PowerControl
 
 /// As large as the participant, which lies on the stack.
 #[used]
-static STATE: [u8; size_of::<Controller>()] = [0; size_of::<Controller>()];
+static STATE: [AtomicU8; size_of::<Controller>()] =
+    [const { AtomicU8::new(0) }; size_of::<Controller>()];
 
 struct Port;
 
