@@ -53,6 +53,9 @@ pub struct Driving {
     driver: Driver,
     /// The vehicle stays within the operational design domain, as far as is known.
     in_domain: bool,
+    /// The SoC has brought the vehicle to a place to which no trajectory led, and nothing has
+    /// followed one since.
+    off_plan: bool,
 }
 
 /// A motion of the chassis older than this cannot be used for control.
@@ -77,6 +80,7 @@ impl Driving {
             function: Function::default(),
             driver: Driver::Unheard,
             in_domain: true,
+            off_plan: false,
         }
     }
 
@@ -102,7 +106,7 @@ impl Driving {
             last,
             moved: moved.unwrap_or_default(),
         };
-        let (is_right, event) = self.check.check(&new, &known);
+        let (is_right, event) = self.check.check(&new, &known, self.off_plan);
         if is_right {
             self.trajectory = Some(new);
         }
@@ -176,6 +180,7 @@ impl Driving {
         let stopped = (before, state) == (FunctionState::Parking, FunctionState::MinimalRisk);
         let silent = self.parking.silent(now).filter(|_| stopped);
         let body = self.parking.body(now, state, ego.speed);
+        self.off_plan = body.is_some() || self.off_plan && !state.is_driving();
         let mode = state.mode(permitted);
         if mode == Mode::None {
             // The driver drives: the function begins from the vehicle's present motion.

@@ -85,8 +85,15 @@ impl PlanCheck {
 
     /// Checks a trajectory. Returns whether it may be followed, and an event to trace:
     /// [`Event::WrongTrajectory`] if core 2 is wrong. Then no further one is followed in this
-    /// incarnation.
-    pub(super) fn check(&mut self, new: &Trajectory, known: &Known<'_>) -> (bool, Option<Event>) {
+    /// incarnation. `off_plan`: the vehicle is where no trajectory led it, and none is followed.
+    /// Planning does not expect that, so a trajectory that does not begin at the vehicle is not
+    /// taken, but says nothing about core 2.
+    pub(super) fn check(
+        &mut self,
+        new: &Trajectory,
+        known: &Known<'_>,
+        off_plan: bool,
+    ) -> (bool, Option<Event>) {
         let last = known.last.filter(|_| self.is_continued);
         let (share, part) = worst(new, &Known { last, ..*known });
         if self.wrong >= WRONG {
@@ -104,6 +111,10 @@ impl PlanCheck {
                     percent,
                 }),
             );
+        }
+        if off_plan {
+            self.interrupt();
+            return (false, None);
         }
         self.wrong += 1;
         let event = Event::WrongTrajectory {
@@ -349,7 +360,7 @@ mod tests {
                 last: last.as_ref(),
                 moved,
             };
-            let (is_right, event) = check.check(&new, &known);
+            let (is_right, event) = check.check(&new, &known, false);
             assert!(is_right || cycle >= 20, "{cycle}: {event:?}");
             followed += u32::from(is_right && cycle >= 20);
             found = found.or(event.filter(|it| matches!(it, Event::WrongTrajectory { .. })));

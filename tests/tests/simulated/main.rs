@@ -19,6 +19,7 @@ mod late;
 mod mailboxes;
 mod objects;
 mod one_flow;
+mod parking;
 mod sections;
 mod sources;
 mod stale;
