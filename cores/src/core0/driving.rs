@@ -262,3 +262,6 @@ impl Driving {
         (self.degraded.safe_stop(ego), Mode::SafeStop, None)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -100,8 +100,8 @@ impl FunctionState {
         }
     }
 
-    /// Returns the mode in which core 0 drives, within what the redundancy permits. Parking needs no
-    /// more than one system, so it has the mode that is permitted.
+    /// Returns the mode in which core 0 drives, within what the redundancy permits. Parking needs
+    /// one system only, so it has the mode that is permitted.
     #[must_use]
     pub const fn mode(self, permitted: Mode) -> Mode {
         match (self, permitted) {

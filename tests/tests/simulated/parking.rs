@@ -74,7 +74,7 @@ impl Parked {
         }
     }
 
-    /// Runs for `ms` in which the SoC sends what `soc` returns for the vehicle and a topic's number.
+    /// Runs for `ms`, in which the SoC sends what `soc` returns for the vehicle.
     fn run(&mut self, ms: u64, soc: &mut dyn FnMut(&WorldSnapshot) -> [SocSample; 4]) {
         for _ in 0..ms {
             self.drive.run_for(Duration::from_ms(1));
