@@ -422,6 +422,44 @@ fn a_takeover_does_not_end_parking() {
     }
 }
 
+/// D-3, T-RED-4: a system that was reset while the other parked joins and goes on parking when
+/// the other is lost. If the SoC is silent by then, the vehicle stays where it stands.
+#[test]
+fn a_system_that_joins_parks_too() {
+    for is_cut in [false, true] {
+        let mut parked = Parked::new(NEAR, PARKS);
+        parked.silent(START_MS);
+        let begin = parked.now().station;
+        let mut soc = approach(1.0);
+        parked.run(3_000, &mut soc);
+        parked.drive.pair.kill_core(SystemId::B, CoreId::CONTROL);
+        parked.run(500, &mut soc);
+        let mut after = |parked: &mut Parked, ms| match is_cut {
+            true => parked.silent(ms),
+            false => parked.run(ms, &mut soc),
+        };
+        after(&mut parked, 4_000);
+        let stood = parked.now();
+        parked.drive.pair.power_off(SystemId::A);
+        after(&mut parked, 14_000);
+        print_story(&parked.drive);
+        let now = parked.now();
+        assert_eq!(parked.drive.masters(), [SystemId::A, SystemId::B]);
+        assert_eq!(
+            (now.gear, now.parking_brake),
+            (GearCode::Park, ParkingBrakeCode::Applied)
+        );
+        if is_cut {
+            assert_eq!(stood.speed, 0.0);
+            assert_eq!(now.station, stood.station);
+        } else {
+            assert!(stood.speed > 0.5);
+            assert!((now.station - begin - WAY_M).abs() < 0.3);
+            assert_eq!(parked.modes(), [ModeCode::L3, ModeCode::Parking]);
+        }
+    }
+}
+
 /// D-3: the driver takes the vehicle from the SoC at once, and it drives on: the brake is released.
 #[test]
 fn the_driver_takes_the_vehicle_from_the_soc() {
