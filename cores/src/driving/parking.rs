@@ -21,7 +21,7 @@ use super::vehicle::{MASS_KG, WHEEL_RADIUS_M};
 
 /// Period at which the SoC sends power, lateral and longitudinal control: half the rate of core 0
 /// is enough at walking speed.
-pub const SOC_PERIOD: Duration = Duration::from_ms(20);
+pub const SOC_PERIOD: Duration = Duration::from_ms(SocTopic::Power.period_ms() as u64);
 /// A sample of these topics counts for this long: ten periods. A lost one is repaired within two,
 /// and an ADAS computer without real time stalls for some 60 ms. At 3 m/s it is 0.6 m.
 ///
@@ -29,7 +29,7 @@ pub const SOC_PERIOD: Duration = Duration::from_ms(20);
 /// so slowly that the comparison of both does not take this for a disagreement.
 pub const SOC_TIMEOUT: Duration = Duration::from_ms(200);
 /// Period at which the SoC sends the request to the parking brake.
-pub const SOC_BRAKE_PERIOD: Duration = Duration::from_ms(100);
+pub const SOC_BRAKE_PERIOD: Duration = Duration::from_ms(SocTopic::ParkingBrake.period_ms() as u64);
 /// A request to the parking brake counts for this long: five periods. It moves nothing while the
 /// vehicle drives.
 pub const SOC_BRAKE_TIMEOUT: Duration = Duration::from_ms(500);
@@ -374,7 +374,7 @@ mod tests {
             (SocTopic::Power, SOC_TIMEOUT),
             (SocTopic::Lateral, SOC_TIMEOUT),
             (SocTopic::Longitudinal, SOC_TIMEOUT),
-            (SocTopic::Brake, SOC_BRAKE_TIMEOUT),
+            (SocTopic::ParkingBrake, SOC_BRAKE_TIMEOUT),
         ];
         for (silent, (topic, limit)) in topics.into_iter().enumerate() {
             let mut missing = Parking::new();
