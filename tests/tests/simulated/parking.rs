@@ -471,9 +471,10 @@ fn the_driver_takes_the_vehicle_from_the_soc() {
         },
     );
     parked.silent(START_MS);
-    parked.run(15_000, &mut approach(2.0));
+    let mut soc = approach(2.0);
+    parked.run(15_000, &mut soc);
     assert_eq!(parked.now().gear, GearCode::Park);
-    parked.run(8_000, &mut approach(2.0));
+    parked.run(8_000, &mut soc);
     let now = parked.now();
     assert_eq!(
         (now.gear, now.parking_brake),
