@@ -34,7 +34,7 @@ pub const SOC_BRAKE_PERIOD: Duration = Duration::from_ms(SocTopic::ParkingBrake.
 /// vehicle drives.
 pub const SOC_BRAKE_TIMEOUT: Duration = Duration::from_ms(500);
 
-/// The highest speed in parking, m/s: the vehicle stands 1.8 m after a safe stop begins to brake.
+/// The highest speed in parking, m/s: a safe stop brakes for 1.8 m from there.
 pub const PARKING_SPEED: f32 = 3.0;
 /// The largest acceleration in parking, m/s².
 const PARKING_ACCELERATION: f32 = 1.0;
