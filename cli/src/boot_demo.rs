@@ -86,6 +86,7 @@ pub fn on_host() -> anyhow::Result<Downloaded> {
     let plan = LaunchPlan {
         schedule: Schedule::default(),
         flash: SystemId::ALL.map(|system| files.flash(system)),
+        network: None,
         extra: config.to_extra()?,
     };
     launcher.start(&plan, &|args| this_program(args))?;

@@ -28,6 +28,9 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let config = config(&run);
     let alarm = run.stall_alarm(grant.cpu);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
+    if let Some(error) = board.network().error() {
+        eprintln!("{}: no network: {error}", args.identity.address());
+    }
     let of = args.identity;
     match of.core {
         CoreId::CONTROL => {

@@ -494,6 +494,7 @@ fn drive(
     let plan = LaunchPlan {
         schedule,
         flash,
+        network: None,
         extra: config.to_extra()?,
     };
     let command = |args: &ProcessArgs| {

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use tandem_board::{CoreId, Generation, Identity, SystemId};
+use tandem_board_udp::UdpPlace;
 
 use crate::name::RunName;
 use crate::realtime::{self, Claim, Grant};
@@ -70,6 +71,8 @@ pub struct Common {
     pub run: RunName,
     /// The scheduling of the processes.
     pub schedule: Schedule,
+    /// The network of both systems; `None`: they are not connected to one.
+    pub network: Option<UdpPlace>,
     /// The program's own arguments, after `--`.
     pub extra: Vec<OsString>,
 }
@@ -207,6 +210,9 @@ impl Common {
         push(argv, "--run", self.run.as_str());
         push(argv, "--realtime", realtime);
         push(argv, "--pin", pinning);
+        if let Some(network) = self.network {
+            push(argv, "--network", network.to_string());
+        }
     }
 }
 
@@ -285,6 +291,7 @@ impl ProcessArgs {
                 realtime: options.text("--realtime")? == "on",
                 pinning: options.pinning()?,
             },
+            network: options.network()?,
             extra: options.extra.clone(),
         };
         Ok(match kind {
@@ -355,6 +362,13 @@ impl Options {
         }
     }
 
+    fn network(&self) -> Result<Option<UdpPlace>, InvalidArgs> {
+        if self.value("--network").is_err() {
+            return Ok(None);
+        }
+        self.parse("--network").map(Some)
+    }
+
     fn pinning(&self) -> Result<Pinning, InvalidArgs> {
         match self.text("--pin")? {
             "auto" => Ok(Pinning::Auto),
@@ -379,14 +393,19 @@ mod tests {
                 realtime: false,
                 pinning,
             },
+            network: None,
             extra: vec!["--scenario".into(), "cut in".into(), "--".into()],
         }
     }
 
     #[test]
     fn arguments_come_back_as_they_were() {
+        let network = "3@127.0.0.1".parse().ok();
         let supply = SupplyArgs {
-            common: common(Pinning::Cpus(vec![1, 0])),
+            common: Common {
+                network,
+                ..common(Pinning::Cpus(vec![1, 0]))
+            },
             system: SystemId::B,
             flash: "/tmp/a b/--flash".into(),
         };
@@ -438,6 +457,10 @@ mod tests {
         let mut argv = args.to_argv();
         argv[2] = "../../etc".into();
         assert_eq!(ProcessArgs::parse(argv), Some(Err(InvalidArgs("--run"))));
+        let mut argv = args.to_argv();
+        argv.splice(1..1, ["--network".into(), "231@127.0.0.1".into()]);
+        let refused = Some(Err(InvalidArgs("--network")));
+        assert_eq!(ProcessArgs::parse(argv), refused);
         assert_eq!(
             ProcessArgs::parse(vec![CORE.into()]),
             Some(Err(InvalidArgs("--run")))

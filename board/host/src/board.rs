@@ -5,8 +5,8 @@ use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
 use tandem_board::{
-    Board, CoreId, FaultSource, HardwareFault, Identity, Instant, NoNetwork, OutputDiagnosis,
-    SystemId, TraceRecord, Wake,
+    Board, CoreId, FaultSource, HardwareFault, Identity, Instant, OutputDiagnosis, SystemId,
+    TraceRecord, Wake,
 };
 use tandem_shm::FitError;
 
@@ -18,6 +18,7 @@ use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
 use crate::flash_file::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
 use crate::memory::{self, MemoryError};
+use crate::network::HostNetwork;
 use crate::segment::SegmentError;
 use crate::spawn;
 use crate::supply;
@@ -69,6 +70,7 @@ pub struct HostBoard {
     can: HostCan,
     lines: HostLines,
     link: HostLink,
+    network: HostNetwork,
     flash: HostFlash,
     supply: HostSupply,
     trace_ring: TraceRing,
@@ -100,6 +102,7 @@ impl HostBoard {
             can: HostCan::attach(backplane, of, Arc::clone(&ringers))?,
             lines: HostLines::new(backplane, of, ringers),
             link: HostLink::attach(backplane, of)?,
+            network: HostNetwork::open(backplane, of, args.common.network),
             flash: HostFlash::open(&args.flash)?,
             supply: HostSupply::attach(backplane, of)?,
             trace_ring,
@@ -118,7 +121,7 @@ impl Board for HostBoard {
     type Can = HostCan;
     type Lines = HostLines;
     type Link = HostLink;
-    type Network = NoNetwork;
+    type Network = HostNetwork;
     type Flash = HostFlash;
     type Supply = HostSupply;
 
@@ -170,8 +173,8 @@ impl Board for HostBoard {
         &self.link
     }
 
-    fn network(&self) -> &NoNetwork {
-        &NoNetwork
+    fn network(&self) -> &HostNetwork {
+        &self.network
     }
 
     fn flash(&self) -> &HostFlash {

@@ -15,6 +15,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, Signal, WaitOptions, set_child_subreaper, wait};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_board::SystemId;
+use tandem_board_udp::UdpPlace;
 
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
@@ -72,6 +73,8 @@ pub struct LaunchPlan {
     pub schedule: Schedule,
     /// The files of the data flashes of A and B; created if missing.
     pub flash: [PathBuf; 2],
+    /// The network of both systems; `None`: they are not connected to one.
+    pub network: Option<UdpPlace>,
     /// Arguments that the program passes on to all of its processes.
     pub extra: Vec<OsString>,
 }
@@ -376,6 +379,7 @@ fn common(run: &RunName, plan: &LaunchPlan) -> Common {
     Common {
         run: run.clone(),
         schedule: plan.schedule.clone(),
+        network: plan.network,
         extra: plan.extra.clone(),
     }
 }

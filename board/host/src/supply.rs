@@ -445,6 +445,7 @@ mod tests {
             common: Common {
                 run: run.clone(),
                 schedule: Schedule::default(),
+                network: None,
                 extra: vec![],
             },
             system: SystemId::A,

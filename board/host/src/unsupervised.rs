@@ -40,6 +40,7 @@ impl UnsupervisedSystem {
             common: Common {
                 run: self.run.clone(),
                 schedule: Schedule::default(),
+                network: None,
                 extra: vec![],
             },
             identity: Identity {

@@ -395,6 +395,7 @@ mod tests {
         let common = Common {
             run: (*run).clone(),
             schedule: Schedule::default(),
+            network: None,
             extra: vec![],
         };
         let port = HostVehiclePort::attach(&VehicleArgs { common }).unwrap();

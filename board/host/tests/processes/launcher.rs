@@ -3,12 +3,15 @@
 
 use std::ffi::OsString;
 use std::io::Read as _;
+use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use tandem_board_host::{LaunchError, LaunchPlan, Launcher, ProcessArgs, Schedule, isolation};
+use tandem_board_host::{
+    LaunchError, LaunchPlan, Launcher, ProcessArgs, Schedule, UdpPlace, isolation,
+};
 
 /// First argument of this program as a launcher. The case, the folder and the place follow it.
 pub(crate) const LAUNCH: &str = "launch";
@@ -86,6 +89,7 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
             ..Schedule::default()
         },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
+        network: Some(network()),
         extra: vec![name.clone(), folder.into()],
     };
     launcher.start(&plan, &again).expect("start");
@@ -102,6 +106,12 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
             ExitCode::FAILURE
         }
     }
+}
+
+/// Returns a domain that no other run of this program has at the same time.
+fn network() -> UdpPlace {
+    let domain = std::process::id() % 229;
+    UdpPlace::new(domain as u16, Ipv4Addr::LOCALHOST).expect("a domain")
 }
 
 /// Returns the command that starts a process of the run.
