@@ -331,6 +331,8 @@ pub enum FaultKind {
     Undervoltage,
     /// The voltage of a supply rail is too high, until restored; then switch the system off and on
     Overvoltage,
+    /// The cable of the Ethernet port is cut, until restored
+    NetworkCut,
 }
 
 /// Arguments of `tandem dflash`.

@@ -60,6 +60,7 @@ pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
         FaultKind::ErrorPin => HardwareFault::ErrorPin,
         FaultKind::Undervoltage => HardwareFault::Undervoltage,
         FaultKind::Overvoltage => HardwareFault::Overvoltage,
+        FaultKind::NetworkCut => HardwareFault::Network,
     };
     injection.set_fault(args.system, hardware, !args.mend);
     Ok(())

@@ -97,6 +97,8 @@ pub enum Kind {
     DeafTo(DeafTo),
     /// Another node sends a forged frame each 10 ms.
     Forged(Forged),
+    /// The cable of the system's Ethernet port is cut.
+    NetworkCut,
 }
 
 /// The end of a fault.
@@ -204,6 +206,7 @@ impl Kind {
             Self::WrongValue(_) => row(SIM, System, AsGiven, Mute),
             Self::DeafTo(_) => row(SIM_RUN, System, AsGiven, Mute),
             Self::Forged(_) => row(SIM_RUN, Shared, AsGiven, Mute),
+            Self::NetworkCut => row(EVERY, System, AsGiven, Loss::None),
         }
     }
 
@@ -324,7 +327,8 @@ impl Kind {
         let lists = lists
             .into_iter()
             .chain([&Self::FURTHER[..], &Self::OF_BOTH]);
-        let further = Self::of_values().into_iter().chain([Self::ResetByTrap]);
+        let further = Self::of_values().into_iter();
+        let further = further.chain([Self::NetworkCut, Self::ResetByTrap]);
         lists.flatten().copied().chain(further)
     }
 }

@@ -7,8 +7,8 @@ use crate::{drive, timed};
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
-    Board, Can, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
-    Traced,
+    Board, Can, CoreId, Duration, Generation, HardwareFault, Instant, ResetCause, RoleLamp,
+    SupplyEvent, SystemId, Traced,
 };
 use tandem_board_sim::{
     BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent,
@@ -511,6 +511,7 @@ impl Suffer for Bench {
             Kind::WrongResults => pair.tamper(of, on.then_some(another_command)),
             Kind::Scribble => pair.scribble(of, 0x5EED),
             Kind::FlashHangs => pair.hang_flash(of, on),
+            Kind::NetworkCut => pair.set_fault(of, HardwareFault::Network, on),
             Kind::FlashLost => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
             Kind::Forged(forged) => self.vehicle.borrow_mut().forge(forged, on),
             Kind::Poison => self.vehicle.borrow_mut().poison = on,
@@ -541,6 +542,7 @@ impl Suffer for Bench {
             pair.set_clock_rate(of, self.profile.time.drift_ppb(of));
             pair.tamper(of, None);
             pair.hang_flash(of, false);
+            pair.set_fault(of, HardwareFault::Network, false);
             pair.power_on(of);
         }
     }

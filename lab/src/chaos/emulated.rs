@@ -8,8 +8,8 @@ use anyhow::Context as _;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::{
-    CanFrame, CanId, Carried, CoreId, Duration, Instant, RoleLamp, SystemId, Traced, VehicleBus,
-    VehiclePort,
+    CanFrame, CanId, Carried, CoreId, Duration, HardwareFault, Instant, RoleLamp, SystemId, Traced,
+    VehicleBus, VehiclePort,
 };
 use tandem_board_host::{BusFault, Wire};
 use tandem_board_qemu::{EmulatedWorld, MachineError, MachineOptions, WorldLayout};
@@ -299,6 +299,7 @@ impl Suffer for Disturbed {
             Kind::CoreHangs(amount) if amount.core() == CoreId::CONTROL => world.hang(of),
             Kind::CoreDies(amount) if amount.core() == CoreId::CONTROL => world.crash(of),
             Kind::Scribble => world.scribble(of, 1),
+            Kind::NetworkCut => world.set_fault(of, HardwareFault::Network, on),
             _ => {
                 let site = Site::Machines;
                 return Err(CannotSuffer { kind, site });
@@ -314,6 +315,7 @@ impl Suffer for Disturbed {
                 self.world.set_cut(wire, system, false);
             }
             self.world.hold_level_low(system, false);
+            self.world.set_fault(system, HardwareFault::Network, false);
             self.world.disturb_bus(system, BusFault::default());
             self.world.set_feed(system, true);
         }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use rustix::process::Signal;
-use tandem_board::{CoreId, Duration, SystemId};
+use tandem_board::{CoreId, Duration, HardwareFault, SystemId};
 use tandem_board_host::injection::{Injection, Target};
 use tandem_board_host::{BusFault, Wire, clock};
 use tandem_faults::{BusFaults, CannotSuffer, Effect, Fault, Kind, Site, Suffer, effects};
@@ -113,6 +113,7 @@ impl Suffer for Injector<'_> {
             Kind::LauncherHangs(amount) => (self.hold_launcher)(amount.get())?,
             Kind::Scribble => injection.scribble(of, 1)?,
             Kind::FlashLost => self.lose_flash(of)?,
+            Kind::NetworkCut => injection.set_fault(of, HardwareFault::Network, on),
             _ => {
                 let site = Site::Processes;
                 return Err(CannotSuffer { kind, site }.into());
@@ -131,6 +132,7 @@ impl Suffer for Injector<'_> {
                 injection.set_cut(wire, &[system], false);
             }
             injection.hold_level_low(system, false);
+            injection.set_fault(system, HardwareFault::Network, false);
             injection
                 .backplane()
                 .disturb_bus(system, BusFault::default());
