@@ -107,6 +107,8 @@ pub(crate) enum Image {
     Controller,
     /// The driving functions over recorded frames; `test` supplies them
     GoldenReplay,
+    /// Core 0 of each system greets everyone on the Ethernet, and echoes what it receives
+    NetworkEcho,
     /// The whole controller for slot A
     SlotController,
     /// The whole controller for slot B: an update
@@ -235,7 +237,15 @@ fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
     // The whole workspace, as in all other tests: with one package cargo would rebuild much more.
     let mut command = cargo(root, &["test", "--workspace"]);
-    let files = ["identical", "feeds", "outputs", "tasks", "chip", "emulated"];
+    let files = [
+        "identical",
+        "feeds",
+        "network",
+        "outputs",
+        "tasks",
+        "chip",
+        "emulated",
+    ];
     for file in files.into_iter().chain(["emulated_bootloader"]) {
         command.args(["--test", file]);
     }

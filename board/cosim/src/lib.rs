@@ -11,9 +11,13 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-use tandem_board::{CoreAddress, HardwareFault, HardwareFaults, Instant, RoleLamp, SystemId};
+use tandem_board::{
+    Channel, CoreAddress, HardwareFault, HardwareFaults, Instant, NetworkAddress, RoleLamp,
+    SystemId,
+};
 use tandem_peripherals::codec::{
-    DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, TRACE_WORDS, encode_datagram,
+    DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, PACKET_WORDS, TRACE_WORDS, encode_datagram,
+    packet_words,
 };
 
 /// Virtual time from one exchange to the next, ns.
@@ -114,6 +118,85 @@ pub enum Item {
         /// The delay, less than [`PERIOD_NS`].
         us: u32,
     },
+    /// Connects a channel of a system in the machine to the network.
+    Connect {
+        /// The system.
+        of: SystemId,
+        /// The channel.
+        channel: Channel,
+        /// Where the system hears.
+        at: NetworkAddress,
+    },
+    /// A part of a datagram of the Ethernet that a system in the machine has sent or receives. The
+    /// other parts follow: see [`packet_parts`].
+    Packet {
+        /// The system.
+        of: SystemId,
+        /// Whether this is the first part.
+        is_first: bool,
+        /// The words that [`tandem_peripherals::codec::encode_datagram`] returns.
+        words: [u32; DATAGRAM_WORDS],
+    },
+}
+
+/// Splits a datagram of the Ethernet, as words of a [`tandem_peripherals::codec::PacketHead`].
+pub fn packet_parts(of: SystemId, words: &[u32]) -> impl Iterator<Item = Item> {
+    let parts = words.chunks(DATAGRAM_MAX_WORDS).enumerate();
+    parts.map(move |(index, part)| Item::Packet {
+        of,
+        is_first: index == 0,
+        words: encode_datagram(part),
+    })
+}
+
+/// Items that a datagram of the Ethernet consists of, at most.
+pub const PACKET_PARTS: usize = PACKET_WORDS.div_ceil(DATAGRAM_MAX_WORDS);
+
+/// Puts a datagram of the Ethernet together.
+#[derive(Clone, Debug)]
+pub struct Assembly {
+    words: [u32; PACKET_WORDS],
+    len: usize,
+}
+
+impl Default for Assembly {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Assembly {
+    /// Makes one without parts.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            words: [0; PACKET_WORDS],
+            len: 0,
+        }
+    }
+
+    /// Adds a part, the words of [`Item::Packet`]. Returns the datagram when it is whole. One that
+    /// lacks a part is dropped.
+    pub fn add(&mut self, is_first: bool, part: &[u32; DATAGRAM_WORDS]) -> Option<&[u32]> {
+        if is_first {
+            self.len = 0;
+        } else if self.len == 0 {
+            return None;
+        }
+        let part = part[1..].get(..part[0] as usize)?;
+        let Some(room) = self.words[self.len..].get_mut(..part.len()) else {
+            self.len = 0;
+            return None;
+        };
+        room.copy_from_slice(part);
+        self.len += part.len();
+        let whole = packet_words(self.words[0]);
+        if self.len < whole {
+            return None;
+        }
+        let is_whole = core::mem::take(&mut self.len) == whole;
+        is_whole.then_some(&self.words[..whole])
+    }
 }
 
 /// The message cannot be decoded: the other side has another version.
@@ -156,6 +239,20 @@ impl Item {
             Self::Hang { of } => put(head(11, of.index(), 0, 0), &[]),
             Self::CutLevel { of, cut } => put(head(12, of.index(), usize::from(*cut), 0), &[]),
             Self::Later { us } => put(head(13, 0, 0, 0), &[*us]),
+            Self::Connect { of, channel, at } => {
+                let address = u32::from_le_bytes(at.address);
+                let head = head(14, of.index(), channel.index(), 0);
+                put(head, &[address, at.port.into()])
+            }
+            Self::Packet {
+                of,
+                is_first,
+                words,
+            } => {
+                let len = words[0] as usize;
+                let head = head(15, of.index(), len, usize::from(*is_first));
+                put(head, &words[1..=len])
+            }
         }
     }
 
@@ -179,16 +276,10 @@ impl Item {
                 edge: c,
                 count: take::<1>(&mut rest)?[0],
             },
-            4 => {
-                let content = rest.split_off(..b).ok_or(Malformed)?;
-                if b > DATAGRAM_MAX_WORDS {
-                    return Err(Malformed);
-                }
-                Self::Datagram {
-                    to: system?,
-                    words: encode_datagram(content),
-                }
-            }
+            4 => Self::Datagram {
+                to: system?,
+                words: take_datagram(&mut rest, b)?,
+            },
             5 => Self::Level {
                 of: system?,
                 high: b != 0,
@@ -216,6 +307,22 @@ impl Item {
             13 => Self::Later {
                 us: take::<1>(&mut rest)?[0],
             },
+            14 => {
+                let [address, port] = take(&mut rest)?;
+                Self::Connect {
+                    of: system?,
+                    channel: Channel::from_index(b).ok_or(Malformed)?,
+                    at: NetworkAddress {
+                        address: address.to_le_bytes(),
+                        port: u16::try_from(port).map_err(|_| Malformed)?,
+                    },
+                }
+            }
+            15 => Self::Packet {
+                of: system?,
+                is_first: c != 0,
+                words: take_datagram(&mut rest, b)?,
+            },
             _ => return Err(Malformed),
         };
         *words = rest;
@@ -227,6 +334,14 @@ fn take<const N: usize>(words: &mut &[u32]) -> Result<[u32; N], Malformed> {
     let (first, rest) = words.split_first_chunk().ok_or(Malformed)?;
     *words = rest;
     Ok(*first)
+}
+
+fn take_datagram(words: &mut &[u32], len: usize) -> Result<[u32; DATAGRAM_WORDS], Malformed> {
+    let content = words.split_off(..len).ok_or(Malformed)?;
+    if len > DATAGRAM_MAX_WORDS {
+        return Err(Malformed);
+    }
+    Ok(encode_datagram(content))
 }
 
 /// The header of a machine's message.
@@ -319,6 +434,19 @@ mod tests {
                 cut: true,
             },
             Item::Later { us: 999 },
+            Item::Connect {
+                of: SystemId::B,
+                channel: Channel::Time,
+                at: NetworkAddress {
+                    address: [127, 0, 0, 1],
+                    port: 7_410,
+                },
+            },
+            Item::Packet {
+                of: SystemId::B,
+                is_first: true,
+                words: encode_datagram(&[4; DATAGRAM_MAX_WORDS]),
+            },
         ];
         for item in items {
             let mut buffer = [0; ITEM_WORDS];
@@ -334,17 +462,57 @@ mod tests {
     fn what_is_no_item_is_refused() {
         for head in [
             0,
-            14,
+            16,
             8 | 8 << 16,
             9 | 2 << 8,
             2 | 6 << 8,
             3 | 2 << 8,
             4 | 2 << 8,
             4 | 65 << 16,
+            14 | 2 << 16,
+            15 | 65 << 16,
         ] {
             let mut words = [0; ITEM_WORDS];
             words[0] = head;
             assert_eq!(Item::decode(&mut &words[..]), Err(Malformed), "{head:#x}");
+        }
+    }
+
+    #[test]
+    fn a_packet_is_put_together_or_dropped() {
+        use tandem_board::Recipient;
+        use tandem_peripherals::codec::{PACKET_MAX_BYTES, PacketHead};
+        let head = PacketHead {
+            channel: Channel::Topics,
+            peer: Recipient::Everyone,
+            at: Instant::ORIGIN,
+        };
+        let mut assembly = Assembly::new();
+        for len in [0, 1, 236, 237, PACKET_MAX_BYTES] {
+            let mut words = [0; PACKET_WORDS];
+            let count = head.encode(&[7; PACKET_MAX_BYTES][..len], &mut words);
+            let words = &words[..count];
+            for lost in 0..=PACKET_PARTS {
+                let mut whole = false;
+                let mut parts = 0;
+                for (index, item) in packet_parts(SystemId::A, words).enumerate() {
+                    parts += 1;
+                    if let (
+                        Item::Packet {
+                            is_first,
+                            words: part,
+                            ..
+                        },
+                        false,
+                    ) = (item, index == lost)
+                        && let Some(put) = assembly.add(is_first, &part)
+                    {
+                        assert_eq!(put, words);
+                        whole = true;
+                    }
+                }
+                assert_eq!(whole, lost >= parts, "{len} bytes without part {lost}");
+            }
         }
     }
 

@@ -3,7 +3,10 @@
 //! The unit is the 32-bit word. The words come from another processor, so decoding returns a
 //! checked type or an error.
 
-use tandem_board::{CanFrame, CanId, CoreAddress, Instant, Received, TraceRecord};
+use tandem_board::{
+    CanFrame, CanId, Channel, CoreAddress, Instant, NetworkAddress, Received, Recipient,
+    TraceRecord,
+};
 
 /// Words of a frame: time (2), id, kind, data (16).
 pub const FRAME_WORDS: usize = 20;
@@ -11,6 +14,11 @@ pub const FRAME_WORDS: usize = 20;
 pub const DATAGRAM_MAX_WORDS: usize = 64;
 /// Words of a datagram: length, content.
 pub const DATAGRAM_WORDS: usize = 1 + DATAGRAM_MAX_WORDS;
+/// Largest content of a datagram of the Ethernet, in bytes.
+pub const PACKET_MAX_BYTES: usize = 1_472;
+/// Words of a datagram of the Ethernet at most: kind, address, port, time (2), content.
+pub const PACKET_WORDS: usize = PACKET_HEAD_WORDS + PACKET_MAX_BYTES / 4;
+const PACKET_HEAD_WORDS: usize = 5;
 /// Words of a watchdog service: time (2), answer.
 pub const SERVICE_WORDS: usize = 3;
 /// Words of a trace record: time (2), record (4).
@@ -159,6 +167,88 @@ pub fn decode_datagram(words: &[u32; DATAGRAM_WORDS], into: &mut [u32]) -> usize
     len
 }
 
+/// A datagram of the Ethernet without its content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PacketHead {
+    /// The channel.
+    pub channel: Channel,
+    /// Who gets a datagram that is sent, or who has sent one that was received.
+    pub peer: Recipient,
+    /// When it was sent or received.
+    pub at: Instant,
+}
+
+/// In the kind of a datagram of the Ethernet, whose lower half is its length in bytes: the peer is
+/// everyone.
+const EVERYONE: u32 = 1 << 16;
+const CHANNEL_AT: u32 = 24;
+
+impl PacketHead {
+    /// Encodes the datagram with this content as words, and returns their number.
+    ///
+    /// # Panics
+    /// If the content is longer than [`PACKET_MAX_BYTES`].
+    pub fn encode(&self, content: &[u8], into: &mut [u32; PACKET_WORDS]) -> usize {
+        let len = content.len();
+        assert!(
+            len <= PACKET_MAX_BYTES,
+            "a datagram has at most {PACKET_MAX_BYTES} bytes, not {len}"
+        );
+        let (at, everyone) = match self.peer {
+            Recipient::Everyone => (NetworkAddress::default(), EVERYONE),
+            Recipient::One(at) => (at, 0),
+        };
+        into[0] = len as u32 | everyone | (self.channel.index() as u32) << CHANNEL_AT;
+        into[1] = u32::from_le_bytes(at.address);
+        into[2] = at.port.into();
+        [into[3], into[4]] = self.at.to_words();
+        for (word, bytes) in into[PACKET_HEAD_WORDS..].iter_mut().zip(content.chunks(4)) {
+            let mut four = [0; 4];
+            four[..bytes.len()].copy_from_slice(bytes);
+            *word = u32::from_le_bytes(four);
+        }
+        packet_words(into[0])
+    }
+
+    /// Decodes a datagram, and returns its head and how many bytes of its content were copied into
+    /// `into`: what does not fit is cut off. `None` if the words are no datagram.
+    #[must_use]
+    pub fn decode(words: &[u32], into: &mut [u8]) -> Option<(Self, usize)> {
+        let (head, content) = words.split_first_chunk::<PACKET_HEAD_WORDS>()?;
+        let [kind, address, port, low, high] = *head;
+        let len = (kind & 0xFFFF) as usize;
+        if len > PACKET_MAX_BYTES || content.len() < len.div_ceil(4) {
+            return None;
+        }
+        let one = NetworkAddress {
+            address: address.to_le_bytes(),
+            port: u16::try_from(port).ok()?,
+        };
+        let peer = match kind & EVERYONE {
+            0 => Recipient::One(one),
+            _ => Recipient::Everyone,
+        };
+        let len = len.min(into.len());
+        for (bytes, word) in into[..len].chunks_mut(4).zip(content) {
+            bytes.copy_from_slice(&word.to_le_bytes()[..bytes.len()]);
+        }
+        let head = Self {
+            channel: Channel::from_index((kind >> CHANNEL_AT) as usize)?,
+            peer,
+            at: Instant::from_words([low, high]),
+        };
+        Some((head, len))
+    }
+}
+
+/// Returns the number of words of an encoded datagram of the Ethernet, from its first word; at most
+/// [`PACKET_WORDS`].
+#[must_use]
+pub fn packet_words(first: u32) -> usize {
+    let bytes = (first & 0xFFFF) as usize;
+    PACKET_HEAD_WORDS + bytes.min(PACKET_MAX_BYTES).div_ceil(4)
+}
+
 /// Encodes a service of the watchdog as words: its time and its answer.
 #[must_use]
 pub fn encode_service(at: Instant, answer: u8) -> [u32; SERVICE_WORDS] {
@@ -266,6 +356,36 @@ mod tests {
         lies[0] = u32::MAX;
         assert_eq!(decode_datagram(&lies, &mut into), DATAGRAM_MAX_WORDS);
         assert_eq!(decode_datagram(&encode_datagram(&[]), &mut into), 0);
+    }
+
+    #[test]
+    fn a_packet_comes_back_as_it_was_and_no_other_words_are_one() {
+        let content: Vec<u8> = (0..PACKET_MAX_BYTES).map(|index| index as u8).collect();
+        let one = Recipient::One(NetworkAddress {
+            address: [10, 0, 0, 1],
+            port: 65_535,
+        });
+        for (channel, peer) in [(Channel::Topics, one), (Channel::Time, Recipient::Everyone)] {
+            for len in [0, 1, 4, 7, PACKET_MAX_BYTES] {
+                let at = Instant::from_ns(0x1234_5678_9ABC_DEF0);
+                let head = PacketHead { channel, peer, at };
+                let mut words = [0; PACKET_WORDS];
+                let count = head.encode(&content[..len], &mut words);
+                assert_eq!(count, packet_words(words[0]));
+                let mut into = [0; PACKET_MAX_BYTES];
+                let decoded = PacketHead::decode(&words[..count], &mut into);
+                assert_eq!(decoded, Some((head, len)));
+                assert_eq!(into[..len], content[..len]);
+                let short = PacketHead::decode(&words[..count], &mut [0; 3]);
+                assert_eq!(short, Some((head, len.min(3))), "cut off");
+                assert_eq!(PacketHead::decode(&words[..count - 1], &mut into), None);
+                for (index, wrong) in [(0, 1_473), (0, 2 << CHANNEL_AT), (2, 65_536)] {
+                    let mut words = words;
+                    words[index] = wrong;
+                    assert_eq!(PacketHead::decode(&words, &mut into), None);
+                }
+            }
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@
 #![forbid(unsafe_code)]
 
 mod alone;
+mod bridge;
 mod machine;
 mod world;
 

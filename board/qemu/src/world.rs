@@ -1,5 +1,6 @@
 //! All machines of a run as the vehicle sees them: one bus, the wires, and virtual time.
 
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,10 +11,12 @@ use tandem_board::{
     CanFrame, Carried, CoreAddress, CoreId, Edge, HardwareFault, Instant, Line, Received, RoleLamp,
     SystemId, Traced, VehicleBus, VehiclePort,
 };
+use tandem_board_udp::UdpPlace;
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Reach, Sender, decode_trace};
 use tandem_peripherals::network::{self, BusFault, Network, Wire};
 
+use crate::bridge::Bridge;
 use crate::machine::{BootFrom, Machine, MachineError, MachineOptions};
 
 /// The number of emulators that run the two systems.
@@ -36,6 +39,8 @@ pub struct EmulatedWorld {
     sent: Vec<network::Delivery>,
     /// The connections between the machines.
     network: Network,
+    /// The connection of the systems to the Ethernet of this machine.
+    bridge: Option<Bridge>,
     /// Decides which frames a disturbed connection loses; the same in each run.
     noise: ChaCha8Rng,
     /// The level line of each system, as last sent to the other system.
@@ -121,6 +126,7 @@ impl EmulatedWorld {
             step: 0,
             sent: vec![],
             network: Network::default(),
+            bridge: None,
             noise: ChaCha8Rng::seed_from_u64(1),
             shown: [false; 2],
             carried: Instant::ORIGIN,
@@ -175,6 +181,7 @@ impl EmulatedWorld {
     /// [`MachineError`] if a machine hangs or has ended without being killed.
     pub fn step(&mut self) -> Result<Instant, MachineError> {
         if self.step > 0 {
+            self.bridge();
             self.answer()?;
         }
         self.step += 1;
@@ -186,6 +193,32 @@ impl EmulatedWorld {
         // A stable sort: the frames of one core keep their order even at equal times.
         self.sent.sort_by_key(|sent| sent.at);
         Ok(self.now())
+    }
+
+    /// Connects both systems to the network of a place at the next step: each is a station with
+    /// sockets of this machine. Their time is the emulator's, so no latency is real.
+    ///
+    /// # Errors
+    /// If the sockets cannot be opened.
+    pub fn connect_network(&mut self, place: UdpPlace) -> io::Result<()> {
+        let bridge = Bridge::open(place)?;
+        for of in SystemId::ALL {
+            bridge.connects(of).for_each(|item| self.command(of, item));
+        }
+        self.bridge = Some(bridge);
+        Ok(())
+    }
+
+    /// Adds what has arrived on the Ethernet to the next answers.
+    fn bridge(&mut self) {
+        let Some(bridge) = &self.bridge else {
+            return;
+        };
+        for node in &mut self.machines {
+            for system in &node.systems {
+                bridge.receive(*system, |item| node.outgoing.push(item));
+            }
+        }
     }
 
     fn answer(&mut self) -> Result<(), MachineError> {
@@ -336,7 +369,17 @@ impl EmulatedWorld {
                     self.forward(to, to.peer(), item);
                 }
             }
+            Item::Packet {
+                of,
+                is_first,
+                words,
+            } => {
+                if let Some(bridge) = &mut self.bridge {
+                    bridge.send(of, is_first, &words);
+                }
+            }
             Item::Level { .. }
+            | Item::Connect { .. }
             | Item::Feed { .. }
             | Item::Fault { .. }
             | Item::Crash { .. }

@@ -4,7 +4,7 @@ mod keeper;
 mod parts;
 
 pub use keeper::ByTimer;
-pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtSupply};
+pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtNetwork, VirtSupply};
 
 use crate::hart::CARRIER;
 use crate::peripherals::{self, Peripherals, system};
@@ -13,7 +13,7 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Relaxed, Release};
 use tandem_board::{
     Board, CoreAddress, CoreId, FaultSource, Generation, HardwareFault, Identity, Instant,
-    NoNetwork, OutputDiagnosis, RoleLamp, SystemId, TraceRecord, Wake,
+    OutputDiagnosis, RoleLamp, SystemId, TraceRecord, Wake,
 };
 use tandem_peripherals::codec::encode_trace;
 
@@ -27,6 +27,7 @@ pub struct VirtBoard {
     can: VirtCan,
     lines: VirtLines,
     link: VirtLink,
+    network: VirtNetwork,
     flash: VirtFlash,
     supply: VirtSupply,
 }
@@ -42,6 +43,7 @@ impl VirtBoard {
             can: VirtCan(place),
             lines: VirtLines(place),
             link: VirtLink(place),
+            network: VirtNetwork(place),
             flash: VirtFlash(place),
             supply: VirtSupply(place),
         }
@@ -57,7 +59,7 @@ impl Board for VirtBoard {
     type Can = VirtCan;
     type Lines = VirtLines;
     type Link = VirtLink;
-    type Network = NoNetwork;
+    type Network = VirtNetwork;
     type Flash = VirtFlash;
     type Supply = VirtSupply;
 
@@ -110,8 +112,8 @@ impl Board for VirtBoard {
         &self.link
     }
 
-    fn network(&self) -> &NoNetwork {
-        &NoNetwork
+    fn network(&self) -> &VirtNetwork {
+        &self.network
     }
 
     fn flash(&self) -> &VirtFlash {

@@ -4,12 +4,13 @@ use crate::peripherals::{self, SystemRegisters};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
-    Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus,
-    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    TransmitFull,
+    Can, CanErrors, CanFrame, Channel, CoreAddress, CoreId, DataFlash, Datagram, Edge, FlashError,
+    FlashStatus, Instant, Line, Lines, Link, LinkFull, Network, NetworkAddress, NetworkFull,
+    Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
 };
 use tandem_peripherals::codec::{
-    BusFrame, DATAGRAM_MAX_WORDS, Reach, Sender, decode_datagram, encode_datagram, encode_service,
+    BusFrame, DATAGRAM_MAX_WORDS, PacketHead, Reach, Sender, decode_datagram, encode_datagram,
+    encode_service,
 };
 use tandem_peripherals::data_flash::{self, Operation};
 use tandem_peripherals::watchdog::{Window, question};
@@ -32,6 +33,9 @@ pub struct VirtLines(pub(super) CoreAddress);
 /// A system's end of the data link.
 #[derive(Clone, Copy, Debug)]
 pub struct VirtLink(pub(super) CoreAddress);
+/// The Ethernet port of core 0; on the other cores it is not connected.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtNetwork(pub(super) CoreAddress);
 /// The data flash of a system.
 #[derive(Clone, Copy, Debug)]
 pub struct VirtFlash(pub(super) CoreAddress);
@@ -117,6 +121,46 @@ impl Link for VirtLink {
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
         let datagram = system(self.0).link.take()?;
         Some(decode_datagram(&datagram, words))
+    }
+}
+
+impl Network for VirtNetwork {
+    fn address(&self, channel: Channel) -> Option<NetworkAddress> {
+        let is_control = self.0.core == CoreId::CONTROL;
+        system(self.0)
+            .network
+            .address(channel)
+            .filter(|_| is_control)
+    }
+
+    fn try_send(&self, channel: Channel, to: Recipient, bytes: &[u8]) -> Result<(), NetworkFull> {
+        if self.address(channel).is_none() {
+            return Ok(());
+        }
+        if !system(self.0).network.send(channel, to, bytes) {
+            return Err(NetworkFull);
+        }
+        peripherals::call();
+        Ok(())
+    }
+
+    fn sent_at(&self, channel: Channel) -> Option<Instant> {
+        self.address(channel)?;
+        system(self.0).network.sent_at(channel)
+    }
+
+    fn try_receive(&self, channel: Channel, bytes: &mut [u8]) -> Option<Datagram> {
+        self.address(channel)?;
+        let words = system(self.0).network.receive[channel.index()].take()?;
+        let (head, len) = PacketHead::decode(&words, bytes)?;
+        match head.peer {
+            Recipient::One(from) => Some(Datagram {
+                len,
+                from,
+                at: head.at,
+            }),
+            Recipient::Everyone => None,
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! The carrier's connection to the vehicle process on the host, in step with the machine.
 
 use super::ring::Ring;
-use super::{SystemRegisters, now, system};
+use super::{SystemRegisters, network, now, system};
 use crate::exit::exit;
 use crate::hart::time;
 use crate::semihosting::{File, HostError};
@@ -10,9 +10,10 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{CoreAddress, CoreId, Line, RoleLamp, SystemId};
 use tandem_cosim::{
-    ANSWER_WORDS, ITEM_WORDS, Item, MAGIC, MAX_WORDS, PERIOD_NS, REPORT_WORDS, Report,
+    ANSWER_WORDS, ITEM_WORDS, Item, MAGIC, MAX_WORDS, PACKET_PARTS, PERIOD_NS, REPORT_WORDS,
+    Report, packet_parts,
 };
-use tandem_peripherals::codec::FRAME_WORDS;
+use tandem_peripherals::codec::{FRAME_WORDS, packet_words};
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
 /// The status of the machine if the vehicle process has ended or its answer is not valid.
@@ -74,7 +75,11 @@ impl Host {
     }
 
     fn has_room(&self) -> bool {
-        self.len + ITEM_WORDS <= MAX_WORDS
+        self.has_room_for(1)
+    }
+
+    fn has_room_for(&self, items: usize) -> bool {
+        self.len + items * ITEM_WORDS <= MAX_WORDS
     }
 
     /// Reports events of the systems `here` to the host. Calls `act` for each item of the answer.
@@ -109,6 +114,11 @@ impl Host {
         }
         for which in SystemId::ALL {
             if here[which.index()] {
+                self.put_packets(which);
+            }
+        }
+        for which in SystemId::ALL {
+            if here[which.index()] {
                 self.put_traces(which);
             }
         }
@@ -129,6 +139,16 @@ impl Host {
             word.store(value, Relaxed);
         }
         self.to.write(&OUT[..self.len])
+    }
+
+    /// Adds the datagrams that a system has sent to the Ethernet.
+    fn put_packets(&mut self, which: SystemId) {
+        while self.has_room_for(PACKET_PARTS)
+            && let Some(words) = network::leaving(which)
+        {
+            let len = packet_words(words[0]);
+            packet_parts(which, &words[..len]).for_each(|item| self.put(item));
+        }
     }
 
     fn put_traces(&mut self, which: SystemId) {

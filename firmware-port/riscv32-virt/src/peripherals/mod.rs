@@ -1,4 +1,4 @@
-//! The emulated peripherals: CAN bus, lines, link, data flash, and the two supplies.
+//! The emulated peripherals: CAN bus, lines, link, Ethernet, data flash, and the two supplies.
 //!
 //! The machine has none of these, so a separate hart emulates them: the *carrier*, named after the
 //! carrier board of a TC297. Cores access registers, which are atomics in the carrier's memory; the
@@ -12,6 +12,7 @@
 
 pub(crate) mod data_flash;
 mod host;
+mod network;
 pub(crate) mod ring;
 pub(crate) mod run;
 
@@ -49,6 +50,7 @@ pub(crate) struct SystemRegisters {
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
+    pub(crate) network: network::Registers,
     pub(crate) flash: data_flash::Registers,
     /// Services of the watchdog that the supply has not read yet.
     pub(crate) services: Ring<4, SERVICE_WORDS>,

@@ -1,16 +1,17 @@
 //! The carrier's hart: it moves frames, checks the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core, interrupt, now, set_fault, system};
+use super::{core, interrupt, network, now, set_fault, system};
 use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
 use crate::memory::{self, Strap, stack_used, strap};
 use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{
-    CoreAddress, CoreId, HardwareFault, Instant, Line, ResetCause, ResetRequest, RoleLamp, SystemId,
+    Channel, CoreAddress, CoreId, HardwareFault, Instant, Line, NetworkAddress, ResetCause,
+    ResetRequest, RoleLamp, SystemId,
 };
-use tandem_cosim::Item;
+use tandem_cosim::{Assembly, Item};
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::controller::Confinement;
@@ -29,6 +30,8 @@ pub struct Peripherals {
     host: Option<Host>,
     /// The time in ticks at which to carry out an item between two exchanges, and the item.
     later: Option<(u64, Option<Item>)>,
+    /// The datagram of the Ethernet to each system whose parts arrive.
+    assemblies: [Assembly; 2],
     /// The fault confinement of each CAN controller, by [`CoreAddress::index`].
     confinements: [Confinement; CoreAddress::COUNT],
 }
@@ -40,6 +43,7 @@ impl Peripherals {
             here: [true; 2],
             host: None,
             later: None,
+            assemblies: [const { Assembly::new() }; 2],
             confinements: [const { Confinement::new() }; CoreAddress::COUNT],
         }
     }
@@ -49,6 +53,17 @@ impl Peripherals {
     pub fn connect(&mut self, here: [bool; 2]) {
         self.here = here;
         self.host = Some(Host::open());
+    }
+
+    /// Connects the two systems in this machine by an Ethernet cable.
+    pub fn connect_stations(&self) {
+        for (index, which) in (0..).zip(SystemId::ALL) {
+            for (port, channel) in (7_410..).zip(Channel::ALL) {
+                let address = [10, 0, 0, 1 + index];
+                let at = NetworkAddress { address, port };
+                system(which).network.connect(channel, at);
+            }
+        }
     }
 
     /// Sets whether the watchdogs reset their systems. All systems must be off.
@@ -120,6 +135,9 @@ impl Peripherals {
     /// If a supply changes, returns early with that change.
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
+        if self.host.is_none() {
+            self.systems().for_each(network::pass_on);
+        }
         self.exchange();
         if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
             self.act(item);
@@ -246,6 +264,16 @@ impl Peripherals {
                 log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
                 exit(0)
             }
+            Item::Connect { of, channel, at } => system(of).network.connect(channel, at),
+            Item::Packet {
+                of,
+                is_first,
+                words,
+            } => {
+                if let Some(packet) = self.assemblies[of.index()].add(is_first, &words) {
+                    network::receive(of, packet);
+                }
+            }
             Item::Trace { .. } => {}
         }
     }
@@ -323,6 +351,7 @@ impl Peripherals {
     fn release(&mut self, which: SystemId, cause: ResetCause) {
         let registers = system(which);
         registers.cores.iter().for_each(super::CoreRegisters::clear);
+        registers.network.restart();
         for core in CoreId::ALL {
             let core = CoreAddress::new(which, core).index();
             self.confinements[core] = Confinement::default();
