@@ -1,6 +1,7 @@
 //! Topics on the host: UDP, profiles in XML, the SoC's process.
 #![forbid(unsafe_code)]
 
+pub mod gateway;
 pub mod node;
 pub mod profiles;
 pub mod udp;
