@@ -1,7 +1,9 @@
 //! Topics on the host: UDP, profiles in XML, the SoC's process.
 #![forbid(unsafe_code)]
 
+pub mod approach;
 pub mod gateway;
 pub mod node;
 pub mod profiles;
+pub mod soc;
 pub mod udp;

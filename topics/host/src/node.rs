@@ -41,14 +41,28 @@ impl<const W: usize, const R: usize> Node<W, R> {
         outputs: &'static [Endpoint; W],
         inputs: &'static [Endpoint; R],
     ) -> io::Result<Self> {
-        let udp = Udp::open(place.domain, place.interface)?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH);
-        let time = since.unwrap_or_default().as_micros() as u64;
+        let time = since.unwrap_or_default().as_nanos() as u64;
         let mut prefix = [0; 12];
         prefix[..4].copy_from_slice(&std::process::id().to_le_bytes());
-        prefix[4..].copy_from_slice(&(time ^ u64::from(udp.at().port) << 48).to_le_bytes());
+        prefix[4..].copy_from_slice(&time.to_le_bytes());
+        Self::open_as(GuidPrefix(prefix), place, outputs, inputs)
+    }
+
+    /// Opens a participant with this name, which must be new at each start.
+    ///
+    /// # Errors
+    ///
+    /// As [`Udp::open`].
+    pub fn open_as(
+        prefix: GuidPrefix,
+        place: Place,
+        outputs: &'static [Endpoint; W],
+        inputs: &'static [Endpoint; R],
+    ) -> io::Result<Self> {
+        let udp = Udp::open(place.domain, place.interface)?;
         Ok(Self {
-            participant: Participant::new(GuidPrefix(prefix), udp.at(), outputs, inputs),
+            participant: Participant::new(prefix, udp.at(), outputs, inputs),
             udp,
             start: std::time::Instant::now(),
         })
