@@ -24,6 +24,9 @@ mod freshness;
 mod sensor;
 mod signal;
 
+/// Text of `dbc/tandem.dbc`, for hosts that show what the code does not need: units and words.
+pub const DBC: &str = include_str!("../dbc/tandem.dbc");
+
 pub use dbc::*;
 pub use endpoint::{FrameReceiver, FrameTransmitter, ReceiveError};
 pub use frame_codec::Encoded;

@@ -2,6 +2,7 @@
 
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use crate::beside::PassedArguments;
 use crate::board_kind::{BoardKind, DemoBoard};
@@ -22,7 +23,8 @@ The three jobs:
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
 Exit status: 0 success; 1 the run failed (collision, no controller, two masters, ...);
-2 the command line or an input was wrong and nothing was started; 130 ended by Ctrl-C.";
+2 the command line or an input was wrong and nothing was started; 3 nothing was heard (topics);
+130 ended by Ctrl-C.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:
@@ -36,6 +38,22 @@ and the report says so. The run prints the emulators' process ids; you can kill 
 
 Kill any process of the run while it drives (tandem ps lists them). At the end the run writes a
 report into the folder that --out names: report.html, metrics.json, candump.log, two .hgrm files.";
+
+const TOPICS_EXAMPLES: &str = "\
+Examples:
+  tandem topics                      what there is, who writes and reads it, and what does not fit
+  tandem topics echo EgoMotion       a message of the bus, with names and units
+  tandem topics echo vehicle/can --for 1s --json | jq .
+  tandem topics rate                 how often each frame arrives
+  tandem topics age                  how old each frame is
+  tandem topics loss                 which frames were lost
+  tandem topics soc --park 12        command the parking, as the ADAS computer does
+
+The controller publishes while `tandem run --soc` drives. docs/topics.md shows how to subscribe with
+Cyclone DDS. A writer of the controller serves two readers: beside the SoC, one `tandem topics`.
+
+Exit status: 0 success; 1 it failed; 2 the command line or a profile is wrong; 3 nothing was heard;
+130 ended by Ctrl-C.";
 
 /// A fail-operational controller: two systems of three cores each, and the vehicle that they drive
 #[derive(Debug, Parser)]
@@ -82,6 +100,8 @@ pub enum Command {
     Thesis(PassedArguments),
     /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(PassedArguments),
+    /// Show the topics between the controller and the SoC, or command as the SoC does
+    Topics(TopicsArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show a
     /// frame of each core
     BootDemo(BootDemoArgs),
@@ -366,6 +386,99 @@ pub enum DflashCommand {
     },
 }
 
+/// Arguments of `tandem topics`.
+#[derive(Debug, Args)]
+#[command(after_help = TOPICS_EXAMPLES)]
+pub struct TopicsArgs {
+    /// What to do [default: list]
+    #[command(subcommand)]
+    pub command: Option<TopicsCommand>,
+
+    /// Where to listen
+    #[command(flatten)]
+    pub place: TopicsPlace,
+}
+
+/// The subcommands of `tandem topics`.
+#[derive(Debug, Subcommand)]
+pub enum TopicsCommand {
+    /// List topics, their writers and readers, and whose quality of service does not fit
+    List,
+    /// Print samples as they arrive, until Ctrl-C or for a time
+    Echo {
+        /// A topic, a message of the bus or its id: soc/power, EgoMotion, 0x110
+        name: String,
+    },
+    /// Print how often each frame of the bus arrives, and the longest time between two
+    Rate,
+    /// Print the time since the last frame of each id, and which are late
+    Age,
+    /// Print the frames that neither system has published, by id
+    Loss,
+    /// Command the vehicle as the ADAS computer does
+    Soc {
+        /// Drive forward over this way, stop, and park, m
+        #[arg(long, value_name = "METRES", value_parser = parse_way)]
+        park: f32,
+    },
+}
+
+/// Where `tandem topics` listens, and how.
+#[derive(Clone, Debug, Args)]
+pub struct TopicsPlace {
+    /// The DDS domain, 0 to 230
+    #[arg(long, value_name = "N", default_value_t = 0, global = true,
+          value_parser = clap::value_parser!(u16).range(0..=230))]
+    pub domain: u16,
+
+    /// Address of the network interface
+    #[arg(long, value_name = "ADDRESS", default_value_t = Ipv4Addr::LOCALHOST, global = true)]
+    pub interface: Ipv4Addr,
+
+    /// Quality of service: a profile of a DDS-XML file [default: Tandem::Soc, which is built in]
+    #[arg(long, value_name = "FILE#LIBRARY::PROFILE", global = true)]
+    pub profile: Option<ProfileName>,
+
+    /// Print JSON; `echo` prints one object a line
+    #[arg(long, global = true)]
+    pub json: bool,
+
+    /// How long to listen, s: 5, 500ms [default: list 3s, rate, age and loss 5s, others no limit]
+    #[arg(long = "for", value_name = "TIME", value_parser = parse_duration, global = true)]
+    pub time_s: Option<f64>,
+}
+
+/// A profile of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ProfileName {
+    /// The file.
+    pub file: PathBuf,
+    /// The full name of the profile.
+    pub name: String,
+}
+
+impl FromStr for ProfileName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.rsplit_once('#');
+        let parts = parts.filter(|(file, name)| !file.is_empty() && name.contains("::"));
+        let (file, name) = parts.ok_or("write it as soc.xml#Library::Profile")?;
+        Ok(Self {
+            file: file.into(),
+            name: name.to_owned(),
+        })
+    }
+}
+
+fn parse_way(text: &str) -> Result<f32, String> {
+    let most = tandem_topics_host::approach::WAY_MAX;
+    let number = text.trim().trim_end_matches('m').trim_end();
+    let way = number.parse().ok();
+    way.filter(|way| *way > 0.0 && *way <= most)
+        .ok_or_else(|| format!("write it as 12 or 12m: more than 0 and at most {most} m"))
+}
+
 /// Arguments of `tandem ps`.
 #[derive(Debug, Args)]
 pub struct PsArgs {
@@ -520,6 +633,23 @@ mod tests {
         assert_eq!(parse_cpus("2, 0-1"), Ok(CpuList(vec![2, 0, 1])));
         for text in ["", "x", "1-0", "0,0", "0-99999", "-1", "0,"] {
             assert!(parse_cpus(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn ways_and_profiles_are_read() {
+        assert_eq!(parse_way("12m"), Ok(12.0));
+        assert_eq!(parse_way("0.5"), Ok(0.5));
+        for text in ["", "0", "-1", "nan", "51", "1e9", "x"] {
+            assert!(parse_way(text).is_err(), "{text}");
+        }
+        let profile = "a#b.xml#L::P".parse::<ProfileName>().unwrap();
+        assert_eq!(
+            (profile.file.to_str(), &*profile.name),
+            (Some("a#b.xml"), "L::P")
+        );
+        for text in ["", "L::P", "#L::P", "a.xml#P"] {
+            assert!(text.parse::<ProfileName>().is_err(), "{text}");
         }
     }
 }

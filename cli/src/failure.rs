@@ -17,6 +17,8 @@ pub enum Failure {
     DrivenUntil(f64),
     /// The user ended the command; the figures until then are shown.
     CutShort,
+    /// The command listened, and heard nothing. The text says what to do.
+    NothingHeard(String),
 }
 
 /// Errors that are not classified otherwise are errors of the run.
@@ -37,6 +39,7 @@ impl Failure {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),
             Self::Objections(objections) => eprintln!("run failed: {}", objections.join("; ")),
+            Self::NothingHeard(text) => eprintln!("error: {text}"),
             Self::CutShort => eprintln!("interrupted: these are the figures so far"),
             Self::DrivenUntil(driven_s) => {
                 eprintln!("interrupted after {driven_s:.1} s: the report shows what was driven");
@@ -52,6 +55,7 @@ impl Failure {
         ExitCode::from(match self {
             Self::Run(_) | Self::Objections(_) => 1,
             Self::Usage(_) => 2,
+            Self::NothingHeard(_) => 3,
             Self::Interrupted | Self::DrivenUntil(_) | Self::CutShort => 130,
         })
     }

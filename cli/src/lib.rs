@@ -30,6 +30,7 @@ pub mod stall_watch;
 mod summary;
 mod three_frames;
 mod timeline;
+pub mod topics;
 mod update;
 pub mod vehicle;
 pub mod world_record;

@@ -9,7 +9,7 @@ use tandem::args::{Cli, Command};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
-use tandem::{boot_demo, dflash, injection, print, ps, publish, run};
+use tandem::{boot_demo, dflash, injection, print, ps, publish, run, topics};
 
 fn main() -> ExitCode {
     tandem::program(|| {
@@ -59,6 +59,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Mend(args) => injection::set_cut(&args, false).map_err(Failure::Run),
         Command::Power(args) => injection::power(&args).map_err(Failure::Run),
         Command::Fault(args) => injection::fault(&args).map_err(Failure::Run),
+        Command::Topics(args) => topics::run(&args),
         Command::Dflash(args) => {
             let shown = dflash::run(&args)?;
             print(&shown).map_err(Failure::Run)

@@ -3,7 +3,7 @@
 //! | phase | what it asks for | next phase |
 //! |---|---|---|
 //! | waiting | the whole way, so that parking may begin | approaching: the function parks |
-//! | approaching | the rest of the way, at most [`SPEED`] | holding: the way is over and the vehicle stands |
+//! | approaching | the rest of the way, at most [`SPEED`] | holding: it stands at the end |
 //! | holding | parking brake and gear P | parked: the vehicle tells that both hold |
 //! | parked | the same | |
 //! | given up | nothing: all controls are disabled, and the controller stops the vehicle | |

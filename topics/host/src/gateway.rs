@@ -5,8 +5,8 @@
 //! not published it since. Otherwise it is **given**. Two samples are the same frame if id, length
 //! and all bytes are equal, and one of these holds:
 //!
-//! - The frame is protected end to end, and less than 128 of its shortest intervals have passed. Its
-//!   counter comes back after 256 of them.
+//! - The frame is protected end to end, and less than 128 of its shortest intervals have passed.
+//!   Its counter comes back after 256 of them.
 //! - It is protected, its values have not occurred in any other frame of its id that is kept, and
 //!   less than [`KEEPS`] have passed.
 //! - It is not protected, and less than half of its period has passed; if it states none, 10 ms.

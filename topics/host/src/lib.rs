@@ -3,7 +3,9 @@
 
 pub mod approach;
 pub mod gateway;
+pub mod listing;
 pub mod node;
 pub mod profiles;
+pub mod signals;
 pub mod soc;
 pub mod udp;

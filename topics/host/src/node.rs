@@ -26,6 +26,8 @@ pub struct Place {
 pub struct Node<const W: usize, const R: usize> {
     /// The participant.
     pub participant: Participant<W, R, DEPTH, BYTES, BYTES>,
+    /// Its name.
+    prefix: GuidPrefix,
     udp: Udp,
     start: std::time::Instant,
 }
@@ -63,9 +65,15 @@ impl<const W: usize, const R: usize> Node<W, R> {
         let udp = Udp::open(place.domain, place.interface)?;
         Ok(Self {
             participant: Participant::new(prefix, udp.at(), outputs, inputs),
+            prefix,
             udp,
             start: std::time::Instant::now(),
         })
+    }
+
+    /// Returns the name of the participant.
+    pub const fn prefix(&self) -> GuidPrefix {
+        self.prefix
     }
 
     /// Returns the time since the participant was opened.
@@ -73,7 +81,8 @@ impl<const W: usize, const R: usize> Node<W, R> {
         Instant::from_ns(self.start.elapsed().as_nanos() as u64)
     }
 
-    /// Does what is due, waits for datagrams at most for this time, and hears what has arrived.
+    /// Does what is due, waits for a datagram at most for this time, and hears it. Take the samples
+    /// after each turn: a reader of a short history has no room for those of many datagrams.
     ///
     /// # Errors
     ///
@@ -82,7 +91,7 @@ impl<const W: usize, const R: usize> Node<W, R> {
         self.turn_watched(most, |_| {})
     }
 
-    /// As [`turn`](Self::turn); shows each datagram.
+    /// As [`turn`](Self::turn); shows the datagram.
     ///
     /// # Errors
     ///
@@ -91,7 +100,7 @@ impl<const W: usize, const R: usize> Node<W, R> {
         let due = self.participant.poll(self.now(), &mut self.udp);
         let until = Duration::from_nanos(due.since(self.now()).as_ns());
         self.udp.wait(most.min(until))?;
-        while let Some(datagram) = self.udp.receive() {
+        if let Some(datagram) = self.udp.receive() {
             watch(&datagram);
             let now = Instant::from_ns(self.start.elapsed().as_nanos() as u64);
             self.participant.hear(now, &datagram, &mut self.udp);

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tandem_board::Instant;
 use tandem_bus::{FrameReceiver, Message};
-use tandem_topics::endpoints::{SocTopic, INPUTS, OUTPUTS};
+use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic};
 use tandem_topics::{CanFrame, CdrError, Endpoint};
 
 use crate::approach::{Approach, Orders};

@@ -3,7 +3,7 @@
 
 mod stand_in;
 
-use stand_in::{CYCLE_S, PointMass, StandIn, place};
+use stand_in::{CYCLE_S, PointMass, StandIn, own_place};
 use std::time::Duration;
 use tandem_board::Instant;
 use tandem_bus::e2e::Check;
@@ -208,7 +208,8 @@ fn an_order_out_of_range_is_refused() {
 /// commands, and the vehicle is parked.
 #[test]
 fn it_parks_over_udp_although_a_system_dies() {
-    let place = place(0);
+    let own = own_place();
+    let place = own.place;
     let profiles = Profiles::load(SOC, "soc.xml").unwrap();
     let soc = Soc::open(place, (&profiles, "Tandem::Soc"), Approach::new(2.0));
     let mut soc = soc.unwrap();
@@ -228,7 +229,7 @@ fn it_parks_over_udp_although_a_system_dies() {
     while parked.try_recv().is_err() {
         stand_in.cycle();
         if stand_in.vehicle.driven > 1.0 && stand_in.nodes[0].is_some() {
-            orders = stand_in.orders();
+            orders = stand_in.orders;
             stand_in.nodes[0] = None;
         }
     }

@@ -1,6 +1,6 @@
 //! What stands in for the controller until it publishes: both systems, and a vehicle that obeys.
 
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, UdpSocket};
 use std::time::Duration;
 
 use tandem_bus::{Control, EgoMotion, FrameTransmitter, GearCode, Message, ModeCode};
@@ -14,14 +14,23 @@ use tandem_topics_host::node::{Node, Place};
 /// Period of control frames and motions, s.
 pub(crate) const CYCLE_S: f32 = 0.01;
 
-/// Returns a place that no other test has: each process has a domain, each test of it a part.
-pub(crate) fn place(part: u16) -> Place {
-    let domain = (std::process::id() % 40) as u16 * 5 + part;
-    assert!(part < 5);
-    Place {
-        domain,
-        interface: Ipv4Addr::LOCALHOST,
-    }
+/// A place that no other test has, on this machine and at this time.
+pub(crate) struct OwnPlace {
+    pub(crate) place: Place,
+    _lock: UdpSocket,
+}
+
+/// Takes a free domain. A port that no participant uses is its lock.
+pub(crate) fn own_place() -> OwnPlace {
+    let interface = Ipv4Addr::LOCALHOST;
+    // The ports of these domains are below those that a kernel gives away.
+    let domains = (20..100_u16).cycle().skip(std::process::id() as usize % 80);
+    let mut taken = domains.take(80).filter_map(|domain| {
+        let lock = UdpSocket::bind((interface, 7_400 + 250 * domain + 249)).ok()?;
+        let place = Place { domain, interface };
+        Some(OwnPlace { place, _lock: lock })
+    });
+    taken.next().unwrap()
 }
 
 /// A point mass that follows speed, gear and brake.
@@ -89,7 +98,8 @@ pub(crate) struct StandIn {
     /// The participants of A and B; `None` after its death.
     pub(crate) nodes: [Option<Node<1, 4>>; 2],
     pub(crate) vehicle: PointMass,
-    orders: [Option<Orders>; 2],
+    /// What each system has read last.
+    pub(crate) orders: [Option<Orders>; 2],
     transmitter: FrameTransmitter,
     cycle: u32,
 }
@@ -141,7 +151,7 @@ impl StandIn {
         }
     }
 
-    /// Publishes a frame that all but its sender hear. A system alone hears the other one's no more.
+    /// Publishes a frame that all but its sender hear. A system that is left hears all of them.
     fn publish(&mut self, message: &Message, sender: Option<usize>) {
         let frame = self.transmitter.encode(message);
         let sample = CanFrame {
@@ -157,11 +167,6 @@ impl StandIn {
                 node.write(0, &payload).unwrap();
             }
         }
-    }
-
-    /// Returns what both systems have read last.
-    pub(crate) fn orders(&self) -> [Option<Orders>; 2] {
-        self.orders
     }
 }
 
