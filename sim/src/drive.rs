@@ -103,17 +103,30 @@ impl Drive {
         seed: u64,
         core: impl FnMut(&SimBoard) -> Poller + 'static,
     ) -> Self {
+        let board_config = Config {
+            seed,
+            ..Config::default()
+        };
+        Self::on_board(scenario, board_config, core)
+    }
+
+    /// Like [`Drive::with`], on a board with these settings, of which the seed is also the world's.
+    ///
+    /// # Panics
+    /// If there is no embedded scenario of this name.
+    pub fn on_board(
+        scenario: &str,
+        board_config: Config,
+        core: impl FnMut(&SimBoard) -> Poller + 'static,
+    ) -> Self {
         let scenario = Scenario::load(scenario).expect("an embedded scenario");
+        let seed = board_config.seed;
         let world = World::new(&scenario, tandem_vehicle::WorldConfig { seed });
         let seen = Rc::new(RefCell::new(Observation {
             world,
             log: RunLog::default(),
             forged: vec![],
         }));
-        let board_config = Config {
-            seed,
-            ..Config::default()
-        };
         let mut pair = SimPair::new(board_config, core);
         let shared = Rc::clone(&seen);
         pair.set_world(move |now| tick(&mut shared.borrow_mut(), now));

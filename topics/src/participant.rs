@@ -1,7 +1,8 @@
 //! The participant: it composes discovery, writers and readers, and does no input or output.
 
 use crate::discovery::{self, Kind, Peer, Remote};
-use crate::reader::{Reader, Sample, WRITERS};
+use crate::endpoints::system_of;
+use crate::reader::{Reader, Sample, Stream, WRITERS};
 use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
 use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
 use crate::wire::{Submessages, pid};
@@ -55,6 +56,9 @@ pub struct Participant<
     beat: Instant,
     foreign: u32,
     refused: u32,
+    /// An endpoint of others was refused a place, and a place is free again.
+    waits: bool,
+    is_free: bool,
 }
 
 impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const IN: usize>
@@ -81,6 +85,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             beat: Instant::ORIGIN,
             foreign: 0,
             refused: 0,
+            waits: false,
+            is_free: false,
         }
     }
 
@@ -156,6 +162,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         if now.since(self.beat) >= HEARTBEAT_PERIOD {
             self.beat = now;
             self.remind(out);
+        }
+        if core::mem::take(&mut self.is_free) && core::mem::take(&mut self.waits) {
+            self.ask_all(out);
         }
         self.ask_again(now, out);
         let announces = self.announced.unwrap_or(now) + ANNOUNCES_EVERY;
@@ -253,6 +262,12 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             known.on_announcement(now, list);
             return;
         }
+        // A system that starts again replaces what it was before.
+        let was_before =
+            |one: &&Remote| system_of(from).is_some() && system_of(one.prefix) == system_of(from);
+        if let Some(before) = self.remotes.iter().flatten().find(was_before) {
+            self.forget(before.prefix);
+        }
         let mut remote = Remote::new(from);
         if !remote.on_announcement(now, list) {
             return;
@@ -284,12 +299,12 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         match kind {
             Kind::Publications => {
                 for (reader, ours) in self.readers.iter_mut().zip(self.inputs) {
-                    reader.on_writer(guid, ours.judge(list, false));
+                    self.waits |= !reader.on_writer(guid, ours.judge(list, false));
                 }
             }
             Kind::Subscriptions => {
                 for (writer, ours) in self.writers.iter_mut().zip(self.outputs) {
-                    writer.on_reader(guid, ours.judge(list, true));
+                    self.waits |= !writer.on_reader(guid, ours.judge(list, true));
                 }
             }
         }
@@ -308,6 +323,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         writers.for_each(|one| one.remove(prefix, entity));
         let readers = self.readers.iter_mut();
         readers.for_each(|one| one.remove(prefix, entity));
+        self.is_free = true;
     }
 
     fn on_heartbeat(
@@ -335,6 +351,21 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         for index in 0..R {
             if let Some(set) = self.readers[index].on_heartbeat(now, guid, heartbeat) {
                 self.acknowledge(user, (EntityId::reader(index), guid.entity), set, out);
+            }
+        }
+    }
+
+    /// Asks all for their endpoints once more: one that was refused a place may get it now.
+    fn ask_all(&mut self, out: &mut impl Outlet) {
+        for at in 0..REMOTES {
+            let Some(remote) = self.remotes.get_mut(at).and_then(Option::as_mut) else {
+                continue;
+            };
+            remote.heard = [Stream::new(true); 2];
+            let peer = remote.discovery();
+            for kind in Kind::ALL {
+                let of = (kind.reader(), kind.writer());
+                self.acknowledge(peer, of, SequenceSet::FIRST, out);
             }
         }
     }

@@ -158,22 +158,22 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         }
     }
 
-    /// Gives a writer that fits a place.
-    pub(crate) fn on_writer(&mut self, guid: Guid, fit: Fit) {
+    /// Gives a writer that fits a place. Returns `false` if none is free.
+    pub(crate) fn on_writer(&mut self, guid: Guid, fit: Fit) -> bool {
         let reliability = match fit {
-            Fit::Stranger => return,
+            Fit::Stranger => return true,
             Fit::Incompatible => {
                 self.counts.incompatible = self.counts.incompatible.wrapping_add(1);
-                return;
+                return true;
             }
             Fit::Fits(reliability, _) => reliability,
         };
         if self.index_of(guid).is_some() {
-            return;
+            return true;
         }
         let Some(place) = self.writers.iter_mut().find(|place| place.is_none()) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
-            return;
+            return false;
         };
         let is_reliable =
             reliability == Reliability::Reliable && reliability == self.qos.reliability;
@@ -186,6 +186,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             last: 0,
             asked: Instant::ORIGIN,
         });
+        true
     }
 
     /// Takes the places of these writers back, and drops their samples.

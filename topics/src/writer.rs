@@ -114,18 +114,18 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         }
     }
 
-    /// Gives a reader that fits a place.
-    pub(crate) fn on_reader(&mut self, guid: Guid, fit: Fit) {
+    /// Gives a reader that fits a place. Returns `false` if none is free.
+    pub(crate) fn on_reader(&mut self, guid: Guid, fit: Fit) -> bool {
         let (reliability, durability) = match fit {
-            Fit::Stranger => return,
+            Fit::Stranger => return true,
             Fit::Incompatible => {
                 self.counts.incompatible = self.counts.incompatible.wrapping_add(1);
-                return;
+                return true;
             }
             Fit::Fits(reliability, durability) => (reliability, durability),
         };
         if self.readers.iter().flatten().any(|one| one.guid == guid) {
-            return;
+            return true;
         }
         let needs = match durability {
             Durability::Volatile => self.last + 1,
@@ -133,7 +133,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         };
         let Some(place) = self.readers.iter_mut().find(|place| place.is_none()) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
-            return;
+            return false;
         };
         *place = Some(RemoteReader {
             guid,
@@ -142,6 +142,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
             count: None,
             told: needs,
         });
+        true
     }
 
     /// Takes the places of these readers back.

@@ -373,8 +373,9 @@ fn a_participant_that_starts_again_is_a_new_one() {
     world.run(2_000);
     // Its place is still held by the dead one.
     assert_eq!(world.mcu.writer_counts(0).refused, 1);
+    // Its lease ends, and the new one gets the place.
     world.run(12_000);
-    assert_eq!(world.mcu.readers_of(0), 1);
+    assert_eq!(world.mcu.readers_of(0), 2);
 }
 
 /// One that says that it leaves has no place any more.
@@ -458,4 +459,25 @@ fn any_message_renews_a_lease() {
     }
     world.run(10);
     assert_eq!(world.taken[0].len(), 1_100);
+}
+
+/// D-4: a reader that was refused a place gets it when another one leaves.
+#[test]
+fn a_place_that_becomes_free_is_given_away() {
+    let mut world = World::new(&[&UPS, &UPS, &UPS]);
+    world.run(2_000);
+    let served = |world: &World| {
+        let taken = world.taken.iter();
+        taken.filter(|taken| !taken.is_empty()).count()
+    };
+    world.publish(5, 10);
+    assert_eq!(served(&world), READERS);
+    let first = world.taken.iter().position(|taken| !taken.is_empty());
+    let leaves = first.unwrap() + 1;
+    world.with(leaves, |world, sent| world.socs[leaves - 1].leave(sent));
+    // Its process has ended: it says no more.
+    world.copies = Box::new(move |from, to| usize::from(from != leaves && to != leaves));
+    world.run(500);
+    world.publish(5, 10);
+    assert_eq!(served(&world), 3, "{:?}", world.taken);
 }

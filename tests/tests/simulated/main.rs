@@ -24,6 +24,7 @@ mod sections;
 mod sources;
 mod stale;
 mod terms;
+mod topics;
 mod values;
 mod wrong;
 

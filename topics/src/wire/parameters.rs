@@ -136,7 +136,8 @@ impl<'m> Iterator for Parameters<'m> {
             self.ended = true;
             return None;
         }
-        let value = self.rest.take(len.into())?;
+        // The next one is aligned.
+        let value = self.rest.take(len.into()).filter(|_| len % 4 == 0)?;
         let value = Cursor::new(value, self.rest.is_little());
         let id = id & !pid::MUST_UNDERSTAND;
         Some(Parameter { id, value })
