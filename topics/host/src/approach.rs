@@ -29,8 +29,10 @@ const ACCELERATION: f32 = 0.5;
 const DECELERATION: f32 = 0.4;
 /// It plans ahead by this time, s: the vehicle follows a falling speed late.
 const PREVIEW_S: f32 = 0.4;
-/// The vehicle stands below this speed, m/s: the noise of the measurement is 0.02 m/s.
+/// The vehicle stands if it is slower than this, m/s …
 const STANDS: f32 = 0.05;
+/// … for this long: the measurement has noise of 0.03 m/s while the vehicle moves.
+const STANDS_FOR: Duration = Duration::from_ms(200);
 /// The way is over if less than this is left, m.
 const ARRIVED: f32 = 0.15;
 /// Braking torque that holds the vehicle at its place, Nm.
@@ -101,6 +103,8 @@ pub struct Approach {
     driven: f32,
     /// The newest motion, and when it arrived.
     motion: Option<(Instant, EgoMotion)>,
+    /// When it was last seen to move.
+    moved: Option<Instant>,
 }
 
 impl Approach {
@@ -111,6 +115,7 @@ impl Approach {
             way: way.clamp(0.0, WAY_MAX),
             driven: 0.0,
             motion: None,
+            moved: None,
         }
     }
 
@@ -166,7 +171,12 @@ impl Approach {
                 self.driven += speed * now.since(at).as_secs_f32();
             }
         }
-        let stands = motion.speed.abs() < STANDS;
+        let moved = match self.moved {
+            Some(moved) if motion.speed.abs() < STANDS => moved,
+            _ => now,
+        };
+        self.moved = Some(moved);
+        let stands = now.since(moved) >= STANDS_FOR;
         let holds =
             motion.gear == GearCode::Park && motion.parking_brake == ParkingBrakeCode::Applied;
         match self.phase {

@@ -22,6 +22,7 @@ struct Drive {
     vehicle: PointMass,
     now_ms: u64,
     fastest: f32,
+    seed: u32,
 }
 
 impl Drive {
@@ -31,7 +32,21 @@ impl Drive {
             vehicle: PointMass::default(),
             now_ms: 0,
             fastest: 0.0,
+            seed: 1,
         }
+    }
+
+    /// Noise of the wheel sensors, with a deviation of 0.03 m/s: the sum of four uniform numbers.
+    fn noise(&mut self) -> f32 {
+        let mut sum = -2.0;
+        for _ in 0..4 {
+            self.seed = self
+                .seed
+                .wrapping_mul(1_664_525)
+                .wrapping_add(1_013_904_223);
+            sum += (self.seed >> 8) as f32 / (1 << 24) as f32;
+        }
+        sum * 0.03 / 0.577
     }
 
     fn now(&self) -> Instant {
@@ -59,7 +74,10 @@ impl Drive {
         self.vehicle.step(parks.then_some(&orders));
         self.fastest = self.fastest.max(self.vehicle.speed);
         if hears {
-            let motion = self.vehicle.motion();
+            let mut motion = self.vehicle.motion();
+            if motion.speed > 0.05 {
+                motion.speed += self.noise();
+            }
             self.tell(&Message::EgoMotion(motion));
         }
         orders
@@ -95,8 +113,8 @@ fn it_parks_at_the_end_of_the_way() {
         drive.cycles(60.0);
         assert_eq!(drive.approach.phase(), ApproachPhase::Parked, "{way}");
         let vehicle = drive.vehicle;
-        assert!((vehicle.driven - way).abs() < 0.15, "{way}: {vehicle:?}");
-        assert!(drive.fastest <= SPEED, "{way}: {}", drive.fastest);
+        assert!((vehicle.driven - way).abs() < 0.06, "{way}: {vehicle:?}");
+        assert!(drive.fastest <= SPEED + 0.01, "{way}: {}", drive.fastest);
         assert_eq!(vehicle.gear, GearCode::Park);
         assert_eq!(vehicle.brake, ParkingBrakeCode::Applied);
         // The function ends its state: that is no reason to give up.
