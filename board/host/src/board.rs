@@ -18,12 +18,12 @@ use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
 use crate::flash_file::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
 use crate::memory::{self, MemoryError};
-use crate::network::HostNetwork;
 use crate::segment::SegmentError;
 use crate::spawn;
 use crate::supply;
 use crate::supply_client::HostSupply;
 use crate::trace_ring::TraceRing;
+use crate::udp_port::HostNetwork;
 
 /// Why a core cannot start.
 #[derive(Debug, thiserror::Error)]

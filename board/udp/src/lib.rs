@@ -1,8 +1,8 @@
 //! A station of a network on the host: UDP sockets for each channel of a board.
 //!
-//! Everything that is a station on the host uses it: the process of core 0, the bridge to emulated
-//! machines, and a participant of DDS. The ports are those of RTPS; the channel for time lies beside
-//! them in the range of a domain.
+//! Each station of the host uses it: the process of core 0, the bridge to emulated
+//! machines, and a participant of DDS. The ports are those of RTPS; the channel for time has
+//! further ones in the range of a domain.
 #![forbid(unsafe_code)]
 
 use socket2::{Domain, Protocol, SockRef, Socket, Type};

@@ -1,7 +1,7 @@
 //! The carrier's connection to the vehicle process on the host, in step with the machine.
 
 use super::ring::Ring;
-use super::{SystemRegisters, network, now, system};
+use super::{SystemRegisters, ethernet, now, system};
 use crate::exit::exit;
 use crate::hart::time;
 use crate::semihosting::{File, HostError};
@@ -144,7 +144,7 @@ impl Host {
     /// Adds the datagrams that a system has sent to the Ethernet.
     fn put_packets(&mut self, which: SystemId) {
         while self.has_room_for(PACKET_PARTS)
-            && let Some(words) = network::leaving(which)
+            && let Some(words) = ethernet::leaving(which)
         {
             let len = packet_words(words[0]);
             packet_parts(which, &words[..len]).for_each(|item| self.put(item));

@@ -11,8 +11,8 @@
 //! is not in this machine collect in its registers here, and are sent with the next exchange.
 
 pub(crate) mod data_flash;
+mod ethernet;
 mod host;
-mod network;
 pub(crate) mod ring;
 pub(crate) mod run;
 
@@ -50,7 +50,7 @@ pub(crate) struct SystemRegisters {
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
-    pub(crate) network: network::Registers,
+    pub(crate) network: ethernet::Registers,
     pub(crate) flash: data_flash::Registers,
     /// Services of the watchdog that the supply has not read yet.
     pub(crate) services: Ring<4, SERVICE_WORDS>,

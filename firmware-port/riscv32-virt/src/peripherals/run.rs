@@ -1,7 +1,7 @@
 //! The carrier's hart: it moves frames, checks the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core, interrupt, network, now, set_fault, system};
+use super::{core, ethernet, interrupt, now, set_fault, system};
 use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
 use crate::memory::{self, Strap, stack_used, strap};
@@ -136,7 +136,7 @@ impl Peripherals {
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
         if self.host.is_none() {
-            self.systems().for_each(network::pass_on);
+            self.systems().for_each(ethernet::pass_on);
         }
         self.exchange();
         if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
@@ -271,7 +271,7 @@ impl Peripherals {
                 words,
             } => {
                 if let Some(packet) = self.assemblies[of.index()].add(is_first, &words) {
-                    network::receive(of, packet);
+                    ethernet::receive(of, packet);
                 }
             }
             Item::Trace { .. } => {}

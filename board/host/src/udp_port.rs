@@ -25,8 +25,9 @@ const SIOCGSTAMPNS: libc::Ioctl = 0x8907;
 /// sockets could not be opened.
 ///
 /// The time of sending is that of the call. The time of receiving is the kernel's, translated from
-/// its real-time clock, or that of the call if the kernel has noted none. A cut cable is noticed by each call: what arrives while core 0 does not
-/// poll is only discarded if it polls before the repair.
+/// its real-time clock, or that of the call if the kernel has noted none. Each call looks whether
+/// the cable is cut: what arrives while core 0 does not poll is only discarded if it polls before
+/// the repair.
 #[derive(Debug)]
 pub struct HostNetwork {
     backplane: Backplane,
@@ -150,8 +151,8 @@ impl Network for HostNetwork {
     }
 }
 
-/// Returns when the kernel received the datagram that was last read from this socket, on the board's
-/// clock; `None` if the kernel does not know.
+/// Returns when the kernel received the datagram that was last read from this socket, on the
+/// board's clock; `None` if the kernel does not know.
 fn received_at(socket: &UdpSocket) -> Option<Instant> {
     let mut at = libc::timespec {
         tv_sec: 0,
