@@ -6,8 +6,10 @@ use std::str::FromStr;
 
 use crate::beside::PassedArguments;
 use crate::board_kind::{BoardKind, DemoBoard};
+use clap::builder::ArgPredicate;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
+use tandem_board_udp::UdpPlace;
 use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::SensorFault;
 use tandem_vehicle::sensors::NoSensorFault;
@@ -136,7 +138,12 @@ pub enum CanKind {
 #[command(after_help = RUN_EXAMPLES)]
 pub struct RunArgs {
     /// A built-in scenario (see `tandem scenarios`) or a CommonRoad XML file (2018b or 2020a)
-    #[arg(long, value_name = "FILE|NAME", default_value = "cut-in")]
+    #[arg(
+        long,
+        value_name = "FILE|NAME",
+        default_value = "cut-in",
+        default_value_if("soc", ArgPredicate::IsPresent, "parking")
+    )]
     pub scenario: String,
 
     /// What the controller runs on
@@ -165,6 +172,21 @@ pub struct RunArgs {
     /// Port of that bus
     #[arg(long, value_name = "PORT", default_value_t = PORT, requires = "can")]
     pub can_port: u16,
+
+    /// Connect both systems to this DDS domain, 0 to 230; each run needs one of its own
+    /// (docs/topics.md) [default: no network; 0 with --soc]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=230))]
+    pub domain: Option<u16>,
+
+    /// Address of the network interface of that domain
+    #[arg(long, value_name = "ADDRESS", default_value_t = Ipv4Addr::LOCALHOST)]
+    pub interface: Ipv4Addr,
+
+    /// Start an ADAS computer that parks: forward over this way, m, then the parking brake; the
+    /// driver asks for it from the start, unless --parks says when
+    #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "12",
+          value_parser = parse_way)]
+    pub soc: Option<f32>,
 
     /// Start the controller without its bootloader, to measure what the bootloader costs
     #[arg(long, conflicts_with_all = ["program_flash", "update"])]
@@ -233,6 +255,19 @@ pub struct RunArgs {
     /// Print only errors
     #[arg(long, short)]
     pub quiet: bool,
+}
+
+impl RunArgs {
+    /// Returns where both systems are on a network; `None` without one.
+    pub fn network(&self) -> Option<UdpPlace> {
+        let domain = self.domain.or(self.soc.map(|_| 0))?;
+        UdpPlace::new(domain, self.interface).ok()
+    }
+
+    /// Returns the scenario time from which the driver wants the vehicle parked, s.
+    pub fn parks_from_s(&self) -> Option<f64> {
+        self.parks.or(self.soc.map(|_| 0.0))
+    }
 }
 
 /// Arguments of `tandem cut` and `tandem mend`.

@@ -494,7 +494,7 @@ fn drive(
     let plan = LaunchPlan {
         schedule,
         flash,
-        network: None,
+        network: args.network(),
         extra: config.to_extra()?,
     };
     let command = |args: &ProcessArgs| {

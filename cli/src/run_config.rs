@@ -151,7 +151,7 @@ impl RunConfig {
             reintegrate: args.reintegrate,
             overrides_s: args.overrides,
             answers_after_s: args.answers,
-            parks_from_s: args.parks,
+            parks_from_s: args.parks_from_s(),
             sensor_faults: args.sensor_fault.clone(),
             can: can_group(args),
             ..Self::default()
