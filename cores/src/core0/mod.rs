@@ -2,8 +2,8 @@
 //!
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
-//! Its work is seven tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is a
-//! [`TaskBody`] that does all due work and returns when it is due next. It reaches the state that
+//! Its work is seven tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is
+//! a [`TaskBody`] that does all due work and returns when it is due next. It reaches the state that
 //! all tasks share through an [`Executor`]. [`Core0`] runs the tasks one after the other, each to
 //! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
 //! with execution times. `docs/rtos-tasks.md` has the priorities and the reasons for them.

@@ -265,7 +265,8 @@ impl<'b, B: Board> TopicsTask<'b, B> {
             };
             self.supervision.on_frame(&received);
             if let Ok(payload) = sample_of(&received).encode() {
-                // Ends after 2^32 frames, seven weeks at 1 kHz: the SoC then hears the other system.
+                // It ends after 2^32 frames, seven weeks at 1 kHz. The SoC then hears the other
+                // system.
                 let _ended = participant.write(0, &payload, &mut Port(self.board));
             }
         }
