@@ -16,6 +16,7 @@
 //! | [`newest`] | the newest value, never torn | one writer, any number of readers |
 //! | [`fifo`] | every value, in order, or full | one producer, one consumer |
 //! | [`broadcast`] | every value, in order, or how many were lost | one writer, many receivers |
+//! | [`topic`] | one interface for topics over any transport | one publisher, many subscribers |
 //! | [`wait`] | spin, spin then sleep, sleep | no core |
 //!
 //! # Rules for every module
@@ -110,6 +111,7 @@ mod ring;
 mod schedules;
 mod shape;
 pub mod sync;
+pub mod topic;
 pub mod wait;
 
 pub use payload::{Corrupt, Payload, WordsMut, WordsRef};
