@@ -80,9 +80,20 @@ class Event(ctypes.Structure):
         return "TandemEvent"
 
 
+class Number(ctypes.Structure):
+    """The user header of each sample: counts them from 0. A gap tells how many were lost."""
+
+    _fields_ = [("number", ctypes.c_uint64)]
+
+    @staticmethod
+    def type_name():
+        return "TandemNumber"
+
+
 def subscriber(node, run, name, payload):
     service = node.service_builder(iox2.ServiceName.new(f"tandem/{run}/{name}"))
-    return service.publish_subscribe(payload).open().subscriber_builder().create()
+    service = service.publish_subscribe(payload).user_header(Number).open()
+    return service.subscriber_builder().create()
 
 
 def samples(of):

@@ -28,6 +28,7 @@ use tandem_cores::trace;
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
+use tandem_shm::topic::Publish as _;
 use tandem_vehicle::LoggedFrame;
 
 use crate::run_config::{LimitProfile, RunConfig};
@@ -185,11 +186,12 @@ pub fn run() -> anyhow::Result<()> {
         // All other processes of the run have precedence.
         let _ = rustix::process::nice(10);
     }
-    let publisher = Publisher::create(&begin.run.parse()?)?;
+    let mut publisher = Publisher::create(&begin.run.parse()?)?;
     let mut news = News::new(begin.duration_s);
     while let Some(entries) = next() {
-        file::parse(&entries, |entry| news.take(&entry, &publisher))?;
-        publisher.roles(news.roles());
+        file::parse(&entries, |entry| news.take(&entry, &mut publisher))?;
+        // What cannot be published is lost for observers only; so are the values below.
+        let _ = publisher.roles.publish(&news.roles());
     }
     Ok(())
 }
@@ -233,7 +235,7 @@ impl News {
         }
     }
 
-    fn take(&mut self, entry: &Entry, publisher: &Publisher) {
+    fn take(&mut self, entry: &Entry, publisher: &mut Publisher) {
         match entry {
             Entry::Trace(traced) => {
                 let of = CoreAddress::new(traced.system, traced.core);
@@ -241,20 +243,24 @@ impl News {
                 let event = trace::Event::decode(traced.record);
                 if let Some(text) = event.and_then(description::core_event) {
                     let (system, core) = (traced.system.index() as u8, traced.core.index() as u8);
-                    publisher.event(Event::new(traced.at.as_ns(), system, core, &text));
+                    let event = Event::new(traced.at.as_ns(), system, core, &text);
+                    let _ = publisher.trace.publish(&event);
                 }
             }
             Entry::Supply(at, system, event) => {
                 let text = description::supply_event(*event);
                 let system = system.index() as u8;
-                publisher.event(Event::new(at.as_ns(), system, u8::MAX, &text));
+                let event = Event::new(at.as_ns(), system, u8::MAX, &text);
+                let _ = publisher.trace.publish(&event);
             }
             Entry::Frame(frame) => {
                 self.judge(frame);
-                publisher.frame(of_frame(frame));
+                let _ = publisher.can.publish(&of_frame(frame));
             }
             Entry::Vehicle(record) => match &**record {
-                VehicleRecord::Sample(sample) => publisher.vehicle(of_sample(sample)),
+                VehicleRecord::Sample(sample) => {
+                    let _ = publisher.vehicle.publish(&of_sample(sample));
+                }
                 VehicleRecord::Start { at_ns } => self.start_ns = Some(*at_ns),
                 VehicleRecord::Power { system, on, .. } => {
                     if let Some(state) = self.roles.state.get_mut(usize::from(*system)) {

@@ -178,7 +178,7 @@ impl Run {
     }
 
     /// Waits until `found` returns a value for the list of processes.
-    pub(crate) fn until<T>(&self, what: &str, found: impl Fn(&[Process]) -> Option<T>) -> T {
+    pub(crate) fn until<T>(&self, what: &str, mut found: impl FnMut(&[Process]) -> Option<T>) -> T {
         loop {
             let processes = self.processes();
             if let Some(it) = found(&processes) {

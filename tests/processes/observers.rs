@@ -20,7 +20,7 @@ fn observer(run: &Run) -> Observer {
 
 /// Waits until `is_it` returns true for the newest roles.
 fn until_roles(run: &Run, what: &str, is_it: impl Fn(&Roles) -> bool) {
-    let observer = observer(run);
+    let mut observer = observer(run);
     run.until(what, |_| {
         let mut found = false;
         observer.poll(&mut |news| {
@@ -69,7 +69,7 @@ fn observes_until_it_is_killed() {
     let Ok(run) = std::env::var("TANDEM_OBSERVED_RUN") else {
         return;
     };
-    let observer = Observer::on(Some(&run)).unwrap();
+    let mut observer = Observer::on(Some(&run)).unwrap();
     loop {
         observer.poll(&mut |_| {});
         std::thread::sleep(Duration::from_millis(20));
@@ -91,7 +91,7 @@ pub(crate) fn disturb(run: &Run) {
 }
 
 /// Returns `Some` if one system drives, the other stands by, and all cores are alive.
-fn sees_both(observer: &Observer) -> Option<()> {
+fn sees_both(observer: &mut Observer) -> Option<()> {
     let mut both = false;
     observer.poll(&mut |news| {
         if let News::Roles(now) = news {
@@ -108,7 +108,7 @@ fn sees_both(observer: &Observer) -> Option<()> {
 fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
     let fixture = Fixture::new();
     let mut run = fixture.run(&["--duration", "110", "--scenario", "free-lane"]);
-    let own = observer(&run);
+    let mut own = observer(&run);
     let [mut frozen, mut killed] = [observing(&run), observing(&run)];
     run.until_dual();
     // Both observers subscribe within this time.
@@ -128,7 +128,7 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
             News::Event(_) => {}
         });
     }
-    run.until("news of both in their roles", |_| sees_both(&own));
+    run.until("news of both in their roles", |_| sees_both(&mut own));
     let publisher = publisher_of(&run).expect("a publisher");
     send(publisher, Signal::STOP);
     // The run publishes nothing now, so only the figures at its end show that it continued.

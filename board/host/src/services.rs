@@ -4,20 +4,16 @@
 //! service keeps the newest samples for each subscriber and drops older ones, so a subscriber that
 //! is slow, frozen or dead never delays the publisher.
 
-use core::fmt::Debug;
+mod ends;
 
-use iceoryx2::node::Node;
-use iceoryx2::port::publisher::Publisher as Sending;
-use iceoryx2::port::subscriber::Subscriber as Receiving;
-use iceoryx2::prelude::{
-    LogLevel, NodeBuilder, ServiceName, SignalHandlingMode, ZeroCopySend, ipc, set_log_level,
-};
+pub use ends::{SampleNumber, ServiceError, ServicePayload, ServicePublisher, ServiceSubscriber};
+
+use iceoryx2::prelude::ZeroCopySend;
+use tandem_shm::topic::Subscribe;
 
 use crate::name::RunName;
 use crate::process_list;
 
-/// Maximum number of simultaneous observers of a run.
-const OBSERVERS: usize = 8;
 /// Capacities of [`Event::text`] and of a CAN FD frame's data, in bytes.
 const TEXT_BYTES: usize = 112;
 const DATA_BYTES: usize = 64;
@@ -174,83 +170,46 @@ fn padded<const N: usize>(bytes: &[u8]) -> (u8, [u8; N]) {
     (taken as u8, all)
 }
 
-/// Why a run cannot be published or observed.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct ServiceError(String);
-
-fn refused<E: Debug>(what: &str) -> impl FnOnce(E) -> ServiceError {
-    let what = what.to_owned();
-    move |error| ServiceError(format!("{what}: {error:?}"))
+impl Default for Frame {
+    fn default() -> Self {
+        Self::new(0, 0, 0, 0, &[])
+    }
 }
 
-fn node() -> Result<Node<ipc::Service>, ServiceError> {
-    set_log_level(LogLevel::Fatal);
-    NodeBuilder::new()
-        .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>()
-        .map_err(refused("a node of iceoryx2"))
+impl Default for Event {
+    fn default() -> Self {
+        Self::new(0, 0, 0, "")
+    }
 }
 
-/// Number of samples kept for each observer, by service.
-const KEPT_ROLES: usize = 16;
-const KEPT_VEHICLE: usize = 64;
-const KEPT_CAN: usize = 1_024;
-const KEPT_TRACE: usize = 512;
-
-/// A value that a service can carry.
-trait Sample: ZeroCopySend + Debug + Copy + 'static {}
-
-impl<T: ZeroCopySend + Debug + Copy + 'static> Sample for T {}
-
-fn name_of(run: &RunName, name: &str) -> Result<ServiceName, ServiceError> {
-    let text = format!("tandem/{run}/{name}");
-    ServiceName::new(&text).map_err(refused(&text))
+/// The names of the services, and how many samples each keeps.
+macro_rules! services {
+    ($($payload:ty: $name:literal, $kept:literal;)*) => {$(
+        impl ServicePayload for $payload {
+            const NAME: &'static str = $name;
+            const KEPT: usize = $kept;
+        }
+    )*};
 }
 
-/// Creates a service and its publisher.
-fn publisher<T: Sample>(
-    node: &Node<ipc::Service>,
-    run: &RunName,
-    name: &str,
-    kept: usize,
-) -> Result<Sending<ipc::Service, T, ()>, ServiceError> {
-    let builder = node.service_builder(&name_of(run, name)?);
-    let service = builder
-        .publish_subscribe::<T>()
-        .max_publishers(1)
-        .max_subscribers(OBSERVERS)
-        .max_nodes(2 * OBSERVERS)
-        .subscriber_max_buffer_size(kept)
-        .enable_safe_overflow(true)
-        .create()
-        .map_err(refused(name))?;
-    let publisher = service.publisher_builder().create();
-    publisher.map_err(refused(name))
+services! {
+    Roles: "roles", 16;
+    Vehicle: "vehicle", 64;
+    Frame: "can", 1_024;
+    Event: "trace", 512;
 }
 
-/// Opens a service and subscribes to it.
-fn subscriber<T: Sample>(
-    node: &Node<ipc::Service>,
-    run: &RunName,
-    name: &str,
-) -> Result<Receiving<ipc::Service, T, ()>, ServiceError> {
-    let builder = node.service_builder(&name_of(run, name)?);
-    let service = builder.publish_subscribe::<T>().open();
-    let subscriber = service
-        .map_err(refused(name))?
-        .subscriber_builder()
-        .create();
-    subscriber.map_err(refused(name))
-}
-
-/// The publishing end of a run's services.
+/// The publishers of a run's services. A value that cannot be published is lost for observers only.
+#[derive(Debug)]
 pub struct Publisher {
-    roles: Sending<ipc::Service, Roles, ()>,
-    vehicle: Sending<ipc::Service, Vehicle, ()>,
-    can: Sending<ipc::Service, Frame, ()>,
-    trace: Sending<ipc::Service, Event, ()>,
-    _node: Node<ipc::Service>,
+    /// The state of the run.
+    pub roles: ServicePublisher<Roles>,
+    /// The controlled vehicle.
+    pub vehicle: ServicePublisher<Vehicle>,
+    /// Frames on the bus.
+    pub can: ServicePublisher<Frame>,
+    /// Events of cores and supplies.
+    pub trace: ServicePublisher<Event>,
 }
 
 impl Publisher {
@@ -259,35 +218,13 @@ impl Publisher {
     /// # Errors
     /// If iceoryx2 refuses an operation.
     pub fn create(run: &RunName) -> Result<Self, ServiceError> {
-        let node = node()?;
+        let node = &ends::node()?;
         Ok(Self {
-            roles: publisher(&node, run, "roles", KEPT_ROLES)?,
-            vehicle: publisher(&node, run, "vehicle", KEPT_VEHICLE)?,
-            can: publisher(&node, run, "can", KEPT_CAN)?,
-            trace: publisher(&node, run, "trace", KEPT_TRACE)?,
-            _node: node,
+            roles: ServicePublisher::create_on(node, run)?,
+            vehicle: ServicePublisher::create_on(node, run)?,
+            can: ServicePublisher::create_on(node, run)?,
+            trace: ServicePublisher::create_on(node, run)?,
         })
-    }
-
-    /// Publishes the state of the run. Never blocks; an observer that is slow loses old samples.
-    pub fn roles(&self, roles: Roles) {
-        // If the sample cannot be published, only observers lose it.
-        let _ = self.roles.send_copy(roles);
-    }
-
-    /// Like [`Publisher::roles`], for the controlled vehicle.
-    pub fn vehicle(&self, vehicle: Vehicle) {
-        let _ = self.vehicle.send_copy(vehicle);
-    }
-
-    /// Like [`Publisher::roles`], for a frame on the bus.
-    pub fn frame(&self, frame: Frame) {
-        let _ = self.can.send_copy(frame);
-    }
-
-    /// Like [`Publisher::roles`], for an event.
-    pub fn event(&self, event: Event) {
-        let _ = self.trace.send_copy(event);
     }
 }
 
@@ -305,13 +242,13 @@ pub enum News {
 }
 
 /// An observer of a run.
+#[derive(Debug)]
 pub struct Observer {
     run: RunName,
-    roles: Receiving<ipc::Service, Roles, ()>,
-    vehicle: Receiving<ipc::Service, Vehicle, ()>,
-    can: Receiving<ipc::Service, Frame, ()>,
-    trace: Receiving<ipc::Service, Event, ()>,
-    _node: Node<ipc::Service>,
+    roles: ServiceSubscriber<Roles>,
+    vehicle: ServiceSubscriber<Vehicle>,
+    can: ServiceSubscriber<Frame>,
+    trace: ServiceSubscriber<Event>,
 }
 
 impl Observer {
@@ -322,14 +259,13 @@ impl Observer {
     /// If no run or more than one matches, or if the run does not publish.
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
         let run = process_list::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
-        let node = node()?;
+        let node = &ends::node()?;
         Ok(Self {
-            roles: subscriber(&node, &run, "roles")?,
-            vehicle: subscriber(&node, &run, "vehicle")?,
-            can: subscriber(&node, &run, "can")?,
-            trace: subscriber(&node, &run, "trace")?,
+            roles: ServiceSubscriber::on_node(node, &run)?,
+            vehicle: ServiceSubscriber::on_node(node, &run)?,
+            can: ServiceSubscriber::on_node(node, &run)?,
+            trace: ServiceSubscriber::on_node(node, &run)?,
             run,
-            _node: node,
         })
     }
 
@@ -340,17 +276,17 @@ impl Observer {
     }
 
     /// Passes to `into` every sample that has arrived since the last call. Never blocks.
-    pub fn poll(&self, into: &mut dyn FnMut(News)) {
-        drain(&self.vehicle, &mut |vehicle| into(News::Vehicle(vehicle)));
-        drain(&self.can, &mut |frame| into(News::Frame(frame)));
-        drain(&self.trace, &mut |event| into(News::Event(event)));
+    pub fn poll(&mut self, into: &mut dyn FnMut(News)) {
+        drain(&mut self.vehicle, News::Vehicle, into);
+        drain(&mut self.can, News::Frame, into);
+        drain(&mut self.trace, News::Event, into);
         // The roles are last, because they summarise the other samples.
-        drain(&self.roles, &mut |roles| into(News::Roles(roles)));
+        drain(&mut self.roles, News::Roles, into);
     }
 }
 
-fn drain<T: Sample>(from: &Receiving<ipc::Service, T, ()>, into: &mut dyn FnMut(T)) {
-    while let Ok(Some(sample)) = from.receive() {
-        into(*sample);
+fn drain<T>(from: &mut impl Subscribe<T>, news: fn(T) -> News, into: &mut dyn FnMut(News)) {
+    while let Some(value) = from.take() {
+        into(news(value));
     }
 }

@@ -59,14 +59,14 @@ fn run(choice: &RunChoice) -> Result<(), Failure> {
         return Err(Failure::Usage(anyhow!(reason)));
     }
     let observer = Observer::on(choice.name.as_deref());
-    let observer = observer.map_err(Failure::usage)?;
+    let mut observer = observer.map_err(Failure::usage)?;
     let mut terminal = ratatui::try_init().context("the terminal")?;
-    let shown = show(&observer, &mut terminal);
+    let shown = show(&mut observer, &mut terminal);
     ratatui::restore();
     shown.map_err(Failure::Run)
 }
 
-fn show(observer: &Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow::Result<()> {
+fn show(observer: &mut Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow::Result<()> {
     let mut picture = Picture::new(observer.run().as_str());
     let mut keys = Keys::on(observer.run().clone());
     loop {
