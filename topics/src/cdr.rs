@@ -5,6 +5,7 @@
 //! in how members of 8 bytes are aligned. (OMG XTypes 1.3, 7.4 and 7.6.3.1.2)
 
 use core::fmt;
+use tandem_shm::{Corrupt, Payload};
 
 /// Bytes of a payload before the body.
 pub(crate) const HEAD: usize = 4;
@@ -225,6 +226,28 @@ macro_rules! structs {
             }
         }
 
+        impl cdr::TopicType for $name {
+            fn encode_for<R>(&self, to: impl FnOnce(&[u8]) -> R) -> Result<R, CdrError> {
+                Ok(to(&self.encode()?))
+            }
+
+            fn decode_from(payload: &[u8]) -> Result<Self, CdrError> {
+                cdr::decode(payload)
+            }
+        }
+
+        impl tandem_shm::Payload for $name {
+            const WORDS: usize = usize::div_ceil($len, 4);
+
+            fn store(&self, put: &mut impl FnMut(u32)) {
+                cdr::store::<$len>(self, put);
+            }
+
+            fn load(take: &mut impl FnMut() -> u32) -> Result<Self, tandem_shm::Corrupt> {
+                cdr::load::<$len, _>(take)
+            }
+        }
+
         $(impl $name {
             /// Data id of the end-to-end protection. It differs from all data ids of the bus.
             pub const DATA_ID: u16 = $data_id;
@@ -259,6 +282,22 @@ macro_rules! structs {
 }
 pub(crate) use structs;
 
+/// A struct of the IDL, for code that is generic over them. As [`Payload`] its words in the LMU hold
+/// the body; a value out of range is stored as one that no reader accepts.
+pub trait TopicType: Payload + Copy + Default {
+    /// Passes the payload to `to`, and returns its result.
+    ///
+    /// # Errors
+    /// [`CdrError::InvalidMember`]: a value is out of range.
+    fn encode_for<R>(&self, to: impl FnOnce(&[u8]) -> R) -> Result<R, CdrError>;
+
+    /// Reads a payload.
+    ///
+    /// # Errors
+    /// [`CdrError`]: the payload is not a sample of this type.
+    fn decode_from(payload: &[u8]) -> Result<Self, CdrError>;
+}
+
 /// A struct of the IDL.
 pub(crate) trait Record: Copy + Default {
     fn walk(&mut self, walk: &mut impl Walk) -> Result<(), CdrError>;
@@ -274,6 +313,34 @@ pub(crate) fn body<const LEN: usize>(sample: &impl Record) -> Result<[u8; LEN], 
         at: 0,
     })?;
     Ok(body)
+}
+
+/// Stores a body as words. All bytes 0xFF are no value of any type of the IDL.
+pub(crate) fn store<const LEN: usize>(sample: &impl Record, put: &mut impl FnMut(u32)) {
+    for bytes in body(sample).unwrap_or([0xFF; LEN]).chunks(4) {
+        let mut word = [0; 4];
+        word[..bytes.len()].copy_from_slice(bytes);
+        put(u32::from_le_bytes(word));
+    }
+}
+
+/// Reads a body from its words.
+pub(crate) fn load<const LEN: usize, T: Record>(
+    take: &mut impl FnMut() -> u32,
+) -> Result<T, Corrupt> {
+    let mut body = [0; LEN];
+    for bytes in body.chunks_mut(4) {
+        bytes.copy_from_slice(&take().to_le_bytes()[..bytes.len()]);
+    }
+    let mut sample = T::default();
+    let mut decode = Decode {
+        body: &body,
+        at: 0,
+        is_big_endian: false,
+        widest: 8,
+    };
+    sample.walk(&mut decode).map_err(|_| Corrupt)?;
+    Ok(sample)
 }
 
 /// Returns the payload of a body: the representation, the body, zeroes up to a multiple of four.

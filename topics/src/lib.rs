@@ -17,7 +17,7 @@ mod types;
 mod wire;
 mod writer;
 
-pub use cdr::CdrError;
+pub use cdr::{CdrError, TopicType};
 pub use counts::Counts;
 pub use discovery::{Announced, announced};
 pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant};

@@ -17,12 +17,12 @@ boot-host: board boot
 rtos:
 runtime: board cores rtos
 capi: shm board redundancy
-topics: board bus
-topics-host: board board-udp bus topics
+topics: board bus shm
+topics-host: board board-udp bus shm topics
 vehicle: board bus
 page:
 board-host: board board-udp peripherals shm
-benches: board board-host page rtos shm two-cores
+benches: board board-host page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy vehicle

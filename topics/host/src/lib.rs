@@ -8,4 +8,5 @@ pub mod node;
 pub mod profiles;
 pub mod signals;
 pub mod soc;
+pub mod typed;
 pub mod udp;
