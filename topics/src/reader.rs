@@ -111,6 +111,8 @@ struct RemoteWriter {
     last: Sequence,
     /// When it was asked for what is missing.
     asked: Instant,
+    /// It has ended, and another one may get its place.
+    is_gone: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -171,7 +173,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         if self.index_of(guid).is_some() {
             return true;
         }
-        let Some(place) = self.writers.iter_mut().find(|place| place.is_none()) else {
+        let is_free = |place: &Option<RemoteWriter>| place.is_none_or(|writer| writer.is_gone);
+        let empty = self.writers.iter().position(Option::is_none);
+        let Some(index) = empty.or_else(|| self.writers.iter().position(is_free)) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
             return false;
         };
@@ -179,34 +183,47 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             reliability == Reliability::Reliable && reliability == self.qos.reliability;
         // Without guarantee, no heartbeat tells where the history begins.
         let with_history = is_reliable && self.qos.durability == Durability::TransientLocal;
-        *place = Some(RemoteWriter {
+        self.writers[index] = Some(RemoteWriter {
             guid,
             is_reliable,
             stream: Stream::new(with_history),
             last: 0,
             asked: Instant::ORIGIN,
+            is_gone: false,
         });
+        for slot in &mut self.samples {
+            let _unread = slot.take_if(|slot| usize::from(slot.from) == index);
+        }
         true
     }
 
-    /// Takes the places of these writers back, and drops their samples.
+    /// Takes the places of these writers back, when another one needs them. What they have sent can
+    /// be taken until then; what is missing between does not come any more.
     pub(crate) fn remove(&mut self, prefix: GuidPrefix, entity: Option<EntityId>) {
         for index in 0..WRITERS {
-            let is_gone = |writer: &mut RemoteWriter| writer.guid.is_of(prefix, entity);
-            if self.writers[index].take_if(is_gone).is_some() {
-                for slot in &mut self.samples {
-                    let _stays = slot.take_if(|slot| usize::from(slot.from) == index);
-                }
+            if let Some(writer) = &mut self.writers[index]
+                && !writer.is_gone
+                && writer.guid.is_of(prefix, entity)
+            {
+                writer.is_gone = true;
+                let missing = match writer.stream.next() {
+                    0 => 0..0,
+                    next => next..writer.last.saturating_add(1),
+                };
+                writer.stream.skip_to(Sequence::MAX);
+                self.count_lost(index, missing);
             }
         }
     }
 
     pub(crate) fn writers(&self) -> impl Iterator<Item = Guid> {
-        self.writers.iter().flatten().map(|writer| writer.guid)
+        let writers = self.writers.iter().flatten();
+        let writers = writers.filter(|writer| !writer.is_gone);
+        writers.map(|writer| writer.guid)
     }
 
     fn index_of(&self, guid: Guid) -> Option<usize> {
-        let is = |writer: &RemoteWriter| writer.guid == guid;
+        let is = |writer: &RemoteWriter| writer.guid == guid && !writer.is_gone;
         let mut writers = self.writers.iter();
         writers.position(|writer| writer.as_ref().is_some_and(is))
     }
