@@ -1,4 +1,5 @@
-//! Builds the only peer that is a C program, FreeRTOS with its own POSIX port. Records the commit,
+//! Builds what is in C: FreeRTOS with its own POSIX port, a peer, and the library that takes the
+//! samples of another peer, ddsperf. Records the commit,
 //! the compiler and the flags, because a result must name them.
 
 use std::env;
@@ -33,15 +34,26 @@ fn note_build() -> Result<(), env::VarError> {
     Ok(())
 }
 
+fn run(mut command: Command) -> Result<(), Box<dyn Error>> {
+    let status = command.status()?;
+    if !status.success() {
+        return Err(format!("{command:?} ended with {status}").into());
+    }
+    Ok(())
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     note_build()?;
     let ours = PathBuf::from("src/peers/freertos_posix");
+    let samples = "src/peers/ddsperf_samples.c";
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", ours.display());
+    println!("cargo::rerun-if-changed={samples}");
     // Build the peer from the same kernel sources as tandem-rtos.
     let kernel = PathBuf::from(env::var("DEP_TANDEM_FREERTOS_KERNEL")?);
     let port = kernel.join("portable/ThirdParty/GCC/Posix");
-    let program = PathBuf::from(env::var("OUT_DIR")?).join("freertos-posix");
+    let out = PathBuf::from(env::var("OUT_DIR")?);
+    let program = out.join("freertos-posix");
     let mut compiler = cc::Build::new();
     let compiler = compiler.opt_level(2).warnings(false).try_get_compiler()?;
     let mut command = compiler.to_command();
@@ -53,9 +65,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let of_kernel = ["tasks.c", "queue.c", "list.c", "portable/MemMang/heap_3.c"];
     command.args(of_kernel.map(|source| kernel.join(source)));
     command.args(["port.c", "utils/wait_for_event.c"].map(|source| port.join(source)));
-    let status = command.status()?;
-    if !status.success() {
-        return Err(format!("{command:?} ended with {status}").into());
-    }
-    Ok(())
+    run(command)?;
+    let mut command = compiler.to_command();
+    command.args(["-w", "-shared", "-fPIC", "-o"]);
+    command.arg(out.join("ddsperf-samples.so")).arg(samples);
+    run(command)
 }

@@ -3,11 +3,11 @@
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;
-use crate::peers::{iceoryx2, kernel, mutex, polling};
+use crate::peers::{ddsperf, iceoryx2, kernel, mutex, polling};
 use crate::tandem::Way::{Channel, Signal};
 use crate::tandem::channels::{broadcast, fifo, in_place};
 use crate::tandem::{lock, sync};
-use crate::{floor, noise, rtos, tandem};
+use crate::{floor, noise, rtos, tandem, topics};
 use clap::ValueEnum as _;
 use std::io;
 use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
@@ -29,6 +29,8 @@ pub enum Comparison {
     Lock,
     /// One way at a fixed rate, from the intended time of sending.
     Rate,
+    /// A CAN frame as a topic, half of a round trip; the receiver sleeps.
+    Topics,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
     /// Pauses caused by the machine.
@@ -214,6 +216,14 @@ const CASES: &[Cases] = &[
         ("tandem", "asleep between messages, 10 kHz", |p| tandem::at_rate(p, Sleep)),
         ("tandem-spin", "spinning, 10 kHz", |p| tandem::at_rate(p, Spin)),
         ("iceoryx2-event", "event with default settings, 10 kHz", iceoryx2::event_at_rate),
+    ]),
+    (Comparison::Topics, 1000, &[
+        ("udp-floor", "76 bytes by a bare UDP socket, loopback", topics::udp_floor),
+        ("tandem", "DDS, reliable, from node to node, loopback", topics::dds),
+        // It decides by itself how long it measures: a second.
+        ("ddsperf", "DDS, reliable, Cyclone DDS's own ping-pong, loopback", ddsperf::ping_pong),
+        ("shm", "broadcast ring in the LMU, signal, doorbell", topics::lmu),
+        ("iceoryx2", "the service of CAN frames, event with default settings", topics::services),
     ]),
     // Each tick takes a millisecond.
     (Comparison::Rtos, 100, &[

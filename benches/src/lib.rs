@@ -30,5 +30,6 @@ mod synthetic;
 pub mod system_calls;
 mod table;
 mod tandem;
+mod topics;
 
 pub use tandem_two_cores::{clock, shared, worker};

@@ -123,6 +123,9 @@ fn about(group: &str) -> About {
         "rate" => ("Fixed rate", "one way, from the intended time of sending",
             "Messages are due on a schedule, whether the last one has arrived or not. Naive figures \
              count from the actual sending: they hide what the schedule has lost."),
+        "topics" => ("Topics", "half of a round trip, from publishing to the value that was taken",
+            "The receiver sleeps. The floor is a bare UDP socket, also for the two ways in shared \
+             memory, which need none."),
         "rtos" => ("Real-time operating system", "time per operation", ""),
         _ => ("Further cases", "time per operation", ""),
     };

@@ -28,7 +28,8 @@ const DASHED: Style = Style::Dashed(1.7, "7 3");
 const DOTTED: Style = Style::Dashed(1.7, "2.5 2.5");
 
 /// Prefixes of the names of mechanisms of the system, and of libraries between threads.
-const SYSTEM: [&str; 6] = [
+const SYSTEM: [&str; 7] = [
+    "ddsperf",
     "eventfd",
     "io-uring",
     "pipe",
@@ -113,6 +114,9 @@ mod tests {
             ("sleep/iceoryx2-event-tuned", Provider::Iceoryx2),
             ("throughput/rtrb-8B", Provider::Threads),
             ("lock/pthread-robust", Provider::System),
+            ("topics/udp-floor", Provider::Floor),
+            ("topics/ddsperf", Provider::System),
+            ("topics/shm", Provider::Tandem),
             ("rtos/tick-floor", Provider::Floor),
             ("rtos/tick", Provider::Tandem),
             ("rtos/tick-posix-port", Provider::System),

@@ -49,15 +49,13 @@ fn name(run: u32, way: usize) -> Result<ServiceName, Error> {
     Ok(ServiceName::new(&format!("tandem-bench/{run}/{way}"))?)
 }
 
-/// Events in both directions, with the stamp in shared memory beside them. `lean`: room for one
-/// notifier and one listener, and one event id.
-fn event_ends<S: Service>(
+/// Events in both directions: a function that notifies the other end, and one that waits for it.
+/// `lean`: room for one notifier and one listener, and one event id.
+fn events<S: Service>(
     run: u32,
     lean: bool,
-    shared: &SharedPage,
     ways: [usize; 2],
-) -> impl End + use<S> {
-    let [stamp_out, stamp_in] = ways.map(|way| shared.line(2 * way));
+) -> (impl FnMut() + use<S>, impl FnMut() + use<S>) {
     with_node::<S, _>(|node| {
         let service = |way| {
             let mut builder = node.service_builder(&name(run, way)?).event();
@@ -69,20 +67,43 @@ fn event_ends<S: Service>(
         };
         let listener = service(ways[1])?.listener_builder().create()?;
         let notifier = service(ways[0])?.notifier_builder().create()?;
-        let send = move |stamp| {
-            stamp_out.store(stamp, Release);
+        let notify = move || {
             let _notified = notifier.notify();
         };
-        let receive = move || {
+        let wait = move || {
             let _open = &node;
             let mut came = false;
             while !came {
                 let _waited = listener.blocking_wait(|_| came = true);
             }
-            stamp_in.load(Acquire)
         };
-        Ok((send, receive))
+        Ok((notify, wait))
     })
+}
+
+/// Events of default settings, for data that lie elsewhere.
+pub(crate) fn bells(run: u32, ways: [usize; 2]) -> (impl FnMut(), impl FnMut()) {
+    events::<Ipc>(run, false, ways)
+}
+
+/// Events in both directions, with the stamp in shared memory beside them.
+fn event_ends<S: Service>(
+    run: u32,
+    lean: bool,
+    shared: &SharedPage,
+    ways: [usize; 2],
+) -> impl End + use<S> {
+    let [stamp_out, stamp_in] = ways.map(|way| shared.line(2 * way));
+    let (mut notify, mut wait) = events::<S>(run, lean, ways);
+    let send = move |stamp| {
+        stamp_out.store(stamp, Release);
+        notify();
+    };
+    let receive = move || {
+        wait();
+        stamp_in.load(Acquire)
+    };
+    (send, receive)
 }
 
 /// An event to a sleeping listener with default settings: a Unix datagram socket wakes it.

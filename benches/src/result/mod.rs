@@ -255,7 +255,9 @@ pub(crate) fn floor_of<'a, T>(
             .strip_prefix(group)
             .and_then(|rest| rest.strip_suffix("floor"));
         let what = what.and_then(|what| what.strip_prefix('/'));
-        what.is_some_and(|what| case.contains(what.trim_end_matches('-')))
+        // All topics are compared with the bare socket.
+        let is_of = |what: &str| group == "topics" || case.contains(what.trim_end_matches('-'));
+        what.is_some_and(is_of)
     };
     // Prefer a case's own floor, whose name is longer.
     all.iter()

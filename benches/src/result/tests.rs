@@ -147,3 +147,15 @@ fn a_curve_ends_where_ten_samples_are_left() {
     let few = measured("spin/floor", &[vec![1, 2, 3]]);
     assert!(Row::new(&few, None).curve.is_empty());
 }
+
+/// In shared memory no socket is needed: the ratio says how much that saves.
+#[test]
+fn all_topics_are_compared_with_the_bare_socket() {
+    let names = ["udp-floor", "tandem", "ddsperf", "shm", "iceoryx2"];
+    let all = names.map(|name| measured(&format!("topics/{name}"), &[ramp(100)]));
+    let run = Results::new(&all, &[0, 1], 1.0, false);
+    assert_eq!(run.results.len(), names.len());
+    for row in &run.results {
+        assert_eq!(row.ratio_to_floor_p50, Some(1.0), "{}", row.name);
+    }
+}

@@ -129,45 +129,71 @@ fn place(layout: Layout) -> usize {
     draw((LMU_WORDS - layout.total_words()) / PAIR + 1) * PAIR
 }
 
-/// How the cores of a batch wait and send, and where.
+/// Where the cores of a batch meet: a place in the LMU of a system.
 #[derive(Clone, Copy)]
-struct How {
+pub(crate) struct Meeting {
     system: &'static UnsupervisedSystem,
-    policy: WaitPolicy,
-    way: Way,
-    incarnation: u32,
+    /// The incarnation of the cores. It rises with each batch, as with each reset of a core.
+    pub(crate) incarnation: u32,
     place: usize,
+    layout: Layout,
 }
 
-impl How {
-    /// Settings of the next batch. Incarnations rise with each batch, as with each reset of a core.
-    fn new<const WORDS: usize>(plan: &BatchPlan, policy: WaitPolicy, way: Way) -> Self {
+impl Meeting {
+    pub(crate) fn new(plan: &BatchPlan, layout: Layout) -> Self {
         static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
         Self {
             system: plan.system.expect("a system with power"),
-            policy,
-            way,
             incarnation: INCARNATIONS.fetch_add(1, Relaxed),
-            place: place(Regions::<WORDS>::LAYOUT),
+            place: place(layout),
+            layout,
         }
     }
 
-    /// Creates core 1's end towards core 2, or core 2's (which formats the LMU) towards core 1.
+    /// Attaches core 1, or core 2, which formats the LMU.
+    pub(crate) fn attach(
+        self,
+        shared: &SharedPage,
+        core: CoreId,
+    ) -> (&'static HostBoard, Map<'static>) {
+        let board = self.system.attach(core, Generation(self.incarnation));
+        let board: &'static HostBoard = Box::leak(Box::new(board.expect("the system has power")));
+        let words = &board.lmu()[self.place..];
+        if core == CoreId::PLANNING {
+            Map::format(words, self.layout).expect("it fits");
+        }
+        shared.meet(2);
+        let map = Map::attach(words, self.layout).expect("it was formatted");
+        (board, map)
+    }
+}
+
+/// How the cores of a batch wait and send, and where.
+#[derive(Clone, Copy)]
+struct How {
+    meeting: Meeting,
+    policy: WaitPolicy,
+    way: Way,
+}
+
+impl How {
+    fn new<const WORDS: usize>(plan: &BatchPlan, policy: WaitPolicy, way: Way) -> Self {
+        Self {
+            meeting: Meeting::new(plan, Regions::<WORDS>::LAYOUT),
+            policy,
+            way,
+        }
+    }
+
+    /// Creates core 1's end towards core 2, or core 2's towards core 1.
     fn end<const WORDS: usize>(
         self,
         shared: &SharedPage,
         ways: [usize; 2],
     ) -> impl End + use<WORDS> {
         let [core, peer] = ways.map(|way| [CoreId::PERCEPTION, CoreId::PLANNING][way]);
-        let board = self.system.attach(core, Generation(self.incarnation));
-        let board: &'static HostBoard = Box::leak(Box::new(board.expect("the system has power")));
-        let (words, layout) = (&board.lmu()[self.place..], Regions::<WORDS>::LAYOUT);
-        if core == CoreId::PLANNING {
-            Map::format(words, layout).expect("it fits");
-        }
-        shared.meet(2);
-        let map = Map::attach(words, layout).expect("it was formatted");
-        let own = announce(&map, core.index(), self.incarnation);
+        let (board, map) = self.meeting.attach(shared, core);
+        let own = announce(&map, core.index(), self.meeting.incarnation);
         let [out, inward] = ways.map(|way| Regions::<WORDS>::WAYS[way]);
         let mut tasks = TaskTable::new();
         let handler = match self.way {
