@@ -282,8 +282,8 @@ macro_rules! structs {
 }
 pub(crate) use structs;
 
-/// A struct of the IDL, for code that is generic over them. As [`Payload`] its words in the LMU hold
-/// the body; a value out of range is stored as one that no reader accepts.
+/// A struct of the IDL, for code that is generic over them. Its words in the LMU hold the body; a
+/// value out of range is stored as one that no reader accepts.
 pub trait TopicType: Payload + Copy + Default {
     /// Passes the payload to `to`, and returns its result.
     ///

@@ -6,6 +6,7 @@ mod samples;
 use proptest::prelude::*;
 use samples::{Any, any_sample, bytes, hex};
 use tandem_bus::e2e::Check;
+use tandem_shm::Corrupt;
 use tandem_topics::{
     BrakeRequest, CanFrame, CdrError, Gear, LONGEST_PAYLOAD, LateralControl, LongitudinalControl,
     ParkingBrake, PowerControl,
@@ -225,6 +226,7 @@ fn a_value_out_of_range_is_not_written() {
             ..POWER
         };
         assert_eq!(sample.encode().map(|_| ()), invalid);
+        assert_eq!(Any::PowerControl(sample).through_words(), Err(Corrupt));
         assert_eq!(sample.protect(1), invalid);
         assert_eq!((sample.crc, sample.counter), (POWER.crc, POWER.counter));
         assert_eq!(sample.check(&mut PowerControl::checker()), Check::CrcError);
@@ -320,6 +322,7 @@ proptest! {
     fn what_is_written_is_read_again(sample in any_sample()) {
         let payload = sample.encode().unwrap();
         prop_assert_eq!(Any::decode(sample.type_name(), &payload), Ok(sample));
+        prop_assert_eq!(sample.through_words(), Ok(sample));
     }
 
     /// Damage of up to two bytes of a protected sample is refused, or its CRC is wrong.

@@ -4,6 +4,7 @@
 use std::fmt::Write as _;
 
 use proptest::prelude::*;
+use tandem_shm::{Corrupt, Payload};
 use tandem_topics::{
     BrakeRequest, CanFrame, CdrError, Gear, LateralControl, LongitudinalControl, ParkingBrake,
     PowerControl,
@@ -17,6 +18,14 @@ pub(crate) enum Any {
     LateralControl(LateralControl),
     LongitudinalControl(LongitudinalControl),
     ParkingBrake(ParkingBrake),
+}
+
+fn through_words<T: Payload>(sample: &T) -> Result<T, Corrupt> {
+    let mut words = Vec::new();
+    sample.store(&mut |word| words.push(word));
+    assert_eq!(words.len(), T::WORDS);
+    let mut words = words.into_iter();
+    T::load(&mut || words.next().unwrap())
 }
 
 /// Every type.
@@ -59,6 +68,19 @@ impl Any {
             }
             ParkingBrake::TYPE_NAME => ParkingBrake::decode(payload).map(Self::ParkingBrake),
             other => panic!("the type {other} is not known"),
+        }
+    }
+
+    /// Returns what is read from the words that the sample has in the LMU.
+    pub(crate) fn through_words(&self) -> Result<Self, Corrupt> {
+        match self {
+            Self::CanFrame(sample) => through_words(sample).map(Self::CanFrame),
+            Self::PowerControl(sample) => through_words(sample).map(Self::PowerControl),
+            Self::LateralControl(sample) => through_words(sample).map(Self::LateralControl),
+            Self::LongitudinalControl(sample) => {
+                through_words(sample).map(Self::LongitudinalControl)
+            }
+            Self::ParkingBrake(sample) => through_words(sample).map(Self::ParkingBrake),
         }
     }
 

@@ -1,7 +1,7 @@
 //! One suite over the transports of topics: the LMU, iceoryx2 and DDS.
 //!
-//! Each case is a process of its own. It is forked, which is sound only in a process with one thread:
-//! the cases run one after the other. `faulty` shows that each case can fail.
+//! Each case is a process of its own. It is forked, which is sound only in a process with one
+//! thread: the cases run one after the other. `faulty` shows that each case can fail.
 #![forbid(unsafe_code)]
 #![allow(clippy::unwrap_used)]
 
