@@ -121,7 +121,9 @@ pub(crate) fn dds(plan: &BatchPlan) -> io::Result<Batch> {
     let batch = between_processes(plan, |_, [out, inward]| {
         let node = Node::open(place, &WAYS[out], &WAYS[inward]).expect("sockets of the domain");
         let mut end = NodeEnd(node);
-        while end.0.participant.readers_of(0) == 0 || end.0.participant.writers_of(0) == 0 {
+        while end.0.participant.readers_of(0) == 0
+            || end.0.participant.writers_of(0).next().is_none()
+        {
             end.0.turn(TURN).expect("sockets that work");
         }
         end

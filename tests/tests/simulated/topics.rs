@@ -175,11 +175,18 @@ fn an_soc_parks_by_topics_and_a_takeover_loses_no_frame() {
         let driven = parked.soc.approach.driven();
         assert!((driven - WAY_M).abs() < 0.3, "{driven}");
         let frames: u64 = parked.soc.gateway.reports().map(|(_, it)| it.frames).sum();
-        println!("{:?} samples, {frames} frames, {} lost", parked.soc.heard, parked.soc.lost());
+        println!(
+            "{:?} samples, {frames} frames, {} lost",
+            parked.soc.heard,
+            parked.soc.lost()
+        );
         assert!(frames > 4_000, "{frames}");
         assert_eq!(parked.soc.lost(), 0);
         assert_eq!(parked.soc.heard.len(), 2);
-        assert_eq!(parked.events(|it| matches!(it, Event::SocSilent { .. })), []);
+        assert_eq!(
+            parked.events(|it| matches!(it, Event::SocSilent { .. })),
+            []
+        );
         let gap = parked.drive.gap_max();
         assert!(gap < Duration::from_ms(20), "{gap:?}");
     }
@@ -208,7 +215,10 @@ fn an_soc_parks_over_cables_that_lose_datagrams() {
         lost += report.lost;
     }
     assert!(frames > 5_000 && lost * 50 < frames, "{lost} of {frames}");
-    assert_eq!(parked.events(|it| matches!(it, Event::SocSilent { .. })), []);
+    assert_eq!(
+        parked.events(|it| matches!(it, Event::SocSilent { .. })),
+        []
+    );
 }
 
 /// D-3: the network is cut on the way. The vehicle stands within the stated time, for good.
@@ -245,9 +255,7 @@ fn a_cut_network_stops_the_vehicle_within_the_stated_time() {
 #[test]
 fn a_third_computer_finds_no_place() {
     let mut parked = Parked::new(9);
-    let mut others: Vec<_> = [8, 9]
-        .map(|name| Soc::join(&mut parked.drive, name))
-        .into();
+    let mut others: Vec<_> = [8, 9].map(|name| Soc::join(&mut parked.drive, name)).into();
     // They command too: to stay where they are.
     for other in &mut others {
         other.approach = Approach::new(0.0);
@@ -301,7 +309,9 @@ fn a_restarted_system_is_a_new_participant() {
     let of_b = |parked: &Parked| {
         let writers = parked.soc.participant.writers_of(0);
         let prefixes = writers.map(|writer| writer.prefix);
-        prefixes.filter(|it| system_of(*it) == Some(1)).collect::<Vec<_>>()
+        prefixes
+            .filter(|it| system_of(*it) == Some(1))
+            .collect::<Vec<_>>()
     };
     let before = of_b(&parked);
     assert_eq!(before.len(), 1);
@@ -309,7 +319,9 @@ fn a_restarted_system_is_a_new_participant() {
     parked.drive.pair.power_off(SystemId::B);
     parked.run_until(500, |_| false);
     parked.drive.pair.power_on(SystemId::B);
-    parked.run_until(20_000, |it| of_b(it).iter().any(|name| !before.contains(name)));
+    parked.run_until(20_000, |it| {
+        of_b(it).iter().any(|name| !before.contains(name))
+    });
     let after = of_b(&parked);
     assert!(after.iter().any(|name| !before.contains(name)), "{after:?}");
 }

@@ -87,7 +87,7 @@ impl<const KEEPS: bool> Transport for Dds<KEEPS> {
 
     fn turn_subscriber(subscriber: &mut Self::Subscriber, publishers: usize) -> bool {
         subscriber.node.turn(TURN).unwrap();
-        subscriber.node.participant.writers_of(0) == publishers
+        subscriber.node.participant.writers_of(0).count() == publishers
     }
 }
 
