@@ -80,6 +80,8 @@ fn main() -> ExitCode {
     libtest_mimic::run(&args, trials).exit_code()
 }
 
+/// Runs a case once: each part ends, and there are samples. The cases of `topics` measure what D-6
+/// asks for.
 fn run(case: &Candidate) {
     let name = case.full_name();
     let place = isolation::enter().unwrap();

@@ -148,10 +148,16 @@ fn a_curve_ends_where_ten_samples_are_left() {
     assert!(Row::new(&few, None).curve.is_empty());
 }
 
-/// In shared memory no socket is needed: the ratio says how much that saves.
+/// D-6: the latency of topics is measured beside the bare socket, a peer, and the transports inside
+/// a machine. In shared memory no socket is needed: the ratio says how much that saves.
 #[test]
 fn all_topics_are_compared_with_the_bare_socket() {
     let names = ["udp-floor", "tandem", "ddsperf", "shm", "iceoryx2"];
+    let of_topics = cases::all().map(|case| case.full_name());
+    let of_topics: Vec<_> = of_topics
+        .filter(|name| name.starts_with("topics/"))
+        .collect();
+    assert_eq!(of_topics, names.map(|name| format!("topics/{name}")));
     let all = names.map(|name| measured(&format!("topics/{name}"), &[ramp(100)]));
     let run = Results::new(&all, &[0, 1], 1.0, false);
     assert_eq!(run.results.len(), names.len());

@@ -459,7 +459,7 @@ fn python() -> String {
 }
 
 /// Returns whether Cyclone DDS is installed. Without it a test passes and prints that it was
-/// skipped; with `TANDEM_REQUIRE_ORACLES=1` it fails.
+/// skipped; with `TANDEM_REQUIRE_CYCLONEDDS=1` it fails.
 fn cyclone_or_skip(test: &str) -> bool {
     let import = Command::new(python())
         .args(["-c", "import cyclonedds.qos_provider"])
@@ -467,7 +467,7 @@ fn cyclone_or_skip(test: &str) -> bool {
     if import.is_ok_and(|output| output.status.success()) {
         return true;
     }
-    let required = std::env::var_os("TANDEM_REQUIRE_ORACLES").is_some_and(|value| value == "1");
+    let required = std::env::var_os("TANDEM_REQUIRE_CYCLONEDDS").is_some_and(|value| value == "1");
     let lacks = "Python has no cyclonedds (pip install cyclonedds==11.0.1, TANDEM_PYTHON)";
     assert!(!required, "{test}: {lacks}");
     // The test runner does not capture this output, so a skipped test is visible.
