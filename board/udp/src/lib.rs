@@ -73,6 +73,18 @@ impl UdpPlace {
         }
         Ok(Self { domain, interface })
     }
+
+    /// Returns its domain.
+    #[must_use]
+    pub const fn domain(self) -> u16 {
+        self.domain
+    }
+
+    /// Returns the address of its interface.
+    #[must_use]
+    pub const fn interface(self) -> Ipv4Addr {
+        self.interface
+    }
 }
 
 impl fmt::Display for UdpPlace {

@@ -37,8 +37,9 @@ pub(super) fn run(
     watch: &Watch<'_>,
     out: &mut Out<impl Write>,
 ) -> Result<(), Failure> {
-    let opened: Result<Node<0, 0>, _> = Node::open(at(place), &[], &[]);
-    let mut node = opened.map_err(|error| no_participant(place, &error))?;
+    let at = at(place)?;
+    let opened: Result<Node<0, 0>, _> = Node::open(at, &[], &[]);
+    let mut node = opened.map_err(|error| no_participant(at, &error))?;
     let mut listing = Listing::default();
     while !watch.is_over() {
         turn(&mut node, &mut listing)?;

@@ -14,10 +14,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use signal_hook::consts::{SIGINT, SIGTERM};
+use tandem_board_udp::UdpPlace;
 use tandem_topics::Endpoint;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::listing::Listing;
-use tandem_topics_host::node::{Node, Place};
+use tandem_topics_host::node::Node;
 use tandem_topics_host::profiles::{Profiles, SOC};
 use tandem_topics_host::soc::{Soc, endpoints};
 
@@ -135,20 +136,16 @@ fn open<const R: usize>(
     let (profiles, profile) = profiles(place)?;
     let inputs = endpoints(topics, |topic| profiles.reader(&profile, topic));
     let inputs = inputs.map_err(Failure::usage)?;
-    Node::open(at(place), &[], inputs).map_err(|error| no_participant(place, &error))
+    let at = at(place)?;
+    Node::open(at, &[], inputs).map_err(|error| no_participant(at, &error))
 }
 
-const fn at(place: &TopicsPlace) -> Place {
-    Place {
-        domain: place.domain,
-        interface: place.interface,
-    }
+fn at(place: &TopicsPlace) -> Result<UdpPlace, Failure> {
+    UdpPlace::new(place.domain, place.interface).map_err(Failure::usage)
 }
 
-fn no_participant(place: &TopicsPlace, error: &io::Error) -> Failure {
-    let TopicsPlace {
-        domain, interface, ..
-    } = place;
+fn no_participant(at: UdpPlace, error: &io::Error) -> Failure {
+    let (domain, interface) = (at.domain(), at.interface());
     let what = match error.kind() {
         io::ErrorKind::InvalidInput => format!("{error}"),
         io::ErrorKind::AddrInUse => {
@@ -209,8 +206,9 @@ fn soc(
     out: &mut Out<impl Write>,
 ) -> Result<(), Failure> {
     let (profiles, profile) = profiles(place)?;
-    let opened = Soc::open(at(place), (&profiles, &profile), Approach::new(way));
-    let mut soc = opened.map_err(|error| no_participant(place, &error))?;
+    let at = at(place)?;
+    let opened = Soc::open(at, (&profiles, &profile), Approach::new(way));
+    let mut soc = opened.map_err(|error| no_participant(at, &error))?;
     let mut told = None;
     while !watch.is_over() && !out.is_closed {
         match soc.turn(SOC_TURN) {

@@ -10,6 +10,7 @@ use std::thread::JoinHandle;
 use clap::Parser as _;
 use serde_json::Value;
 use stand_in::{OwnPlace, StandIn, own_place};
+use tandem_board_udp::UdpPlace;
 use tandem_bus::ParkingBrakeCode;
 use tandem_topics::endpoints::{INPUTS, OUTPUTS};
 use tandem_topics::{Durability, Qos, Reliability};
@@ -28,7 +29,7 @@ struct Controller {
 }
 
 impl Controller {
-    fn start(place: Place) -> Self {
+    fn start(place: UdpPlace) -> Self {
         let (end, parked) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let (ends, parks) = (Arc::clone(&end), Arc::clone(&parked));
         let thread = std::thread::spawn(move || {
@@ -57,7 +58,7 @@ impl Drop for Controller {
 
 /// Runs `tandem topics` with these words. Returns what it prints, and how it ends.
 fn topics(own: &OwnPlace, words: &str, stop: &AtomicBool) -> (String, Result<(), Failure>) {
-    let line = format!("tandem topics --domain {} {words}", own.place.domain);
+    let line = format!("tandem topics --domain {} {words}", own.place.domain());
     let Command::Topics(args) = Cli::parse_from(line.split_whitespace()).command else {
         panic!("{line}");
     };

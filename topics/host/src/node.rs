@@ -2,24 +2,15 @@
 
 use crate::udp::Udp;
 use std::io;
-use std::net::Ipv4Addr;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tandem_board::Instant;
+use tandem_board_udp::UdpPlace;
 use tandem_topics::{Endpoint, GuidPrefix, Participant, Sample, WriteError};
 
 /// How many samples an endpoint of the host keeps at most.
 pub const DEPTH: usize = 32;
 /// The longest sample, bytes.
 pub const BYTES: usize = 255;
-
-/// Where a participant is.
-#[derive(Clone, Copy, Debug)]
-pub struct Place {
-    /// The domain, 0 to 230.
-    pub domain: u16,
-    /// The address of the interface.
-    pub interface: Ipv4Addr,
-}
 
 /// A participant of this process, with `W` writers and `R` readers.
 #[derive(Debug)]
@@ -39,7 +30,7 @@ impl<const W: usize, const R: usize> Node<W, R> {
     ///
     /// As [`Udp::open`].
     pub fn open(
-        place: Place,
+        place: UdpPlace,
         outputs: &'static [Endpoint; W],
         inputs: &'static [Endpoint; R],
     ) -> io::Result<Self> {
@@ -58,11 +49,11 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// As [`Udp::open`].
     pub fn open_as(
         prefix: GuidPrefix,
-        place: Place,
+        place: UdpPlace,
         outputs: &'static [Endpoint; W],
         inputs: &'static [Endpoint; R],
     ) -> io::Result<Self> {
-        let udp = Udp::open(place.domain, place.interface)?;
+        let udp = Udp::open(place)?;
         Ok(Self {
             participant: Participant::new(prefix, udp.at(), outputs, inputs),
             prefix,

@@ -4,13 +4,14 @@ use std::io;
 use std::time::Duration;
 
 use tandem_board::Instant;
+use tandem_board_udp::UdpPlace;
 use tandem_bus::{FrameReceiver, Message};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic};
 use tandem_topics::{CanFrame, CdrError, Endpoint};
 
 use crate::approach::{Approach, Orders};
 use crate::gateway::{Gateway, Passed, content};
-use crate::node::{Node, Place};
+use crate::node::Node;
 use crate::profiles::{LookupError, Profiles};
 
 /// Protects samples of the four topics end to end, and says when each is due.
@@ -99,7 +100,7 @@ impl Soc {
     ///
     /// The profile does not exist (as an error of input), or as [`Node::open`].
     pub fn open(
-        place: Place,
+        place: UdpPlace,
         (profiles, profile): (&Profiles, &str),
         approach: Approach,
     ) -> io::Result<Self> {

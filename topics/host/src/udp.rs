@@ -2,7 +2,6 @@
 
 use rustix::event::{PollFd, PollFlags, poll};
 use std::io;
-use std::net::Ipv4Addr;
 use std::time::Duration;
 use tandem_board::{Channel, NetworkAddress, Recipient};
 use tandem_board_udp::{UdpChannel, UdpPlace};
@@ -19,14 +18,13 @@ pub struct Udp {
 }
 
 impl Udp {
-    /// Opens the sockets of the next free participant of a domain (0 to 230) on an interface of
-    /// this machine. Joins the address of discovery if the interface has multicast.
+    /// Opens the sockets of the next free participant of a place. Joins the address of discovery
+    /// if the interface has multicast.
     ///
     /// # Errors
     ///
     /// No port of the domain is free, or the interface does not exist.
-    pub fn open(domain: u16, interface: Ipv4Addr) -> io::Result<Self> {
-        let place = UdpPlace::new(domain, interface).map_err(io::Error::other)?;
+    pub fn open(place: UdpPlace) -> io::Result<Self> {
         Ok(Self {
             channel: UdpChannel::open(place, Channel::Topics)?,
             bytes: vec![0; LONGEST],

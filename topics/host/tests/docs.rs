@@ -28,7 +28,7 @@ fn the_example_in_python_reads_frames() {
     let example = example.split("```").next().unwrap();
     let own = own_place();
     let mut process = Command::new(&python)
-        .args(["-c", example, &own.place.domain.to_string()])
+        .args(["-c", example, &own.place.domain().to_string()])
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();

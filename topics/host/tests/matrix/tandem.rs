@@ -6,8 +6,9 @@ use std::net::Ipv4Addr;
 use std::sync::mpsc::{self, TryRecvError};
 use std::thread::JoinHandle;
 use std::time::Duration;
+use tandem_board_udp::UdpPlace;
 use tandem_topics::{Endpoint, Qos};
-use tandem_topics_host::node::{Node, Place};
+use tandem_topics_host::node::Node;
 
 /// The longest wait of a node, after which it does what the test asks for.
 const TURN: Duration = Duration::from_millis(1);
@@ -46,10 +47,7 @@ impl<const W: usize, const R: usize> Tandem<W, R> {
             type_name: frame::TYPE,
             qos,
         };
-        let place = Place {
-            domain,
-            interface: Ipv4Addr::LOCALHOST,
-        };
+        let place = UdpPlace::new(domain, Ipv4Addr::LOCALHOST).unwrap();
         // A participant borrows its endpoints for ever: each cell is a process that ends soon.
         let (outputs, inputs) = (
             Box::leak(Box::new([endpoint; W])),

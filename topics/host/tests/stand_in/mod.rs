@@ -3,20 +3,21 @@
 use std::net::{Ipv4Addr, UdpSocket};
 use std::time::Duration;
 
+use tandem_board_udp::UdpPlace;
 use tandem_bus::{Control, EgoMotion, FrameTransmitter, GearCode, Message, ModeCode};
 use tandem_bus::{DriverRequest, ParkingBrakeCode};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
 use tandem_topics::{BrakeRequest, CanFrame, Gear, LateralControl, LongitudinalControl};
 use tandem_topics::{ParkingBrake, PowerControl};
 use tandem_topics_host::approach::Orders;
-use tandem_topics_host::node::{Node, Place};
+use tandem_topics_host::node::Node;
 
 /// Period of control frames and motions, s.
 pub(crate) const CYCLE_S: f32 = 0.01;
 
 /// A place that no other test has, on this machine and at this time.
 pub(crate) struct OwnPlace {
-    pub(crate) place: Place,
+    pub(crate) place: UdpPlace,
     _lock: UdpSocket,
 }
 
@@ -27,7 +28,7 @@ pub(crate) fn own_place() -> OwnPlace {
     let domains = (20..100_u16).cycle().skip(std::process::id() as usize % 80);
     let mut taken = domains.take(80).filter_map(|domain| {
         let lock = UdpSocket::bind((interface, 7_400 + 250 * domain + 249)).ok()?;
-        let place = Place { domain, interface };
+        let place = UdpPlace::new(domain, interface).ok()?;
         Some(OwnPlace { place, _lock: lock })
     });
     taken.next().unwrap()
@@ -105,11 +106,10 @@ pub(crate) struct StandIn {
 }
 
 impl StandIn {
-    pub(crate) fn open(place: Place) -> Self {
+    pub(crate) fn open(place: UdpPlace) -> Self {
         let nodes = [0, 1].map(|system| {
-            let start = std::process::id().to_le_bytes();
-            let [a, b, c, d] = start;
-            let prefix = controller_prefix(system, [a, b, c, d, place.domain as u8]);
+            let [a, b, c, d] = std::process::id().to_le_bytes();
+            let prefix = controller_prefix(system, [a, b, c, d, 0]);
             Some(Node::open_as(prefix, place, &OUTPUTS, &INPUTS).unwrap())
         });
         Self {
