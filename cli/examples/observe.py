@@ -14,7 +14,8 @@ import time
 
 import iceoryx2 as iox2
 
-STATES = ["off", "starting", "standby", "master", "degraded master", "safe stop", "suspended"]
+STATES = ["off", "starting", "standby", "master", "degraded master", "safe stop", "suspended",
+          "parking"]
 
 
 class Roles(ctypes.Structure):

@@ -78,6 +78,9 @@ pub enum Command {
     /// Publish a run for observers; `tandem run` starts this
     #[command(hide = true)]
     Publish,
+    /// Park the vehicle of a run; `tandem run --soc` starts this
+    #[command(hide = true)]
+    Soc(SocArgs),
     /// Cut a wire of a run while it drives
     Cut(WireArgs),
     /// Restore a wire that was cut
@@ -268,6 +271,22 @@ impl RunArgs {
     pub fn parks_from_s(&self) -> Option<f64> {
         self.parks.or(self.soc.map(|_| 0.0))
     }
+}
+
+/// Arguments of the process that `tandem run --soc` starts.
+#[derive(Debug, Args)]
+pub struct SocArgs {
+    /// The way to drive, m
+    #[arg(long, value_parser = parse_way)]
+    pub park: f32,
+
+    /// Domain and address of the network: 3@127.0.0.1
+    #[arg(long)]
+    pub place: UdpPlace,
+
+    /// The file that it writes
+    #[arg(long)]
+    pub leaves: PathBuf,
 }
 
 /// Arguments of `tandem cut` and `tandem mend`.

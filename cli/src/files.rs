@@ -69,6 +69,11 @@ impl RunFiles {
         self.path("updated.txt")
     }
 
+    /// Returns the path of what the SoC's process leaves.
+    pub fn soc(&self) -> PathBuf {
+        self.path("soc.json")
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         PathBuf::from(format!("{}{name}", self.prefix))
     }

@@ -26,6 +26,7 @@ pub mod recorder;
 mod report;
 pub mod run;
 pub mod run_config;
+pub mod soc;
 pub mod stall_watch;
 mod summary;
 mod three_frames;

@@ -9,7 +9,7 @@ use tandem::args::{Cli, Command};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
-use tandem::{boot_demo, dflash, injection, print, ps, publish, run, topics};
+use tandem::{boot_demo, dflash, injection, print, ps, publish, run, soc, topics};
 
 fn main() -> ExitCode {
     tandem::program(|| {
@@ -55,6 +55,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Publish => publish::run().map_err(Failure::Run),
+        Command::Soc(args) => soc::run(&args),
         Command::Cut(args) => injection::set_cut(&args, true).map_err(Failure::Run),
         Command::Mend(args) => injection::set_cut(&args, false).map_err(Failure::Run),
         Command::Power(args) => injection::power(&args).map_err(Failure::Run),

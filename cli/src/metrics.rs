@@ -10,6 +10,7 @@ use tandem_record::{RunLog, ms_between, start};
 use tandem_vehicle::Ruling;
 
 use crate::percentiles::Spans;
+use crate::soc::{SocEnd, SocFigures};
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]. It identifies a folder as a report.
@@ -30,6 +31,8 @@ pub struct Surroundings {
     pub beside: Beside,
     /// Scheduling of the threads that watched for stalls, in words; empty if there were none.
     pub watched_by: String,
+    /// How the SoC ended; `None` if the run had none.
+    pub soc: Option<SocEnd>,
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
@@ -118,6 +121,9 @@ pub struct Metrics {
     pub(crate) lost_trace: u64,
     /// Time in which the world did not advance because the vehicle's process was stopped, ms.
     pub(crate) stalled_ms: f64,
+    /// What the SoC did and heard; only in runs with one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) soc: Option<SocFigures>,
 }
 
 /// The type of [`Metrics::stalls`].
@@ -268,6 +274,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         granted: around.granted.clone(),
         lost_trace: log.lost_trace,
         stalled_ms: log.stalled_ms,
+        soc: around.soc.as_ref().map(|end| SocFigures::of(end, log)),
     }
 }
 

@@ -30,9 +30,10 @@ use crate::metrics::{Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
 use crate::run_config::{LimitProfile, RunConfig, UpdateFiles, can_group};
+use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::update::objections;
-use crate::{core_process, summary, vehicle};
+use crate::{core_process, summary, topics, vehicle};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
@@ -65,16 +66,18 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         stall_timers: watch.timers(),
         ..config
     };
-    let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
+    let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
-    let ended = ended?;
+    let Driven { ended, soc } = driven?;
     let because = || match ended.vehicle {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
     };
     let updates = updates(args, &files);
     let collected = Collected::new(&checked.out, &files, &because);
-    let around = surroundings(&config, granted).after(machine, &launcher.finish());
+    let around = surroundings(&config, granted)
+        .after(machine, &launcher.finish())
+        .with_soc(soc);
     conclude(
         args,
         &checked,
@@ -116,20 +119,22 @@ pub fn recorded<T: Send>(
         stall_timers: watch.timers(),
         ..config
     };
-    let (ended, done) = std::thread::scope(|scope| {
+    let (driven, done) = std::thread::scope(|scope| {
         let injected = scope.spawn(|| inject(injection, &files));
-        let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
-        (ended, injected.join())
+        let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
+        (driven, injected.join())
     });
     let machine = watch.end();
-    ended?;
+    let Driven { soc, .. } = driven?;
     let done = done.map_err(|_| anyhow::anyhow!("the injection panicked"))?;
     let folder = tempfile::tempdir().context("a folder for the log")?;
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP));
     let left = launcher.finish();
     Ok(Recorded {
         log: log?,
-        around: surroundings(&config, granted).after(machine, &left),
+        around: surroundings(&config, granted)
+            .after(machine, &left)
+            .with_soc(soc),
         done: done?,
     })
 }
@@ -222,6 +227,7 @@ pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
             ..Beside::default()
         },
         watched_by: String::new(),
+        soc: None,
     }
 }
 
@@ -236,6 +242,19 @@ impl Surroundings {
                 ..self.beside
             },
             watched_by: machine.watched_by,
+            ..self
+        }
+    }
+
+    /// Adds how the SoC of the run has ended, if there was one.
+    #[must_use]
+    pub fn with_soc(self, soc: Option<SocEnd>) -> Self {
+        Self {
+            beside: Beside {
+                not_parked: soc.as_ref().and_then(SocEnd::not_parked),
+                ..self.beside
+            },
+            soc,
             ..self
         }
     }
@@ -288,6 +307,7 @@ impl Checked {
         check_board(args)?;
         check_scenario(&args.scenario)?;
         can_group(args).map(CanUdp::join).transpose()?;
+        args.network().map(topics::check).transpose()?;
         let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
@@ -470,6 +490,13 @@ fn grant(
     Ok((profile, line))
 }
 
+/// What [`drive`] returns.
+struct Driven {
+    ended: Ended,
+    /// How the SoC ended, if the run had one.
+    soc: Option<SocEnd>,
+}
+
 /// Starts all processes and waits for the end of the run.
 fn drive(
     args: &RunArgs,
@@ -478,7 +505,7 @@ fn drive(
     files: &RunFiles,
     launcher: &mut Launcher,
     publishing: Option<Publishing>,
-) -> anyhow::Result<Ended> {
+) -> anyhow::Result<Driven> {
     let flash = SystemId::ALL.map(|system| match &checked.dflash {
         Some(folder) => folder.join(format!("{system}.dflash")),
         None => files.flash(system),
@@ -505,6 +532,7 @@ fn drive(
         };
         command
     };
+    let soc = start_soc(args, files)?;
     launcher.start(&plan, &command)?;
     let publishing = publishing.map(|mut publishing| {
         let run = launcher.isolation().run();
@@ -519,7 +547,20 @@ fn drive(
     if let Some(publishing) = publishing {
         publishing.end();
     }
-    Ok(ended)
+    let soc = soc.map(SocProcess::end);
+    Ok(Driven { ended, soc })
+}
+
+/// Starts the SoC's process, if the run has one.
+fn start_soc(args: &RunArgs, files: &RunFiles) -> anyhow::Result<Option<SocProcess>> {
+    let (Some(way), Some(place)) = (args.soc, args.network()) else {
+        return Ok(None);
+    };
+    let (soc, pid) = SocProcess::start(way, place, files.soc())?;
+    if !args.quiet {
+        eprintln!("SoC: process {pid}, at {place}, parks after {way} m");
+    }
+    Ok(Some(soc))
 }
 
 /// Returns the command that starts this program again, even if its file has been replaced.

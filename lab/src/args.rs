@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
-use tandem::args::{BootDemoArgs, RunArgs};
+use tandem::args::{BootDemoArgs, RunArgs, SocArgs};
 use tandem::board_kind::DemoBoard;
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
@@ -28,6 +28,9 @@ pub(crate) enum Command {
     /// Publish a run for observers; internal, started by `tandem run`
     #[command(hide = true)]
     Publish,
+    /// Park the vehicle of a run; internal, started by `tandem run --soc`
+    #[command(hide = true)]
+    Soc(SocArgs),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(JudgeArgs),
     /// Try faults on the control cores of both systems, in virtual time

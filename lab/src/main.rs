@@ -23,7 +23,7 @@ use std::process::ExitCode;
 use clap::Parser as _;
 use tandem::board_kind::BoardKind;
 use tandem::failure::Failure;
-use tandem::{print, publish, run};
+use tandem::{print, publish, run, soc};
 
 use args::{Cli, Command};
 
@@ -35,6 +35,7 @@ fn command(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(args) if args.board == BoardKind::Host => run::run(&args),
         Command::Run(args) => emulated::run(&args),
+        Command::Soc(args) => soc::run(&args),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Flash(args) => flash_command::run(&args),
         Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),

@@ -27,13 +27,16 @@ pub enum RoleState {
     SafeStop,
     /// Has failed and stays silent.
     Suspended,
+    /// Drives as the SoC asks.
+    Parking,
 }
 
 impl RoleState {
     /// All states, in the order of a legend.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Master,
         Self::Degraded,
+        Self::Parking,
         Self::SafeStop,
         Self::Standby,
         Self::Starting,
@@ -52,6 +55,7 @@ impl RoleState {
             Self::Degraded => "degraded master",
             Self::SafeStop => "safe stop",
             Self::Suspended => "suspended",
+            Self::Parking => "parking",
         }
     }
 
@@ -71,7 +75,8 @@ impl RoleState {
             (RoleCode::Suspended, _) => Self::Suspended,
             (RoleCode::Master, ModeCode::DegradedL2) => Self::Degraded,
             (RoleCode::Master, ModeCode::SafeStop) => Self::SafeStop,
-            (RoleCode::Master, ModeCode::L3 | ModeCode::Parking | ModeCode::None) => Self::Master,
+            (RoleCode::Master, ModeCode::Parking) => Self::Parking,
+            (RoleCode::Master, ModeCode::L3 | ModeCode::None) => Self::Master,
         }
     }
 }

@@ -117,6 +117,7 @@ rules! {
     TakeoverAsked, "takeover_asked_s", Given("never"), Reported,
         "the function asked the driver to take over";
     SafeStop, "safe_stop_s", Given("never"), Reported, "the function made its minimal-risk stop";
+    NotParked, "soc", Given("never"), Reported, "the SoC did not park the vehicle";
     NoneObeyed, "", Given("at the end"), Campaign,
         "the vehicle obeyed no system, though one could drive";
     BothSuspended, "", Given("at the end"), Campaign, "both systems had suspended themselves";

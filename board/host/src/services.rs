@@ -40,7 +40,7 @@ pub struct Roles {
     /// The system that the vehicle obeys: 0 = A, 1 = B; 255 = none yet.
     pub obeyed: u8,
     /// For A and B: 0 off, 1 starting, 2 standby, 3 master, 4 degraded master, 5 safe stop,
-    /// 6 suspended.
+    /// 6 suspended, 7 master that parks.
     pub state: [u8; 2],
     /// Whether each core of A, then of B, has shown activity in the last 300 ms.
     pub alive: [u8; 6],

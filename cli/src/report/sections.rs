@@ -31,6 +31,7 @@ pub(super) const fn state_color(state: RoleState) -> Option<Color> {
     match state {
         RoleState::Master => Some(Color::GOOD),
         RoleState::Degraded => Some(Color::WARN),
+        RoleState::Parking => Some(Color::A),
         RoleState::SafeStop => Some(Color::B),
         RoleState::Standby => Some(Color::CALM),
         RoleState::Starting => Some(Color::PALE),

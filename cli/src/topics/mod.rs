@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem_board_udp::UdpPlace;
+use tandem_board::Channel;
+use tandem_board_udp::{UdpChannel, UdpPlace};
 use tandem_topics::Endpoint;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::listing::Listing;
@@ -22,8 +23,9 @@ use tandem_topics_host::node::Node;
 use tandem_topics_host::profiles::{Profiles, SOC};
 use tandem_topics_host::soc::{Soc, endpoints};
 
-use crate::args::{TopicsArgs, TopicsCommand, TopicsPlace};
+use crate::args::{ProfileName, TopicsArgs, TopicsCommand, TopicsPlace};
 use crate::failure::Failure;
+pub(crate) use tables::IdFigures;
 
 /// How long `list` listens, s: participants announce themselves each second.
 const LISTS_S: f64 = 3.0;
@@ -116,8 +118,8 @@ impl<W: Write> Out<W> {
 }
 
 /// A profile of the user's file, or the built-in one.
-fn profiles(place: &TopicsPlace) -> Result<(Profiles, String), Failure> {
-    let Some(profile) = &place.profile else {
+fn profiles(chosen: Option<&ProfileName>) -> Result<(Profiles, String), Failure> {
+    let Some(profile) = chosen else {
         let built_in = Profiles::load(SOC, "soc.xml").map_err(Failure::usage)?;
         return Ok((built_in, "Tandem::Soc".to_owned()));
     };
@@ -133,7 +135,7 @@ fn open<const R: usize>(
     place: &TopicsPlace,
     topics: &[Endpoint; R],
 ) -> Result<Node<0, R>, Failure> {
-    let (profiles, profile) = profiles(place)?;
+    let (profiles, profile) = profiles(place.profile.as_ref())?;
     let inputs = endpoints(topics, |topic| profiles.reader(&profile, topic));
     let inputs = inputs.map_err(Failure::usage)?;
     let at = at(place)?;
@@ -145,6 +147,10 @@ fn at(place: &TopicsPlace) -> Result<UdpPlace, Failure> {
 }
 
 fn no_participant(at: UdpPlace, error: &io::Error) -> Failure {
+    Failure::Usage(why_not(at, error))
+}
+
+fn why_not(at: UdpPlace, error: &io::Error) -> anyhow::Error {
     let (domain, interface) = (at.domain(), at.interface());
     let what = match error.kind() {
         io::ErrorKind::InvalidInput => format!("{error}"),
@@ -153,7 +159,7 @@ fn no_participant(at: UdpPlace, error: &io::Error) -> Failure {
         }
         _ => format!("{error}; is it the address of an interface of this machine?"),
     };
-    Failure::Usage(anyhow!("domain {domain} on {interface}: {what}"))
+    anyhow!("domain {domain} on {interface}: {what}")
 }
 
 /// Lets a participant hear for a while. A signal is no error.
@@ -198,6 +204,44 @@ fn nothing(place: &TopicsPlace, topic: Option<&str>, listing: &Listing) -> Strin
     )
 }
 
+/// Checks that this machine can be a participant of a place.
+///
+/// # Errors
+/// If it cannot.
+pub(crate) fn check(at: UdpPlace) -> anyhow::Result<()> {
+    match UdpChannel::open(at, Channel::Topics) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(why_not(at, &error)),
+    }
+}
+
+/// Opens the SoC's participant, with a profile of the user's file or the built-in one.
+///
+/// # Errors
+/// [`Failure::Usage`] for a wrong profile, or if no participant can be opened.
+pub(crate) fn open_soc(
+    at: UdpPlace,
+    profile: Option<&ProfileName>,
+    approach: Approach,
+) -> Result<Soc, Failure> {
+    let (profiles, profile) = profiles(profile)?;
+    let opened = Soc::open(at, (&profiles, &profile), approach);
+    opened.map_err(|error| no_participant(at, &error))
+}
+
+/// Lets the SoC do what is due. A signal is no error.
+///
+/// # Errors
+/// [`Failure::Run`] if its sockets fail.
+pub(crate) fn turn_soc(soc: &mut Soc) -> Result<(), Failure> {
+    match soc.turn(SOC_TURN) {
+        Err(error) if error.kind() != io::ErrorKind::Interrupted => {
+            Err(error).context("the participant's sockets")?
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Commands the parking, and prints each phase.
 fn soc(
     way: f32,
@@ -205,18 +249,10 @@ fn soc(
     watch: &Watch<'_>,
     out: &mut Out<impl Write>,
 ) -> Result<(), Failure> {
-    let (profiles, profile) = profiles(place)?;
-    let at = at(place)?;
-    let opened = Soc::open(at, (&profiles, &profile), Approach::new(way));
-    let mut soc = opened.map_err(|error| no_participant(at, &error))?;
+    let mut soc = open_soc(at(place)?, place.profile.as_ref(), Approach::new(way))?;
     let mut told = None;
     while !watch.is_over() && !out.is_closed {
-        match soc.turn(SOC_TURN) {
-            Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                Err(error).context("the participant's sockets")?;
-            }
-            _ => {}
-        }
+        turn_soc(&mut soc)?;
         let (phase, driven) = (soc.approach().phase(), soc.approach().driven());
         if told.replace(phase) != Some(phase) {
             let text = if place.json {

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
 use tandem_board::Instant;
 use tandem_topics::CanFrame;
 use tandem_topics::endpoints::OUTPUTS;
@@ -50,7 +50,7 @@ pub(super) fn run(
     let text = if place.json {
         let rows = gateway
             .reports()
-            .map(|(id, report)| object(now, id, report));
+            .map(|(id, report)| IdFigures::of(now, id, report));
         serde_json::to_string_pretty(&rows.collect::<Vec<_>>())? + "\n"
     } else {
         text(table, now, &gateway)
@@ -146,20 +146,60 @@ fn row(table: Table, now: Instant, report: &IdReport) -> String {
 }
 
 /// All figures of an id: the same for each table.
-fn object(now: Instant, id: u32, report: &IdReport) -> Value {
-    let age_ms = now.since(report.last).as_ms_f64();
-    json!({
-        "id": hex(id),
-        "name": report.info.map(|info| info.name),
-        "period_ms": report.period_ms,
-        "frames": report.frames,
-        "rate_hz": rate(report),
-        "longest_ms": report.longest.as_ms_f64(),
-        "age_ms": age_ms,
-        "late": is_late(report, age_ms),
-        "lost": report.lost,
-        "jumps": report.jumps,
-        "damaged": report.damaged,
-        "samples": {"A": report.samples[0], "B": report.samples[1]},
-    })
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct IdFigures {
+    /// Of the frame, as the bus has it: three or eight hex digits.
+    pub(crate) id: String,
+    /// Of the frame in the DBC.
+    pub(crate) name: Option<String>,
+    /// Of the DBC, or else what the sample states, ms; 0 if there is none.
+    pub(crate) period_ms: u32,
+    /// Frames that were given.
+    pub(crate) frames: u64,
+    /// Frames a second; `None` before the second frame.
+    pub(crate) rate_hz: Option<f64>,
+    /// The longest time between two frames, ms.
+    pub(crate) longest_ms: f64,
+    /// Time since the newest frame, ms.
+    pub(crate) age_ms: f64,
+    /// This time is too long for the period.
+    pub(crate) late: bool,
+    /// Frames that neither system has published.
+    pub(crate) lost: u64,
+    /// How often the counter went back, or too far ahead.
+    pub(crate) jumps: u64,
+    /// Samples with a wrong CRC.
+    pub(crate) damaged: u64,
+    /// Samples of both systems.
+    pub(crate) samples: Samples,
+}
+
+/// Samples of the two systems.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Samples {
+    #[serde(rename = "A")]
+    pub(crate) a: u64,
+    #[serde(rename = "B")]
+    pub(crate) b: u64,
+}
+
+impl IdFigures {
+    pub(crate) fn of(now: Instant, id: u32, report: &IdReport) -> Self {
+        let age_ms = now.since(report.last).as_ms_f64();
+        let [a, b] = report.samples;
+        Self {
+            id: hex(id),
+            name: report.info.map(|info| info.name.to_owned()),
+            period_ms: report.period_ms,
+            frames: report.frames,
+            rate_hz: rate(report),
+            longest_ms: report.longest.as_ms_f64(),
+            age_ms,
+            late: is_late(report, age_ms),
+            lost: report.lost,
+            jumps: report.jumps,
+            damaged: report.damaged,
+            samples: Samples { a, b },
+        }
+    }
 }

@@ -12,7 +12,7 @@ use super::keys::KEYS;
 use super::picture::Picture;
 
 /// Names and colours of a system's states, in the order of the numbers of [`Roles::state`].
-const STATES: [(&str, Color); 7] = [
+const STATES: [(&str, Color); 8] = [
     ("off", Color::DarkGray),
     ("starting", Color::Yellow),
     ("standby", Color::Cyan),
@@ -20,6 +20,7 @@ const STATES: [(&str, Color); 7] = [
     ("DEGRADED MASTER", Color::Magenta),
     ("SAFE STOP", Color::Red),
     ("suspended", Color::Red),
+    ("PARKING", Color::Green),
 ];
 /// Half of the displayed width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
 const HALF_LANE_M: f64 = 1.85;

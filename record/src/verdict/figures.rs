@@ -24,6 +24,8 @@ pub struct Beside {
     pub stalls: Vec<Stall>,
     /// Files and processes that still existed after the end of the run.
     pub leftovers: Vec<String>,
+    /// Why the SoC did not park the vehicle; `None` if it did, or if the run had none.
+    pub not_parked: Option<String>,
 }
 
 impl Beside {
@@ -320,6 +322,10 @@ impl Figures {
             );
             Finding::new(Rule::NoStandby, [at_s, 0.0], words).at(at_s)
         }));
+        findings.extend(beside.not_parked.iter().map(|why| {
+            let words = format!("{}: {why}", Rule::NotParked.row().words);
+            Finding::new(Rule::NotParked, [1.0, 0.0], words)
+        }));
         Verdict::new(findings, beside.watch)
     }
 }
@@ -415,6 +421,9 @@ mod tests {
         (Rule::NoStandby, |it, _, _| it.redundancy_lost_s = Some(6.0)),
         (Rule::TakeoverAsked, |_, log, _| {
             log.figures.takeover_asked_s = Some(6.0);
+        }),
+        (Rule::NotParked, |_, _, beside| {
+            beside.not_parked = Some("its process ended".to_owned());
         }),
     ];
 

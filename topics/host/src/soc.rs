@@ -148,6 +148,11 @@ impl Soc {
         self.receiver.receive(frame.id, content(frame)).ok()
     }
 
+    /// Returns the time on the participant's clock.
+    pub fn now(&self) -> Instant {
+        self.node.now()
+    }
+
     /// Returns the parking application.
     pub const fn approach(&self) -> &Approach {
         &self.approach

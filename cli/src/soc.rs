@@ -1,0 +1,300 @@
+//! The ADAS computer of a run (`tandem run --soc`): a process that parks the vehicle over DDS.
+//!
+//! The run does not depend on the process, and does not wait for it. If it dies, the controller
+//! stops the vehicle by itself. It ends when its standard input closes: so it ends with the run,
+//! and also if `tandem run` is killed.
+
+use std::fs;
+use std::io::{self, Read as _};
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use serde::{Deserialize, Serialize};
+use tandem_board_host::clock;
+use tandem_board_udp::UdpPlace;
+use tandem_record::RunLog;
+use tandem_topics_host::approach::{Approach, ApproachPhase};
+use tandem_topics_host::soc::Soc;
+
+use crate::args::SocArgs;
+use crate::failure::Failure;
+use crate::topics::{self, IdFigures};
+
+/// Interval at which the process writes what it has heard.
+const SAVES_EVERY: Duration = Duration::from_millis(500);
+/// Interval at which the run checks whether the process still exists.
+const LOOKS_EVERY: Duration = Duration::from_millis(100);
+/// Time within which the process must end.
+const ENDS_WITHIN: Duration = Duration::from_secs(1);
+
+/// A change of the phase of parking.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct PhaseRecord {
+    /// Time on the clock of the run, ns.
+    at_ns: u64,
+    phase: String,
+    driven_m: f32,
+}
+
+/// What the process writes into its file.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct SocRecord {
+    way_m: f32,
+    driven_m: f32,
+    is_parked: bool,
+    phases: Vec<PhaseRecord>,
+    ids: Vec<IdFigures>,
+}
+
+impl SocRecord {
+    fn of(soc: &Soc, way_m: f32, phases: &[PhaseRecord]) -> Self {
+        let approach = soc.approach();
+        let reports = soc.gateway().reports();
+        Self {
+            way_m,
+            driven_m: approach.driven(),
+            is_parked: approach.phase() == ApproachPhase::Parked,
+            phases: phases.to_vec(),
+            ids: reports
+                .map(|(id, report)| IdFigures::of(soc.now(), id, report))
+                .collect(),
+        }
+    }
+
+    /// Replaces the file atomically, so that the run never reads half of it.
+    fn write(&self, path: &Path) -> anyhow::Result<()> {
+        let next = path.with_extension("next");
+        let shown = || path.display().to_string();
+        fs::write(&next, serde_json::to_vec(self)?).with_context(shown)?;
+        fs::rename(&next, path).with_context(shown)
+    }
+}
+
+/// How the SoC of a run has ended.
+#[derive(Clone, Debug, Default)]
+pub struct SocEnd {
+    /// What it left.
+    pub record: SocRecord,
+    /// How its process ended before the run did; `None` if it did not.
+    pub died: Option<String>,
+}
+
+impl SocEnd {
+    /// Returns why the vehicle was not parked; `None` if it was.
+    pub fn not_parked(&self) -> Option<String> {
+        let record = &self.record;
+        let phase = record.phases.last();
+        match (&self.died, phase) {
+            _ if record.is_parked => None,
+            (Some(died), _) => Some(format!(
+                "its process ended ({died}), {:.2} m driven",
+                record.driven_m
+            )),
+            (None, Some(last)) => Some(format!(
+                "{}, {:.2} of {} m driven",
+                last.phase, record.driven_m, record.way_m
+            )),
+            (None, None) => Some("its process left no record".to_owned()),
+        }
+    }
+}
+
+/// A change of the phase of parking, in `metrics.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct PhaseFigures {
+    /// Scenario time, s.
+    pub(crate) at_s: f64,
+    /// The phase, in words.
+    pub(crate) phase: String,
+    /// Way driven until then, m.
+    pub(crate) driven_m: f32,
+}
+
+/// The section `soc` of `metrics.json`.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct SocFigures {
+    /// The vehicle was parked.
+    pub(crate) parked: bool,
+    /// Why not.
+    pub(crate) not_parked: Option<String>,
+    /// Way that was to be driven, m.
+    pub(crate) way_m: f32,
+    /// Way that was driven while the function parked, m.
+    pub(crate) driven_m: f32,
+    /// Frames that neither system has published.
+    pub(crate) lost: u64,
+    /// The phases, in order.
+    pub(crate) phases: Vec<PhaseFigures>,
+    /// What the SoC heard, by id of the frame.
+    pub(crate) ids: Vec<IdFigures>,
+}
+
+impl SocFigures {
+    pub(crate) fn of(end: &SocEnd, log: &RunLog) -> Self {
+        let SocRecord {
+            way_m,
+            driven_m,
+            is_parked,
+            phases,
+            ids,
+        } = &end.record;
+        let phases = phases.iter().map(|it| PhaseFigures {
+            at_s: log.seconds(it.at_ns),
+            phase: it.phase.clone(),
+            driven_m: it.driven_m,
+        });
+        Self {
+            parked: *is_parked,
+            not_parked: end.not_parked(),
+            way_m: *way_m,
+            driven_m: *driven_m,
+            lost: ids.iter().map(|id| id.lost).sum(),
+            phases: phases.collect(),
+            ids: ids.clone(),
+        }
+    }
+}
+
+/// The SoC's process, as seen by `tandem run`. Dropping it ends the process.
+pub struct SocProcess {
+    leaves: PathBuf,
+    /// Dropped to end the process.
+    over: Option<Sender<()>>,
+    thread: Option<JoinHandle<Option<String>>>,
+}
+
+impl SocProcess {
+    /// Starts the process. `leaves` is the path of its file. Also returns the id of the process.
+    ///
+    /// # Errors
+    /// If the process does not start.
+    pub fn start(way_m: f32, place: UdpPlace, leaves: PathBuf) -> anyhow::Result<(Self, u32)> {
+        let process = Command::new("/proc/self/exe")
+            .arg0("tandem")
+            .arg("soc")
+            .arg(format!("--park={way_m}"))
+            .arg(format!("--place={place}"))
+            .arg("--leaves")
+            .arg(&leaves)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            // Ctrl-C in the terminal must not reach the process, because the run ends it.
+            .process_group(0)
+            .spawn()
+            .context("the process of the SoC")?;
+        let pid = process.id();
+        let (over, is_over) = channel();
+        let thread = std::thread::Builder::new().name("soc".to_owned());
+        let thread = thread.spawn(move || watch(process, &is_over));
+        let thread = thread.context("a thread for the SoC")?;
+        let started = Self {
+            leaves,
+            over: Some(over),
+            thread: Some(thread),
+        };
+        Ok((started, pid))
+    }
+
+    /// Ends the process. Kills it if it does not end. Returns what it left.
+    pub fn end(mut self) -> SocEnd {
+        let died = self.stop();
+        let record = fs::read(&self.leaves).ok();
+        let record = record.and_then(|text| serde_json::from_slice(&text).ok());
+        SocEnd {
+            record: record.unwrap_or_default(),
+            died,
+        }
+    }
+
+    fn stop(&mut self) -> Option<String> {
+        self.over = None;
+        self.thread.take()?.join().ok().flatten()
+    }
+}
+
+impl Drop for SocProcess {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// Waits for the end of the run, and ends the process. If the process ends before, says so, and
+/// returns how it ended.
+fn watch(mut process: Child, over: &Receiver<()>) -> Option<String> {
+    while over.recv_timeout(LOOKS_EVERY) == Err(RecvTimeoutError::Timeout) {
+        if let Ok(Some(status)) = process.try_wait() {
+            let died = last_words(&mut process, status);
+            eprintln!("the SoC's process ended ({died}): the controller stops the vehicle");
+            return Some(died);
+        }
+    }
+    let ended = process.try_wait().ok().flatten();
+    // Tells the process to end.
+    drop(process.stdin.take());
+    let begin = Instant::now();
+    while matches!(process.try_wait(), Ok(None)) {
+        if begin.elapsed() > ENDS_WITHIN {
+            // Fails if the process has just ended.
+            let _ = process.kill();
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    ended.map(|status| last_words(&mut process, status))
+}
+
+/// Returns how the process ended, and what it said.
+fn last_words(process: &mut Child, status: ExitStatus) -> String {
+    let mut said = String::new();
+    if let Some(stderr) = &mut process.stderr {
+        // Without its words, the status remains.
+        let _ = stderr.read_to_string(&mut said);
+    }
+    match said.trim() {
+        "" => status.to_string(),
+        said => format!("{status}: {said}"),
+    }
+}
+
+/// Runs the SoC's process, until its standard input closes.
+///
+/// # Errors
+/// [`Failure::Usage`] if no participant can be opened; [`Failure::Run`] if its sockets or its file
+/// fail.
+pub fn run(args: &SocArgs) -> Result<(), Failure> {
+    let over = Arc::new(AtomicBool::new(false));
+    let is_over = Arc::clone(&over);
+    std::thread::spawn(move || {
+        // An error is the end, too.
+        let _ = io::copy(&mut io::stdin(), &mut io::sink());
+        over.store(true, Ordering::Relaxed);
+    });
+    let mut soc = topics::open_soc(args.place, None, Approach::new(args.park))?;
+    let (mut phases, mut phase) = (Vec::new(), None);
+    let mut saved: Option<Instant> = None;
+    while !is_over.load(Ordering::Relaxed) {
+        topics::turn_soc(&mut soc)?;
+        let now = soc.approach().phase();
+        let has_changed = phase.replace(now) != Some(now);
+        if has_changed {
+            phases.push(PhaseRecord {
+                at_ns: clock::now().as_ns(),
+                phase: now.to_string(),
+                driven_m: soc.approach().driven(),
+            });
+        }
+        if has_changed || saved.is_none_or(|saved| saved.elapsed() > SAVES_EVERY) {
+            saved = Some(Instant::now());
+            SocRecord::of(&soc, args.park, &phases).write(&args.leaves)?;
+        }
+    }
+    SocRecord::of(&soc, args.park, &phases).write(&args.leaves)?;
+    Ok(())
+}
