@@ -287,6 +287,10 @@ pub struct SocArgs {
     /// The file that it writes
     #[arg(long)]
     pub leaves: PathBuf,
+
+    /// Claim real time
+    #[arg(long)]
+    pub realtime: bool,
 }
 
 /// Arguments of `tandem cut` and `tandem mend`.

@@ -18,7 +18,7 @@ use tandem_record::verdict::Beside;
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
-use crate::args::{CpuList, RunArgs, Timing};
+use crate::args::{CpuList, RunArgs, SocArgs, Timing};
 use crate::board_kind::BoardKind;
 use crate::boot::{self, ProgramFlashes};
 use crate::can_udp::CanUdp;
@@ -532,7 +532,7 @@ fn drive(
         };
         command
     };
-    let soc = start_soc(args, files)?;
+    let soc = start_soc(args, config, files)?;
     launcher.start(&plan, &command)?;
     let publishing = publishing.map(|mut publishing| {
         let run = launcher.isolation().run();
@@ -541,22 +541,32 @@ fn drive(
     });
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
     let ended = launcher.wait_and_switch(&plan, &command);
+    // At once: that the bus is silent now is no matter of the SoC's.
+    let soc = soc.map(SocProcess::end);
     if let Some(progress) = progress {
         progress.end();
     }
     if let Some(publishing) = publishing {
         publishing.end();
     }
-    let soc = soc.map(SocProcess::end);
     Ok(Driven { ended, soc })
 }
 
 /// Starts the SoC's process, if the run has one.
-fn start_soc(args: &RunArgs, files: &RunFiles) -> anyhow::Result<Option<SocProcess>> {
+fn start_soc(
+    args: &RunArgs,
+    config: &RunConfig,
+    files: &RunFiles,
+) -> anyhow::Result<Option<SocProcess>> {
     let (Some(way), Some(place)) = (args.soc, args.network()) else {
         return Ok(None);
     };
-    let (soc, pid) = SocProcess::start(way, place, files.soc())?;
+    let (soc, pid) = SocProcess::start(SocArgs {
+        park: way,
+        place,
+        leaves: files.soc(),
+        realtime: config.profile == LimitProfile::Rt,
+    })?;
     if !args.quiet {
         eprintln!("SoC: process {pid}, at {place}, parks after {way} m");
     }

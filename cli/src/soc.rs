@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board_host::clock;
-use tandem_board_udp::UdpPlace;
+use tandem_board_host::realtime::{Claim, claim};
 use tandem_record::RunLog;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::soc::Soc;
@@ -27,6 +27,8 @@ use crate::args::SocArgs;
 use crate::failure::Failure;
 use crate::topics::{self, IdFigures};
 
+/// Priority under SCHED_FIFO, below those of all cores: an ADAS computer keeps its periods.
+const PRIORITY: u8 = 20;
 /// Interval at which the process writes what it has heard.
 const SAVES_EVERY: Duration = Duration::from_millis(500);
 /// Interval at which the run checks whether the process still exists.
@@ -171,18 +173,25 @@ pub struct SocProcess {
 }
 
 impl SocProcess {
-    /// Starts the process. `leaves` is the path of its file. Also returns the id of the process.
+    /// Starts the process, with these arguments. Also returns its id.
     ///
     /// # Errors
     /// If the process does not start.
-    pub fn start(way_m: f32, place: UdpPlace, leaves: PathBuf) -> anyhow::Result<(Self, u32)> {
+    pub fn start(args: SocArgs) -> anyhow::Result<(Self, u32)> {
+        let SocArgs {
+            park,
+            place,
+            leaves,
+            realtime,
+        } = args;
         let process = Command::new("/proc/self/exe")
             .arg0("tandem")
             .arg("soc")
-            .arg(format!("--park={way_m}"))
+            .arg(format!("--park={park}"))
             .arg(format!("--place={place}"))
             .arg("--leaves")
             .arg(&leaves)
+            .args(realtime.then_some("--realtime"))
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -276,6 +285,14 @@ pub fn run(args: &SocArgs) -> Result<(), Failure> {
         let _ = io::copy(&mut io::stdin(), &mut io::sink());
         over.store(true, Ordering::Relaxed);
     });
+    if args.realtime {
+        // The run says what the machine grants.
+        let _ = claim(Claim {
+            priority: Some(PRIORITY),
+            cpu: None,
+            lock_memory: true,
+        });
+    }
     let mut soc = topics::open_soc(args.place, None, Approach::new(args.park))?;
     let (mut phases, mut phase) = (Vec::new(), None);
     let mut saved: Option<Instant> = None;

@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::metrics::Metrics;
+use crate::soc::SocFigures;
+use crate::topics::IdFigures;
 
 /// Returns the most important figures, and the path of the report.
 pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
@@ -86,11 +88,39 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         format!("{:.1} ms", metrics.figures.both_transmitted_ms),
     );
     row("takeovers", takeovers(metrics));
+    if let Some(soc) = &metrics.soc {
+        row("SoC", parking(soc));
+        row("topics", topics(soc));
+    }
     let parts = metrics.verdict.parts().into_iter();
     let verdict: Vec<String> = parts.map(|(_, part)| part).collect();
     row("verdict", verdict.join(&format!("\n{:24}", "")));
     row("report", report.display().to_string());
     text
+}
+
+fn parking(soc: &SocFigures) -> String {
+    let at_s = soc.phases.last().map_or(0.0, |last| last.at_s);
+    match &soc.not_parked {
+        None => format!(
+            "parked at {at_s:.1} s, {:.2} of {} m",
+            soc.driven_m, soc.way_m
+        ),
+        Some(why) => format!("not parked: {why}"),
+    }
+}
+
+/// The figures of all frames together.
+fn topics(soc: &SocFigures) -> String {
+    let sum = |of: fn(&IdFigures) -> u64| soc.ids.iter().map(of).sum::<u64>();
+    format!(
+        "{} ids, {} frames, {} lost; samples: {} of A, {} of B",
+        soc.ids.len(),
+        sum(|id| id.frames),
+        soc.lost,
+        sum(|id| id.samples.a),
+        sum(|id| id.samples.b)
+    )
 }
 
 fn takeovers(metrics: &Metrics) -> String {

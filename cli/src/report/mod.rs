@@ -2,6 +2,7 @@
 
 mod cores;
 mod sections;
+mod soc;
 mod top_view;
 
 use maud::{Markup, html};
@@ -28,6 +29,7 @@ pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> Stri
         (driving(log, &takeovers))
         (control(log, metrics, &takeovers))
         (takeover_table(metrics))
+        @if let Some(soc) = &metrics.soc { (soc::topics(soc)) }
         (cores::tasks(metrics))
         (conditions(metrics))
         (events(log))
