@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreAddress, SystemId};
 use tandem_board_host::RunName;
 use tandem_board_host::services::{Event, Frame, Publisher, Roles, Vehicle};
-use tandem_bus::Message;
+use tandem_bus::{Message, RoleCode};
 use tandem_cores::trace;
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
@@ -282,6 +282,10 @@ impl News {
                 };
                 self.roles.term = control.term;
                 self.roles.obeyed = system.index() as u8;
+                // A status frame has the mode of the redundancy: it does not say what is driven.
+                // The enum lists the states in the order of their published numbers.
+                let state = RoleState::of(RoleCode::Master, control.mode);
+                self.roles.state[system.index()] = state as u8;
                 if let Some((last_ns, last)) = self.last.replace((at_ns, system)) {
                     let gap_ms = at_ns.saturating_sub(last_ns) as f64 * 1e-6;
                     self.roles.gap_max_ms = self.roles.gap_max_ms.max(gap_ms);
@@ -295,8 +299,11 @@ impl News {
                 let Some(system) = SystemId::from_index(system.into()) else {
                     return;
                 };
-                // The enum lists the states in the order of their published numbers.
-                self.roles.state[system.index()] = RoleState::of(status.role, status.mode) as u8;
+                let is_obeyed = usize::from(self.roles.obeyed) == system.index();
+                if status.role != RoleCode::Master || !is_obeyed {
+                    let state = RoleState::of(status.role, status.mode);
+                    self.roles.state[system.index()] = state as u8;
+                }
                 // A system reports the heartbeat lines that it receives, which its peer drives.
                 let heard =
                     [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));

@@ -6,9 +6,13 @@ use tandem_cores::trace::Event;
 use tandem_vehicle::Ruling;
 
 use crate::RunLog;
+use crate::run_log::StatusFrame;
 
 /// A system without a sign of life for this time counts as off, ns: two and a half status periods.
 const SILENT_NS: u64 = 250_000_000;
+
+/// A system that sent a control frame less than this ago drives, ns: ten periods.
+const DRIVES_NS: u64 = 100_000_000;
 
 /// The state of a system as a report shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,7 +147,19 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, RoleState)> {
         .events
         .iter()
         .filter(|event| event.system == system && event.core == CoreId::CONTROL);
+    let mut sent = control.clone().map(|frame| frame.at_ns).peekable();
+    let mut sent_ns = None;
+    // A master's status has the mode of its redundancy. What it drives, its control frames say.
+    let mut is_said_better = |status: &StatusFrame| {
+        while let Some(at_ns) = sent.next_if(|at_ns| *at_ns <= status.at_ns) {
+            sent_ns = Some(at_ns);
+        }
+        let is_driving =
+            sent_ns.is_some_and(|at_ns| status.at_ns.saturating_sub(at_ns) <= DRIVES_NS);
+        status.role == RoleCode::Master && is_driving
+    };
     let mut seen: Vec<(u64, RoleState)> = status
+        .filter(|status| !is_said_better(status))
         .map(|status| (status.at_ns, RoleState::of(status.role, status.mode)))
         .collect();
     seen.extend(control.map(|frame| (frame.at_ns, RoleState::of(RoleCode::Master, frame.mode))));
@@ -163,7 +179,7 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, RoleState)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run_log::{PowerChange, StatusFrame};
+    use crate::run_log::{ControlFrame, PowerChange};
 
     const SECOND_NS: u64 = 1_000_000_000;
 
@@ -214,6 +230,29 @@ mod tests {
         );
         let off = timeline(&log, SystemId::A)[1];
         assert_eq!((off.from_s, off.to_s), (2.0, 4.0));
+    }
+
+    /// D-3: the control frames say that the master parks, and its status frames do not.
+    #[test]
+    fn a_master_that_parks_does_so_between_its_status_frames_too() {
+        let mut log = log();
+        for cycle in 0..200 {
+            let at_ns = SECOND_NS + cycle * SECOND_NS / 100 - SECOND_NS / 200;
+            log.control.push(ControlFrame {
+                at_ns,
+                sent_ns: at_ns,
+                system: SystemId::A,
+                term: 1,
+                mode: ModeCode::Parking,
+                age_ns: None,
+                ruling: Ruling::Accepted,
+            });
+        }
+        let states: Vec<_> = timeline(&log, SystemId::A)
+            .iter()
+            .map(|it| it.state)
+            .collect();
+        assert_eq!(states, [RoleState::Parking, RoleState::Off]);
     }
 
     #[test]
