@@ -9,7 +9,7 @@ use crate::fixture::{Fixture, Run, takeovers};
 use crate::observers::until_obeyed;
 
 /// Runs `tandem` with these arguments on this run.
-fn inject(fixture: &Fixture, run: &Run, words: &[&str]) {
+pub(crate) fn inject(fixture: &Fixture, run: &Run, words: &[&str]) {
     let pid = run.launcher_pid().to_string();
     let output = fixture.output(&[words, &["--run", &pid]].concat());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();

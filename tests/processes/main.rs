@@ -14,6 +14,9 @@ mod errors;
 mod fixture;
 mod injection;
 mod observers;
+mod parking;
+#[path = "../../topics/host/tests/stand_in/place.rs"]
+mod place;
 mod stalls;
 mod startup;
 mod trace;

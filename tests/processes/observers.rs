@@ -12,7 +12,7 @@ use crate::fixture::{Fixture, Run, kill, send};
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/observe.py");
 
 /// Waits until the run publishes, and returns an observer of it.
-fn observer(run: &Run) -> Observer {
+pub(crate) fn observer(run: &Run) -> Observer {
     run.until("an observer", |_| {
         Observer::on(Some(&run.launcher_pid().to_string())).ok()
     })
@@ -146,11 +146,16 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
 
 /// Returns the process that publishes the run.
 fn publisher_of(run: &Run) -> Option<i32> {
+    child_of(run, "publish")
+}
+
+/// Returns the process that `tandem run` has started with this command.
+pub(crate) fn child_of(run: &Run, command: &str) -> Option<i32> {
     let pid = run.launcher_pid();
     let children = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).ok()?;
     let is_it = |pid: &&str| {
         let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        line.contains("publish")
+        line.split('\0').nth(1) == Some(command)
     };
     children.split_whitespace().find(is_it)?.parse().ok()
 }

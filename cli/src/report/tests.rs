@@ -1,10 +1,14 @@
 //! Tests of the report of a synthetic run.
 
 use super::*;
+use std::path::Path;
+
 use crate::metrics::Surroundings;
+use crate::soc::SocEnd;
 use crate::tests::synthetic;
 use crate::timeline::Timeline;
 use crate::{metrics, timeline};
+use serde_json::{Value, json};
 use tandem_board::Duration;
 use tandem_bus::ModeCode;
 use tandem_record::gap::Bounds;
@@ -321,4 +325,54 @@ fn a_product_with_a_longer_control_margin_fails() {
         Outcome::UnderControl
     );
     assert_eq!(outcome(&with(Duration::from_ms(400))), Outcome::Failed);
+}
+
+/// D-3: the page shows how the SoC parked and what it heard, in runs with one only.
+#[test]
+fn the_topics_are_on_the_page_of_a_run_with_an_soc() {
+    let log = synthetic::with_takeover(8.0);
+    let id = json!({
+        "id": "110", "name": "EgoMotion", "period_ms": 10, "frames": 700, "rate_hz": 100.0,
+        "longest_ms": 12.5, "age_ms": 3.0, "late": false, "lost": 2, "jumps": 0, "damaged": 0,
+        "samples": {"A": 400, "B": 699},
+    });
+    let phase = |after_ns: u64, phase: &str, driven_m: f32| json!({"at_ns": log.start_ns.unwrap() + after_ns, "phase": phase, "driven_m": driven_m});
+    let mut record = json!({
+        "way_m": 12.0, "driven_m": 11.5, "is_parked": true, "ids": [id],
+        "phases": [phase(0, "approaching", 0.0), phase(6_500_000_000, "parked", 11.5)],
+    });
+    let shown = |record: &Value| {
+        let end = SocEnd {
+            record: serde_json::from_value(record.clone()).unwrap(),
+            died: None,
+        };
+        let around = Surroundings::default().with_soc(Some(end));
+        let metrics = metrics::compute(&log, &Timeline::default(), &around);
+        let table = crate::summary::table(&metrics, Path::new("report.html"));
+        (page(&log, &Timeline::default(), &metrics), table)
+    };
+    let (with, table) = shown(&record);
+    for part in [
+        "<h2>Topics</h2>",
+        "Parked, 11.50 of 12 m driven",
+        "6.500 s",
+        "EgoMotion",
+        "<td class=\"num bad\">2</td>",
+        "<td class=\"num\">12.5</td>",
+    ] {
+        assert!(with.contains(part), "{part}");
+    }
+    assert!(table.contains("parked at 6.5 s, 11.50 of 12 m"), "{table}");
+    assert!(
+        table.contains("1 ids, 700 frames, 2 lost; samples: 400 of A"),
+        "{table}"
+    );
+    record["is_parked"] = false.into();
+    let (without, table) = shown(&record);
+    assert!(without.contains("Not parked: parked, 11.50 of 12 m driven"));
+    assert!(
+        table.contains("the SoC did not park the vehicle: parked"),
+        "{table}"
+    );
+    assert!(!synthetic_page().contains("<h2>Topics</h2>"));
 }

@@ -9,7 +9,8 @@ use std::thread::JoinHandle;
 
 use clap::Parser as _;
 use serde_json::Value;
-use stand_in::{OwnPlace, StandIn, own_place};
+use stand_in::place::OwnPlace;
+use stand_in::{StandIn, own_place};
 use tandem_board_udp::UdpPlace;
 use tandem_bus::ParkingBrakeCode;
 use tandem_topics::endpoints::{INPUTS, OUTPUTS};
