@@ -6,10 +6,12 @@
     reason = "all of it is a test"
 )]
 
+use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
 use tandem_board::{CoreId, Instant, RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, MachineOptions, WorldLayout};
+use tandem_board_udp::UdpPlace;
 use tandem_cores::core0::Core0Task;
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
@@ -34,6 +36,9 @@ fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
         ..MachineOptions::default()
     };
     let mut world = EmulatedWorld::start(&image, layout, options).unwrap();
+    // The topics task works only with a network. The address is of these tests alone.
+    let place = UdpPlace::new(226, Ipv4Addr::new(127, 77, 3, 2)).unwrap();
+    world.connect_network(place).unwrap();
     world.step().unwrap();
     world.set_ignition(true);
     let mut events = vec![];

@@ -31,6 +31,8 @@ const REINTEGRATE: u32 = 1;
 const CHIP: u32 = 2;
 /// Bytes of the stack of each task of core 0.
 const STACK_BYTES: usize = 16 << 10;
+/// The heap has room for the stacks, and for what core 0 keeps beside them.
+const _: () = assert!(heap::BYTES >= Core0Task::ALL.len() * STACK_BYTES + (32 << 10));
 /// A turn, 50 us: the emulator runs one hart at a time, so a long turn delays the other harts.
 pub const SLICE_TICKS: u32 = 500;
 /// Number of doorbells that were held back.

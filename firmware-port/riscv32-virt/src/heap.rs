@@ -6,7 +6,7 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
 /// Bytes of the heap. Only programs that use it link it.
-const BYTES: usize = 128 << 10;
+pub const BYTES: usize = 160 << 10;
 
 #[repr(align(64))]
 struct Heap {
