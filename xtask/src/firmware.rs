@@ -243,6 +243,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
         "network",
         "outputs",
         "tasks",
+        "topics",
         "chip",
         "emulated",
     ];

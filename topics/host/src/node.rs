@@ -21,6 +21,8 @@ pub struct Node<const W: usize, const R: usize> {
     prefix: GuidPrefix,
     udp: Udp,
     start: std::time::Instant,
+    /// The time that it was told.
+    told: Option<Instant>,
 }
 
 impl<const W: usize, const R: usize> Node<W, R> {
@@ -59,6 +61,7 @@ impl<const W: usize, const R: usize> Node<W, R> {
             prefix,
             udp,
             start: std::time::Instant::now(),
+            told: None,
         })
     }
 
@@ -67,18 +70,26 @@ impl<const W: usize, const R: usize> Node<W, R> {
         self.prefix
     }
 
-    /// Returns the time since the participant was opened.
+    /// Returns the time: the one that was told, or else the time since the participant was opened.
     pub fn now(&self) -> Instant {
-        Instant::from_ns(self.start.elapsed().as_nanos() as u64)
+        let elapsed = || Instant::from_ns(self.start.elapsed().as_nanos() as u64);
+        self.told.unwrap_or_else(elapsed)
     }
 
-    /// Does what is due, waits for a datagram at most for this time, and hears it. Take the samples
-    /// after each turn: a reader of a short history has no room for those of many datagrams.
+    /// Tells the time. After the first call it stands still between calls: this is for a peer in an
+    /// emulated machine.
+    pub const fn tell_time(&mut self, now: Instant) {
+        self.told = Some(now);
+    }
+
+    /// Does what is due, waits for a datagram at most for this time, and hears it. Returns whether
+    /// one has arrived. Take the samples after each turn: a reader of a short history has no room
+    /// for those of many datagrams.
     ///
     /// # Errors
     ///
     /// As [`Udp::wait`].
-    pub fn turn(&mut self, most: Duration) -> io::Result<()> {
+    pub fn turn(&mut self, most: Duration) -> io::Result<bool> {
         self.turn_watched(most, |_| {})
     }
 
@@ -87,16 +98,20 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// # Errors
     ///
     /// As [`Udp::wait`].
-    pub fn turn_watched(&mut self, most: Duration, mut watch: impl FnMut(&[u8])) -> io::Result<()> {
+    pub fn turn_watched(
+        &mut self,
+        most: Duration,
+        mut watch: impl FnMut(&[u8]),
+    ) -> io::Result<bool> {
         let due = self.participant.poll(self.now(), &mut self.udp);
         let until = Duration::from_nanos(due.since(self.now()).as_ns());
         self.udp.wait(most.min(until))?;
-        if let Some(datagram) = self.udp.receive() {
-            watch(&datagram);
-            let now = Instant::from_ns(self.start.elapsed().as_nanos() as u64);
-            self.participant.hear(now, &datagram, &mut self.udp);
+        let datagram = self.udp.receive();
+        if let Some(datagram) = &datagram {
+            watch(datagram);
+            self.participant.hear(self.now(), datagram, &mut self.udp);
         }
-        Ok(())
+        Ok(datagram.is_some())
     }
 
     /// Publishes a sample: representation and body.

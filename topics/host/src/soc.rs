@@ -116,13 +116,26 @@ impl Soc {
         })
     }
 
-    /// Does what is due, and waits for at most this time. To be called at least every 5 ms.
+    /// Does what is due at this time of an emulated machine: as [`turn`](Self::turn), until no
+    /// datagram is left. To be called every millisecond of that time.
     ///
     /// # Errors
     ///
     /// As [`Node::turn`].
-    pub fn turn(&mut self, most: Duration) -> io::Result<()> {
-        self.node.turn(most)?;
+    pub fn turn_at(&mut self, now: Instant) -> io::Result<()> {
+        self.node.tell_time(now);
+        while self.turn(Duration::ZERO)? {}
+        Ok(())
+    }
+
+    /// Does what is due, and waits for at most this time. Returns whether a datagram has arrived. To
+    /// be called at least every 5 ms.
+    ///
+    /// # Errors
+    ///
+    /// As [`Node::turn`].
+    pub fn turn(&mut self, most: Duration) -> io::Result<bool> {
+        let has_heard = self.node.turn(most)?;
         let now = self.node.now();
         while let Some(sample) = self.node.take(0) {
             let Ok(frame) = CanFrame::decode(sample.payload()) else {
@@ -140,7 +153,7 @@ impl Soc {
                 let _ended = self.node.write(topic as usize, &payload);
             }
         }
-        Ok(())
+        Ok(has_heard)
     }
 
     /// Returns the message of a frame of the DBC, checked end to end.
