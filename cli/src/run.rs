@@ -139,27 +139,42 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// Like [`run`], with a controller on another board. `drive` runs the controller, and returns a
-/// line about its time. That time is virtual, so timers are never late.
+/// A drive on another board.
+#[derive(Debug)]
+pub struct DrivenElsewhere {
+    /// A line about its time.
+    pub summary: String,
+    /// How it ended.
+    pub ended: vehicle::DriveEnd,
+    /// How its SoC ended, if it had one.
+    pub soc: Option<SocEnd>,
+}
+
+/// Like [`run`], with a controller on another board. `drive` runs the controller. Its time is
+/// virtual, so timers are never late.
 ///
 /// # Errors
 /// Returns the [`Failure`] whose exit status the command documents.
 pub fn run_elsewhere(
     args: &RunArgs,
-    drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<(String, vehicle::DriveEnd), Failure>,
+    drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<DrivenElsewhere, Failure>,
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
     let config = RunConfig::of(args, LimitProfile::Rt);
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
-    let (summary, ended) = drive(&config, &files)?;
+    let DrivenElsewhere {
+        summary,
+        ended,
+        soc,
+    } = drive(&config, &files)?;
     let updates = updates(args, &files);
     if !args.quiet {
         eprintln!("{summary}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     let interrupted = ended == vehicle::DriveEnd::Stopped;
-    let around = surroundings(&config, summary);
+    let around = surroundings(&config, summary).with_soc(soc);
     conclude(args, &checked, collected, &around, interrupted, updates)
 }
 

@@ -19,6 +19,7 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board_host::clock;
 use tandem_board_host::realtime::{Claim, claim};
+use tandem_board_udp::UdpPlace;
 use tandem_record::RunLog;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::soc::Soc;
@@ -45,6 +46,27 @@ struct PhaseRecord {
     driven_m: f32,
 }
 
+/// The phases so far.
+#[derive(Clone, Debug, Default)]
+struct Phases(Vec<PhaseRecord>, Option<ApproachPhase>);
+
+impl Phases {
+    /// Notes the phase at this time. Returns whether it has changed.
+    fn note(&mut self, now: tandem_board::Instant, soc: &Soc) -> bool {
+        let Self(phases, last) = self;
+        let phase = soc.approach().phase();
+        let has_changed = last.replace(phase) != Some(phase);
+        if has_changed {
+            phases.push(PhaseRecord {
+                at_ns: now.as_ns(),
+                phase: phase.to_string(),
+                driven_m: soc.approach().driven(),
+            });
+        }
+        has_changed
+    }
+}
+
 /// What the process writes into its file.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct SocRecord {
@@ -56,14 +78,14 @@ pub struct SocRecord {
 }
 
 impl SocRecord {
-    fn of(soc: &Soc, way_m: f32, phases: &[PhaseRecord]) -> Self {
+    fn of(soc: &Soc, way_m: f32, phases: &Phases) -> Self {
         let approach = soc.approach();
         let reports = soc.gateway().reports();
         Self {
             way_m,
             driven_m: approach.driven(),
             is_parked: approach.phase() == ApproachPhase::Parked,
-            phases: phases.to_vec(),
+            phases: phases.0.clone(),
             ids: reports
                 .map(|(id, report)| IdFigures::of(soc.now(), id, report))
                 .collect(),
@@ -294,19 +316,11 @@ pub fn run(args: &SocArgs) -> Result<(), Failure> {
         });
     }
     let mut soc = topics::open_soc(args.place, None, Approach::new(args.park))?;
-    let (mut phases, mut phase) = (Vec::new(), None);
+    let mut phases = Phases::default();
     let mut saved: Option<Instant> = None;
     while !is_over.load(Ordering::Relaxed) {
         topics::turn_soc(&mut soc)?;
-        let now = soc.approach().phase();
-        let has_changed = phase.replace(now) != Some(now);
-        if has_changed {
-            phases.push(PhaseRecord {
-                at_ns: clock::now().as_ns(),
-                phase: now.to_string(),
-                driven_m: soc.approach().driven(),
-            });
-        }
+        let has_changed = phases.note(clock::now(), &soc);
         if has_changed || saved.is_none_or(|saved| saved.elapsed() > SAVES_EVERY) {
             saved = Some(Instant::now());
             SocRecord::of(&soc, args.park, &phases).write(&args.leaves)?;
@@ -314,4 +328,42 @@ pub fn run(args: &SocArgs) -> Result<(), Failure> {
     }
     SocRecord::of(&soc, args.park, &phases).write(&args.leaves)?;
     Ok(())
+}
+
+/// The SoC of emulated systems: part of the run's process, because it has their time.
+#[derive(Debug)]
+pub struct EmulatedSoc {
+    soc: Soc,
+    way_m: f32,
+    phases: Phases,
+}
+
+impl EmulatedSoc {
+    /// Opens its participant. It parks after `way_m`.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] if no participant can be opened.
+    pub fn open(place: UdpPlace, way_m: f32) -> Result<Self, Failure> {
+        Ok(Self {
+            soc: topics::open_soc(place, None, Approach::new(way_m))?,
+            way_m,
+            phases: Phases::default(),
+        })
+    }
+
+    /// Does what is due at this time of the systems; to be called every millisecond of it.
+    pub fn turn_at(&mut self, now: tandem_board::Instant) {
+        // The sockets fail only at a signal, which ends the run.
+        let _interrupted = self.soc.turn_at(now);
+        self.phases.note(now, &self.soc);
+    }
+
+    /// Returns how it has ended.
+    #[must_use]
+    pub fn end(&self) -> SocEnd {
+        SocEnd {
+            record: SocRecord::of(&self.soc, self.way_m, &self.phases),
+            died: None,
+        }
+    }
 }

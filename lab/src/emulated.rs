@@ -1,6 +1,8 @@
 //! `tandem run --board qemu`: the controller as firmware in emulated machines, in virtual time.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
@@ -20,9 +22,10 @@ use tandem::failure::Failure;
 use tandem::files::RunFiles;
 use tandem::live::Progress;
 use tandem::recorder::Recorder;
-use tandem::run;
+use tandem::run::{self, DrivenElsewhere};
 use tandem::run_config::{RunConfig, UpdateFiles};
-use tandem::vehicle::{self, DriveEnd};
+use tandem::soc::EmulatedSoc;
+use tandem::vehicle;
 
 /// Output folder of `cargo xtask firmware build`, relative to the target folder.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -200,21 +203,20 @@ impl Images {
 pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     run::run_elsewhere(args, |config, files| {
         let images = Images::of(args).map_err(Failure::Usage)?;
-        drive(args, &images, config, files).map_err(Failure::Run)
+        drive(args, &images, config, files)
     })
 }
 
-/// Drives to the end, or until the user ends the run. Returns a line on the run's clock and
-/// duration.
+/// Drives to the end, or until the user ends the run.
 ///
 /// # Errors
-/// If the emulator does not start, hangs or fails.
+/// If the emulator does not start, hangs or fails, or the network cannot be opened.
 fn drive(
     args: &RunArgs,
     images: &Images,
     config: &RunConfig,
     files: &RunFiles,
-) -> anyhow::Result<(String, DriveEnd)> {
+) -> Result<DrivenElsewhere, Failure> {
     let layout = match args.board {
         BoardKind::QemuOne => WorldLayout::One,
         BoardKind::Host | BoardKind::Qemu => WorldLayout::Two,
@@ -232,6 +234,7 @@ fn drive(
             eprintln!("emulator of {}: process {pid}", names.join(" and "));
         }
     }
+    let soc = connect(args, &mut world)?;
     let recorder = Recorder::create(files)?;
     let begin = Instant::now();
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
@@ -262,5 +265,30 @@ fn drive(
         },
         begin.elapsed().as_secs_f64()
     );
-    Ok((summary, ended))
+    Ok(DrivenElsewhere {
+        summary,
+        ended,
+        soc: soc.map(|soc| soc.borrow().end()),
+    })
+}
+
+/// Connects both systems to the network that the arguments name, and starts the SoC beside them.
+fn connect(
+    args: &RunArgs,
+    world: &mut EmulatedWorld,
+) -> Result<Option<Rc<RefCell<EmulatedSoc>>>, Failure> {
+    let Some(place) = args.network() else {
+        return Ok(None);
+    };
+    let connected = world.connect_network(place);
+    connected
+        .with_context(|| format!("no place for both systems at {place}"))
+        .map_err(Failure::Usage)?;
+    let Some(way) = args.soc else {
+        return Ok(None);
+    };
+    let soc = Rc::new(RefCell::new(EmulatedSoc::open(place, way)?));
+    let beside = Rc::clone(&soc);
+    world.run_beside(move |now| beside.borrow_mut().turn_at(now));
+    Ok(Some(soc))
 }

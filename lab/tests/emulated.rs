@@ -116,6 +116,34 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
     );
 }
 
+/// D-2, D-3: an SoC in the time of the emulated machines hears each frame, and parks.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn an_soc_parks_the_vehicle_of_a_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("report");
+    let network = ["--domain", "220", "--interface", "127.77.3.5", "--soc"];
+    let drive = [
+        "--board",
+        "qemu",
+        "--scenario",
+        "parking",
+        "--duration",
+        "13",
+    ];
+    end(tandem(&[&drive[..], &network].concat(), &out)
+        .spawn()
+        .unwrap());
+    let metrics = metrics(&out);
+    assert_eq!(metrics["complete"], true);
+    let soc = &metrics["soc"];
+    assert_eq!(
+        (&soc["parked"], &soc["lost"]),
+        (&true.into(), &0.into()),
+        "{soc}"
+    );
+}
+
 /// Killing the run leaves no emulator behind, even before the firmware has begun.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]

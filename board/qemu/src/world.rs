@@ -1,5 +1,6 @@
 //! All machines of a run as the vehicle sees them: one bus, the wires, and virtual time.
 
+use std::fmt;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -41,6 +42,8 @@ pub struct EmulatedWorld {
     network: Network,
     /// The connection of the systems to the Ethernet of this machine.
     bridge: Option<Bridge>,
+    /// What runs beside the machines.
+    beside: Option<Beside>,
     /// Decides which frames a disturbed connection loses; the same in each run.
     noise: ChaCha8Rng,
     /// The level line of each system, as last sent to the other system.
@@ -53,6 +56,15 @@ pub struct EmulatedWorld {
     lost: u32,
     reported: Instant,
     stop: Arc<AtomicBool>,
+}
+
+/// A program that runs in the time of the machines.
+struct Beside(Box<dyn FnMut(Instant)>);
+
+impl fmt::Debug for Beside {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Beside").finish_non_exhaustive()
+    }
 }
 
 #[derive(Debug)]
@@ -127,6 +139,7 @@ impl EmulatedWorld {
             sent: vec![],
             network: Network::default(),
             bridge: None,
+            beside: None,
             noise: ChaCha8Rng::seed_from_u64(1),
             shown: [false; 2],
             carried: Instant::ORIGIN,
@@ -192,7 +205,11 @@ impl EmulatedWorld {
         }
         // A stable sort: the frames of one core keep their order even at equal times.
         self.sent.sort_by_key(|sent| sent.at);
-        Ok(self.now())
+        let now = self.now();
+        if let Some(Beside(program)) = &mut self.beside {
+            program(now);
+        }
+        Ok(now)
     }
 
     /// Connects both systems to the network of a place at the next step: each is a station with
@@ -207,6 +224,12 @@ impl EmulatedWorld {
         }
         self.bridge = Some(bridge);
         Ok(())
+    }
+
+    /// Runs a program after each step, while the machines wait: it has their time, whether that is
+    /// faster or slower than this machine's.
+    pub fn run_beside(&mut self, program: impl FnMut(Instant) + 'static) {
+        self.beside = Some(Beside(Box::new(program)));
     }
 
     /// Adds what has arrived on the Ethernet to the next answers.
