@@ -15,6 +15,7 @@ use std::time::Duration;
 use tandem_board::{Board, CoreId};
 use tandem_board_host::services::{Frame, ServicePublisher, ServiceSubscriber};
 use tandem_board_host::{HostBoard, RunName};
+use tandem_board_udp::UdpPlace;
 use tandem_shm::broadcast::Writer;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
 use tandem_shm::map::Layout;
@@ -22,7 +23,7 @@ use tandem_shm::region::{Broadcast, Mailbox, Region};
 use tandem_shm::topic::{Publish, RingSubscriber, Subscribe};
 use tandem_shm::wait::{Awaited, WaitPolicy};
 use tandem_topics::{CanFrame, Durability, Endpoint, Qos, Reliability};
-use tandem_topics_host::node::{Node, Place};
+use tandem_topics_host::node::Node;
 use tandem_topics_host::typed::{TypedReader, TypedWriter};
 
 /// Returns the frame that carries a stamp.
@@ -114,10 +115,7 @@ const TURN: Duration = Duration::from_secs(1);
 
 /// From node to node over DDS, reliable, on the loopback interface.
 pub(crate) fn dds(plan: &BatchPlan) -> io::Result<Batch> {
-    let place = Place {
-        domain: domain(),
-        interface: Ipv4Addr::LOCALHOST,
-    };
+    let place = UdpPlace::new(domain(), Ipv4Addr::LOCALHOST).map_err(io::Error::other)?;
     let batch = between_processes(plan, |_, [out, inward]| {
         let node = Node::open(place, &WAYS[out], &WAYS[inward]).expect("sockets of the domain");
         let mut end = NodeEnd(node);

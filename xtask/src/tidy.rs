@@ -22,7 +22,7 @@ topics-host: board board-udp bus shm topics
 vehicle: board bus
 page:
 board-host: board board-udp peripherals shm
-benches: board board-host page rtos shm topics topics-host two-cores
+benches: board board-host board-udp page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy vehicle

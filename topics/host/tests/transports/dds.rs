@@ -5,8 +5,9 @@ use crate::topic::{Checked, Transport};
 use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
+use tandem_board_udp::UdpPlace;
 use tandem_topics::{CanFrame, Durability, Endpoint, Qos, READERS, Reliability};
-use tandem_topics_host::node::{Node, Place};
+use tandem_topics_host::node::Node;
 use tandem_topics_host::typed::{TypedReader, TypedWriter};
 
 /// The longest wait of a turn.
@@ -15,7 +16,7 @@ const DEPTH: u8 = 3;
 
 /// A topic in a domain of its own. `KEEPS`: late subscribers get the values that are kept.
 pub(crate) struct Dds<const KEEPS: bool> {
-    place: Place,
+    place: UdpPlace,
     ends: &'static [Endpoint; 1],
 }
 
@@ -45,10 +46,11 @@ impl<const KEEPS: bool> Transport for Dds<KEEPS> {
             depth: DEPTH,
         };
         Self {
-            place: Place {
-                domain: 30 + (process as u16).wrapping_add(number) % 200,
-                interface: Ipv4Addr::LOCALHOST,
-            },
+            place: UdpPlace::new(
+                30 + (process as u16).wrapping_add(number) % 200,
+                Ipv4Addr::LOCALHOST,
+            )
+            .unwrap(),
             ends: Box::leak(Box::new([Endpoint {
                 topic,
                 type_name: CanFrame::TYPE_NAME,
