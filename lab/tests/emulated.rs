@@ -116,7 +116,7 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
     );
 }
 
-/// D-2, D-3: an SoC in the time of the emulated machines hears each frame, and parks.
+/// D-2, D-3: an SoC in the time of the emulated machines hears the bus, and parks.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn an_soc_parks_the_vehicle_of_a_run() {
@@ -137,11 +137,9 @@ fn an_soc_parks_the_vehicle_of_a_run() {
     let metrics = metrics(&out);
     assert_eq!(metrics["complete"], true);
     let soc = &metrics["soc"];
-    assert_eq!(
-        (&soc["parked"], &soc["lost"]),
-        (&true.into(), &0.into()),
-        "{soc}"
-    );
+    assert_eq!(soc["parked"], true, "{soc}");
+    // Of the three frames from before it joined, some may be gone when it asks for them.
+    assert!(soc["lost"].as_u64().unwrap() <= 3, "{soc}");
 }
 
 /// Killing the run leaves no emulator behind, even before the firmware has begun.

@@ -75,6 +75,14 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         }
     }
 
+    /// Returns how many starts the data flash had counted before this one.
+    pub(super) const fn starts_before(&self) -> u32 {
+        match &self.loaded {
+            Loaded::State(state) => state.total_resets,
+            _ => 0,
+        }
+    }
+
     /// `None` until the start protocol begins.
     pub(super) const fn running(&self) -> Option<&Redundancy> {
         self.running.as_ref()

@@ -76,6 +76,7 @@ impl<B: Board> Outlet for Port<'_, B> {
 }
 
 /// The SoC that commands. Another one is heard when this one is silent.
+#[derive(Clone, Copy)]
 struct Commander {
     soc: GuidPrefix,
     heard: Instant,
@@ -104,35 +105,38 @@ impl Commander {
         (topic, at, soc): (SocTopic, Instant, GuidPrefix),
         payload: &[u8],
     ) -> Option<SocSample> {
-        let mut known = match commander.take() {
-            Some(it) if it.soc == soc || at.since(it.heard) <= SOC_SILENT => it,
-            _ => Self::new(soc, at),
-        };
-        let checker = &mut known.checkers[topic as usize];
-        let sample = match topic {
-            _ if known.soc != soc => None,
-            SocTopic::Power => PowerControl::decode(payload)
-                .ok()
-                .filter(|it| it.check(checker).is_accepted())
-                .map(SocSample::Power),
-            SocTopic::Lateral => LateralControl::decode(payload)
-                .ok()
-                .filter(|it| it.check(checker).is_accepted())
-                .map(SocSample::Lateral),
-            SocTopic::Longitudinal => LongitudinalControl::decode(payload)
-                .ok()
-                .filter(|it| it.check(checker).is_accepted())
-                .map(SocSample::Longitudinal),
-            SocTopic::ParkingBrake => ParkingBrake::decode(payload)
-                .ok()
-                .filter(|it| it.check(checker).is_accepted())
-                .map(SocSample::Brake),
-        };
-        if sample.is_some() {
-            known.heard = at;
+        let known = commander.take_if(|it| it.soc == soc);
+        let is_free = |it: &Self| at.since(it.heard) > SOC_SILENT;
+        if known.is_none() && !commander.as_ref().is_none_or(is_free) {
+            return None;
         }
-        *commander = Some(known);
+        let mut next = known.unwrap_or_else(|| Self::new(soc, at));
+        let sample = next.decode(topic, payload);
+        if sample.is_some() {
+            next.heard = at;
+        }
+        // A new one has to send a valid command first.
+        if sample.is_some() || known.is_some() {
+            *commander = Some(next);
+        }
         sample
+    }
+
+    fn decode(&mut self, topic: SocTopic, payload: &[u8]) -> Option<SocSample> {
+        macro_rules! checked {
+            ($type:ident, $sample:ident) => {{
+                let command = $type::decode(payload).ok();
+                let checker = &mut self.checkers[topic as usize];
+                let command = command.filter(|it| it.check(checker).is_accepted());
+                command.map(SocSample::$sample)
+            }};
+        }
+        match topic {
+            SocTopic::Power => checked!(PowerControl, Power),
+            SocTopic::Lateral => checked!(LateralControl, Lateral),
+            SocTopic::Longitudinal => checked!(LongitudinalControl, Longitudinal),
+            SocTopic::ParkingBrake => checked!(ParkingBrake, Brake),
+        }
     }
 }
 
@@ -282,9 +286,12 @@ impl<'b, B: Board> TopicsTask<'b, B> {
         };
         let identity = self.board.identity();
         let NetworkAddress { address, port } = at;
-        // Nobody has heard of it before: the time and the count of starts differ at each start.
-        let [a, b, c, d, ..] = (self.board.now().as_ns() >> 10).to_le_bytes();
-        let start = [a, b, c, d, identity.generation.0 as u8];
+        // The name is new: the flash counts the starts. A clock that begins at each start shows the
+        // same time, but it tells those starts apart that the flash has not kept.
+        let starts = executor.shared(|shared| shared.redundancy.starts_before());
+        let [a, b, c, ..] = (self.board.now().as_ns() >> 10).to_le_bytes();
+        let [low, high, ..] = starts.to_le_bytes();
+        let start = [a, b, c, low, high];
         let prefix = controller_prefix(identity.system.index() as u8, start);
         let at = Locator { address, port };
         self.participant = Some(Controller::new(prefix, at, &OUTPUTS, &INPUTS));
@@ -311,5 +318,65 @@ impl<'b, B: Board> TaskBody<'b, B> for TopicsTask<'b, B> {
         };
         executor.ends(Self::ID);
         due.min(now + POLLS_EVERY)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SOC: GuidPrefix = GuidPrefix([1; 12]);
+    const OTHER: GuidPrefix = GuidPrefix([2; 12]);
+
+    /// A valid command with this counter.
+    fn command(counter: u8) -> [u8; ParkingBrake::PAYLOAD_LEN] {
+        let mut sample = ParkingBrake::default();
+        sample.protect(counter).expect("in range");
+        sample.encode().expect("in range")
+    }
+
+    struct Judge(Option<Commander>);
+
+    impl Judge {
+        /// Returns whether a command acts.
+        fn hears(&mut self, ms: u64, soc: GuidPrefix, payload: &[u8]) -> bool {
+            let at = Instant::ORIGIN + Duration::from_ms(ms);
+            Commander::judge(&mut self.0, (SocTopic::ParkingBrake, at, soc), payload).is_some()
+        }
+    }
+
+    /// D-3: another SoC commands when the first one has sent no valid command for 500 ms. Commands
+    /// with a wrong CRC, or that were sent before, keep nobody away.
+    #[test]
+    fn only_valid_commands_keep_the_place_of_the_commander() {
+        let mut damaged = command(7);
+        damaged[4] ^= 1;
+        let mut judge = Judge(None);
+        assert!(!judge.hears(0, OTHER, &damaged));
+        assert!(judge.hears(10, SOC, &command(0)));
+        assert!(!judge.hears(20, OTHER, &command(0)));
+        assert!(judge.hears(100, SOC, &command(1)));
+        for ms in [200, 400, 600] {
+            assert!(!judge.hears(ms, SOC, &command(1)), "a repetition");
+            assert!(!judge.hears(ms, SOC, &damaged));
+            assert!(!judge.hears(ms, OTHER, &command(ms as u8)));
+        }
+        assert!(!judge.hears(601, OTHER, &damaged));
+        assert!(judge.hears(602, SOC, &command(2)), "it only paused");
+        assert!(!judge.hears(1_110, OTHER, &damaged));
+        assert!(judge.hears(1_111, SOC, &command(3)));
+        assert!(judge.hears(1_700, OTHER, &command(0)));
+        assert!(!judge.hears(1_701, SOC, &command(4)));
+    }
+
+    /// D-3: counters wrap around; the command behind a gap that is too long does not act.
+    #[test]
+    fn the_counter_of_commands_wraps_around() {
+        let mut judge = Judge(None);
+        for count in 250..=260_u64 {
+            assert!(judge.hears(count * 100, SOC, &command(count as u8)));
+        }
+        assert!(!judge.hears(26_100, SOC, &command(40)));
+        assert!(judge.hears(26_200, SOC, &command(41)));
     }
 }

@@ -13,6 +13,7 @@ mod floods;
 mod forged;
 mod function;
 mod held_up;
+mod hostile;
 mod hung;
 mod joins;
 mod late;

@@ -102,6 +102,22 @@ impl Soc {
     }
 }
 
+/// Returns a parking drive on a network, without an SoC.
+pub(crate) fn parking(seed: u64) -> Drive {
+    let config = Config {
+        seed,
+        network: Some(WIRE),
+        ..Config::default()
+    };
+    let limits = tandem_cores::Config::rt();
+    let drive = Drive::on_board("parking", config, move |board| poller(board, limits));
+    drive.seen.borrow_mut().world.set_driver(Habit {
+        parks_from_s: Some(0.0),
+        ..Habit::default()
+    });
+    drive
+}
+
 struct Parked {
     drive: Drive,
     soc: Soc,
@@ -109,17 +125,7 @@ struct Parked {
 
 impl Parked {
     fn new(seed: u64) -> Self {
-        let config = Config {
-            seed,
-            network: Some(WIRE),
-            ..Config::default()
-        };
-        let limits = tandem_cores::Config::rt();
-        let mut drive = Drive::on_board("parking", config, move |board| poller(board, limits));
-        drive.seen.borrow_mut().world.set_driver(Habit {
-            parks_from_s: Some(0.0),
-            ..Habit::default()
-        });
+        let mut drive = parking(seed);
         let soc = Soc::join(&mut drive, 7);
         Self { drive, soc }
     }
@@ -324,4 +330,33 @@ fn a_restarted_system_is_a_new_participant() {
     });
     let after = of_b(&parked);
     assert!(after.iter().any(|name| !before.contains(name)), "{after:?}");
+}
+
+/// A battery is connected again: the clock begins anew, and only the flash tells the two starts
+/// apart. A subscriber that has heard the first one hears the second one too.
+#[test]
+fn a_start_with_the_same_clock_is_a_new_participant() {
+    let mut flash: Option<Vec<u8>> = None;
+    let mut names = vec![];
+    for _ in 0..3 {
+        let mut parked = Parked::new(11);
+        let pair = &mut parked.drive.pair;
+        pair.power_off(SystemId::B);
+        if let Some(before) = flash {
+            pair.edit_flash(SystemId::B, |bytes| bytes.copy_from_slice(&before));
+        }
+        pair.power_on(SystemId::B);
+        parked.run_until(3_000, |_| false);
+        let writers = parked.soc.participant.writers_of(0);
+        names.extend(
+            writers
+                .map(|it| it.prefix)
+                .find(|it| system_of(*it) == Some(1)),
+        );
+        flash = Some(parked.drive.pair.flash(SystemId::B));
+    }
+    let [first, second, third] = names[..] else {
+        panic!("{names:?}");
+    };
+    assert!(first != second && second != third, "{names:?}");
 }
