@@ -111,7 +111,7 @@ fn a_cut_network_stops_the_vehicle() {
     let way_m = Cell::new(f64::INFINITY);
     let act = |fixture: &Fixture, run: &Run| {
         until_driven_for(run, FAULT_AT_S);
-        let observer = observer(run);
+        let mut observer = observer(run);
         for system in ["A", "B"] {
             inject(fixture, run, &["fault", "network-cut", system]);
         }
