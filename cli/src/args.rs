@@ -33,6 +33,7 @@ Examples:
   tandem run                                   60 s of the scenario cut-in
   tandem run --scenario hard-braking --duration 30
   tandem run --scenario path/to/USA_US101-3_3_T-1.xml --out us101
+  tandem run --soc 12 --duration 20            an ADAS computer parks over DDS (tandem topics)
   tandem run --json --quiet | jq .control_gap_max_ms
 
 With --board qemu the same controller runs bare-metal in emulated machines. Time is the emulator's,
