@@ -128,8 +128,8 @@ impl Soc {
         Ok(())
     }
 
-    /// Does what is due, and waits for at most this time. Returns whether a datagram has arrived. To
-    /// be called at least every 5 ms.
+    /// Does what is due, and waits for at most this time. Returns whether a datagram has arrived.
+    /// To be called at least every 5 ms.
     ///
     /// # Errors
     ///
