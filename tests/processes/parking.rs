@@ -64,29 +64,12 @@ fn rules(metrics: &Value) -> Vec<&str> {
     findings.map(|it| it["rule"].as_str().unwrap()).collect()
 }
 
-/// D-3: the SoC's process parks the vehicle, and the run shows phases, way and frames.
+/// D-2, D-3: the SoC's process parks the vehicle, although the supply of the master dies on the way.
+/// Each frame that one of the systems heard has reached the SoC. The run shows phases, way and
+/// frames.
 #[test]
-fn a_run_with_an_soc_parks() {
-    let words = ["--soc", "2", "--duration", "10"];
-    let metrics = drives(&words, |_, _| (), unparked);
-    let soc = &metrics["soc"];
-    let driven_m = soc["driven_m"].as_f64().unwrap();
-    assert!((1.5..2.5).contains(&driven_m), "{metrics:#}");
-    assert_eq!(soc["phases"].as_array().unwrap().len(), 4, "{metrics:#}");
-    let ids = soc["ids"].as_array().unwrap();
-    let motion = ids.iter().find(|id| id["name"] == "EgoMotion").unwrap();
-    for system in ["A", "B"] {
-        let samples = motion["samples"][system].as_u64().unwrap();
-        assert!(samples > 500, "{metrics:#}");
-    }
-    assert!(!rules(&metrics).contains(&"not-parked"), "{metrics:#}");
-}
-
-/// D-2, D-3: the supply of the master dies on the way. The other system parks, and each frame that
-/// one of them heard has reached the SoC.
-#[test]
-fn a_takeover_on_the_way_loses_no_frame() {
-    let words = ["--soc", "12", "--duration", "18"];
+fn a_run_with_an_soc_parks_and_a_takeover_loses_no_frame() {
+    let words = ["--soc", "6", "--duration", "13"];
     let act = |_: &Fixture, run: &Run| {
         run.until_dual();
         until_driven_for(run, FAULT_AT_S);
@@ -99,12 +82,24 @@ fn a_takeover_on_the_way_loses_no_frame() {
         };
         until_obeyed(run, other);
     };
-    drives(&words, act, unparked);
+    let metrics = drives(&words, act, unparked);
+    let soc = &metrics["soc"];
+    let driven_m = soc["driven_m"].as_f64().unwrap();
+    assert!((5.5..6.5).contains(&driven_m), "{metrics:#}");
+    assert_eq!(soc["phases"].as_array().unwrap().len(), 4, "{metrics:#}");
+    let ids = soc["ids"].as_array().unwrap();
+    let motion = ids.iter().find(|id| id["name"] == "EgoMotion").unwrap();
+    for system in ["A", "B"] {
+        let samples = motion["samples"][system].as_u64().unwrap();
+        assert!(samples > 200, "{metrics:#}");
+    }
+    assert!(!rules(&metrics).contains(&"not-parked"), "{metrics:#}");
 }
 
 /// D-3: the network of both systems is cut on the way. The vehicle stands after less than it drives
 /// at its highest speed within the limit.
 #[test]
+#[ignore = "ten seconds of the machine alone: cargo xtask campaign topics"]
 fn a_cut_network_stops_the_vehicle() {
     let words = ["--soc", "30", "--duration", "12"];
     let most_m = f64::from(SPEED) * (f64::from(SOC_STOP_LIMIT.as_secs_f32()) + OBSERVED_LATE_S);
@@ -146,6 +141,7 @@ fn a_cut_network_stops_the_vehicle() {
 
 /// D-3: the SoC's process dies on the way. The run says so, and the controller stops the vehicle.
 #[test]
+#[ignore = "ten seconds of the machine alone: cargo xtask campaign topics"]
 fn a_killed_soc_is_told_and_stops_the_vehicle() {
     let words = ["--soc", "30", "--duration", "9"];
     let act = |_: &Fixture, run: &Run| {

@@ -20,7 +20,8 @@ struct Cell<'t> {
     text: &'t str,
 }
 
-/// Runs the matrix and prints its table. Writes the counts to `json`.
+/// Runs the matrix and prints its table; then runs that lose their network or their SoC. Writes the
+/// counts of the matrix to `json`.
 pub(crate) fn run(root: &Path, json: Option<&Path>) -> Result<()> {
     let results = target_dir(root).join("topics-matrix.txt");
     fs::create_dir_all(target_dir(root)).context("the target folder")?;
@@ -45,6 +46,11 @@ pub(crate) fn run(root: &Path, json: Option<&Path>) -> Result<()> {
     ensure!(!passed.is_empty(), "no cell ran");
     ensure!(status.success(), "{command:?} ended with {status}");
     println!("{} of {} cells passed", passed.len(), cells.len());
+    let mut command = cargo(root, &["test", "-p", "tandem", "--test", "processes"]);
+    command.args(["parking", "--", "--ignored"]);
+    println!("$ {command:?}");
+    let status = command.status().context("cargo test")?;
+    ensure!(status.success(), "{command:?} ended with {status}");
     Ok(())
 }
 
