@@ -128,12 +128,13 @@ impl CommandCheck<'_> {
         self.agreement.cycle(now, phase, deviation)
     }
 
-    /// Returns the datagram with this system's command and scene for the other one.
+    /// Returns the datagram with this system's command, its scene and the SoC that it follows, for
+    /// the other one.
     pub(super) fn datagram(
         &mut self,
         now: Instant,
         output: &Output,
-        scene: Option<PeerScene>,
+        (scene, soc): (Option<PeerScene>, u16),
     ) -> impl AsRef<[u32]> + use<> {
         let mode = if self.agreement.is_warm(now) {
             output.mode
@@ -144,6 +145,7 @@ impl CommandCheck<'_> {
             mode: frames::function(mode, output.state),
             stage: self.stage(),
             command: output.standalone,
+            soc,
             scene,
         };
         self.link.datagram(now, own)

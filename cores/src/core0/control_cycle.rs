@@ -144,7 +144,9 @@ impl<'b, B: Board> SharedState<'b, B> {
             return;
         };
         self.redundancy.report();
-        let own = self.check.datagram(begin, output, self.scene_check.own());
+        let own = self
+            .check
+            .datagram(begin, output, (self.scene_check.own(), self.followed.own));
         let _full = self.board.link().try_send(own.as_ref());
         let transmitted = may_transmit && !self.check.is_wrong() && self.transmit(output);
         if transmitted && self.counters.control_cycles.is_multiple_of(BODY_CYCLES) {

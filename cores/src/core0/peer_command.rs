@@ -16,6 +16,8 @@ pub(super) struct PeerCommand {
     pub(super) mode: ModeCode,
     pub(super) stage: Stage,
     pub(super) command: Command,
+    /// The SoC that it follows, see [`soc_code`](super::topics::soc_code); 0 if none.
+    pub(super) soc: u16,
     /// Its newest scene with a lane, if that is at most [`OLDEST`] old.
     pub(super) scene: Option<PeerScene>,
 }
@@ -39,7 +41,7 @@ impl PeerCommand {
         let number =
             |bits, limit| Some(f32::from_bits(bits)).filter(|value: &f32| value.abs() <= limit);
         let mode = code(words[1] & 0xFF)?;
-        let stage = code(words[1] >> 8)?;
+        let stage = code(words[1] >> 8 & 0xFF)?;
         Some(Self {
             mode: ModeCode::ALL.into_iter().find(|one| *one as u8 == mode)?,
             stage: Stage::ALL.into_iter().find(|one| *one as u8 == stage)?,
@@ -47,6 +49,7 @@ impl PeerCommand {
                 steering_angle: number(words[2], STEERING_MAX)?,
                 acceleration: number(words[3], ACCELERATION_MAX)?,
             },
+            soc: (words[1] >> 16) as u16,
             scene: scene(now, words),
         })
     }
@@ -87,7 +90,7 @@ impl PeerCommandLink {
     /// Returns the datagram that is sent now.
     pub(super) fn datagram(&mut self, now: Instant, own: PeerCommand) -> [u32; PeerCommand::WORDS] {
         let mut words = [0; PeerCommand::WORDS];
-        words[1] = own.mode as u32 | (own.stage as u32) << 8;
+        words[1] = own.mode as u32 | (own.stage as u32) << 8 | u32::from(own.soc) << 16;
         words[2] = own.command.steering_angle.to_bits();
         words[3] = own.command.acceleration.to_bits();
         words[4] = NO_SCENE;
@@ -123,6 +126,7 @@ mod tests {
                 steering_angle: -0.02,
                 acceleration: 1.5,
             },
+            soc: 0xABCD,
             scene: Some(PeerScene {
                 at: NOW,
                 c: [0.1, 0.2, 0.3, 0.4],

@@ -15,7 +15,7 @@ use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::read_back::Verdict;
 use super::redundancy_port::{Outcome, RedundancyPort};
 use super::scene_check::{SceneCheck, Suspect};
-use super::topics::Heard;
+use super::topics::{FollowedSoc, Heard};
 use super::{Core0Task, TaskSet, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::Scene;
@@ -50,6 +50,7 @@ pub struct SharedState<'b, B: Board> {
     pub(super) redundancy: RedundancyPort<'b, B>,
     pub(super) can: CanPort,
     pub(super) heard: Heard,
+    pub(super) followed: FollowedSoc,
     pub(super) check: CommandCheck<'b>,
     pub(super) scene_check: SceneCheck,
     /// Core 2 was found wrong in this incarnation.
@@ -78,6 +79,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             redundancy,
             can: CanPort::new(),
             heard: Heard::default(),
+            followed: FollowedSoc::default(),
             check: CommandCheck::new(),
             scene_check: SceneCheck::new(),
             is_plan_wrong: false,
@@ -98,6 +100,16 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// Returns the phase of this system, once the start protocol has begun.
     pub(super) fn phase(&self) -> Option<Phase> {
         self.redundancy.phase()
+    }
+
+    /// Returns the SoC that the other system follows while that one drives; 0 if none.
+    pub(super) fn soc_of_master(&self) -> u16 {
+        let theirs = self.followed.theirs(self.board.now());
+        if self.redundancy.is_driving() {
+            0
+        } else {
+            theirs
+        }
     }
 
     /// Returns the mode that the redundancy and the agreement permit.
@@ -157,6 +169,7 @@ impl<'b, B: Board> SharedState<'b, B> {
                     self.check.on_peer_command(theirs.command, theirs.mode);
                 }
                 self.on_peer_stage(theirs.stage);
+                self.followed.on_peer(self.board.now(), theirs.soc);
             } else {
                 let (now, redundancy) = (self.board.now(), self.redundancy.running());
                 let transfer = &mut self.transfer;

@@ -26,6 +26,8 @@ const DATAGRAMS: u8 = 16;
 const POLLS_EVERY: Duration = Duration::from_ms(5);
 /// An SoC that has sent no valid command for this long makes room for another one.
 const SOC_SILENT: Duration = Duration::from_ms(500);
+/// What the other system says of its SoC holds for this long: ten control cycles.
+const THEIRS_HOLDS: Duration = Duration::from_ms(100);
 /// A frame is silent after this many of its periods.
 const SILENT_PERIODS: u64 = 5;
 /// How often losses and silence of frames are looked for.
@@ -56,6 +58,31 @@ impl Heard {
 
     pub(super) fn is_waiting(&self) -> bool {
         !self.frames.is_empty()
+    }
+}
+
+/// Returns a code that tells SoCs apart; never 0.
+pub(super) fn soc_code(soc: GuidPrefix) -> u16 {
+    let add = |sum: u16, byte: &u8| sum.wrapping_mul(31).wrapping_add((*byte).into());
+    soc.0.iter().fold(0, add).max(1)
+}
+
+/// The SoCs that both systems follow, as codes. Two SoCs may command, and two systems may have
+/// heard them in another order: a standby follows the one of the master. D-3
+#[derive(Default)]
+pub(super) struct FollowedSoc {
+    pub(super) own: u16,
+    theirs: Option<(Instant, u16)>,
+}
+
+impl FollowedSoc {
+    pub(super) const fn on_peer(&mut self, now: Instant, code: u16) {
+        self.theirs = Some((now, code));
+    }
+
+    pub(super) fn theirs(&self, now: Instant) -> u16 {
+        let newest = self.theirs.filter(|(at, _)| now.since(*at) <= THEIRS_HOLDS);
+        newest.map_or(0, |(_, code)| code)
     }
 }
 
@@ -100,13 +127,19 @@ impl Commander {
     }
 
     /// Decodes a command and checks it end to end. Returns `None` for one that must not act.
+    /// `of_master`: the code of the SoC that the master follows; 0 if there is none.
     fn judge(
         commander: &mut Option<Self>,
+        of_master: u16,
         (topic, at, soc): (SocTopic, Instant, GuidPrefix),
         payload: &[u8],
     ) -> Option<SocSample> {
+        let is_of_master = of_master == soc_code(soc);
+        if of_master != 0 && !is_of_master {
+            return None;
+        }
         let known = commander.take_if(|it| it.soc == soc);
-        let is_free = |it: &Self| at.since(it.heard) > SOC_SILENT;
+        let is_free = |it: &Self| is_of_master || at.since(it.heard) > SOC_SILENT;
         if known.is_none() && !commander.as_ref().is_none_or(is_free) {
             return None;
         }
@@ -238,6 +271,7 @@ impl<'b, B: Board> TopicsTask<'b, B> {
         let Some(participant) = &mut self.participant else {
             return;
         };
+        let of_master = executor.shared(|shared| shared.soc_of_master());
         let mut bytes = [0; LONGEST];
         for _ in 0..DATAGRAMS {
             let network = self.board.network();
@@ -249,12 +283,21 @@ impl<'b, B: Board> TopicsTask<'b, B> {
             for topic in SocTopic::ALL {
                 while let Some(sample) = participant.take(topic as usize) {
                     let of = (topic, datagram.at, sample.writer.prefix);
-                    let command = Commander::judge(&mut self.commander, of, sample.payload());
+                    let commander = &mut self.commander;
+                    let command = Commander::judge(commander, of_master, of, sample.payload());
                     if let Some(command) = command {
                         executor.drive(|drive| drive.on_soc(datagram.at, command));
                     }
                 }
             }
+        }
+    }
+
+    /// Tells the other system which SoC this one follows.
+    fn tell_followed(&self, executor: &impl Executor<'b, B>) {
+        if let Some(commander) = &self.commander {
+            let own = soc_code(commander.soc);
+            executor.shared(|shared| shared.followed.own = own);
         }
     }
 
@@ -309,6 +352,7 @@ impl<'b, B: Board> TaskBody<'b, B> for TopicsTask<'b, B> {
         }
         executor.begins(Self::ID, Begin::Goes);
         self.read(executor);
+        self.tell_followed(executor);
         self.publish(executor);
         let now = self.board.now();
         self.supervision.poll(now, executor);
@@ -335,13 +379,15 @@ mod tests {
         sample.encode().expect("in range")
     }
 
-    struct Judge(Option<Commander>);
+    /// The commander, and the code of the master's one.
+    struct Judge(Option<Commander>, u16);
 
     impl Judge {
         /// Returns whether a command acts.
         fn hears(&mut self, ms: u64, soc: GuidPrefix, payload: &[u8]) -> bool {
             let at = Instant::ORIGIN + Duration::from_ms(ms);
-            Commander::judge(&mut self.0, (SocTopic::ParkingBrake, at, soc), payload).is_some()
+            let of = (SocTopic::ParkingBrake, at, soc);
+            Commander::judge(&mut self.0, self.1, of, payload).is_some()
         }
     }
 
@@ -351,7 +397,7 @@ mod tests {
     fn only_valid_commands_keep_the_place_of_the_commander() {
         let mut damaged = command(7);
         damaged[4] ^= 1;
-        let mut judge = Judge(None);
+        let mut judge = Judge(None, 0);
         assert!(!judge.hears(0, OTHER, &damaged));
         assert!(judge.hears(10, SOC, &command(0)));
         assert!(!judge.hears(20, OTHER, &command(0)));
@@ -372,11 +418,25 @@ mod tests {
     /// D-3: counters wrap around; the command behind a gap that is too long does not act.
     #[test]
     fn the_counter_of_commands_wraps_around() {
-        let mut judge = Judge(None);
+        let mut judge = Judge(None, 0);
         for count in 250..=260_u64 {
             assert!(judge.hears(count * 100, SOC, &command(count as u8)));
         }
         assert!(!judge.hears(26_100, SOC, &command(40)));
         assert!(judge.hears(26_200, SOC, &command(41)));
+    }
+    /// D-3: a standby follows the SoC of the master at once, and no other one.
+    #[test]
+    fn a_standby_follows_the_soc_of_the_master() {
+        let mut judge = Judge(None, 0);
+        assert!(judge.hears(0, OTHER, &command(0)));
+        judge.1 = soc_code(SOC);
+        assert!(!judge.hears(20, OTHER, &command(1)));
+        assert!(judge.hears(30, SOC, &command(0)));
+        assert!(!judge.hears(5_000, OTHER, &command(2)));
+        // The master is gone: this system keeps its SoC.
+        judge.1 = 0;
+        assert!(judge.hears(5_010, SOC, &command(1)));
+        assert!(!judge.hears(5_020, OTHER, &command(3)));
     }
 }

@@ -2,9 +2,13 @@
 
 use tandem_board::{Channel, Duration, Instant, Network, NetworkAddress, Recipient, SystemId};
 use tandem_board_sim::{Config, SimStation};
+use tandem_cores::driving::parking::SOC_STOP_LIMIT;
 use tandem_sim::drive::{Drive, poller};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
 use tandem_topics::{Destination, GuidPrefix, Locator, Outlet, Participant};
+use tandem_topics_host::approach::Approach;
+
+use crate::topics::{Parked, Soc, WAY_M, is_parked};
 
 const WIRE: Duration = Duration::from_us(100);
 const MS: Duration = Duration::from_ms(1);
@@ -115,5 +119,59 @@ fn a_flood_of_datagrams_changes_no_frame_on_the_bus() {
             alone,
             "flood {index} changes the drive"
         );
+    }
+}
+
+/// D-3: a flood begins while the SoC parks. Its commands may be lost in the flood: the vehicle parks,
+/// or stands within the stated time.
+#[test]
+fn a_flood_of_datagrams_stops_the_vehicle_in_time_at_most() {
+    let floods: [fn(&mut Hostile) -> Vec<u8>; 2] = [Hostile::nonsense, Hostile::newcomer];
+    for flood in floods {
+        let mut parked = Parked::new(12);
+        let station = parked.drive.pair.join_network();
+        let mut hostile = Hostile { station, noise: 1 };
+        parked.run_until(60_000, |it| it.soc.approach.driven() > 3.0);
+        let ms = parked.run_until(20_000, |it| {
+            hostile.burst(flood);
+            it.now().speed == 0.0
+        });
+        println!("stands after {ms} ms");
+        assert!(ms <= SOC_STOP_LIMIT.as_us() / 1_000, "{ms}");
+        // It ends: the SoC goes on, if it has not stopped the vehicle for good.
+        parked.run_until(60_000, is_parked);
+        parked.assert_parked();
+    }
+}
+
+/// D-3: a second SoC asks for standstill. The standby starts again and hears that one first. It
+/// follows the SoC of the master all the same: it parks after a takeover.
+#[test]
+fn a_standby_that_joins_follows_the_soc_of_the_master() {
+    for seed in 20..23 {
+        let mut parked = Parked::new(seed);
+        let mut other = Soc::join(&mut parked.drive, 6);
+        other.approach = Approach::new(0.0);
+        for ms in 0..40_000 {
+            let pair = &mut parked.drive.pair;
+            match ms {
+                3_000 => pair.power_off(SystemId::B),
+                3_300 => pair.power_on(SystemId::B),
+                7_000 => pair.power_off(SystemId::A),
+                _ => {}
+            }
+            // Its commands are due just before those of the first SoC.
+            if ms > 1_518 {
+                other.turn(parked.drive.pair.now());
+            }
+            parked.run_until(1, |_| false);
+            if is_parked(&parked) {
+                break;
+            }
+        }
+        assert_eq!(parked.drive.masters(), SystemId::ALL);
+        parked.assert_parked();
+        let driven = parked.soc.approach.driven();
+        assert!((driven - WAY_M).abs() < 0.3, "{driven}");
     }
 }

@@ -24,7 +24,7 @@ const MS: Duration = Duration::from_ms(1);
 /// The time of a datagram in cables and switch.
 const WIRE: Duration = Duration::from_us(100);
 /// Way to the place where the vehicle is parked, m.
-const WAY_M: f32 = 12.0;
+pub(crate) const WAY_M: f32 = 12.0;
 
 struct Port<'a>(&'a SimStation);
 
@@ -41,19 +41,19 @@ impl Outlet for Port<'_> {
 }
 
 /// The parking application of the SoC's process, on a station of the simulated network.
-struct Soc {
-    station: SimStation,
+pub(crate) struct Soc {
+    pub(crate) station: SimStation,
     participant: Participant<4, 1, 32, 255, 255>,
     gateway: Gateway,
     receiver: FrameReceiver,
     commander: Commander,
-    approach: Approach,
+    pub(crate) approach: Approach,
     /// Samples of each system.
     heard: BTreeMap<u8, u32>,
 }
 
 impl Soc {
-    fn join(drive: &mut Drive, name: u8) -> Self {
+    pub(crate) fn join(drive: &mut Drive, name: u8) -> Self {
         let station = drive.pair.join_network();
         let NetworkAddress { address, port } = station.address(Channel::Topics).expect("it");
         let at = Locator { address, port };
@@ -68,7 +68,7 @@ impl Soc {
         }
     }
 
-    fn turn(&mut self, now: Instant) {
+    pub(crate) fn turn(&mut self, now: Instant) {
         let mut bytes = [0; 1_472];
         while let Some(it) = self.station.try_receive(Channel::Topics, &mut bytes) {
             let port = &mut Port(&self.station);
@@ -103,7 +103,7 @@ impl Soc {
 }
 
 /// Returns a parking drive on a network, without an SoC.
-pub(crate) fn parking(seed: u64) -> Drive {
+fn parking(seed: u64) -> Drive {
     let config = Config {
         seed,
         network: Some(WIRE),
@@ -118,19 +118,23 @@ pub(crate) fn parking(seed: u64) -> Drive {
     drive
 }
 
-struct Parked {
-    drive: Drive,
-    soc: Soc,
+pub(crate) struct Parked {
+    pub(crate) drive: Drive,
+    pub(crate) soc: Soc,
 }
 
 impl Parked {
-    fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         let mut drive = parking(seed);
         let soc = Soc::join(&mut drive, 7);
         Self { drive, soc }
     }
 
-    fn run_until(&mut self, most_ms: u64, mut is_over: impl FnMut(&Self) -> bool) -> u64 {
+    pub(crate) fn run_until(
+        &mut self,
+        most_ms: u64,
+        mut is_over: impl FnMut(&Self) -> bool,
+    ) -> u64 {
         for ms in 0..most_ms {
             if is_over(self) {
                 return ms;
@@ -141,11 +145,11 @@ impl Parked {
         most_ms
     }
 
-    fn now(&self) -> WorldSnapshot {
+    pub(crate) fn now(&self) -> WorldSnapshot {
         self.drive.seen.borrow().world.snapshot().clone()
     }
 
-    fn assert_parked(&self) {
+    pub(crate) fn assert_parked(&self) {
         let now = self.now();
         assert_eq!(now.speed, 0.0);
         assert_eq!(
@@ -160,7 +164,7 @@ impl Parked {
     }
 }
 
-fn is_parked(parked: &Parked) -> bool {
+pub(crate) fn is_parked(parked: &Parked) -> bool {
     parked.soc.approach.phase() == ApproachPhase::Parked
 }
 
