@@ -313,6 +313,9 @@ fn faults_of_emulated_machines_are_judged() {
     let classes = figures["classes"].as_array().unwrap();
     let gap = classes.iter().find(of_master).expect(&reported)["gap_max_ms"].as_f64();
     assert!(gap.is_some_and(|ms| ms > 9.0), "{reported}");
+    let cut = fault(folder.path(), "network-cut", "both");
+    let (status, reported) = chaos(&["--faults", &cut, "--count", "1"]);
+    assert_eq!(status, Some(0), "{reported}");
     let both = fault(folder.path(), "power-loss", "both");
     let (status, reported) = chaos(&["--faults", &both, "--count", "1"]);
     assert_eq!(status, Some(1), "{reported}");

@@ -157,6 +157,8 @@ fn counter(board: &'static SimBoard) -> Poller {
     })
 }
 
+/// Time of a datagram in cables and switch.
+const NETWORK: Duration = Duration::from_us(100);
 /// Interval at which the roles are checked while a bench heals.
 const HEAL_STEP: Duration = Duration::from_ms(25);
 /// A bench is healed after master and standby were stable for this long; longer than `STEADY`.
@@ -220,16 +222,28 @@ impl Bench {
     /// `keeps_events`: whether to keep the events of the cores.
     #[must_use]
     pub fn new(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
-        Self::with(profile.into(), seed, keeps_events, keeps_events)
+        Self::with(profile.into(), seed, [keeps_events; 2], None)
+    }
+
+    /// Like [`Bench::new`], with a network if one of these faults needs it: then the topics task
+    /// works too.
+    pub(crate) fn suffering(profile: Profile, faults: &[Fault], seed: u64, keeps: bool) -> Self {
+        let is_cut = faults.iter().any(|fault| fault.kind == Kind::NetworkCut);
+        Self::with(profile, seed, [keeps; 2], is_cut.then_some(NETWORK))
     }
 
     /// Like [`Bench::new`], but always keeps the events of the cores. `keeps_frames`: whether to
     /// keep each frame.
     pub(crate) fn tracing(profile: Profile, seed: u64, keeps_frames: bool) -> Self {
-        Self::with(profile, seed, keeps_frames, true)
+        Self::with(profile, seed, [keeps_frames, true], None)
     }
 
-    fn with(profile: Profile, seed: u64, keeps_frames: bool, keeps_events: bool) -> Self {
+    fn with(
+        profile: Profile,
+        seed: u64,
+        [keeps_frames, keeps_events]: [bool; 2],
+        network: Option<Duration>,
+    ) -> Self {
         let (config, Profile { time, around, .. }) = (profile.config(), profile);
         // Start far from zero, so that a clock can run behind.
         let clock = |offset_s: u64, of| Clock {
@@ -240,6 +254,7 @@ impl Bench {
             seed,
             clocks: [clock(1_000, SystemId::A), clock(77_000, SystemId::B)],
             wires: time.wires(),
+            network,
             trace_records: if keeps_events { 1 << 20 } else { 0 },
             ..BoardConfig::default()
         };
@@ -277,15 +292,23 @@ impl Bench {
     #[must_use]
     pub fn dual(profile: impl Into<Profile>, seed: u64, keeps_events: bool) -> Self {
         let mut bench = Self::new(profile, seed, keeps_events);
-        bench.power_on();
-        bench.pair.run_for(match bench.profile.around {
+        bench.reach_dual();
+        bench
+    }
+
+    /// Powers both systems on, and runs until A drives and B stands by.
+    ///
+    /// # Panics
+    /// If the systems do not reach dual operation.
+    pub(crate) fn reach_dual(&mut self) {
+        self.power_on();
+        self.pair.run_for(match self.profile.around {
             Around::Core0 => Duration::from_ms(300),
             Around::ClosedLoop(_) => Duration::from_ms(700),
         });
-        let roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
+        let roles = SystemId::ALL.map(|system| self.pair.lamp(system));
         let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
         assert_eq!(roles, dual, "no dual operation");
-        bench
     }
 
     /// Powers both systems on.

@@ -18,13 +18,12 @@ impl Profile {
         if let Some(setting) = sequence.setting {
             return self.run_values(sequence, setting, keeps_events);
         }
-        let mut bench = if sequence.from_power_on {
-            let mut bench = Bench::new(self, 0, keeps_events);
+        let mut bench = Bench::suffering(self, &sequence.faults, 0, keeps_events);
+        if sequence.from_power_on {
             bench.power_on();
-            bench
         } else {
-            Bench::dual(self, 0, keeps_events)
-        };
+            bench.reach_dual();
+        }
         bench.pair.reseed(sequence.number);
         let begin = bench.pair.now();
         bench.suffer(&sequence.faults, sequence.span);

@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::bench::{Around, Profile};
-use tandem_board::{CanFrame, CanId, HardwareFault};
+use std::collections::BTreeSet;
+use tandem_board::{CanFrame, CanId, Channel, HardwareFault, Network as _};
 use tandem_board_sim::Wire;
 use tandem_bus::Message;
-use tandem_faults::{Group, Way, just};
+use tandem_faults::{Fault, Group, Kind, Way, just};
 use tandem_redundancy::Config;
 use tandem_vehicle::gate::Ruling;
 
@@ -243,4 +244,37 @@ fn a_product_with_a_longer_control_margin_leaves_a_gap() {
     };
     assert_eq!(broken(Config::rt().control_margin), []);
     assert!(broken(Duration::from_ms(400)).contains(&Rule::Gap));
+}
+
+/// D-1: with a cut network, a system is not heard outside, and nothing else changes while both
+/// drive: no frame on the bus, no event, no rule is broken.
+#[test]
+fn a_cut_network_changes_nothing_on_the_bus() {
+    let ms = Duration::from_ms;
+    let fault = |way| Fault {
+        kind: Kind::NetworkCut,
+        way,
+        at: ms(100),
+        lasts: Some(ms(3_800)),
+    };
+    let drive = |cuts: &[Way]| {
+        let profile = Profile::from(Config::rt());
+        let mut bench = Bench::suffering(profile, &[fault(Way::Both)], 1, false);
+        bench.reach_dual();
+        let station = bench.pair.join_network();
+        let faults: Vec<Fault> = cuts.iter().copied().map(fault).collect();
+        let begin = bench.pair.now();
+        bench.suffer(&faults, ms(4_000));
+        let end = bench.pair.now();
+        let judged = bench.judge(&faults, [begin, end], Some(ms(20)));
+        assert_eq!(judged.violations, [], "{cuts:?}");
+        let hears = || station.try_receive(Channel::Topics, &mut [0; 1_472]);
+        let from = std::iter::from_fn(hears).map(|datagram| datagram.from);
+        (bench.pair.digest(), from.collect::<BTreeSet<_>>().len())
+    };
+    let (sound, heard) = drive(&[]);
+    assert_eq!(heard, 2);
+    for (cut, hears) in [(Way::A, 1), (Way::B, 1), (Way::Both, 0)] {
+        assert_eq!(drive(&[cut]), (sound, hears), "{cut:?}");
+    }
 }
