@@ -122,8 +122,8 @@ fn a_flood_of_datagrams_changes_no_frame_on_the_bus() {
     }
 }
 
-/// D-3: a flood begins while the SoC parks. Its commands may be lost in the flood: the vehicle parks,
-/// or stands within the stated time.
+/// D-3: a flood begins while the SoC parks. Commands may be lost in the flood: the vehicle stands
+/// within the stated time, and parks after it.
 #[test]
 fn a_flood_of_datagrams_stops_the_vehicle_in_time_at_most() {
     let floods: [fn(&mut Hostile) -> Vec<u8>; 2] = [Hostile::nonsense, Hostile::newcomer];
