@@ -1,0 +1,90 @@
+//! The controller's participant under forged and damaged datagrams, in virtual time. What they do
+//! must end: it hears the SoC again, and sends no more than they ask for.
+#![allow(clippy::unwrap_used)]
+
+mod hostile;
+
+use hostile::*;
+use proptest::prelude::*;
+use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
+use tandem_topics::{Destination, Durability, Endpoint, Locator, Participant, Qos, Reliability};
+
+/// A domain with more participants than places: those that have nothing for the controller come
+/// back with each of their announcements, and the SoC is heard all the time.
+#[test]
+fn a_crowd_does_not_disturb() {
+    let mut world = World::alone();
+    world.is_cut = [false; 2];
+    let mut heard = 0;
+    for round in 0..300u32 {
+        let other = prefix(9, (round % 8) as u8);
+        world.hear(&message(other, &[participant(other, place(9), 10)]));
+        world.write();
+        world.run(100);
+        heard = world.taken[0].len();
+    }
+    assert!(heard > 200, "{heard}");
+    assert!(world.works());
+}
+
+/// One datagram makes the controller send a bounded number of them, and only to who announced it.
+#[test]
+fn one_datagram_does_not_become_a_flood() {
+    const FULL: usize = 1_472;
+    let each_in_turn: [fn(u32, u32) -> Vec<u8>; 5] = [
+        |count, _| {
+            acknack(
+                PUBLICATIONS_READER,
+                SUBSCRIPTIONS_WRITER,
+                1,
+                (32, u32::MAX),
+                count,
+            )
+        },
+        |count, last| acknack(CAN_READER, CAN_WRITER, last - 2, (32, u32::MAX), count),
+        |count, _| heartbeat(POWER_WRITER, 1, 1_000_000, count),
+        |count, _| heartbeat(PUBLICATIONS_WRITER, 1, 1_000_000, count),
+        |_, _| ends(SOC),
+    ];
+    for (which, part) in each_in_turn.into_iter().enumerate() {
+        let mut world = World::new();
+        assert!(world.works());
+        let mut bytes = message(SOC, &[]);
+        let mut count = 1 << 20;
+        while bytes.len() + part(count, world.written).len() <= FULL {
+            bytes.extend(part(count, world.written));
+            count += 1;
+        }
+        world.sent.clear();
+        world.hear(&bytes);
+        let to: Vec<_> = world.sent.iter().map(|(to, _)| *to).collect();
+        assert!(to.iter().all(|to| *to == Destination::At(place(1))));
+        println!(
+            "attack {which}: {} parts, {} datagrams",
+            count - (1 << 20),
+            to.len()
+        );
+        assert!(to.len() <= 260, "attack {which}: {}", to.len());
+    }
+}
+
+/// The locator of a participant that is known moves: what is sent goes there until its next
+/// announcement, and not any longer.
+#[test]
+fn a_forged_locator_is_corrected() {
+    let mut world = World::new();
+    let elsewhere = Locator {
+        address: [8, 8, 8, 8],
+        port: 53,
+    };
+    world.forge(&[participant(SOC, elsewhere, 3_600)]);
+    world.run(1_500);
+    world.sent.clear();
+    assert!(world.works());
+    assert!(
+        world
+            .sent
+            .iter()
+            .all(|(to, _)| *to != Destination::At(elsewhere))
+    );
+}
