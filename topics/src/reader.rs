@@ -76,7 +76,7 @@ impl Stream {
         let mut at = next.max(gap.set.base);
         for number in gap.set {
             if number == at {
-                at += 1;
+                at = at.saturating_add(1);
             }
         }
         self.next = at;

@@ -9,6 +9,14 @@ use proptest::prelude::*;
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
 use tandem_topics::{Destination, Durability, Endpoint, Locator, Participant, Qos, Reliability};
 
+/// The last number of all, in a GAP.
+#[test]
+fn a_gap_at_the_end_of_all_numbers_is_read() {
+    let mut world = World::new();
+    world.forge(&[gap(POWER_WRITER, 1, u32::MAX - 1, (32, u32::MAX))]);
+    world.run(10);
+}
+
 /// A domain with more participants than places: those that have nothing for the controller come
 /// back with each of their announcements, and the SoC is heard all the time.
 #[test]
