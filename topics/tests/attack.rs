@@ -9,6 +9,31 @@ use proptest::prelude::*;
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
 use tandem_topics::{Destination, Durability, Endpoint, Locator, Participant, Qos, Reliability};
 
+/// Counts that are far ahead, and are not those of the SoC, do not keep its own from counting: what
+/// is lost afterwards is repaired.
+#[test]
+fn a_wrong_count_does_not_end_the_repair() {
+    for ahead in [100, 1 << 30, i32::MAX as u32, 1 << 31, u32::MAX - 10] {
+        let mut world = World::new();
+        assert!(world.works());
+        world.forge(&[
+            heartbeat(POWER_WRITER, world.written, world.written, ahead),
+            acknack(CAN_READER, CAN_WRITER, 1, (0, 0), ahead),
+            acknack(PUBLICATIONS_READER, PUBLICATIONS_WRITER, 1, (0, 0), ahead),
+        ]);
+        world.run(5_000);
+        for lost in 0..2 {
+            world.is_cut[lost] = true;
+            world.write();
+            world.is_cut[lost] = false;
+            world.run(1_000);
+        }
+        let all: Vec<u32> = (1..=world.written).collect();
+        assert_eq!(world.taken[0], all, "{ahead}");
+        assert_eq!(world.taken[1], all, "{ahead}");
+    }
+}
+
 /// The last number of all, in a GAP.
 #[test]
 fn a_gap_at_the_end_of_all_numbers_is_read() {

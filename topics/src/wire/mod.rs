@@ -86,9 +86,13 @@ pub struct Locator {
 /// uses more than 32 of them is not heard.
 pub(crate) type Sequence = u32;
 
-/// Returns whether a count has risen. An older message that arrives late has a lower one.
+/// A message is not overtaken by more than this many of its kind.
+pub(crate) const OVERTAKEN: u32 = 32;
+
+/// Returns whether a count has risen. An older message that arrives late has a slightly lower one;
+/// one that is far lower shows that the count before was wrong.
 pub(crate) fn has_risen(count: u32, last: Option<u32>) -> bool {
-    last.is_none_or(|last| (count.wrapping_sub(last) as i32) > 0)
+    last.is_none_or(|last| last.wrapping_sub(count) >= OVERTAKEN)
 }
 
 /// A set of sample numbers from `base` on: bit `n` of the first word, from the most significant
