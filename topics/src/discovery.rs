@@ -152,10 +152,10 @@ impl Remote {
         self.expires = now + self.lease;
     }
 
-    /// Notes which of our endpoints it has. Returns whether it asks for some.
-    pub(crate) fn on_acknack(&mut self, kind: Kind, acknack: &AckNack) -> bool {
+    /// Notes which of our endpoints it has, of which there are `all`. Returns whether it asks for some.
+    pub(crate) fn on_acknack(&mut self, kind: Kind, acknack: &AckNack, all: usize) -> bool {
         let last = &mut self.acknack[kind as usize];
-        let is_new = has_risen(acknack.count, *last);
+        let is_new = has_risen(acknack.count, *last) && acknack.set.base as usize <= all + 1;
         if is_new {
             *last = Some(acknack.count);
             let has = &mut self.has[kind as usize];

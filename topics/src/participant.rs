@@ -418,7 +418,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             return;
         };
         if let Some(kind) = Kind::of_writer(acknack.writer) {
-            if remote.on_acknack(kind, acknack) {
+            if remote.on_acknack(kind, acknack, [W, R][kind as usize]) {
                 let peer = remote.discovery();
                 self.send_endpoints(peer, kind, acknack.set, out);
             }

@@ -1,8 +1,8 @@
 //! A reliable reader: it gives the samples of each writer in their order. (RTPS 8.4.12)
 
 use crate::qos::Fit;
-use crate::wire::has_risen;
 use crate::wire::{Data, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Sequence, SequenceSet};
+use crate::wire::{OVERTAKEN, has_risen};
 use crate::{Counts, Durability, Qos, Reliability};
 use core::ops::Range;
 use tandem_board::{Duration, Instant};
@@ -58,10 +58,13 @@ impl Stream {
             return None;
         }
         self.heartbeat = Some(heartbeat.count);
+        let end = heartbeat.last + 1;
+        // The writer has not come so far: a number of before was wrong.
+        let is_wrong = self.next > end.saturating_add(OVERTAKEN);
         let next = match self.next {
-            0 if self.with_history => heartbeat.first,
-            0 => heartbeat.last + 1,
-            next => next,
+            next if next > 0 && !is_wrong => next,
+            _ if self.with_history => heartbeat.first,
+            _ => end,
         };
         self.next = next.max(heartbeat.first);
         Some(next..heartbeat.first)

@@ -42,6 +42,49 @@ fn a_gap_at_the_end_of_all_numbers_is_read() {
     world.run(10);
 }
 
+/// Numbers that the SoC never had, in each kind of message of its writers and readers.
+#[test]
+fn wrong_numbers_do_not_deafen() {
+    const MOST: u32 = u32::MAX - 1;
+    for far in [1_000, 1 << 20, 1 << 31, MOST - 2, MOST] {
+        for start in [false, true] {
+            for (name, forged) in [
+                ("data", data(POWER_WRITER, far, b"forged")),
+                ("heartbeat", heartbeat(POWER_WRITER, far, far, 1 << 20)),
+                ("last", heartbeat(POWER_WRITER, 1, far, 1 << 20)),
+                ("none", heartbeat(POWER_WRITER, far, far - 1, 1 << 20)),
+                ("gap", gap(POWER_WRITER, 1, far, (0, 0))),
+                ("gaps", gap(POWER_WRITER, 1, far, (32, u32::MAX))),
+                ("lists", gap(PUBLICATIONS_WRITER, 1, far, (32, u32::MAX))),
+                ("list", heartbeat(PUBLICATIONS_WRITER, far, far, 1 << 20)),
+                (
+                    "has",
+                    acknack(
+                        PUBLICATIONS_READER,
+                        SUBSCRIPTIONS_WRITER,
+                        far,
+                        (32, u32::MAX),
+                        9,
+                    ),
+                ),
+                (
+                    "acks",
+                    acknack(CAN_READER, CAN_WRITER, far, (32, u32::MAX), 1 << 20),
+                ),
+            ] {
+                let mut world = if start {
+                    World::unwritten()
+                } else {
+                    World::new()
+                };
+                world.forge(&[forged]);
+                world.run(HEALS_MS);
+                assert!(world.works(), "{name} {far} {start}");
+            }
+        }
+    }
+}
+
 /// A domain with more participants than places: those that have nothing for the controller come
 /// back with each of their announcements, and the SoC is heard all the time.
 #[test]
