@@ -32,6 +32,14 @@ impl Stream {
         }
     }
 
+    /// Begins again at a sample without guarantee that is too old for one that was overtaken: a
+    /// number of before was wrong.
+    pub(crate) fn begin_again(&mut self, number: Sequence) {
+        if self.next > number.saturating_add(OVERTAKEN) {
+            self.next = number;
+        }
+    }
+
     /// Returns whether a sample is one that is missing. Without history, the first one that arrives
     /// is where the stream begins; with it, a heartbeat tells that.
     pub(crate) fn lacks(&mut self, number: Sequence) -> bool {
@@ -272,6 +280,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             return;
         };
         let is_reliable = writer.is_reliable;
+        if !is_reliable {
+            writer.stream.begin_again(data.sequence);
+        }
         if !writer.stream.lacks(data.sequence) || self.has(index, data.sequence) {
             return;
         }

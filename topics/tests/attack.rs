@@ -85,6 +85,41 @@ fn wrong_numbers_do_not_deafen() {
     }
 }
 
+/// A writer without guarantee: one sample with a wrong number does not silence it.
+#[test]
+fn a_wrong_number_does_not_silence_a_writer_without_guarantee() {
+    const BEST_EFFORT: Qos = Qos {
+        reliability: Reliability::BestEffort,
+        durability: Durability::Volatile,
+        depth: 3,
+    };
+    static INPUT: [Endpoint; 1] = [Endpoint {
+        qos: BEST_EFFORT,
+        ..INPUTS[0]
+    }];
+    let mut mcu = Participant::<0, 1, 3, 0, 24>::new(MCU, place(0), &[], &INPUT);
+    let (now, mut sent) = (hostile::START, Sent::default());
+    mcu.hear(
+        now,
+        &message(SOC, &[participant(SOC, place(1), 10)]),
+        &mut sent,
+    );
+    let offer = endpoint(SOC, PUBLICATIONS_WRITER, (POWER_WRITER, 1), &INPUT[0]);
+    mcu.hear(now, &message(SOC, &[offer]), &mut sent);
+    let mut hears = |number| {
+        mcu.hear(
+            now,
+            &message(SOC, &[data(POWER_WRITER, number, b"abcd")]),
+            &mut sent,
+        );
+        mcu.take(0).is_some()
+    };
+    assert!((1..=100).all(&mut hears));
+    assert!(!hears(99), "it is late");
+    assert!(hears(1 << 30));
+    assert!((101..=200).all(&mut hears));
+}
+
 /// A domain with more participants than places: those that have nothing for the controller come
 /// back with each of their announcements, and the SoC is heard all the time.
 #[test]
