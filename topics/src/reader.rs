@@ -272,6 +272,13 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         due.min().map(|(_, at)| at)
     }
 
+    /// Returns the place of the sample with the highest number.
+    fn farthest(&self) -> Option<usize> {
+        let slots = self.samples.iter().enumerate();
+        let all = slots.filter_map(|(at, slot)| Some((slot.as_ref()?.number, at)));
+        all.max().map(|(_, at)| at)
+    }
+
     pub(crate) fn on_data(&mut self, guid: Guid, data: &Data<'_>) {
         let Some(index) = self.index_of(guid) else {
             return;
@@ -286,6 +293,8 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         if !writer.stream.lacks(data.sequence) || self.has(index, data.sequence) {
             return;
         }
+        let next = self.writers[index].map(|writer| writer.stream.next());
+        let is_next = next == Some(data.sequence);
         let mut slot = Slot {
             from: index as u8,
             number: data.sequence,
@@ -304,9 +313,11 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             self.skip_to(index, data.sequence);
         }
         let mut places = self.samples.iter().take(self.depth);
-        let (place, replaces) = match places.position(Option::is_none) {
-            Some(free) => (Some(free), 0),
-            None => (self.oldest(), 1),
+        let (place, replaces) = match (places.position(Option::is_none), self.oldest()) {
+            (Some(free), _) => (Some(free), 0),
+            (None, Some(oldest)) => (Some(oldest), 1),
+            // All wait for others, perhaps for this one. Who is replaced is asked for once more.
+            (None, None) => (self.farthest().filter(|_| is_next), 0),
         };
         if let Some(place) = place.and_then(|place| self.samples.get_mut(place)) {
             *place = Some(slot);

@@ -120,6 +120,42 @@ fn a_wrong_number_does_not_silence_a_writer_without_guarantee() {
     assert!((101..=200).all(&mut hears));
 }
 
+/// A reader of depth 3 holds what arrived behind a loss. It must have room for the lost one, if the
+/// writer has more history than that, or if there are two of them.
+#[test]
+fn what_is_held_back_leaves_room_for_what_is_missing() {
+    for two in [false, true] {
+        let mut mcu = Mcu::new(MCU, place(0), &OUTPUTS, &INPUTS);
+        let (now, mut sent) = (hostile::START, Sent::default());
+        let socs = [SOC, prefix(2, 0)];
+        for soc in socs {
+            let hello = participant(soc, place(1), 10);
+            let offer = endpoint(soc, PUBLICATIONS_WRITER, (POWER_WRITER, 1), &INPUTS[0]);
+            for part in [hello, offer, data(POWER_WRITER, 1, b"1")] {
+                mcu.hear(now, &message(soc, &[part]), &mut sent);
+            }
+            assert!(mcu.take(0).is_some());
+        }
+        // Each writer loses its second sample, and keeps all that was not taken.
+        let mut next = [2_u8; 2];
+        for round in 0..4 {
+            for (which, soc) in socs.into_iter().enumerate().take(1 + usize::from(two)) {
+                let first = next[which].max(if round == 0 { 3 } else { 2 });
+                for number in first..=12 {
+                    let part = data(POWER_WRITER, number.into(), &[number; 4]);
+                    mcu.hear(now, &message(soc, &[part]), &mut sent);
+                    while let Some(sample) = mcu.take(0) {
+                        let which = usize::from(sample.writer.prefix != SOC);
+                        assert_eq!(sample.payload(), [next[which]; 4]);
+                        next[which] += 1;
+                    }
+                }
+            }
+        }
+        assert_eq!(next, [13, if two { 13 } else { 2 }]);
+    }
+}
+
 /// A domain with more participants than places: those that have nothing for the controller come
 /// back with each of their announcements, and the SoC is heard all the time.
 #[test]
