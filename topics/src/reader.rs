@@ -12,6 +12,8 @@ pub const WRITERS: usize = 2;
 
 /// What is missing is asked for with each heartbeat, and in this time once more.
 pub(crate) const ASKS_EVERY: Duration = Duration::from_ms(5);
+/// How often it is asked for, until the next heartbeat: for longer than its period.
+const ASKS: u8 = 64;
 
 /// How far a reliable writer was heard.
 #[derive(Clone, Copy, Debug)]
@@ -122,6 +124,8 @@ struct RemoteWriter {
     last: Sequence,
     /// When it was asked for what is missing.
     asked: Instant,
+    /// How often since its last heartbeat.
+    asks: u8,
     /// It has ended, and another one may get its place.
     is_gone: bool,
 }
@@ -200,6 +204,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             stream: Stream::new(with_history),
             last: 0,
             asked: Instant::ORIGIN,
+            asks: 0,
             is_gone: false,
         });
         for slot in &mut self.samples {
@@ -356,7 +361,7 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             .as_mut()
             .filter(|writer| writer.is_reliable)?;
         let dropped = writer.stream.on_heartbeat(heartbeat)?;
-        (writer.last, writer.asked) = (heartbeat.last, now);
+        (writer.last, writer.asked, writer.asks) = (heartbeat.last, now, 0);
         self.count_lost(index, dropped);
         self.advance(index);
         let set = self.missing(index)?;
@@ -374,9 +379,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
     pub(crate) fn asks_again(&mut self, now: Instant, index: usize) -> Option<(Guid, SequenceSet)> {
         let set = self.missing(index).filter(|set| set.len > 0)?;
         let writer = self.writers[index].as_mut()?;
-        let is_due = now.since(writer.asked) >= ASKS_EVERY;
+        let is_due = now.since(writer.asked) >= ASKS_EVERY && writer.asks < ASKS;
         is_due.then(|| {
-            writer.asked = now;
+            (writer.asked, writer.asks) = (now, writer.asks + 1);
             (writer.guid, set)
         })
     }

@@ -174,6 +174,20 @@ fn a_crowd_does_not_disturb() {
     assert!(world.works());
 }
 
+/// A writer tells of samples that it does not give: the reader asks for them, but not for ever.
+#[test]
+fn a_writer_that_does_not_answer_is_left_alone() {
+    let mut world = World::new();
+    assert!(world.works());
+    world.is_cut[0] = true;
+    world.forge(&[heartbeat(POWER_WRITER, 1, world.written + 2, 1 << 20)]);
+    world.run(1_000);
+    world.sent.clear();
+    world.run(5_000);
+    // Announcements and heartbeats.
+    assert!(world.sent.len() < 100, "{}", world.sent.len());
+}
+
 /// One datagram makes the controller send a bounded number of them, and only to who announced it.
 #[test]
 fn one_datagram_does_not_become_a_flood() {
