@@ -14,8 +14,8 @@ const LEASE_SECONDS: u32 = 10;
 /// Endpoints of discovery that this participant has: announcer and detector of participants, of
 /// publications and of subscriptions.
 const BUILTIN_ENDPOINTS: u32 = 0x3F;
-/// The longest lease that is believed.
-const LONGEST_LEASE_SECONDS: u32 = 3_600;
+/// The longest lease that is believed: for so long, one that is gone may hold a place.
+const LONGEST_LEASE_SECONDS: u32 = 100;
 
 /// The publications or the subscriptions of a participant: each is a topic of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +81,8 @@ pub fn announced(datagram: &[u8]) -> impl Iterator<Item = Announced<'_>> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Remote {
     pub(crate) prefix: GuidPrefix,
+    /// When it was heard first.
+    pub(crate) found: Instant,
     metatraffic: Locator,
     user: Locator,
     pub(crate) expires: Instant,
@@ -101,13 +103,14 @@ pub(crate) struct Peer {
 }
 
 impl Remote {
-    pub(crate) const fn new(prefix: GuidPrefix) -> Self {
+    pub(crate) const fn new(prefix: GuidPrefix, found: Instant) -> Self {
         const NOWHERE: Locator = Locator {
             address: [0; 4],
             port: 0,
         };
         Self {
             prefix,
+            found,
             metatraffic: NOWHERE,
             user: NOWHERE,
             expires: Instant::ORIGIN,

@@ -14,6 +14,8 @@ use tandem_board::{Duration, Instant};
 pub const HEARTBEAT_PERIOD: Duration = Duration::from_ms(250);
 /// Period of the announcement of the participant.
 const ANNOUNCES_EVERY: Duration = Duration::from_ms(1_000);
+/// After this time, a participant that has nothing for this one gives way to another one.
+const SETTLES: Duration = Duration::from_ms(500);
 /// How many other participants it knows.
 const REMOTES: usize = 4;
 
@@ -268,11 +270,13 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         if let Some(before) = self.remotes.iter().flatten().find(was_before) {
             self.forget(before.prefix);
         }
-        let mut remote = Remote::new(from);
+        let mut remote = Remote::new(from, now);
         if !remote.on_announcement(now, list) {
             return;
         }
-        let Some(place) = self.remotes.iter_mut().find(|place| place.is_none()) else {
+        let free = self.remotes.iter().position(Option::is_none);
+        let place = free.or_else(|| self.of_no_use(now));
+        let Some(place) = place.and_then(|place| self.remotes.get_mut(place)) else {
             self.refused = self.refused.wrapping_add(1);
             return;
         };
@@ -282,6 +286,23 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         for kind in Kind::ALL {
             self.send_endpoints(peer, kind, SequenceSet::FIRST, out);
         }
+    }
+
+    /// Returns the place of a participant without an endpoint that fits.
+    fn of_no_use(&self, now: Instant) -> Option<usize> {
+        let is_used = |prefix: GuidPrefix| {
+            let mut readers = self
+                .writers
+                .iter()
+                .flat_map(|it| it.readers.iter().flatten());
+            let mut writers = self.readers.iter().flat_map(Reader::writers);
+            readers.any(|it| it.guid.prefix == prefix) || writers.any(|it| it.prefix == prefix)
+        };
+        self.remotes.iter().position(|place| {
+            place
+                .as_ref()
+                .is_some_and(|remote| now.since(remote.found) >= SETTLES && !is_used(remote.prefix))
+        })
     }
 
     fn on_endpoint(&mut self, kind: Kind, from: GuidPrefix, data: &Data<'_>) {

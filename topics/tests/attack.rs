@@ -156,6 +156,26 @@ fn what_is_held_back_leaves_room_for_what_is_missing() {
     }
 }
 
+/// Participants without end fill the places. Those that nothing of the controller fits give way at
+/// once, the others when they have been silent for as long as the longest lease that is believed.
+#[test]
+fn strangers_do_not_keep_the_soc_out() {
+    for fits in [false, true] {
+        let mut world = World::alone();
+        for start in 0..60 {
+            let forged = prefix(9, start);
+            let offer = endpoint(forged, PUBLICATIONS_WRITER, (POWER_WRITER, 1), &INPUTS[0]);
+            let asks = endpoint(forged, SUBSCRIPTIONS_WRITER, (CAN_READER, 1), &OUTPUTS[0]);
+            let parts = [participant(forged, place(9), u32::MAX), offer, asks];
+            world.hear(&message(forged, if fits { &parts } else { &parts[..1] }));
+            world.run(100);
+        }
+        world.is_cut = [false; 2];
+        world.run(if fits { 100_000 + HEALS_MS } else { HEALS_MS });
+        assert!(world.works(), "{fits}");
+    }
+}
+
 /// A domain with more participants than places: those that have nothing for the controller come
 /// back with each of their announcements, and the SoC is heard all the time.
 #[test]
