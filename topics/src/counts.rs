@@ -11,8 +11,9 @@ pub struct Counts {
     pub replaced: u32,
     /// Samples that are longer than the reader's room.
     pub too_long: u32,
-    /// Endpoints of others for which there was no place: `READERS`, `WRITERS`.
+    /// Endpoints of others for which there was no place: `READERS`, `WRITERS`. They are asked again
+    /// each 8 s, and counted again.
     pub refused: u32,
-    /// Endpoints of others whose quality of service does not fit.
+    /// Endpoints of others whose quality of service does not fit, each 8 s.
     pub incompatible: u32,
 }

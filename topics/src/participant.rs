@@ -16,6 +16,9 @@ pub const HEARTBEAT_PERIOD: Duration = Duration::from_ms(250);
 const ANNOUNCES_EVERY: Duration = Duration::from_ms(1_000);
 /// After this time, a participant that has nothing for this one gives way to another one.
 const SETTLES: Duration = Duration::from_ms(500);
+/// With each announcement of this number, all are asked for their endpoints once more: this finds
+/// what was lost to a damaged message, or to a link that failed in one direction.
+const ASKS_WITH: u8 = 8;
 /// How many other participants it knows.
 const REMOTES: usize = 4;
 
@@ -55,6 +58,8 @@ pub struct Participant<
     /// A count for all heartbeats of discovery, and for all ACKNACKs: each only has to rise.
     count: u32,
     announced: Option<Instant>,
+    /// How many announcements were sent since all were asked.
+    announcements: u8,
     beat: Instant,
     foreign: u32,
     refused: u32,
@@ -84,6 +89,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             remotes: [None; REMOTES],
             count: 0,
             announced: None,
+            announcements: 0,
             beat: Instant::ORIGIN,
             foreign: 0,
             refused: 0,
@@ -159,13 +165,16 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         let is_due = |last: Instant| now.since(last) >= ANNOUNCES_EVERY;
         if self.announced.is_none_or(is_due) {
             self.announced = Some(now);
+            self.announcements += 1;
             self.announce(None, out);
         }
         if now.since(self.beat) >= HEARTBEAT_PERIOD {
             self.beat = now;
             self.remind(out);
         }
-        if core::mem::take(&mut self.is_free) && core::mem::take(&mut self.waits) {
+        let frees = core::mem::take(&mut self.is_free) && core::mem::take(&mut self.waits);
+        if frees || self.announcements >= ASKS_WITH {
+            self.announcements = 0;
             self.ask_all(out);
         }
         self.ask_again(now, out);
@@ -376,7 +385,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         }
     }
 
-    /// Asks all for their endpoints once more: one that was refused a place may get it now.
+    /// Asks all for their endpoints once more: one that was refused a place, or was lost, may get
+    /// a place now.
     fn ask_all(&mut self, out: &mut impl Outlet) {
         for at in 0..REMOTES {
             let Some(remote) = self.remotes.get_mut(at).and_then(Option::as_mut) else {

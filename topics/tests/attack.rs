@@ -9,6 +9,30 @@ use proptest::prelude::*;
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
 use tandem_topics::{Destination, Durability, Endpoint, Locator, Participant, Qos, Reliability};
 
+/// The datagrams of the SoC do not arrive for longer than its lease, and those of the controller
+/// do: only one of both forgets the other one.
+#[test]
+fn a_link_that_fails_in_one_direction_comes_back() {
+    for cut in [0, 1] {
+        let mut world = World::new();
+        assert!(world.works());
+        world.is_cut[cut] = true;
+        world.run(15_000);
+        world.is_cut[cut] = false;
+        world.run(HEALS_MS);
+        assert!(world.works(), "cut {cut}");
+    }
+}
+
+/// Who is not the SoC says that it has ended.
+#[test]
+fn a_forged_end_is_healed() {
+    let mut world = World::new();
+    world.forge(&[ends(SOC)]);
+    world.run(HEALS_MS);
+    assert!(world.works());
+}
+
 /// Counts that are far ahead, and are not those of the SoC, do not keep its own from counting: what
 /// is lost afterwards is repaired.
 #[test]
@@ -268,4 +292,121 @@ fn a_forged_locator_is_corrected() {
             .iter()
             .all(|(to, _)| *to != Destination::At(elsewhere))
     );
+}
+
+/// Any name of a system that starts replaces the one before: the true one comes back.
+#[test]
+fn a_forged_restart_of_a_system_is_healed() {
+    let mut world = World::new();
+    let forged = controller_prefix(0, [1; 5]);
+    let parts = [participant(forged, place(9), 10)];
+    let mut sent = Sent::default();
+    world
+        .soc
+        .hear(world.now, &message(forged, &parts), &mut sent);
+    world.run(HEALS_MS);
+    assert!(world.works());
+}
+
+/// One damaged datagram of the SoC, whatever the bit, costs a time and not the connection.
+#[test]
+fn a_damaged_bit_is_healed() {
+    let mut run = World::alone();
+    run.is_cut = [false; 2];
+    let mut count = 0;
+    run.change = Some(Box::new(|_, _| {}));
+    run.run(500);
+    for _ in 0..4 {
+        run.write();
+        run.run(20);
+    }
+    let lengths: Vec<usize> = run.heard.iter().map(Vec::len).collect();
+    assert!(lengths.len() > 10);
+    for (which, length) in lengths.into_iter().enumerate() {
+        // Every eleventh bit: each of the eight of a byte, and each byte, is met.
+        for bit in (which % 11..length * 8).step_by(11) {
+            let mut world = World::alone();
+            world.is_cut = [false; 2];
+            world.change = Some(Box::new(move |index, bytes| {
+                if index == which && bit / 8 < bytes.len() {
+                    bytes[bit / 8] ^= 1 << (bit % 8);
+                }
+            }));
+            world.run(500);
+            for _ in 0..4 {
+                world.write();
+                world.run(20);
+            }
+            world.run(HEALS_MS);
+            assert!(
+                world.works() || world.works(),
+                "datagram {which}, bit {bit}"
+            );
+            count += 1;
+        }
+    }
+    assert!(count > 1_000, "{count}");
+}
+
+fn number() -> impl Strategy<Value = u32> {
+    prop_oneof![
+        0..40u32,
+        (0..40u32).prop_map(|it| u32::MAX - it),
+        (0..32u32, 0..3u32).prop_map(|(bit, less)| (1u32 << bit).wrapping_sub(less)),
+        any::<u32>(),
+    ]
+}
+
+fn forged() -> impl Strategy<Value = Vec<u8>> {
+    let writer = prop::sample::select(vec![
+        POWER_WRITER,
+        [0, 0, 2, 3],
+        CAN_WRITER,
+        PUBLICATIONS_WRITER,
+        SUBSCRIPTIONS_WRITER,
+    ]);
+    let set = (0..=256u32, number());
+    (
+        0..6u8,
+        writer,
+        (number(), number(), number()),
+        set,
+        0..30usize,
+    )
+        .prop_map(|(kind, writer, (a, b, count), set, length)| match kind {
+            0 => data(writer, a, &vec![b as u8; length]),
+            1 => heartbeat(writer, a, b, count),
+            2 => gap(writer, a, b, set),
+            3 => acknack(CAN_READER, writer, a, set, count),
+            4 => participant(SOC, place((a % 3) as usize), count),
+            _ => endpoint(
+                SOC,
+                PUBLICATIONS_WRITER,
+                (writer, a),
+                &INPUTS[(b % 4) as usize],
+            ),
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    /// Whatever is said in the name of the SoC: the participant does not panic, and hears the SoC
+    /// when that has ended.
+    #[test]
+    fn what_is_forged_is_healed(
+        forged in prop::collection::vec((forged(), 0..200u64), 1..30),
+        unwritten in any::<bool>(),
+    ) {
+        let mut world = if unwritten { World::unwritten() } else { World::new() };
+        for (part, ms) in &forged {
+            world.forge(std::slice::from_ref(part));
+            world.run(*ms);
+            world.write();
+        }
+        // A lease that was forged, and the time of healing.
+        world.run(100_000 + HEALS_MS);
+        // A forged sample whose turn comes now stands in the way of one true one.
+        prop_assert!(world.works() || world.works());
+    }
 }
