@@ -106,6 +106,8 @@ pub(crate) struct Parking {
     last_step: ControlStep,
     /// The function parks, or secures the vehicle in the stop that ended it.
     secures: bool,
+    /// It was parked, and the driver has not driven since: the SoC commands no more.
+    is_done: bool,
 }
 
 impl Parking {
@@ -120,6 +122,7 @@ impl Parking {
             wish: Wish::default(),
             last_step: ControlStep::default(),
             secures: false,
+            is_done: false,
         }
     }
 
@@ -138,7 +141,7 @@ impl Parking {
     }
 
     /// Returns what the SoC asks for at `now`, or the topic without which it does not command: the
-    /// sample is missing or too old, or disables its control.
+    /// sample is missing or too old, or disables its control. Nothing once the vehicle was parked.
     fn asked(&self, now: Instant) -> Result<Asked, SocTopic> {
         fn fresh<T: Copy>(
             now: Instant,
@@ -147,6 +150,9 @@ impl Parking {
         ) -> Option<T> {
             let is_fresh = |(at, _): &&(Instant, T)| now.since(*at) <= limit;
             newest.as_ref().filter(is_fresh).map(|(_, sample)| *sample)
+        }
+        if self.is_done {
+            return Err(SocTopic::ParkingBrake);
         }
         let lateral = fresh(now, &self.lateral, SOC_TIMEOUT).filter(|it| it.enable);
         let longitudinal = fresh(now, &self.longitudinal, SOC_TIMEOUT).filter(|it| it.enable);
@@ -254,6 +260,8 @@ impl Parking {
             FunctionState::MinimalRisk => self.secures,
             _ => false,
         };
+        let parks = state == FunctionState::Parking && self.is_parked();
+        self.is_done = self.secures && (self.is_done || parks);
         if !self.secures {
             return None;
         }

@@ -2,6 +2,8 @@
 //! that hear the SoC at different times. D-3
 extern crate std;
 
+mod attack;
+
 use super::super::agreement::{Agreement, Deviation, Stage};
 use super::{Driving, Output};
 use crate::driving::function::{Driver, FunctionState};
