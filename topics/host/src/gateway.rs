@@ -12,7 +12,9 @@
 //! - It is not protected, and less than half of its period has passed; if it states none, 10 ms.
 //!
 //! In doubt a frame is given twice, and never lost: a frame whose values do not change is given
-//! again if a system is more than 128 intervals behind the other one. Its counter shows that.
+//! again if a system is more than 128 intervals behind the other one. Its counter shows that. One
+//! case is taken for the same frame by mistake: each system has published only one of two frames
+//! that equal each other in values and counter, 256 frames apart, and no other frame has these.
 //!
 //! A frame that only one system hears, as the control frame of the other one, is given too.
 
@@ -255,7 +257,12 @@ impl Gateway {
     /// Takes a sample. Returns how the frame passes; `None` if it was given before.
     pub fn hear(&mut self, now: Instant, writer: Guid, frame: &CanFrame) -> Option<Passed> {
         let from = self.system(now, writer);
-        if self.ids.len() >= IDS && !self.ids.contains_key(&frame.id) {
+        let is_full = |it: &Self| it.ids.len() >= IDS && !it.ids.contains_key(&frame.id);
+        if is_full(self) {
+            // Ids that are silent make room: a sender of nonsense may have filled all places.
+            self.ids.retain(|_, id| !after(now, id.report.last, KEEPS));
+        }
+        if is_full(self) {
             self.refused += 1;
             return None;
         }

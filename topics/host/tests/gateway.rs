@@ -341,3 +341,56 @@ fn a_restarted_sender_is_no_loss() {
     let (_, report) = gateway.reports().next().unwrap();
     assert_eq!((report.frames, report.lost, report.jumps), (250, 0, 1));
 }
+
+/// A sender of nonsense fills all places for ids. What is silent makes room, and the memory of an
+/// id is bounded.
+#[test]
+fn ids_of_nonsense_do_not_keep_the_others_out() {
+    let mut gateway = Gateway::new();
+    let mut hear = |at_ms: u64, id| {
+        let frame = CanFrame {
+            id,
+            ..foreign_bus()[0].frame
+        };
+        let now = Instant::from_ns(at_ms * 1_000_000);
+        gateway.hear(now, Guid::default(), &frame).is_some()
+    };
+    let given = (0..10_000).filter(|id| hear(0, 1 << 31 | *id)).count();
+    assert_eq!(given, 512);
+    assert!(!hear(9_999, 0x110));
+    assert!(hear(10_000, 0x110));
+    assert!(hear(10_010, 0x111));
+    assert_eq!(
+        (gateway.refused, gateway.reports().count()),
+        (10_000 - 512 + 1, 2)
+    );
+}
+
+/// The named limit: two frames of one signal that equal each other after 256 frames.
+#[test]
+fn values_that_return_with_the_counter_may_be_taken_for_late() {
+    let names = [0, 1].map(|system| Guid {
+        prefix: endpoints::controller_prefix(system, [0; 5]),
+        ..Guid::default()
+    });
+    for returns in [false, true] {
+        let mut gateway = Gateway::new();
+        let mut transmitter = FrameTransmitter::new();
+        let mut last = None;
+        for n in 0..=256_u64 {
+            let speed = match n {
+                0 => 3.0,
+                256 if returns => 3.0,
+                _ => 0.0,
+            };
+            let motion = EgoMotion {
+                speed,
+                ..EgoMotion::default()
+            };
+            let frame = sample(&Message::EgoMotion(motion), &mut transmitter);
+            let now = Instant::from_ns(n * 10_000_000);
+            last = gateway.hear(now, names[usize::from(n == 256)], &frame);
+        }
+        assert_eq!(last.is_none(), returns);
+    }
+}
