@@ -21,7 +21,8 @@
 //! is old, whatever held it up, and even if it is valid otherwise. A frame without a time is not
 //! checked: its sender has not heard the vehicle yet.
 //!
-//! A frame for gear and parking brake acts only in the term of the last accepted control frame.
+//! A frame for gear and parking brake acts only in the term of the last accepted control frame, and
+//! only while its sender is heard.
 
 use tandem_bus::e2e::{Check, Checker};
 use tandem_bus::{BodyControl, Control, GateEcho, Message, ModeCode, RoleCode};
@@ -34,7 +35,7 @@ const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
 /// The next control frame is overdue this long after the last, ns: a standby's shortest limit.
 const OVERDUE_NS: u64 = 11_000_000;
-/// After this silence no system waits for an early echo, ns.
+/// After this silence no system waits for an early echo, and no frame for gear and brake acts, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
 /// A term whose count exceeds that of the highest one by no more than this is explained by the
@@ -254,7 +255,9 @@ impl Gate {
             return None;
         };
         let is_of_system = body_control.term & 1 == system as u32;
-        let is_obeyed = self.accepted.is_some() && body_control.term == self.highest_term;
+        let is_heard = |last: Acceptance| now_ns.saturating_sub(last.at_ns) < OVERDUE_ENDS_NS;
+        let is_obeyed =
+            self.accepted.is_some_and(is_heard) && body_control.term == self.highest_term;
         (check.is_accepted() && is_of_system && is_obeyed).then_some(body_control)
     }
 
@@ -490,8 +493,25 @@ mod tests {
         verdicts(&mut gate, &[(60, 1, 3)]);
         assert!(!acts(&mut gate, 61, 0, 2), "fenced");
         assert!(acts(&mut gate, 62, 1, 3));
+        // What was held up while its sender fell silent, or lost its term, comes too late.
+        assert!(acts(&mut gate, 159, 1, 3));
+        assert!(
+            !acts(&mut gate, 160, 1, 3),
+            "its control frames are missing"
+        );
+        assert!(
+            !acts(&mut gate, 5_000, 0, 2),
+            "fenced, whatever its counter"
+        );
+        assert!(
+            !acts(&mut gate, 5_001, 0, 4),
+            "a term before its first control frame"
+        );
+        verdicts(&mut gate, &[(5_010, 0, 4)]);
+        assert!(!acts(&mut gate, 5_011, 1, 3), "deposed");
+        assert!(acts(&mut gate, 5_012, 0, 4));
         let control = Sender(FrameTransmitter::new()).frame(1, 3, RoleCode::Master);
-        assert_eq!(gate.on_body(70 * MS, control.0, &control.1), None);
+        assert_eq!(gate.on_body(5_020 * MS, control.0, &control.1), None);
     }
 
     /// T-RED-9: a far term acts only after the current one has been silent for 100 ms and its
