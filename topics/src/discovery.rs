@@ -155,7 +155,8 @@ impl Remote {
         self.expires = now + self.lease;
     }
 
-    /// Notes which of our endpoints it has, of which there are `all`. Returns whether it asks for some.
+    /// Notes which of our endpoints it has, of which there are `all`. Returns whether it asks for
+    /// some.
     pub(crate) fn on_acknack(&mut self, kind: Kind, acknack: &AckNack, all: usize) -> bool {
         let last = &mut self.acknack[kind as usize];
         let is_new = has_risen(acknack.count, *last) && acknack.set.base as usize <= all + 1;

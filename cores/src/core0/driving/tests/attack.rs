@@ -1,5 +1,5 @@
-//! Parking with an SoC that says anything, a driver who asks for anything, and a parking brake and a
-//! gear that hold nothing: what may not happen whatever they do. D-3
+//! Parking with an SoC that says anything, a driver who asks for anything, and a parking brake and
+//! a gear that hold nothing: what may not happen whatever they do. D-3
 
 use super::{SocSample, Vehicle};
 use crate::core0::driving::{Driving, Output};
