@@ -22,7 +22,7 @@ use tandem_shm::map::Layout;
 use tandem_shm::region::{Broadcast, Mailbox, Region};
 use tandem_shm::topic::{Publish, RingSubscriber, Subscribe};
 use tandem_shm::wait::{Awaited, WaitPolicy};
-use tandem_topics::{CanFrame, Durability, Endpoint, Qos, Reliability};
+use tandem_topics::{CanFrame, Durability, Endpoint, Qos, Reliability, TopicType};
 use tandem_topics_host::node::Node;
 use tandem_topics_host::typed::{TypedReader, TypedWriter};
 

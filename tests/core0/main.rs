@@ -35,7 +35,7 @@ fn main() -> ExitCode {
         return run::play(args.expect("arguments made by this program"));
     }
     if argv.first().is_some_and(|first| first == launcher::LAUNCH) {
-        return launcher::launch(&argv[1..], |_| false);
+        return launcher::launch(&argv[1..], None, |_| false);
     }
     let trials = run::all_cases()
         .map(|case| Trial::test(case.name, move || run::run_case(&case).map_err(Into::into)));

@@ -43,61 +43,50 @@ impl fmt::Display for CdrError {
 
 impl core::error::Error for CdrError {}
 
-/// An operation on each number of a sample in turn.
-pub(crate) trait Walk {
-    /// Handles a number, little-endian: returns the one that the sample then has.
-    fn number<const BYTES: usize>(&mut self, number: [u8; BYTES]) -> Result<[u8; BYTES], CdrError>;
+/// The bytes of a body.
+enum Body<'a> {
+    /// They become XCDR1, little-endian. They are zero.
+    Written(&'a mut [u8]),
+    Read(&'a [u8]),
 }
 
-/// Returns where a member begins that is not before `at`.
-fn aligned(at: usize, bytes: usize, widest: usize) -> usize {
-    at.next_multiple_of(bytes.clamp(1, widest))
-}
-
-/// Writes XCDR1, little-endian, into zeroed bytes.
-struct Encode<'a> {
-    body: &'a mut [u8],
-    at: usize,
-}
-
-impl Walk for Encode<'_> {
-    fn number<const BYTES: usize>(&mut self, number: [u8; BYTES]) -> Result<[u8; BYTES], CdrError> {
-        let begin = aligned(self.at, BYTES, 8);
-        self.at = begin + BYTES;
-        let place = self.body.get_mut(begin..self.at);
-        place.ok_or(CdrError::TooShort)?.copy_from_slice(&number);
-        Ok(number)
-    }
-}
-
-/// Reads any of the representations.
-struct Decode<'a> {
-    body: &'a [u8],
+/// A walk over the numbers of a sample in turn.
+pub struct Walk<'a> {
+    body: Body<'a>,
     at: usize,
     is_big_endian: bool,
     /// The strictest alignment, bytes.
     widest: usize,
 }
 
-impl Walk for Decode<'_> {
-    fn number<const BYTES: usize>(&mut self, _: [u8; BYTES]) -> Result<[u8; BYTES], CdrError> {
-        let begin = aligned(self.at, BYTES, self.widest);
-        let rest = self.body.get(begin..).ok_or(CdrError::TooShort)?;
-        let mut number = *rest.first_chunk().ok_or(CdrError::TooShort)?;
-        self.at = begin + BYTES;
-        if self.is_big_endian {
-            number.reverse();
+impl Walk<'_> {
+    /// Handles a number, little-endian: returns the one that the sample then has.
+    fn number<const LEN: usize>(&mut self, mut number: [u8; LEN]) -> Result<[u8; LEN], CdrError> {
+        let begin = self.at.next_multiple_of(LEN.clamp(1, self.widest));
+        self.at = begin + LEN;
+        match &mut self.body {
+            Body::Written(bytes) => {
+                let place = bytes.get_mut(begin..self.at);
+                place.ok_or(CdrError::TooShort)?.copy_from_slice(&number);
+            }
+            Body::Read(bytes) => {
+                let bytes = bytes.get(begin..self.at);
+                number.copy_from_slice(bytes.ok_or(CdrError::TooShort)?);
+                if self.is_big_endian {
+                    number.reverse();
+                }
+            }
         }
         Ok(number)
     }
 }
 
-/// A Rust type for the value of a member.
-pub(crate) trait Field: Copy {
+/// A Rust type for the value of a member, or for all members of a struct.
+pub trait Field: Copy {
     const DEFAULT: Self;
 
     /// Replaces the value by what the walk returns for it; both must be values of this type.
-    fn walk(&mut self, name: &'static str, walk: &mut impl Walk) -> Result<(), CdrError>;
+    fn walk(&mut self, name: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError>;
 }
 
 macro_rules! field_of_number {
@@ -105,7 +94,7 @@ macro_rules! field_of_number {
         impl Field for $number {
             const DEFAULT: Self = 0 as $number;
 
-            fn walk(&mut self, _: &'static str, walk: &mut impl Walk) -> Result<(), CdrError> {
+            fn walk(&mut self, _: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
                 *self = Self::from_le_bytes(walk.number(self.to_le_bytes())?);
                 Ok(())
             }
@@ -119,7 +108,7 @@ field_of_number!(u8 u16 u32 u64 f32);
 impl Field for bool {
     const DEFAULT: Self = false;
 
-    fn walk(&mut self, name: &'static str, walk: &mut impl Walk) -> Result<(), CdrError> {
+    fn walk(&mut self, name: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
         *self = match walk.number([u8::from(*self)])? {
             [0] => false,
             [1] => true,
@@ -132,37 +121,34 @@ impl Field for bool {
 impl<F: Field, const LEN: usize> Field for [F; LEN] {
     const DEFAULT: Self = [F::DEFAULT; LEN];
 
-    fn walk(&mut self, name: &'static str, walk: &mut impl Walk) -> Result<(), CdrError> {
+    fn walk(&mut self, name: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
         self.iter_mut()
             .try_for_each(|element| element.walk(name, walk))
     }
 }
 
-/// The enums of the IDL, of 32 bits; the first value is the default.
+/// The enums of the IDL, of 32 bits. A struct begins with the first value.
 macro_rules! enums {
     ($($(#[$doc:meta])* $name:ident[$count:literal] {
-        $(#[$first_about:meta])* $first:ident = $first_raw:literal,
-        $($(#[$about:meta])* $value:ident = $raw:literal,)*
+        $($(#[$about:meta])* $value:ident = $raw:literal,)+
     })+) => {$(
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $name {
-            $(#[$first_about])*
-            #[default]
-            $first = $first_raw,
-            $($(#[$about])* $value = $raw,)*
+            $($(#[$about])* $value = $raw,)+
         }
 
         impl $name {
             /// Every value, in the order of the IDL.
-            pub const ALL: [Self; $count] = [Self::$first $(, Self::$value)*];
+            pub const ALL: [Self; $count] = [$(Self::$value,)+];
         }
 
         impl Field for $name {
-            const DEFAULT: Self = Self::$first;
+            const DEFAULT: Self = Self::ALL[0];
 
-            fn walk(&mut self, name: &'static str, walk: &mut impl Walk) -> Result<(), CdrError> {
-                let raw = u32::from_le_bytes(walk.number((*self as u32).to_le_bytes())?);
+            fn walk(&mut self, name: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
+                let mut raw = *self as u32;
+                raw.walk(name, walk)?;
                 let value = Self::ALL.into_iter().find(|value| *value as u32 == raw);
                 *self = value.ok_or(CdrError::InvalidMember(name))?;
                 Ok(())
@@ -186,12 +172,14 @@ macro_rules! structs {
 
         impl Default for $name {
             fn default() -> Self {
-                Self { $($member: Field::DEFAULT,)+ }
+                Field::DEFAULT
             }
         }
 
-        impl Record for $name {
-            fn walk(&mut self, walk: &mut impl Walk) -> Result<(), CdrError> {
+        impl Field for $name {
+            const DEFAULT: Self = Self { $($member: Field::DEFAULT,)+ };
+
+            fn walk(&mut self, _: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
                 $(
                     self.$member.walk(stringify!($member), walk)?;
                     $(if !($range).contains(&self.$member) {
@@ -202,49 +190,25 @@ macro_rules! structs {
             }
         }
 
-        impl $name {
-            /// Name of the type as DDS knows it.
-            pub const TYPE_NAME: &'static str = $type_name;
-            /// Length of a payload, bytes.
-            pub const PAYLOAD_LEN: usize = cdr::HEAD + usize::next_multiple_of($len, 4);
+        impl TopicType for $name {
+            const TYPE_NAME: &'static str = $type_name;
+            const PAYLOAD_LEN: usize = cdr::HEAD + usize::next_multiple_of($len, 4);
+            type Encoded = [u8; Self::PAYLOAD_LEN];
 
-            /// Returns the payload: XCDR1, little-endian, with zeroes as padding.
-            ///
-            /// # Errors
-            /// [`CdrError::InvalidMember`]: a value is out of range.
-            pub fn encode(&self) -> Result<[u8; Self::PAYLOAD_LEN], CdrError> {
-                Ok(cdr::payload(cdr::body::<$len>(self)?))
-            }
-
-            /// Reads a payload of XCDR1 or XCDR2, in either byte order. The contents of padding are
-            /// ignored.
-            ///
-            /// # Errors
-            /// [`CdrError`]: the payload is not a sample of this type.
-            pub fn decode(payload: &[u8]) -> Result<Self, CdrError> {
-                cdr::decode(payload)
+            fn encode(&self) -> Result<Self::Encoded, CdrError> {
+                cdr::encode(self)
             }
         }
 
-        impl cdr::TopicType for $name {
-            fn encode_for<R>(&self, to: impl FnOnce(&[u8]) -> R) -> Result<R, CdrError> {
-                Ok(to(&self.encode()?))
-            }
-
-            fn decode_from(payload: &[u8]) -> Result<Self, CdrError> {
-                cdr::decode(payload)
-            }
-        }
-
-        impl tandem_shm::Payload for $name {
+        impl Payload for $name {
             const WORDS: usize = usize::div_ceil($len, 4);
 
             fn store(&self, put: &mut impl FnMut(u32)) {
-                cdr::store::<$len>(self, put);
+                cdr::store::<{ Self::PAYLOAD_LEN }>(self, put);
             }
 
-            fn load(take: &mut impl FnMut() -> u32) -> Result<Self, tandem_shm::Corrupt> {
-                cdr::load::<$len, _>(take)
+            fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+                cdr::load::<{ Self::PAYLOAD_LEN }, _>(take)
             }
         }
 
@@ -255,10 +219,11 @@ macro_rules! structs {
             /// Sets the counter, and the CRC over all values. Call this last.
             ///
             /// # Errors
-            /// As [`Self::encode`]; the sample is then unchanged.
+            /// As [`TopicType::encode`]; the sample is then unchanged.
             pub fn protect(&mut self, counter: u8) -> Result<(), CdrError> {
-                let mut body = cdr::body::<$len>(self)?;
-                e2e::protect(Self::DATA_ID, counter, &mut body);
+                let mut payload = self.encode()?;
+                let body = &mut payload[cdr::HEAD..][..$len];
+                e2e::protect(Self::DATA_ID, counter, body);
                 self.crc = u16::from_le_bytes([body[0], body[1]]);
                 self.counter = counter;
                 Ok(())
@@ -274,84 +239,75 @@ macro_rules! structs {
             /// which it arrived does not matter.
             pub fn check(&self, checker: &mut Checker) -> Check {
                 // A sample with a value out of range was not decoded: it can have no right CRC.
-                let body = cdr::body::<$len>(self);
-                body.map_or(Check::CrcError, |body| checker.check(&body))
+                let judge = |payload: [u8; _]| checker.check(&payload[cdr::HEAD..][..$len]);
+                self.encode().map_or(Check::CrcError, judge)
             }
         })?
     )+};
 }
 pub(crate) use structs;
 
-/// A struct of the IDL, for code that is generic over them. Its words in the LMU hold the body; a
-/// value out of range is stored as one that no reader accepts.
-pub trait TopicType: Payload + Copy + Default {
-    /// Passes the payload to `to`, and returns its result.
+/// A struct of the IDL. Its words in the LMU hold the body; a value out of range is stored as one
+/// that no reader accepts.
+pub trait TopicType: Field + Payload + Default {
+    /// Name of the type as DDS knows it.
+    const TYPE_NAME: &'static str;
+    /// Length of a payload, bytes.
+    const PAYLOAD_LEN: usize;
+    /// The bytes of a payload.
+    type Encoded: AsRef<[u8]>;
+
+    /// Returns the payload: XCDR1, little-endian, with zeroes as padding.
     ///
     /// # Errors
     /// [`CdrError::InvalidMember`]: a value is out of range.
-    fn encode_for<R>(&self, to: impl FnOnce(&[u8]) -> R) -> Result<R, CdrError>;
+    fn encode(&self) -> Result<Self::Encoded, CdrError>;
 
-    /// Reads a payload.
+    /// Reads a payload of XCDR1 or XCDR2, in either byte order. The contents of padding are
+    /// ignored.
     ///
     /// # Errors
     /// [`CdrError`]: the payload is not a sample of this type.
-    fn decode_from(payload: &[u8]) -> Result<Self, CdrError>;
-}
-
-/// A struct of the IDL.
-pub(crate) trait Record: Copy + Default {
-    fn walk(&mut self, walk: &mut impl Walk) -> Result<(), CdrError>;
-}
-
-/// Returns a sample in XCDR1, little-endian, without representation. `LEN` is the length of its
-/// type.
-pub(crate) fn body<const LEN: usize>(sample: &impl Record) -> Result<[u8; LEN], CdrError> {
-    let mut body = [0; LEN];
-    let mut sample = *sample;
-    sample.walk(&mut Encode {
-        body: &mut body,
-        at: 0,
-    })?;
-    Ok(body)
-}
-
-/// Stores a body as words. All bytes 0xFF are no value of any type of the IDL.
-pub(crate) fn store<const LEN: usize>(sample: &impl Record, put: &mut impl FnMut(u32)) {
-    for bytes in body(sample).unwrap_or([0xFF; LEN]).chunks(4) {
-        let mut word = [0; 4];
-        word[..bytes.len()].copy_from_slice(bytes);
-        put(u32::from_le_bytes(word));
+    fn decode(payload: &[u8]) -> Result<Self, CdrError> {
+        decode(payload)
     }
 }
 
-/// Reads a body from its words.
-pub(crate) fn load<const LEN: usize, T: Record>(
-    take: &mut impl FnMut() -> u32,
-) -> Result<T, Corrupt> {
-    let mut body = [0; LEN];
-    for bytes in body.chunks_mut(4) {
-        bytes.copy_from_slice(&take().to_le_bytes()[..bytes.len()]);
-    }
-    let mut sample = T::default();
-    let mut decode = Decode {
-        body: &body,
+/// Returns the payload of a sample: the representation, the body, zeroes up to a multiple of four.
+/// The options count these zeroes.
+pub(crate) fn encode<const LEN: usize>(sample: &impl Field) -> Result<[u8; LEN], CdrError> {
+    let mut payload = [0; LEN];
+    let mut walk = Walk {
+        body: Body::Written(&mut payload[HEAD..]),
         at: 0,
         is_big_endian: false,
         widest: 8,
     };
-    sample.walk(&mut decode).map_err(|_| Corrupt)?;
-    Ok(sample)
+    let mut sample = *sample;
+    sample.walk("", &mut walk)?;
+    let padding = LEN - HEAD - walk.at;
+    payload[..HEAD].copy_from_slice(&[0, CDR_LE as u8, 0, padding as u8]);
+    Ok(payload)
 }
 
-/// Returns the payload of a body: the representation, the body, zeroes up to a multiple of four.
-/// The options count these zeroes.
-pub(crate) fn payload<const BODY: usize, const PAYLOAD: usize>(body: [u8; BODY]) -> [u8; PAYLOAD] {
-    const { assert!(PAYLOAD - HEAD - BODY < 4) }
-    let mut payload = [0; PAYLOAD];
-    payload[..2].copy_from_slice(&CDR_LE.to_be_bytes());
-    payload[3] = (PAYLOAD - HEAD - BODY) as u8;
-    payload[HEAD..][..BODY].copy_from_slice(&body);
-    payload
+/// Stores a body as words. All bytes 0xFF are no value of any type of the IDL.
+pub(crate) fn store<const LEN: usize>(sample: &impl Field, put: &mut impl FnMut(u32)) {
+    let payload = encode(sample).unwrap_or([0xFF; LEN]);
+    for word in &payload.as_chunks().0[1..] {
+        put(u32::from_le_bytes(*word));
+    }
+}
+
+/// Reads a body from its words.
+pub(crate) fn load<const LEN: usize, T: Field>(
+    take: &mut impl FnMut() -> u32,
+) -> Result<T, Corrupt> {
+    let mut payload = [0; LEN];
+    payload[1] = CDR_LE as u8;
+    for word in &mut payload.as_chunks_mut().0[1..] {
+        *word = take().to_le_bytes();
+    }
+    decode(&payload).map_err(|_| Corrupt)
 }
 
 /// Reads a payload.
@@ -360,7 +316,7 @@ pub(crate) fn payload<const BODY: usize, const PAYLOAD: usize>(body: [u8; BODY])
 /// A writer of plain RTPS leaves them zero, but pads too: submessages are aligned to four bytes
 /// (RTPS 2.5, 9.4.1). So up to three bytes behind the last member are padding. More are an error: a
 /// `@final` type has the same members everywhere (XTypes 1.3, 7.2.3).
-pub(crate) fn decode<T: Record>(payload: &[u8]) -> Result<T, CdrError> {
+fn decode<T: Field>(payload: &[u8]) -> Result<T, CdrError> {
     let (head, rest) = payload.split_first_chunk().ok_or(CdrError::TooShort)?;
     let [id_high, id_low, _, options]: [u8; HEAD] = *head;
     let (is_big_endian, widest) = match u16::from_be_bytes([id_high, id_low]) {
@@ -371,18 +327,17 @@ pub(crate) fn decode<T: Record>(payload: &[u8]) -> Result<T, CdrError> {
         other => return Err(CdrError::Representation(other)),
     };
     let len = rest.len().saturating_sub(usize::from(options & 3));
-    let mut decode = Decode {
-        body: &rest[..len],
+    let mut walk = Walk {
+        body: Body::Read(&rest[..len]),
         at: 0,
         is_big_endian,
         widest,
     };
-    let mut sample = T::default();
-    sample.walk(&mut decode)?;
-    if rest.len() - decode.at < 4 {
-        Ok(sample)
-    } else {
-        Err(CdrError::TooLong)
+    let mut sample = T::DEFAULT;
+    sample.walk("", &mut walk)?;
+    match rest.len() - walk.at {
+        0..4 => Ok(sample),
+        _ => Err(CdrError::TooLong),
     }
 }
 
@@ -391,15 +346,17 @@ mod tests {
     use super::*;
 
     /// A type with a member of 8 bytes, which the IDL does not have.
-    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    #[derive(Clone, Copy, Debug, PartialEq)]
     struct Wide {
         octets: [u8; 3],
         wide: u64,
         last: u16,
     }
 
-    impl Record for Wide {
-        fn walk(&mut self, walk: &mut impl Walk) -> Result<(), CdrError> {
+    impl Field for Wide {
+        const DEFAULT: Self = WIDE;
+
+        fn walk(&mut self, _: &'static str, walk: &mut Walk<'_>) -> Result<(), CdrError> {
             self.octets.walk("octets", walk)?;
             self.wide.walk("wide", walk)?;
             self.last.walk("last", walk)
@@ -423,7 +380,7 @@ mod tests {
         ];
         let xcdr2_le = [0, 7, 0, 2, 1, 2, 3, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 0, 0];
         let xcdr2_be = [0, 6, 0, 2, 1, 2, 3, 0, 8, 7, 6, 5, 4, 3, 2, 1, 10, 9, 0, 0];
-        assert_eq!(body::<18>(&WIDE).map(payload), Ok(xcdr1_le));
+        assert_eq!(encode(&WIDE), Ok(xcdr1_le));
         for payload in [&xcdr1_le[..], &xcdr1_be, &xcdr2_le, &xcdr2_be] {
             assert_eq!(decode(payload), Ok(WIDE), "{payload:?}");
         }

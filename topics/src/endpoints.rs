@@ -1,6 +1,6 @@
 //! The topics between the controller and the SoC: names, types, quality of service. D-2 to D-4
 
-use crate::{CanFrame, LateralControl, LongitudinalControl, ParkingBrake, PowerControl};
+use crate::{CanFrame, LateralControl, LongitudinalControl, ParkingBrake, PowerControl, TopicType};
 use crate::{Durability, Endpoint, GuidPrefix, Qos, Reliability};
 
 /// What the controller offers. A reader that joins late gets the last three frames. D-4
@@ -15,22 +15,22 @@ pub const DOWN: Qos = Qos {
     ..UP
 };
 
-const fn endpoint(topic: &'static str, type_name: &'static str, qos: Qos) -> Endpoint {
+const fn endpoint<T: TopicType>(topic: &'static str, qos: Qos) -> Endpoint {
     Endpoint {
         topic,
-        type_name,
+        type_name: T::TYPE_NAME,
         qos,
     }
 }
 
 /// What both systems write: each CAN frame that core 0 hears. D-2
-pub static OUTPUTS: [Endpoint; 1] = [endpoint("vehicle/can", CanFrame::TYPE_NAME, UP)];
+pub static OUTPUTS: [Endpoint; 1] = [endpoint::<CanFrame>("vehicle/can", UP)];
 /// What both systems read, in the order of [`SocTopic`]. D-3
 pub static INPUTS: [Endpoint; 4] = [
-    endpoint("soc/power", PowerControl::TYPE_NAME, DOWN),
-    endpoint("soc/lateral", LateralControl::TYPE_NAME, DOWN),
-    endpoint("soc/longitudinal", LongitudinalControl::TYPE_NAME, DOWN),
-    endpoint("soc/parking_brake", ParkingBrake::TYPE_NAME, DOWN),
+    endpoint::<PowerControl>("soc/power", DOWN),
+    endpoint::<LateralControl>("soc/lateral", DOWN),
+    endpoint::<LongitudinalControl>("soc/longitudinal", DOWN),
+    endpoint::<ParkingBrake>("soc/parking_brake", DOWN),
 ];
 
 /// A topic of the downward direction; as a number, its place in [`INPUTS`]. D-3

@@ -7,7 +7,6 @@
 #![forbid(unsafe_code)]
 
 mod cdr;
-mod counts;
 mod discovery;
 pub mod endpoints;
 mod participant;
@@ -18,11 +17,10 @@ mod wire;
 mod writer;
 
 pub use cdr::{CdrError, TopicType};
-pub use counts::Counts;
 pub use discovery::{Announced, announced};
-pub use participant::{Destination, HEARTBEAT_PERIOD, Outlet, Participant};
-pub use qos::{Durability, Endpoint, Qos, Reliability};
+pub use participant::{HEARTBEAT_PERIOD, Participant};
+pub use qos::{Counts, Durability, Endpoint, Qos, Reliability};
 pub use reader::{Sample, WRITERS};
 pub use types::*;
-pub use wire::{EntityId, Guid, GuidPrefix, Locator, Parameter, Parameters, pid};
+pub use wire::{EntityId, Guid, GuidPrefix, Outlet, Parameter, Parameters, pid};
 pub use writer::{READERS, WriteError};

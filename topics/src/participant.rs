@@ -1,14 +1,14 @@
 //! The participant: it composes discovery, writers and readers, and does no input or output.
 
-use crate::discovery::{self, Kind, Peer, Remote};
+use crate::discovery::{self, Kind, Remote};
 use crate::endpoints::system_of;
+use crate::qos::{Counts, Endpoint};
 use crate::reader::{Reader, Sample, Stream, WRITERS};
-use crate::wire::{AckNack, Data, DataTo, EntityId, Gap, Guid, GuidPrefix, Heartbeat, Locator};
-use crate::wire::{Message, Parameter, Parameters, Sequence, SequenceSet, Submessage};
-use crate::wire::{Submessages, pid};
+use crate::wire::{Data, Ends, EntityId, Guid, GuidPrefix, Heartbeat, Message};
+use crate::wire::{Outlet, Parameters, Part, Peer, Sequence, SequenceSet, Submessage};
+use crate::wire::{pid, submessages};
 use crate::writer::{WriteError, Writer};
-use crate::{Counts, Endpoint};
-use tandem_board::{Duration, Instant};
+use tandem_board::{Duration, Instant, NetworkAddress};
 
 /// Period of the heartbeat of a writer whose readers have not said that they have everything. D-4
 pub const HEARTBEAT_PERIOD: Duration = Duration::from_ms(250);
@@ -22,21 +22,6 @@ const ASKS_WITH: u8 = 8;
 /// How many other participants it knows.
 const REMOTES: usize = 4;
 
-/// Where a message goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Destination {
-    /// To all participants of the domain: its multicast address, or a list of peers.
-    Everyone,
-    /// To one participant.
-    At(Locator),
-}
-
-/// What a participant wants done.
-pub trait Outlet {
-    /// Sends a message. One that cannot be sent is lost.
-    fn send(&mut self, to: Destination, message: &[u8]);
-}
-
 /// A participant with `W` writers and `R` readers, of which each keeps up to `DEPTH` samples of up
 /// to `OUT` bytes (writers) and `IN` bytes (readers); at most 255. An index of a writer or a reader
 /// beyond `W` or `R` panics.
@@ -49,7 +34,7 @@ pub struct Participant<
     const IN: usize,
 > {
     prefix: GuidPrefix,
-    at: Locator,
+    at: NetworkAddress,
     outputs: &'static [Endpoint; W],
     inputs: &'static [Endpoint; R],
     writers: [Writer<DEPTH, OUT>; W],
@@ -57,12 +42,17 @@ pub struct Participant<
     remotes: [Option<Remote>; REMOTES],
     /// A count for all heartbeats of discovery, and for all ACKNACKs: each only has to rise.
     count: u32,
-    announced: Option<Instant>,
+    /// When the next announcement and the next heartbeats are due.
+    announces: Instant,
+    beats: Instant,
     /// How many announcements were sent since all were asked.
     announcements: u8,
-    beat: Instant,
-    foreign: u32,
-    refused: u32,
+    /// The time of the last call.
+    now: Instant,
+    /// How many datagrams were no message of RTPS.
+    pub foreign: u32,
+    /// How many announcements of participants found no place.
+    pub refused: u32,
     /// An endpoint of others was refused a place, and a place is free again.
     waits: bool,
     is_free: bool,
@@ -75,7 +65,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// hears.
     pub fn new(
         prefix: GuidPrefix,
-        at: Locator,
+        at: NetworkAddress,
         outputs: &'static [Endpoint; W],
         inputs: &'static [Endpoint; R],
     ) -> Self {
@@ -88,24 +78,15 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             readers: core::array::from_fn(|index| Reader::new(inputs[index].qos)),
             remotes: [None; REMOTES],
             count: 0,
-            announced: None,
+            announces: Instant::ORIGIN,
+            beats: Instant::ORIGIN,
             announcements: 0,
-            beat: Instant::ORIGIN,
+            now: Instant::ORIGIN,
             foreign: 0,
             refused: 0,
             waits: false,
             is_free: false,
         }
-    }
-
-    /// Returns how many datagrams were no message of RTPS.
-    pub const fn foreign(&self) -> u32 {
-        self.foreign
-    }
-
-    /// Returns how many announcements of participants found no place.
-    pub const fn refused(&self) -> u32 {
-        self.refused
     }
 
     /// Returns the counts of a writer.
@@ -131,7 +112,6 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// Publishes a sample: representation and body.
     ///
     /// # Errors
-    ///
     /// [`WriteError`] says why it was not published.
     pub fn write(
         &mut self,
@@ -140,10 +120,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         out: &mut impl Outlet,
     ) -> Result<(), WriteError> {
         let number = self.writers[writer].push(sample)?;
-        for at in 0..REMOTES {
-            if let Some(peer) = self.served(at, writer) {
-                self.send_sample(writer, (number, true), (peer, EntityId::UNKNOWN), out);
-            }
+        for reader in self.writers[writer].readers.into_iter().flatten() {
+            self.send_sample(writer, (number, true), reader.guid, out);
         }
         Ok(())
     }
@@ -155,21 +133,19 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     /// Does what is due. Returns when it wants to be called again, at the latest.
     pub fn poll(&mut self, now: Instant, out: &mut impl Outlet) -> Instant {
-        for at in 0..REMOTES {
-            if let Some(remote) = &self.remotes[at]
-                && now >= remote.expires
-            {
+        self.now = now;
+        for remote in self.remotes.into_iter().flatten() {
+            if now >= remote.expires {
                 self.forget(remote.prefix);
             }
         }
-        let is_due = |last: Instant| now.since(last) >= ANNOUNCES_EVERY;
-        if self.announced.is_none_or(is_due) {
-            self.announced = Some(now);
+        if now >= self.announces {
+            self.announces = now + ANNOUNCES_EVERY;
             self.announcements += 1;
             self.announce(None, out);
         }
-        if now.since(self.beat) >= HEARTBEAT_PERIOD {
-            self.beat = now;
+        if now >= self.beats {
+            self.beats = now + HEARTBEAT_PERIOD;
             self.remind(out);
         }
         let frees = core::mem::take(&mut self.is_free) && core::mem::take(&mut self.waits);
@@ -177,30 +153,28 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             self.announcements = 0;
             self.ask_all(out);
         }
-        self.ask_again(now, out);
-        let announces = self.announced.unwrap_or(now) + ANNOUNCES_EVERY;
-        announces.min(self.beat + HEARTBEAT_PERIOD)
+        self.ask_again(out);
+        self.announces.min(self.beats)
     }
 
     /// Says to all that it ends.
     pub fn leave(&mut self, out: &mut impl Outlet) {
-        let guid = self.prefix.guid(EntityId::PARTICIPANT);
-        post(self.prefix, None, out, &mut |message| {
-            message.ends(discovery::OF_PARTICIPANTS, guid);
-        });
+        let mut message = Message::new(self.prefix, None);
+        message.end_of_participant().send(out);
     }
 
     /// Hears a datagram.
     pub fn hear(&mut self, now: Instant, datagram: &[u8], out: &mut impl Outlet) {
-        let Some((from, parts)) = Submessages::of(datagram) else {
+        let Some((from, parts)) = submessages(datagram) else {
             self.foreign = self.foreign.wrapping_add(1);
             return;
         };
         if from == self.prefix {
             return;
         }
+        self.now = now;
         if let Some(remote) = self.remote(from) {
-            remote.on_life(now);
+            remote.expires = now + remote.lease;
         }
         let mut is_ours = true;
         for part in parts {
@@ -208,12 +182,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
                 Submessage::Destination(to) => {
                     is_ours = to == self.prefix || to == GuidPrefix::default();
                 }
-                _ if !is_ours => {}
-                Submessage::Data(data) => self.on_data(now, from, &data, out),
-                Submessage::Heartbeat(heartbeat) => self.on_heartbeat(now, from, &heartbeat, out),
-                Submessage::Gap(gap) => self.on_gap(from, &gap),
-                Submessage::AckNack(acknack) => self.on_acknack(from, &acknack, out),
-                Submessage::Other => {}
+                Submessage::Between(ends, part) if is_ours => self.on_part(from, ends, &part, out),
+                Submessage::Between(..) | Submessage::Other => {}
             }
         }
     }
@@ -223,46 +193,85 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         remotes.find(|remote| remote.prefix == prefix)
     }
 
-    /// Returns where the participant in this place hears, if the writer serves a reader of it.
-    fn served(&self, at: usize, writer: usize) -> Option<Peer> {
-        let remote = self.remotes.get(at)?.as_ref()?;
-        let mut readers = self.writers.get(writer)?.readers.iter().flatten();
-        let is_served = readers.any(|reader| reader.guid.prefix == remote.prefix);
-        is_served.then(|| remote.user())
-    }
-
-    fn on_data(&mut self, now: Instant, from: GuidPrefix, data: &Data<'_>, out: &mut impl Outlet) {
-        if data.writer == EntityId::SPDP_WRITER {
-            self.on_participant(now, from, data, out);
-        } else if let Some(kind) = Kind::of_writer(data.writer) {
-            let heard = self
-                .remote(from)
-                .map(|remote| &mut remote.heard[kind as usize]);
-            // In their order: those behind a loss are asked for once more.
-            if let Some(heard) = heard
-                && heard.lacks(data.sequence)
-                && heard.next() == data.sequence
-            {
-                heard.skip_to(data.sequence + 1);
-                self.on_endpoint(kind, from, data);
+    /// Hears what a participant says of itself and of its endpoints, and what it knows of ours.
+    fn on_part(&mut self, from: GuidPrefix, ends: Ends, part: &Part<'_>, out: &mut impl Outlet) {
+        if ends.writer == EntityId::SPDP_WRITER {
+            if let Part::Data(data) = part {
+                self.on_participant(from, data, out);
             }
-        } else if !data.is_key {
-            for (index, reader) in self.readers.iter_mut().enumerate() {
-                if [EntityId::UNKNOWN, EntityId::reader(index)].contains(&data.reader) {
-                    reader.on_data(from.guid(data.writer), data);
+            return;
+        }
+        let Some(remote) = self.remote(from) else {
+            return;
+        };
+        let peer = remote.discovery();
+        let mut kinds = Kind::ALL.into_iter();
+        let Some(kind) = kinds.find(|kind| kind.ends().writer == ends.writer) else {
+            let user = remote.user();
+            self.on_user(user, ends, part, out);
+            return;
+        };
+        let heard = &mut remote.heard[kind as usize];
+        match *part {
+            Part::Data(data) => {
+                // In their order: those behind a loss are asked for once more.
+                if heard.lacks(data.sequence) && heard.next == data.sequence {
+                    heard.skip_to(data.sequence + 1);
+                    self.on_endpoint(kind, from, &data);
+                }
+            }
+            Part::Heartbeat(heartbeat) => {
+                if heard.on_heartbeat(&heartbeat).is_some() {
+                    let set = heard.missing(heartbeat.last, 32);
+                    if set.bits > 0 || !heartbeat.is_final {
+                        self.acknowledge(peer, kind.ends(), set, out);
+                    }
+                }
+            }
+            Part::Gap(start, set) => {
+                heard.on_gap(start, set);
+            }
+            Part::AckNack(set, count) => {
+                if remote.on_acknack(kind, (set, count), [W, R][kind as usize]) {
+                    self.send_endpoints(peer, kind, set, out);
                 }
             }
         }
     }
 
-    fn on_participant(
-        &mut self,
-        now: Instant,
-        from: GuidPrefix,
-        data: &Data<'_>,
-        out: &mut impl Outlet,
-    ) {
-        if data.ends() {
+    /// Hears a sample of a writer, what it has, or what a reader has.
+    fn on_user(&mut self, peer: Peer, ends: Ends, part: &Part<'_>, out: &mut impl Outlet) {
+        let writer = peer.0.guid(ends.writer);
+        match *part {
+            Part::Data(data) => {
+                for (index, ours) in self.readers.iter_mut().enumerate() {
+                    let is_for = [EntityId::UNKNOWN, EntityId::reader(index)];
+                    if data.is_sample && is_for.contains(&ends.reader) {
+                        ours.on_data(writer, &data);
+                    }
+                }
+            }
+            Part::Heartbeat(heartbeat) => {
+                for index in 0..R {
+                    let ours = &mut self.readers[index];
+                    if let Some(set) = ours.on_heartbeat(self.now, writer, &heartbeat) {
+                        let reader = EntityId::reader(index);
+                        self.acknowledge(peer, Ends { reader, ..ends }, set, out);
+                    }
+                }
+            }
+            Part::Gap(start, set) => {
+                for ours in &mut self.readers {
+                    ours.on_gap(writer, start, set);
+                }
+            }
+            Part::AckNack(set, count) => self.serve(peer, ends, set, count, out),
+        }
+    }
+
+    fn on_participant(&mut self, from: GuidPrefix, data: &Data<'_>, out: &mut impl Outlet) {
+        let now = self.now;
+        if data.ends {
             self.forget(from);
             return;
         }
@@ -284,7 +293,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             return;
         }
         let free = self.remotes.iter().position(Option::is_none);
-        let place = free.or_else(|| self.of_no_use(now));
+        let place = free.or_else(|| self.of_no_use());
         let Some(place) = place.and_then(|place| self.remotes.get_mut(place)) else {
             self.refused = self.refused.wrapping_add(1);
             return;
@@ -298,7 +307,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     }
 
     /// Returns the place of a participant without an endpoint that fits.
-    fn of_no_use(&self, now: Instant) -> Option<usize> {
+    fn of_no_use(&self) -> Option<usize> {
         let is_used = |prefix: GuidPrefix| {
             let mut readers = self
                 .writers
@@ -307,34 +316,34 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             let mut writers = self.readers.iter().flat_map(Reader::writers);
             readers.any(|it| it.guid.prefix == prefix) || writers.any(|it| it.prefix == prefix)
         };
-        self.remotes.iter().position(|place| {
-            place
-                .as_ref()
-                .is_some_and(|remote| now.since(remote.found) >= SETTLES && !is_used(remote.prefix))
-        })
+        let is_idle = |one: &Remote| self.now.since(one.found) >= SETTLES && !is_used(one.prefix);
+        let mut remotes = self.remotes.iter();
+        remotes.position(|place| place.as_ref().is_some_and(is_idle))
     }
 
     fn on_endpoint(&mut self, kind: Kind, from: GuidPrefix, data: &Data<'_>) {
-        let Some(list) = Parameters::of_payload(data.payload) else {
+        let list = Parameters::of_payload(data.payload);
+        let guid = list.and_then(|list| list.find(pid::ENDPOINT_GUID)?.guid());
+        let (Some(list), Some(guid)) = (list, guid.filter(|guid| guid.prefix == from)) else {
             return;
         };
-        let guid = list.find(pid::ENDPOINT_GUID).and_then(Parameter::guid);
-        let Some(guid) = guid.filter(|guid| guid.prefix == from) else {
-            return;
-        };
-        if data.ends() {
+        if data.ends {
             self.remove(from, Some(guid.entity));
             return;
         }
         match kind {
             Kind::Publications => {
                 for (reader, ours) in self.readers.iter_mut().zip(self.inputs) {
-                    self.waits |= !reader.on_writer(guid, ours.judge(list, false));
+                    if let Some(fit) = ours.fit(list, false, &mut reader.counts) {
+                        self.waits |= !reader.on_writer(guid, fit);
+                    }
                 }
             }
             Kind::Subscriptions => {
                 for (writer, ours) in self.writers.iter_mut().zip(self.outputs) {
-                    self.waits |= !writer.on_reader(guid, ours.judge(list, true));
+                    if let Some(fit) = ours.fit(list, true, &mut writer.counts) {
+                        self.waits |= !writer.on_reader(guid, fit);
+                    }
                 }
             }
         }
@@ -342,9 +351,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     fn forget(&mut self, prefix: GuidPrefix) {
         self.remove(prefix, None);
-        let is_gone = |remote: &mut Remote| remote.prefix == prefix;
         for place in &mut self.remotes {
-            let _gone = place.take_if(is_gone);
+            let _gone = place.take_if(|remote| remote.prefix == prefix);
         }
     }
 
@@ -356,144 +364,60 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         self.is_free = true;
     }
 
-    fn on_heartbeat(
-        &mut self,
-        now: Instant,
-        from: GuidPrefix,
-        heartbeat: &Heartbeat,
-        out: &mut impl Outlet,
-    ) {
-        let Some(remote) = self.remote(from) else {
-            return;
-        };
-        let (user, discovery) = (remote.user(), remote.discovery());
-        if let Some(kind) = Kind::of_writer(heartbeat.writer) {
-            let heard = &mut remote.heard[kind as usize];
-            if heard.on_heartbeat(heartbeat).is_some() {
-                let set = heard.missing(heartbeat.last, 32, |_| false);
-                if set.len > 0 || !heartbeat.is_final {
-                    self.acknowledge(discovery, (kind.reader(), kind.writer()), set, out);
-                }
-            }
-            return;
-        }
-        let guid = from.guid(heartbeat.writer);
-        for index in 0..R {
-            if let Some(set) = self.readers[index].on_heartbeat(now, guid, heartbeat) {
-                self.acknowledge(user, (EntityId::reader(index), guid.entity), set, out);
-            }
-        }
-    }
-
     /// Asks all for their endpoints once more: one that was refused a place, or was lost, may get
     /// a place now.
     fn ask_all(&mut self, out: &mut impl Outlet) {
-        for at in 0..REMOTES {
-            let Some(remote) = self.remotes.get_mut(at).and_then(Option::as_mut) else {
-                continue;
-            };
+        for remote in self.remotes.iter_mut().flatten() {
             remote.heard = [Stream::new(true); 2];
-            let peer = remote.discovery();
+        }
+        for remote in self.remotes.into_iter().flatten() {
             for kind in Kind::ALL {
-                let of = (kind.reader(), kind.writer());
-                self.acknowledge(peer, of, SequenceSet::FIRST, out);
+                self.acknowledge(remote.discovery(), kind.ends(), SequenceSet::FIRST, out);
             }
         }
     }
 
-    fn ask_again(&mut self, now: Instant, out: &mut impl Outlet) {
+    fn ask_again(&mut self, out: &mut impl Outlet) {
         for index in 0..R * WRITERS {
-            let (reader, writer) = (index / WRITERS, index % WRITERS);
-            if let Some((guid, set)) = self.readers[reader].asks_again(now, writer)
+            let ours = index / WRITERS;
+            if let Some((guid, set)) = self.readers[ours].asks_again(self.now, index % WRITERS)
                 && let Some(remote) = self.remote(guid.prefix)
             {
-                let user = remote.user();
-                self.acknowledge(user, (EntityId::reader(reader), guid.entity), set, out);
+                let (user, reader, writer) = (remote.user(), EntityId::reader(ours), guid.entity);
+                self.acknowledge(user, Ends { reader, writer }, set, out);
             }
         }
     }
 
-    #[inline(never)]
-    fn acknowledge(
-        &mut self,
-        to: Peer,
-        (reader, writer): (EntityId, EntityId),
-        set: SequenceSet,
-        out: &mut impl Outlet,
-    ) {
+    fn acknowledge(&mut self, to: Peer, ends: Ends, set: SequenceSet, out: &mut impl Outlet) {
         self.count = self.count.wrapping_add(1);
-        let acknack = AckNack {
-            reader,
-            writer,
-            set,
-            count: self.count,
-        };
-        post(self.prefix, Some(to), out, &mut |message| {
-            message.acknack(acknack);
-        });
-    }
-
-    fn on_gap(&mut self, from: GuidPrefix, gap: &Gap) {
-        if let Some(kind) = Kind::of_writer(gap.writer) {
-            if let Some(remote) = self.remote(from) {
-                remote.heard[kind as usize].on_gap(gap);
-            }
-            return;
-        }
-        let guid = from.guid(gap.writer);
-        self.readers.iter_mut().for_each(|it| it.on_gap(guid, gap));
-    }
-
-    fn on_acknack(&mut self, from: GuidPrefix, acknack: &AckNack, out: &mut impl Outlet) {
-        let Some(remote) = self.remote(from) else {
-            return;
-        };
-        if let Some(kind) = Kind::of_writer(acknack.writer) {
-            if remote.on_acknack(kind, acknack, [W, R][kind as usize]) {
-                let peer = remote.discovery();
-                self.send_endpoints(peer, kind, acknack.set, out);
-            }
-            return;
-        }
-        let (peer, guid) = (remote.user(), from.guid(acknack.reader));
-        for index in 0..W {
-            if EntityId::writer(index) == acknack.writer
-                && let Some(first) = self.writers[index].on_acknack(guid, acknack)
-            {
-                self.repair(index, (peer, first), acknack, out);
-            }
-        }
+        let mut message = Message::new(self.prefix, Some(to));
+        message.acknack(ends, set, self.count).send(out);
     }
 
     /// Sends a reader again what it asks for, and tells what is dropped, or is older than the first
     /// one that it may get: a volatile reader of another vendor asks for history too.
-    fn repair(
-        &mut self,
-        index: usize,
-        (to, first): (Peer, Sequence),
-        acknack: &AckNack,
-        out: &mut impl Outlet,
-    ) {
-        let (reader, writer, set) = (acknack.reader, acknack.writer, acknack.set);
-        let last = self.writers[index].last();
-        if set.len == 0 && set.base <= last {
+    fn serve(&mut self, to: Peer, ends: Ends, set: SequenceSet, count: u32, out: &mut impl Outlet) {
+        let Some(index) = (0..W).find(|index| EntityId::writer(*index) == ends.writer) else {
+            return;
+        };
+        let reader = to.0.guid(ends.reader);
+        let Some(first) = self.writers[index].on_ack(reader, set, count) else {
+            return;
+        };
+        if set.bits == 0 && set.base <= self.writers[index].last {
             // It is new, and asks what there is.
-            self.send_heartbeat(index, (to, reader), out);
+            self.send_heartbeat(index, reader, out);
         }
-        if set.len > 0 && set.base < first {
-            let gap = Gap {
-                reader,
-                writer,
-                start: set.base,
-                set: SequenceSet::empty(first),
-            };
-            post(self.prefix, Some(to), out, &mut |message| message.gap(gap));
+        if set.bits > 0 && set.base < first {
+            let mut message = Message::new(self.prefix, Some(to));
+            message.gap(ends, set.base, first).send(out);
         }
-        let last = set.last();
-        for number in set.filter(|number| *number >= first) {
+        let last = set.numbers().last();
+        for number in set.numbers().filter(|number| *number >= first) {
             // A heartbeat before the last one would have those behind it asked for again.
             let beats = Some(number) == last;
-            if self.send_sample(index, (number, beats), (to, reader), out) {
+            if self.send_sample(index, (number, beats), reader, out) {
                 let counts = &mut self.writers[index].counts;
                 counts.repaired = counts.repaired.wrapping_add(1);
             }
@@ -506,44 +430,38 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         &mut self,
         index: usize,
         (number, beats): (Sequence, bool),
-        (peer, reader): (Peer, EntityId),
+        to: Guid,
         out: &mut impl Outlet,
     ) -> bool {
-        let id = EntityId::writer(index);
-        let heartbeat = self.writers[index].heartbeat(id, reader, true);
+        let heartbeat = self.writers[index].heartbeat(true);
+        let (ends, mut message) = self.begin(index, to);
         let Some(sample) = self.writers[index].sample(number) else {
             return false;
         };
-        let to = DataTo {
-            reader,
-            writer: id,
-            sequence: number,
-        };
-        post(self.prefix, Some(peer), out, &mut |message| {
-            message.data(to, sample);
-            if beats {
-                message.heartbeat(heartbeat);
-            }
-        });
+        message.data(ends, number, sample);
+        if beats {
+            message.heartbeat(ends, heartbeat);
+        }
+        message.send(out);
         true
     }
 
-    fn send_heartbeat(
-        &mut self,
-        index: usize,
-        (peer, reader): (Peer, EntityId),
-        out: &mut impl Outlet,
-    ) {
-        let heartbeat = self.writers[index].heartbeat(EntityId::writer(index), reader, false);
-        post(self.prefix, Some(peer), out, &mut |message| {
-            message.heartbeat(heartbeat);
-        });
+    fn send_heartbeat(&mut self, index: usize, to: Guid, out: &mut impl Outlet) {
+        let heartbeat = self.writers[index].heartbeat(false);
+        let (ends, mut message) = self.begin(index, to);
+        message.heartbeat(ends, heartbeat).send(out);
+    }
+
+    /// Begins a message of a writer to a reader of others.
+    fn begin(&mut self, index: usize, to: Guid) -> (Ends, Message) {
+        let (reader, writer) = (to.entity, EntityId::writer(index));
+        let user = self.remote(to.prefix).map(|remote| remote.user());
+        (Ends { reader, writer }, Message::new(self.prefix, user))
     }
 
     fn announce(&self, to: Option<Peer>, out: &mut impl Outlet) {
-        post(self.prefix, to, out, &mut |message| {
-            discovery::write_participant(message, self.prefix, self.at);
-        });
+        let mut message = Message::new(self.prefix, to);
+        discovery::write_participant(&mut message, self.at).send(out);
     }
 
     /// Sends a participant those of our endpoints that it asks for, and how many there are.
@@ -552,54 +470,44 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             Kind::Publications => self.outputs,
             Kind::Subscriptions => self.inputs,
         };
-        for number in asks {
+        for number in asks.numbers() {
             if let Some(endpoint) = endpoints.get(number as usize - 1) {
-                post(self.prefix, Some(to), out, &mut |message| {
-                    discovery::write_endpoint(message, (self.prefix, kind, number), endpoint);
-                });
+                let mut message = Message::new(self.prefix, Some(to));
+                discovery::write_endpoint(&mut message, kind, number, endpoint);
+                message.send(out);
             }
         }
         self.count = self.count.wrapping_add(1);
-        let (last, count) = (endpoints.len() as Sequence, self.count);
-        post(self.prefix, Some(to), out, &mut |message| {
-            discovery::write_heartbeat(message, kind, last, count);
-        });
+        let heartbeat = Heartbeat {
+            first: 1,
+            last: endpoints.len() as Sequence,
+            count: self.count,
+            is_final: false,
+        };
+        let mut message = Message::new(self.prefix, Some(to));
+        message.heartbeat(kind.ends(), heartbeat).send(out);
     }
 
     /// Reminds who has not said that it has everything.
     fn remind(&mut self, out: &mut impl Outlet) {
-        for at in 0..REMOTES {
-            let Some(remote) = self.remotes[at] else {
-                continue;
-            };
+        for remote in self.remotes.into_iter().flatten() {
             for (kind, last) in Kind::ALL.into_iter().zip([W, R]) {
                 if remote.has[kind as usize] <= last as Sequence {
-                    self.send_endpoints(remote.discovery(), kind, SequenceSet::empty(1), out);
-                }
-            }
-            for writer in 0..W {
-                if self.writers[writer].is_awaited()
-                    && let Some(peer) = self.served(at, writer)
-                {
-                    self.send_heartbeat(writer, (peer, EntityId::UNKNOWN), out);
+                    self.send_endpoints(
+                        remote.discovery(),
+                        kind,
+                        SequenceSet { base: 1, bits: 0 },
+                        out,
+                    );
                 }
             }
         }
-    }
-}
-
-/// Composes a message on the stack and sends it to one participant, or to all.
-#[inline(never)]
-fn post(
-    from: GuidPrefix,
-    to: Option<Peer>,
-    out: &mut impl Outlet,
-    write: &mut dyn FnMut(&mut Message),
-) {
-    let mut message = Message::new(from, to.map(|peer| peer.prefix));
-    write(&mut message);
-    let to = to.map_or(Destination::Everyone, |peer| Destination::At(peer.at));
-    if let Some(message) = message.finish() {
-        out.send(to, message);
+        for writer in 0..W {
+            for reader in self.writers[writer].readers.into_iter().flatten() {
+                if reader.is_reliable && reader.needs <= self.writers[writer].last {
+                    self.send_heartbeat(writer, reader.guid, out);
+                }
+            }
+        }
     }
 }

@@ -1,7 +1,7 @@
-//! Quality of service: what an endpoint offers or asks for, and whether two of them fit. (OMG DDS
-//! 1.4, 2.2.3)
+//! Quality of service: what an endpoint offers or asks for, whether two of them fit, and what it
+//! counts. (OMG DDS 1.4, 2.2.3)
 
-use crate::wire::{Cursor, Parameters, pid};
+use crate::wire::{Parameters, pid};
 
 /// Whether a reader that joins late gets the samples from before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -38,12 +38,8 @@ pub struct Qos {
 
 impl Qos {
     /// Returns the depth within the room for `most` samples.
-    pub(crate) const fn depth_within(self, most: usize) -> usize {
-        match self.depth as usize {
-            0 => 1,
-            depth if depth < most => depth,
-            _ => most,
-        }
+    pub(crate) fn depth_within(self, most: usize) -> u32 {
+        u32::from(self.depth).max(1).min(most as u32)
     }
 }
 
@@ -58,15 +54,30 @@ pub struct Endpoint {
     pub qos: Qos,
 }
 
-/// How an endpoint of another participant fits one of ours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fit {
-    /// It is of another topic, type or partition.
-    Stranger,
-    /// Its quality of service does not fit.
-    Incompatible,
-    /// It fits, with this reliability and durability of the other one.
-    Fits(Reliability, Durability),
+/// What a writer or a reader has counted; each wraps around.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Samples that a reader lacked after the writer had dropped them.
+    pub lost: u32,
+    /// Samples that the writer sent once more.
+    pub repaired: u32,
+    /// Samples that newer ones replaced before they were taken.
+    pub replaced: u32,
+    /// Samples that are longer than the reader's room.
+    pub too_long: u32,
+    /// Endpoints of others for which there was no place: `READERS`, `WRITERS`. They are asked again
+    /// each 8 s, and counted again.
+    pub refused: u32,
+    /// Endpoints of others whose quality of service does not fit, each 8 s.
+    pub incompatible: u32,
+}
+
+/// An endpoint of another participant that fits one of ours.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fit {
+    pub(crate) is_reliable: bool,
+    /// It offers or wants samples from before.
+    pub(crate) with_history: bool,
 }
 
 /// The first word of a span without end.
@@ -76,65 +87,63 @@ const XCDR2: u16 = 2;
 
 impl Endpoint {
     /// Judges an endpoint of another participant by its announcement, with the defaults of the
-    /// standard. `we_write`: ours is the writer.
-    pub(crate) fn judge(&self, list: Parameters<'_>, we_write: bool) -> Fit {
+    /// standard. `writes`: ours is the writer. Returns `None` if it is of another topic, type or
+    /// partition, or if its quality of service does not fit, which is counted.
+    pub(crate) fn fit(
+        &self,
+        list: Parameters<'_>,
+        writes: bool,
+        counts: &mut Counts,
+    ) -> Option<Fit> {
         let (mut is_of_topic, mut is_of_type, mut has_partition) = (false, false, false);
-        let (mut durability, mut reliability) = (0, if we_write { 1 } else { 2 });
+        let (mut durability, mut reliability) = (0, if writes { 1 } else { 2 });
         // Exclusive ownership, or samples or signs of life within a time.
         let mut asks_more = false;
         let [mut xcdr1, mut xcdr2] = [true, false];
         for parameter in list {
-            let first = parameter.number().unwrap_or(0);
+            let first = parameter.number(0).unwrap_or(0);
+            let is = |text: &str| parameter.bytes() == Some(text.as_bytes());
             match parameter.id {
-                pid::TOPIC_NAME => is_of_topic = parameter.is(self.topic),
-                pid::TYPE_NAME => is_of_type = parameter.is(self.type_name),
+                pid::TOPIC_NAME => is_of_topic = is(self.topic),
+                pid::TYPE_NAME => is_of_type = is(self.type_name),
                 pid::PARTITION => has_partition = first > 0,
                 pid::DURABILITY => durability = first,
                 pid::RELIABILITY => reliability = first,
                 pid::OWNERSHIP => asks_more |= first != 0,
                 // A writer may offer that; ours does not.
-                pid::DEADLINE if we_write => asks_more |= first != INFINITE_SECONDS,
-                pid::LIVELINESS if we_write => {
-                    let seconds = parameter.second().unwrap_or(INFINITE_SECONDS);
+                pid::DEADLINE if writes => asks_more |= first != INFINITE_SECONDS,
+                pid::LIVELINESS if writes => {
+                    let seconds = parameter.number(1).unwrap_or(INFINITE_SECONDS);
                     asks_more |= first != 0 || seconds != INFINITE_SECONDS;
                 }
                 pid::REPRESENTATION if first > 0 => {
-                    [xcdr1, xcdr2] = representations(parameter.value);
+                    [xcdr1, xcdr2] = [false; 2];
+                    let mut ids = parameter.value;
+                    let _len = ids.u32();
+                    while let Some(id) = ids.u16() {
+                        xcdr1 |= id == XCDR1;
+                        xcdr2 |= id == XCDR2;
+                    }
                 }
                 _ => {}
             }
         }
         if !is_of_topic || !is_of_type || has_partition {
-            return Fit::Stranger;
+            return None;
         }
         let ours = (self.qos.durability as u32, self.qos.reliability as u32);
-        let fits = if we_write {
+        let fits = if writes {
             durability <= ours.0 && reliability <= ours.1 && xcdr1
         } else {
             durability >= ours.0 && reliability >= ours.1 && (xcdr1 || xcdr2)
         };
         if !fits || asks_more {
-            return Fit::Incompatible;
+            counts.incompatible = counts.incompatible.wrapping_add(1);
+            return None;
         }
-        let reliability = match reliability {
-            2 => Reliability::Reliable,
-            _ => Reliability::BestEffort,
-        };
-        let durability = match durability {
-            0 => Durability::Volatile,
-            _ => Durability::TransientLocal,
-        };
-        Fit::Fits(reliability, durability)
+        Some(Fit {
+            is_reliable: reliability == Reliability::Reliable as u32,
+            with_history: durability > Durability::Volatile as u32,
+        })
     }
-}
-
-/// Returns whether XCDR1 and XCDR2 are in a list that begins with its length.
-fn representations(mut list: Cursor<'_>) -> [bool; 2] {
-    let _len = list.u32();
-    let mut found = [false; 2];
-    while let Some(id) = list.u16() {
-        found[0] |= id == XCDR1;
-        found[1] |= id == XCDR2;
-    }
-    found
 }

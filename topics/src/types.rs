@@ -1,10 +1,8 @@
 //! Enums and structs of `idl/tandem.idl`. Made by `cargo xtask idl`: not to be edited.
 
-use crate::cdr::{self, CdrError, Field, Record, Walk, enums, structs};
+use crate::cdr::{self, CdrError, Field, TopicType, Walk, enums, structs};
 use tandem_bus::e2e::{self, Check, Checker};
-
-/// Length of the longest payload of all types, bytes.
-pub const LONGEST_PAYLOAD: usize = 76;
+use tandem_shm::{Corrupt, Payload};
 
 enums! {
     /// Position of the gear selector. There is no reverse: no function drives backwards.

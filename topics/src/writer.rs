@@ -1,8 +1,7 @@
 //! A reliable writer: its last samples, and the readers that it serves. (RTPS 8.4.9)
 
-use crate::qos::Fit;
-use crate::wire::{AckNack, EntityId, Guid, GuidPrefix, Heartbeat, Sequence, has_risen};
-use crate::{Counts, Durability, Qos, Reliability};
+use crate::qos::{Counts, Fit, Qos};
+use crate::wire::{EntityId, Guid, GuidPrefix, Heartbeat, Sequence, SequenceSet, rises};
 
 /// How many readers of other participants one writer serves. D-4
 pub const READERS: usize = 2;
@@ -19,12 +18,6 @@ pub(crate) struct RemoteReader {
     told: Sequence,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Slot<const BYTES: usize> {
-    len: u8,
-    bytes: [u8; BYTES],
-}
-
 /// Why a sample was not published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WriteError {
@@ -37,11 +30,11 @@ pub enum WriteError {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
-    samples: [Slot<BYTES>; DEPTH],
+    /// Length and bytes of each.
+    samples: [(u8, [u8; BYTES]); DEPTH],
     depth: u32,
-    last: Sequence,
-    /// The slot of that one.
-    newest: u8,
+    /// The number of the newest one; 0 before the first.
+    pub(crate) last: Sequence,
     heartbeats: u32,
     pub(crate) readers: [Option<RemoteReader>; READERS],
     pub(crate) counts: Counts,
@@ -50,13 +43,9 @@ pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
 impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
     pub(crate) fn new(qos: Qos) -> Self {
         Self {
-            samples: [Slot {
-                len: 0,
-                bytes: [0; BYTES],
-            }; DEPTH],
-            depth: qos.depth_within(DEPTH) as u32,
+            samples: [(0, [0; BYTES]); DEPTH],
+            depth: qos.depth_within(DEPTH),
             last: 0,
-            newest: 0,
             heartbeats: 0,
             readers: [None; READERS],
             counts: Counts::default(),
@@ -69,17 +58,15 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         if self.last >= Sequence::MAX - 1 {
             return Err(WriteError::Ended);
         }
-        let newest = match self.newest + 1 {
-            next if u32::from(next) < self.depth => next,
-            _ => 0,
-        };
-        let slot = self.samples.get_mut(usize::from(newest));
-        let slot = slot.ok_or(WriteError::TooLong)?;
-        let place = slot.bytes.get_mut(..sample.len());
-        place.ok_or(WriteError::TooLong)?.copy_from_slice(sample);
-        slot.len = len;
-        (self.newest, self.last) = (newest, self.last + 1);
-        Ok(self.last)
+        let number = self.last + 1;
+        let place = number.checked_rem(self.depth).unwrap_or(0);
+        let place = self.samples.get_mut(place as usize);
+        let (of, bytes) = place.ok_or(WriteError::TooLong)?;
+        let bytes = bytes.get_mut(..sample.len());
+        bytes.ok_or(WriteError::TooLong)?.copy_from_slice(sample);
+        *of = len;
+        self.last = number;
+        Ok(number)
     }
 
     /// The number of the oldest sample that it has.
@@ -87,26 +74,17 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         (self.last + 1).saturating_sub(self.depth).max(1)
     }
 
-    /// The number of the newest one; 0 before the first.
-    pub(crate) const fn last(&self) -> Sequence {
-        self.last
-    }
-
     /// Returns a sample, if it is kept.
     pub(crate) fn sample(&self, number: Sequence) -> Option<&[u8]> {
-        let age = self.last.checked_sub(number);
-        let age = age.filter(|age| *age < self.depth && number > 0)?;
-        let newest = u32::from(self.newest);
-        let place = newest.checked_sub(age).unwrap_or(newest + self.depth - age);
-        let slot = self.samples.get(place as usize)?;
-        slot.bytes.get(..slot.len.into())
+        let is_kept = (self.first()..=self.last).contains(&number);
+        let place = number.checked_rem(self.depth).filter(|_| is_kept)?;
+        let (len, bytes) = self.samples.get(place as usize)?;
+        bytes.get(..usize::from(*len))
     }
 
-    pub(crate) fn heartbeat(&mut self, own: EntityId, to: EntityId, is_final: bool) -> Heartbeat {
+    pub(crate) fn heartbeat(&mut self, is_final: bool) -> Heartbeat {
         self.heartbeats = self.heartbeats.wrapping_add(1);
         Heartbeat {
-            reader: to,
-            writer: own,
             first: self.first(),
             last: self.last,
             count: self.heartbeats,
@@ -116,20 +94,12 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
 
     /// Gives a reader that fits a place. Returns `false` if none is free.
     pub(crate) fn on_reader(&mut self, guid: Guid, fit: Fit) -> bool {
-        let (reliability, durability) = match fit {
-            Fit::Stranger => return true,
-            Fit::Incompatible => {
-                self.counts.incompatible = self.counts.incompatible.wrapping_add(1);
-                return true;
-            }
-            Fit::Fits(reliability, durability) => (reliability, durability),
-        };
         if self.readers.iter().flatten().any(|one| one.guid == guid) {
             return true;
         }
-        let needs = match durability {
-            Durability::Volatile => self.last + 1,
-            Durability::TransientLocal => self.first(),
+        let needs = match fit.with_history {
+            true => self.first(),
+            false => self.last + 1,
         };
         let Some(place) = self.readers.iter_mut().find(|place| place.is_none()) else {
             self.counts.refused = self.counts.refused.wrapping_add(1);
@@ -137,7 +107,7 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         };
         *place = Some(RemoteReader {
             guid,
-            is_reliable: reliability == Reliability::Reliable,
+            is_reliable: fit.is_reliable,
             needs,
             count: None,
             told: needs,
@@ -152,24 +122,17 @@ impl<const DEPTH: usize, const BYTES: usize> Writer<DEPTH, BYTES> {
         }
     }
 
-    /// Returns whether a reliable reader has not said that it has everything.
-    pub(crate) fn is_awaited(&self) -> bool {
-        let mut readers = self.readers.iter().flatten();
-        readers.any(|reader| reader.is_reliable && reader.needs <= self.last)
-    }
-
     /// Notes what a reader has. Returns the oldest sample that it may get, if it is a reader that
     /// the writer serves, and its ACKNACK a new one.
-    pub(crate) fn on_acknack(&mut self, guid: Guid, acknack: &AckNack) -> Option<Sequence> {
+    pub(crate) fn on_ack(&mut self, of: Guid, set: SequenceSet, count: u32) -> Option<Sequence> {
         let (first, last) = (self.first(), self.last);
         let mut readers = self.readers.iter_mut().flatten();
-        let reader = readers.find(|reader| reader.guid == guid)?;
-        if !has_risen(acknack.count, reader.count) || acknack.set.base > last + 1 {
+        let reader = readers.find(|reader| reader.guid == of)?;
+        if set.base > last + 1 || !rises(&mut reader.count, count) {
             return None;
         }
-        reader.count = Some(acknack.count);
-        reader.needs = reader.needs.max(acknack.set.base);
-        for number in acknack.set {
+        reader.needs = reader.needs.max(set.base);
+        for number in set.numbers() {
             if number < first && number >= reader.told {
                 reader.told = number + 1;
                 self.counts.lost = self.counts.lost.wrapping_add(1);

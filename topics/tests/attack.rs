@@ -6,8 +6,9 @@ mod hostile;
 
 use hostile::*;
 use proptest::prelude::*;
+use tandem_board::{NetworkAddress, Recipient};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
-use tandem_topics::{Destination, Durability, Endpoint, Locator, Participant, Qos, Reliability};
+use tandem_topics::{Durability, Endpoint, Participant, Qos, Reliability};
 
 /// The datagrams of the SoC do not arrive for longer than its lease, and those of the controller
 /// do: only one of both forgets the other one.
@@ -263,7 +264,7 @@ fn one_datagram_does_not_become_a_flood() {
         world.sent.clear();
         world.hear(&bytes);
         let to: Vec<_> = world.sent.iter().map(|(to, _)| *to).collect();
-        assert!(to.iter().all(|to| *to == Destination::At(place(1))));
+        assert!(to.iter().all(|to| *to == Recipient::One(place(1))));
         println!(
             "attack {which}: {} parts, {} datagrams",
             count - (1 << 20),
@@ -278,7 +279,7 @@ fn one_datagram_does_not_become_a_flood() {
 #[test]
 fn a_forged_locator_is_corrected() {
     let mut world = World::new();
-    let elsewhere = Locator {
+    let elsewhere = NetworkAddress {
         address: [8, 8, 8, 8],
         port: 53,
     };
@@ -290,7 +291,7 @@ fn a_forged_locator_is_corrected() {
         world
             .sent
             .iter()
-            .all(|(to, _)| *to != Destination::At(elsewhere))
+            .all(|(to, _)| *to != Recipient::One(elsewhere))
     );
 }
 

@@ -259,22 +259,19 @@ fn generated(text: &str) -> Result<String> {
     let module = grammar::parse(text)?;
     check_names(&module)?;
     check_data_ids(&module)?;
-    let (mut enums, mut structs, mut longest) = (String::new(), String::new(), 0);
+    let (mut enums, mut structs) = (String::new(), String::new());
     for one in &module.enums {
         write_enum(one, &mut enums);
     }
     for one in &module.structs {
-        let len = write_struct(&module, one, &mut structs)?;
-        longest = longest.max(4 + len.next_multiple_of(4));
+        write_struct(&module, one, &mut structs)?;
     }
     Ok(format!(
         "//! Enums and structs of `idl/tandem.idl`. Made by `cargo xtask idl`: not to be edited.\n\
          \n\
-         use crate::cdr::{{self, CdrError, Field, Record, Walk, enums, structs}};\n\
+         use crate::cdr::{{self, CdrError, Field, TopicType, Walk, enums, structs}};\n\
          use tandem_bus::e2e::{{self, Check, Checker}};\n\
-         \n\
-         /// Length of the longest payload of all types, bytes.\n\
-         pub const LONGEST_PAYLOAD: usize = {longest};\n\
+         use tandem_shm::{{Corrupt, Payload}};\n\
          \n\
          enums! {{\n{enums}}}\n\
          \n\
@@ -375,7 +372,7 @@ fn write_enum(one: &Enum, out: &mut String) {
 }
 
 /// Writes a struct, and returns the length of its body in XCDR1.
-fn write_struct(module: &Module, one: &Struct, out: &mut String) -> Result<usize> {
+fn write_struct(module: &Module, one: &Struct, out: &mut String) -> Result<()> {
     let (mut members, mut len) = (String::new(), 0_usize);
     for member in &one.members {
         let kind = Kind::of(module, member)?;
@@ -402,7 +399,7 @@ fn write_struct(module: &Module, one: &Struct, out: &mut String) -> Result<usize
         one.name
     )
     .unwrap();
-    Ok(len)
+    Ok(())
 }
 
 /// What Rust makes of a type of the IDL.

@@ -2,10 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use std::collections::VecDeque;
-use tandem_board::{Duration, Instant};
+use tandem_board::{Duration, Instant, NetworkAddress, Recipient};
 use tandem_topics::{
-    Destination, Durability, Endpoint, GuidPrefix, Locator, Outlet, Participant, Qos, READERS,
-    Reliability,
+    Durability, Endpoint, GuidPrefix, Outlet, Participant, Qos, READERS, Reliability,
 };
 
 const RELIABLE: Qos = Qos {
@@ -53,17 +52,17 @@ type Soc = Participant<0, 1, 3, 0, 80>;
 /// Messages that a participant sends, and what it tells.
 #[derive(Default)]
 struct Sent {
-    messages: Vec<(Destination, Vec<u8>)>,
+    messages: Vec<(Recipient, Vec<u8>)>,
 }
 
 impl Outlet for Sent {
-    fn send(&mut self, to: Destination, message: &[u8]) {
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         self.messages.push((to, message.to_vec()));
     }
 }
 
-const fn place(node: usize) -> Locator {
-    Locator {
+const fn place(node: usize) -> NetworkAddress {
+    NetworkAddress {
         address: [10, 0, 0, node as u8],
         port: 7_410,
     }
@@ -139,8 +138,8 @@ impl World {
             assert_valid(&message);
             for node in 0..=self.socs.len() {
                 let is_for = match to {
-                    Destination::Everyone => node != from && !self.is_silent,
-                    Destination::At(at) => at == place(node),
+                    Recipient::Everyone => node != from && !self.is_silent,
+                    Recipient::One(at) => at == place(node),
                 };
                 if is_for {
                     for copy in 0..(self.copies)(from, node) {
@@ -441,7 +440,7 @@ fn what_is_not_rtps_is_counted() {
     ] {
         world.mcu.hear(world.now, datagram, &mut sent);
     }
-    assert_eq!(world.mcu.foreign(), 4);
+    assert_eq!(world.mcu.foreign, 4);
     assert!(sent.messages.is_empty());
 }
 

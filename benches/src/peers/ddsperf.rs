@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use std::os::fd::AsRawFd;
 use std::process::{Command, Stdio};
-use tandem_topics::CanFrame;
+use tandem_topics::{CanFrame, TopicType};
 
 const PROGRAM: &str = "ddsperf";
 /// What hands its samples on, built by the build script.

@@ -7,7 +7,7 @@ use tandem_board::Instant;
 use tandem_bus::{FRAMES, Message};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic};
 use tandem_topics::{
-    CanFrame, CdrError, LateralControl, LongitudinalControl, ParkingBrake, PowerControl,
+    CanFrame, CdrError, LateralControl, LongitudinalControl, ParkingBrake, PowerControl, TopicType,
 };
 use tandem_topics_host::gateway::{Gateway, Passed, content};
 use tandem_topics_host::listing::Listing;

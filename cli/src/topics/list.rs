@@ -49,7 +49,7 @@ pub(super) fn run(
     } else {
         text(&listing)
     })?;
-    if node.participant.refused() > 0 {
+    if node.participant.refused > 0 {
         eprintln!("there are more participants than this one hears: endpoints may be missing");
     }
     if watch.is_interrupted() {

@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicBool;
 
 use serde::{Deserialize, Serialize};
 use tandem_board::Instant;
-use tandem_topics::CanFrame;
 use tandem_topics::endpoints::OUTPUTS;
+use tandem_topics::{CanFrame, TopicType};
 use tandem_topics_host::gateway::{Gateway, IdReport};
 use tandem_topics_host::listing::Listing;
 

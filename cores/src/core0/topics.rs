@@ -7,15 +7,13 @@ use super::{Core0Task, Executor, TaskBody};
 use crate::driving::parking::SocSample;
 use crate::trace::{Begin, Event};
 use heapless::Deque;
-use tandem_board::{
-    Board, CanId, Channel, Duration, Instant, Network, NetworkAddress, Received, Recipient,
-};
+use tandem_board::{Board, CanId, Channel, Duration, Instant, Network, Received, Recipient};
 use tandem_bus::e2e::Checker;
 use tandem_bus::{FRAMES, FrameInfo};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic, controller_prefix};
 use tandem_topics::{
-    CanFrame, Destination, GuidPrefix, LateralControl, Locator, LongitudinalControl, Outlet,
-    ParkingBrake, Participant, PowerControl,
+    CanFrame, GuidPrefix, LateralControl, LongitudinalControl, Outlet, ParkingBrake, Participant,
+    PowerControl, TopicType,
 };
 
 /// Capacity for frames that have not been published: what the bus carries in 5 ms.
@@ -90,13 +88,7 @@ impl FollowedSoc {
 struct Port<'b, B>(&'b B);
 
 impl<B: Board> Outlet for Port<'_, B> {
-    fn send(&mut self, to: Destination, message: &[u8]) {
-        let to = match to {
-            Destination::Everyone => Recipient::Everyone,
-            Destination::At(Locator { address, port }) => {
-                Recipient::One(NetworkAddress { address, port })
-            }
-        };
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         // What finds no room is lost, as on the wire.
         let _lost = self.0.network().try_send(Channel::Topics, to, message);
     }
@@ -328,7 +320,6 @@ impl<'b, B: Board> TopicsTask<'b, B> {
             return false;
         };
         let identity = self.board.identity();
-        let NetworkAddress { address, port } = at;
         // The name is new: the flash counts the starts. A clock that begins at each start shows the
         // same time, but it tells those starts apart that the flash has not kept.
         let starts = executor.shared(|shared| shared.redundancy.starts_before());
@@ -336,7 +327,6 @@ impl<'b, B: Board> TopicsTask<'b, B> {
         let [low, high, ..] = starts.to_le_bytes();
         let start = [a, b, c, low, high];
         let prefix = controller_prefix(identity.system.index() as u8, start);
-        let at = Locator { address, port };
         self.participant = Some(Controller::new(prefix, at, &OUTPUTS, &INPUTS));
         executor.shared(|shared| shared.heard.is_open = true);
         true

@@ -3,10 +3,10 @@
 use std::sync::LazyLock;
 
 use dust_dds::rtps_messages::overall_structure::{RtpsMessageRead, RtpsSubmessageReadKind};
-use tandem_board::Instant;
+use tandem_board::{Instant, NetworkAddress, Recipient};
 use tandem_topics::{
-    CanFrame, Destination, Durability, Endpoint, EntityId, GuidPrefix, Locator, Outlet,
-    Participant, Qos, Reliability,
+    CanFrame, Durability, Endpoint, EntityId, GuidPrefix, Outlet, Participant, Qos, Reliability,
+    TopicType,
 };
 
 /// The name under which the datagrams of the corpus were heard.
@@ -52,7 +52,7 @@ type Heard = Participant<1, 2, 32, ROOM, ROOM>;
 struct Checked;
 
 impl Outlet for Checked {
-    fn send(&mut self, _: Destination, message: &[u8]) {
+    fn send(&mut self, _: Recipient, message: &[u8]) {
         let read = RtpsMessageRead::try_from(message).expect("a message");
         let parts = read.submessages();
         let (chain, is_whole) = chain(message);
@@ -67,7 +67,7 @@ impl Outlet for Checked {
 
 /// A participant that knows the participants of the corpus.
 static KNOWS_ALL: LazyLock<Heard> = LazyLock::new(|| {
-    let at = Locator {
+    let at = NetworkAddress {
         address: [127, 0, 0, 1],
         port: 7_410,
     };
@@ -189,7 +189,7 @@ fn expected(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<Vec<u8>> 
 pub(crate) fn rtps(datagram: &[u8]) -> bool {
     let mut participant = KNOWS_ALL.clone();
     participant.hear(NOW, datagram, &mut Checked);
-    let is_rtps = participant.foreign() == 0;
+    let is_rtps = participant.foreign == 0;
     participant.poll(NOW + tandem_board::Duration::from_ms(300), &mut Checked);
     let taken: Vec<Vec<u8>> = std::iter::from_fn(|| participant.take(TAKES_ALL))
         .map(|sample| sample.payload().to_vec())

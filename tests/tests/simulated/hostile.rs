@@ -5,7 +5,7 @@ use tandem_board_sim::{Config, SimStation};
 use tandem_cores::driving::parking::SOC_STOP_LIMIT;
 use tandem_sim::drive::{Drive, poller};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
-use tandem_topics::{Destination, GuidPrefix, Locator, Outlet, Participant};
+use tandem_topics::{GuidPrefix, Outlet, Participant};
 use tandem_topics_host::approach::Approach;
 
 use crate::topics::{Parked, Soc, WAY_M, is_parked};
@@ -23,15 +23,13 @@ const DRIVE_MS: u64 = 12_000;
 struct Caught(Vec<Vec<u8>>);
 
 impl Outlet for Caught {
-    fn send(&mut self, _: Destination, message: &[u8]) {
+    fn send(&mut self, _: Recipient, message: &[u8]) {
         self.0.push(message.to_vec());
     }
 }
 
 /// Returns what a participant of this name announces, and asks of its peers.
 fn announces(name: GuidPrefix, at: NetworkAddress) -> Vec<Vec<u8>> {
-    let NetworkAddress { address, port } = at;
-    let at = Locator { address, port };
     let mut participant = Participant::<4, 1, 3, 64, 80>::new(name, at, &INPUTS, &OUTPUTS);
     let mut caught = Caught::default();
     participant.poll(Instant::ORIGIN, &mut caught);

@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tandem_board::{
-    Channel, CoreId, Duration, Instant, Network, NetworkAddress, Recipient, SystemId,
-};
+use tandem_board::{Channel, CoreId, Duration, Instant, Network, Recipient, SystemId};
 use tandem_board_sim::{Config, SimStation};
 use tandem_bus::{FrameReceiver, GearCode, ParkingBrakeCode};
 use tandem_cores::driving::parking::SOC_STOP_LIMIT;
@@ -12,7 +10,7 @@ use tandem_cores::trace::Event;
 use tandem_peripherals::network::PortFault;
 use tandem_sim::drive::{Drive, poller};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic, controller_prefix, system_of};
-use tandem_topics::{CanFrame, Destination, GuidPrefix, Locator, Outlet, Participant};
+use tandem_topics::{CanFrame, GuidPrefix, Outlet, Participant, TopicType};
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::gateway::{Gateway, Passed, content};
 use tandem_topics_host::soc::Commander;
@@ -29,13 +27,7 @@ pub(crate) const WAY_M: f32 = 12.0;
 struct Port<'a>(&'a SimStation);
 
 impl Outlet for Port<'_> {
-    fn send(&mut self, to: Destination, message: &[u8]) {
-        let to = match to {
-            Destination::Everyone => Recipient::Everyone,
-            Destination::At(Locator { address, port }) => {
-                Recipient::One(NetworkAddress { address, port })
-            }
-        };
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         let _lost = self.0.try_send(Channel::Topics, to, message);
     }
 }
@@ -55,8 +47,7 @@ pub(crate) struct Soc {
 impl Soc {
     pub(crate) fn join(drive: &mut Drive, name: u8) -> Self {
         let station = drive.pair.join_network();
-        let NetworkAddress { address, port } = station.address(Channel::Topics).expect("it");
-        let at = Locator { address, port };
+        let at = station.address(Channel::Topics).expect("it");
         Self {
             station,
             participant: Participant::new(GuidPrefix([name; 12]), at, &INPUTS, &OUTPUTS),

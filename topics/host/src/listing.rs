@@ -67,8 +67,8 @@ fn name_of(prefix: GuidPrefix, vendor: [u8; 2]) -> String {
 impl ListedEndpoint {
     fn read(announced: &Announced<'_>, writes: bool, from: &str) -> Option<Self> {
         let text = |id| Some(announced.list.find(id)?.text()?.to_owned());
-        let number = |id| announced.list.find(id).and_then(|one| one.number());
-        let second = |id| announced.list.find(id).and_then(|one| one.second());
+        let number = |id| announced.list.find(id).and_then(|one| one.number(0));
+        let second = |id| announced.list.find(id).and_then(|one| one.number(1));
         let reliability = number(pid::RELIABILITY).unwrap_or(if writes { 2 } else { 1 });
         let keeps_last = number(pid::HISTORY) == Some(0);
         let ids = second(pid::REPRESENTATION).unwrap_or(0);

@@ -7,7 +7,7 @@ use tandem_board::Instant;
 use tandem_board_udp::UdpPlace;
 use tandem_bus::{FrameReceiver, Message};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic};
-use tandem_topics::{CanFrame, CdrError, Endpoint};
+use tandem_topics::{CanFrame, CdrError, Endpoint, TopicType};
 
 use crate::approach::{Approach, Orders};
 use crate::gateway::{Gateway, Passed, content};

@@ -89,8 +89,8 @@ where
     }
 
     fn publish(&mut self, value: &T) -> Result<(), TypedError> {
-        let node = self.node.borrow_mut();
-        let written = value.encode_for(|sample| node.write(self.writer, sample))?;
+        let sample = value.encode()?;
+        let written = self.node.borrow_mut().write(self.writer, sample.as_ref());
         written.map_err(TypedError::Write)
     }
 }
@@ -112,7 +112,7 @@ where
     fn take(&mut self) -> Option<T> {
         loop {
             let sample: tandem_topics::Sample<BYTES> = self.node.borrow_mut().take(self.reader)?;
-            match T::decode_from(sample.payload()) {
+            match T::decode(sample.payload()) {
                 Ok(value) => return Some(value),
                 Err(_) => self.invalid = self.invalid.wrapping_add(1),
             }

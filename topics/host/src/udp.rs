@@ -5,7 +5,7 @@ use std::io;
 use std::time::Duration;
 use tandem_board::{Channel, NetworkAddress, Recipient};
 use tandem_board_udp::{UdpChannel, UdpPlace};
-use tandem_topics::{Destination, Locator, Outlet};
+use tandem_topics::Outlet;
 
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_507;
@@ -32,9 +32,8 @@ impl Udp {
     }
 
     /// Returns where it hears.
-    pub const fn at(&self) -> Locator {
-        let NetworkAddress { address, port } = self.channel.address();
-        Locator { address, port }
+    pub const fn at(&self) -> NetworkAddress {
+        self.channel.address()
     }
 
     /// Waits for a datagram, at most for this time.
@@ -58,13 +57,7 @@ impl Udp {
 }
 
 impl Outlet for Udp {
-    fn send(&mut self, to: Destination, message: &[u8]) {
-        let to = match to {
-            Destination::Everyone => Recipient::Everyone,
-            Destination::At(Locator { address, port }) => {
-                Recipient::One(NetworkAddress { address, port })
-            }
-        };
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         // What cannot be sent is lost, as on the wire.
         let _lost = self.channel.send(to, message);
     }

@@ -1,6 +1,82 @@
-//! Parameter lists: what a participant and its endpoints announce. (RTPS 9.4.2.11, 9.6.3)
+//! Reading of numbers, and of parameter lists: what a participant and its endpoints announce. (RTPS
+//! 9.4.2.11, 9.6.3)
 
-use super::{Cursor, EntityId, Guid, GuidPrefix, Locator};
+use super::{Ends, EntityId, Guid, GuidPrefix, Sequence, SequenceSet};
+use tandem_board::NetworkAddress;
+
+/// Reads numbers from bytes. Each method returns `None` if the bytes end before.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cursor<'m> {
+    pub(super) bytes: &'m [u8],
+    pub(super) is_little: bool,
+}
+
+impl<'m> Cursor<'m> {
+    pub(crate) const fn new(bytes: &'m [u8], is_little: bool) -> Self {
+        Self { bytes, is_little }
+    }
+
+    pub(crate) fn take(&mut self, len: usize) -> Option<&'m [u8]> {
+        let (head, rest) = self.bytes.split_at_checked(len)?;
+        self.bytes = rest;
+        Some(head)
+    }
+
+    pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let mut array = [0; N];
+        self.read(&mut array).then_some(array)
+    }
+
+    #[inline(never)]
+    fn read(&mut self, into: &mut [u8]) -> bool {
+        let Some(bytes) = self.take(into.len()) else {
+            return false;
+        };
+        for (to, from) in into.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        true
+    }
+
+    /// The bytes of a number, little-endian.
+    fn number<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let mut bytes = self.array()?;
+        if !self.is_little {
+            bytes.reverse();
+        }
+        Some(bytes)
+    }
+
+    pub(crate) fn u16(&mut self) -> Option<u16> {
+        self.number().map(u16::from_le_bytes)
+    }
+
+    pub(crate) fn u32(&mut self) -> Option<u32> {
+        self.number().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn ends(&mut self) -> Option<Ends> {
+        let (reader, writer) = (EntityId(self.array()?), EntityId(self.array()?));
+        Some(Ends { reader, writer })
+    }
+
+    /// A number of a sample, or one less than the first.
+    pub(super) fn sequence(&mut self) -> Option<Sequence> {
+        let (high, low) = (self.u32()?, self.u32()?);
+        (high == 0 && low < u32::MAX).then_some(low)
+    }
+
+    pub(super) fn set(&mut self) -> Option<SequenceSet> {
+        let base = self.sequence().filter(|base| *base > 0)?;
+        let len = self.u32().filter(|len| *len <= 256)?;
+        let bits = if len == 0 { 0 } else { self.u32()? };
+        for _ in 1..len.div_ceil(32) {
+            self.u32()?;
+        }
+        let bits = bits & !u32::MAX.unbounded_shr(len);
+        Some(SequenceSet { base, bits })
+    }
+}
 
 /// Numbers of parameters.
 pub mod pid {
@@ -41,7 +117,6 @@ pub struct Parameter<'m> {
 
 impl<'m> Parameter<'m> {
     /// Returns the name that it has.
-    #[inline(never)]
     pub fn guid(mut self) -> Option<Guid> {
         Some(Guid {
             prefix: GuidPrefix(self.value.array()?),
@@ -50,42 +125,32 @@ impl<'m> Parameter<'m> {
     }
 
     /// A locator of IPv4; `None` for others.
-    pub(crate) fn locator(mut self) -> Option<Locator> {
+    pub(crate) fn locator(mut self) -> Option<NetworkAddress> {
         let (kind, port) = (self.value.u32()?, self.value.u32()?);
         let address: [u8; 16] = self.value.array()?;
         let [.., a, b, c, d] = address;
         let port = u16::try_from(port).ok().filter(|port| *port > 0)?;
-        (kind == UDP_V4).then_some(Locator {
+        (kind == UDP_V4).then_some(NetworkAddress {
             address: [a, b, c, d],
             port,
         })
     }
 
     /// Returns its text.
-    pub fn text(mut self) -> Option<&'m str> {
+    pub fn text(self) -> Option<&'m str> {
+        core::str::from_utf8(self.bytes()?).ok()
+    }
+
+    /// Returns the bytes of its text, which ends with a zero.
+    pub(crate) fn bytes(mut self) -> Option<&'m [u8]> {
         let len = self.value.u32()? as usize;
-        let (_zero, text) = self.value.take(len)?.split_last()?;
-        core::str::from_utf8(text).ok()
+        self.value.take(len)?.strip_suffix(&[0])
     }
 
-    /// Returns its number, or the first of them.
-    #[inline(never)]
-    pub fn number(mut self) -> Option<u32> {
+    /// Returns its number at this place, from 0 on.
+    pub fn number(mut self, place: usize) -> Option<u32> {
+        self.value.take(4 * place)?;
         self.value.u32()
-    }
-
-    /// Returns the second of its numbers.
-    pub fn second(mut self) -> Option<u32> {
-        let _first = self.value.u32()?;
-        self.value.u32()
-    }
-
-    /// Returns whether it is this text.
-    #[inline(never)]
-    pub(crate) fn is(mut self, text: &str) -> bool {
-        let len = self.value.u32().unwrap_or(0) as usize;
-        let bytes = self.value.take(len).and_then(|bytes| bytes.split_last());
-        bytes == Some((&0, text.as_bytes()))
     }
 }
 
@@ -103,10 +168,9 @@ impl<'m> Parameters<'m> {
 
     /// Returns the list in a payload; `None` if the payload has another representation.
     pub(crate) fn of_payload(payload: &'m [u8]) -> Option<Self> {
-        let (head, body) = payload.split_at_checked(4)?;
-        match head {
-            [0, 2, ..] => Some(Self::new(Cursor::new(body, false))),
-            [0, 3, ..] => Some(Self::new(Cursor::new(body, true))),
+        match payload {
+            [0, 2, _, _, body @ ..] => Some(Self::new(Cursor::new(body, false))),
+            [0, 3, _, _, body @ ..] => Some(Self::new(Cursor::new(body, true))),
             _ => None,
         }
     }
@@ -117,7 +181,6 @@ impl<'m> Parameters<'m> {
     }
 
     /// Returns the first one with this number.
-    #[inline(never)]
     pub fn find(mut self, id: u16) -> Option<Parameter<'m>> {
         Iterator::find(&mut self, |parameter| parameter.id == id)
     }
@@ -126,7 +189,6 @@ impl<'m> Parameters<'m> {
 impl<'m> Iterator for Parameters<'m> {
     type Item = Parameter<'m>;
 
-    #[inline(never)]
     fn next(&mut self) -> Option<Parameter<'m>> {
         if self.ended {
             return None;
@@ -138,7 +200,7 @@ impl<'m> Iterator for Parameters<'m> {
         }
         // The next one is aligned.
         let value = self.rest.take(len.into()).filter(|_| len % 4 == 0)?;
-        let value = Cursor::new(value, self.rest.is_little());
+        let value = Cursor::new(value, self.rest.is_little);
         let id = id & !pid::MUST_UNDERSTAND;
         Some(Parameter { id, value })
     }

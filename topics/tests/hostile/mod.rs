@@ -1,8 +1,8 @@
 //! A controller and an SoC on a network, and datagrams that are forged in the name of any one.
 
-use tandem_board::{Duration, Instant};
+use tandem_board::{Duration, Instant, NetworkAddress, Recipient};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS};
-use tandem_topics::{CanFrame, Destination, Endpoint, GuidPrefix, Locator, Outlet, Participant};
+use tandem_topics::{CanFrame, Endpoint, GuidPrefix, Outlet, Participant, TopicType as _};
 
 const COMMAND: usize = 24;
 pub(crate) type Mcu = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, COMMAND>;
@@ -26,8 +26,8 @@ pub(crate) const PUBLICATIONS_READER: Id = [0, 0, 3, 0xC7];
 pub(crate) const SUBSCRIPTIONS_WRITER: Id = [0, 0, 4, 0xC2];
 const PARTICIPANTS_WRITER: Id = [0, 1, 0, 0xC2];
 
-pub(crate) const fn place(node: usize) -> Locator {
-    Locator {
+pub(crate) const fn place(node: usize) -> NetworkAddress {
+    NetworkAddress {
         address: [10, 0, 0, node as u8],
         port: 7_410,
     }
@@ -39,10 +39,10 @@ pub(crate) const fn prefix(node: u8, start: u8) -> GuidPrefix {
 
 /// The messages that a participant sends.
 #[derive(Default)]
-pub(crate) struct Sent(pub(crate) Vec<(Destination, Vec<u8>)>);
+pub(crate) struct Sent(pub(crate) Vec<(Recipient, Vec<u8>)>);
 
 impl Outlet for Sent {
-    fn send(&mut self, to: Destination, message: &[u8]) {
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         self.0.push((to, message.to_vec()));
     }
 }
@@ -105,7 +105,7 @@ fn list(parameters: &[Vec<u8>]) -> Vec<u8> {
 }
 
 /// The announcement of a participant.
-pub(crate) fn participant(name: GuidPrefix, at: Locator, lease: u32) -> Vec<u8> {
+pub(crate) fn participant(name: GuidPrefix, at: NetworkAddress, lease: u32) -> Vec<u8> {
     let address = u32::from_le_bytes(at.address);
     let at = words(&[1, at.port.into(), 0, 0, 0, address]);
     let guid = [&name.0[..], &[0, 0, 1, 0xC1]].concat();
@@ -158,7 +158,7 @@ pub(crate) struct World {
     /// Nothing arrives at this node.
     pub(crate) is_cut: [bool; 2],
     /// What the controller has sent.
-    pub(crate) sent: Vec<(Destination, Vec<u8>)>,
+    pub(crate) sent: Vec<(Recipient, Vec<u8>)>,
     /// What it has heard, while there is a `change`: that is told how many were before.
     pub(crate) heard: Vec<Vec<u8>>,
     pub(crate) change: Option<Box<Change>>,
@@ -203,8 +203,8 @@ impl World {
     fn carry(&mut self, from: usize, sent: Sent) {
         for (to, bytes) in &sent.0 {
             let arrives = match *to {
-                Destination::Everyone => true,
-                Destination::At(at) => at == place(1 - from),
+                Recipient::Everyone => true,
+                Recipient::One(at) => at == place(1 - from),
             };
             if arrives && !self.is_cut[1 - from] {
                 self.under_way.push((1 - from, bytes.clone()));

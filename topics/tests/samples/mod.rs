@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use tandem_shm::{Corrupt, Payload};
 use tandem_topics::{
     BrakeRequest, CanFrame, CdrError, Gear, LateralControl, LongitudinalControl, ParkingBrake,
-    PowerControl,
+    PowerControl, TopicType,
 };
 
 /// A sample of any type.

@@ -3,7 +3,6 @@
 
 use std::ffi::OsString;
 use std::io::Read as _;
-use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread;
@@ -66,7 +65,11 @@ pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, 
 }
 
 /// Does the work of the launcher of a case.
-pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) -> ExitCode {
+pub(crate) fn launch(
+    argv: &[OsString],
+    network: Option<UdpPlace>,
+    claims_realtime: impl Fn(&str) -> bool,
+) -> ExitCode {
     let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
     let place = if place == "own" {
         isolation::enter()
@@ -89,7 +92,7 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
             ..Schedule::default()
         },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
-        network: Some(network()),
+        network,
         extra: vec![name.clone(), folder.into()],
     };
     launcher.start(&plan, &again).expect("start");
@@ -106,12 +109,6 @@ pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) 
             ExitCode::FAILURE
         }
     }
-}
-
-/// Returns a domain that no other run of this program has at the same time.
-fn network() -> UdpPlace {
-    let domain = std::process::id() % 229;
-    UdpPlace::new(domain as u16, Ipv4Addr::LOCALHOST).expect("a domain")
 }
 
 /// Returns the command that starts a process of the run.

@@ -14,10 +14,11 @@ mod fixture;
 mod launcher;
 mod residue;
 
+use std::net::Ipv4Addr;
 use std::process::ExitCode;
 
 use libtest_mimic::{Arguments, Trial};
-use tandem_board_host::ProcessArgs;
+use tandem_board_host::{ProcessArgs, UdpPlace};
 
 fn main() -> ExitCode {
     let argv: Vec<_> = std::env::args_os().skip(1).collect();
@@ -25,7 +26,7 @@ fn main() -> ExitCode {
         return fixture::play(args.expect("arguments made by this program"));
     }
     if argv.first().is_some_and(|first| first == launcher::LAUNCH) {
-        return launcher::launch(&argv[1..], fixture::claims_realtime);
+        return launcher::launch(&argv[1..], Some(network()), fixture::claims_realtime);
     }
     let mut trials: Vec<Trial> = fixture::all_cases()
         .map(|case| {
@@ -37,4 +38,10 @@ fn main() -> ExitCode {
     trials.extend(residue::trials());
     trials.extend(environment::trials());
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
+}
+
+/// Returns a domain that no other run of this program has at the same time.
+fn network() -> UdpPlace {
+    let domain = std::process::id() % 229;
+    UdpPlace::new(domain as u16, Ipv4Addr::LOCALHOST).expect("a domain")
 }

@@ -6,10 +6,10 @@
 
 use core::hint::black_box;
 use core::sync::atomic::AtomicU8;
-use tandem_board::Instant;
+use tandem_board::{Instant, NetworkAddress, Recipient};
 use tandem_board_riscv32_virt::{clint, entry, hart};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
-use tandem_topics::{CanFrame, Destination, Locator, Outlet, Participant, PowerControl};
+use tandem_topics::{CanFrame, Outlet, Participant, PowerControl, TopicType};
 
 entry!(main);
 
@@ -23,13 +23,13 @@ static STATE: [AtomicU8; size_of::<Controller>()] =
 struct Port;
 
 impl Outlet for Port {
-    fn send(&mut self, to: Destination, message: &[u8]) {
+    fn send(&mut self, to: Recipient, message: &[u8]) {
         black_box((to, message));
     }
 }
 
 fn main(_: usize) -> ! {
-    let at = Locator {
+    let at = NetworkAddress {
         address: black_box([10, 0, 0, 1]),
         port: 7_410,
     };

@@ -8,7 +8,7 @@ use tandem_board_udp::UdpPlace;
 use tandem_bus::{Control, EgoMotion, FrameTransmitter, GearCode, Message, ModeCode};
 use tandem_bus::{DriverRequest, ParkingBrakeCode};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
-use tandem_topics::{BrakeRequest, CanFrame, Gear, LateralControl, LongitudinalControl};
+use tandem_topics::{BrakeRequest, CanFrame, Gear, LateralControl, LongitudinalControl, TopicType};
 use tandem_topics::{ParkingBrake, PowerControl};
 use tandem_topics_host::approach::Orders;
 use tandem_topics_host::node::Node;

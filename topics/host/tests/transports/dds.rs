@@ -6,7 +6,7 @@ use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
 use tandem_board_udp::UdpPlace;
-use tandem_topics::{CanFrame, Durability, Endpoint, Qos, READERS, Reliability};
+use tandem_topics::{CanFrame, Durability, Endpoint, Qos, READERS, Reliability, TopicType};
 use tandem_topics_host::node::Node;
 use tandem_topics_host::typed::{TypedReader, TypedWriter};
 
