@@ -72,8 +72,9 @@ pub(crate) struct Remote {
     pub(crate) prefix: GuidPrefix,
     /// When it was heard first.
     pub(crate) found: Instant,
-    metatraffic: NetworkAddress,
-    user: NetworkAddress,
+    /// Where it hears discovery, and samples.
+    pub(crate) discovery: Peer,
+    pub(crate) user: Peer,
     pub(crate) expires: Instant,
     /// It is taken for dead if nothing of it is heard for this time. Announcements alone do not
     /// suffice: some vendors repeat them just before the lease ends, and one may be lost.
@@ -115,37 +116,22 @@ impl Remote {
             }
         }
         let Some(user) = user else { return false };
-        (self.metatraffic, self.user) = (metatraffic.unwrap_or(user), user);
+        self.discovery = (self.prefix, metatraffic.unwrap_or(user));
+        self.user = (self.prefix, user);
         let seconds = seconds.clamp(1, LONGEST_LEASE_SECONDS);
         self.lease = Duration::from_ms(1_000).times(seconds);
         self.expires = now + self.lease;
         true
     }
 
-    /// Notes which of our endpoints it has, of which there are `all`. Returns whether it asks for
-    /// some.
-    pub(crate) fn on_acknack(
-        &mut self,
-        kind: Kind,
-        (set, count): (SequenceSet, u32),
-        all: usize,
-    ) -> bool {
+    /// Notes which of `all` our endpoints it has. Returns whether it asks for some.
+    pub(crate) fn asks(&mut self, kind: Kind, set: SequenceSet, count: u32, all: usize) -> bool {
         let is_new = set.base as usize <= all + 1 && rises(&mut self.acknack[kind as usize], count);
         if is_new {
             let has = &mut self.has[kind as usize];
             *has = set.base.max(*has);
         }
         is_new && set.bits > 0
-    }
-
-    /// Where it hears discovery.
-    pub(crate) const fn discovery(&self) -> Peer {
-        (self.prefix, self.metatraffic)
-    }
-
-    /// Where it hears samples.
-    pub(crate) const fn user(&self) -> Peer {
-        (self.prefix, self.user)
     }
 }
 

@@ -16,8 +16,8 @@ pub const HEARTBEAT_PERIOD: Duration = Duration::from_ms(250);
 const ANNOUNCES_EVERY: Duration = Duration::from_ms(1_000);
 /// After this time, a participant that has nothing for this one gives way to another one.
 const SETTLES: Duration = Duration::from_ms(500);
-/// With each announcement of this number, all are asked for their endpoints once more: this finds
-/// what was lost to a damaged message, or to a link that failed in one direction.
+/// With each eighth announcement all are asked for their endpoints once more. This finds what was
+/// lost to a damaged message, or to a link that failed in one direction.
 const ASKS_WITH: u8 = 8;
 /// How many other participants it knows.
 const REMOTES: usize = 4;
@@ -159,8 +159,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     /// Says to all that it ends.
     pub fn leave(&mut self, out: &mut impl Outlet) {
-        let mut message = Message::new(self.prefix, None);
-        message.end_of_participant().send(out);
+        Message::new(self.prefix, None)
+            .end_of_participant()
+            .send(out);
     }
 
     /// Hears a datagram.
@@ -204,10 +205,10 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         let Some(remote) = self.remote(from) else {
             return;
         };
-        let peer = remote.discovery();
+        let peer = remote.discovery;
         let mut kinds = Kind::ALL.into_iter();
         let Some(kind) = kinds.find(|kind| kind.ends().writer == ends.writer) else {
-            let user = remote.user();
+            let user = remote.user;
             self.on_user(user, ends, part, out);
             return;
         };
@@ -232,7 +233,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
                 heard.on_gap(start, set);
             }
             Part::AckNack(set, count) => {
-                if remote.on_acknack(kind, (set, count), [W, R][kind as usize]) {
+                if remote.asks(kind, set, count, [W, R][kind as usize]) {
                     self.send_endpoints(peer, kind, set, out);
                 }
             }
@@ -299,7 +300,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             return;
         };
         *place = Some(remote);
-        let peer = remote.discovery();
+        let peer = remote.discovery;
         self.announce(Some(peer), out);
         for kind in Kind::ALL {
             self.send_endpoints(peer, kind, SequenceSet::FIRST, out);
@@ -364,15 +365,14 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         self.is_free = true;
     }
 
-    /// Asks all for their endpoints once more: one that was refused a place, or was lost, may get
-    /// a place now.
+    /// Asks all for their endpoints once more: one that was refused or lost may get a place now.
     fn ask_all(&mut self, out: &mut impl Outlet) {
         for remote in self.remotes.iter_mut().flatten() {
             remote.heard = [Stream::new(true); 2];
         }
         for remote in self.remotes.into_iter().flatten() {
             for kind in Kind::ALL {
-                self.acknowledge(remote.discovery(), kind.ends(), SequenceSet::FIRST, out);
+                self.acknowledge(remote.discovery, kind.ends(), SequenceSet::FIRST, out);
             }
         }
     }
@@ -383,7 +383,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             if let Some((guid, set)) = self.readers[ours].asks_again(self.now, index % WRITERS)
                 && let Some(remote) = self.remote(guid.prefix)
             {
-                let (user, reader, writer) = (remote.user(), EntityId::reader(ours), guid.entity);
+                let (user, reader, writer) = (remote.user, EntityId::reader(ours), guid.entity);
                 self.acknowledge(user, Ends { reader, writer }, set, out);
             }
         }
@@ -391,8 +391,10 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     fn acknowledge(&mut self, to: Peer, ends: Ends, set: SequenceSet, out: &mut impl Outlet) {
         self.count = self.count.wrapping_add(1);
-        let mut message = Message::new(self.prefix, Some(to));
-        message.acknack(ends, set, self.count).send(out);
+        let own = self.prefix;
+        Message::new(own, Some(to))
+            .acknack(ends, set, self.count)
+            .send(out);
     }
 
     /// Sends a reader again what it asks for, and tells what is dropped, or is older than the first
@@ -410,8 +412,9 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             self.send_heartbeat(index, reader, out);
         }
         if set.bits > 0 && set.base < first {
-            let mut message = Message::new(self.prefix, Some(to));
-            message.gap(ends, set.base, first).send(out);
+            Message::new(self.prefix, Some(to))
+                .gap(ends, set.base, first)
+                .send(out);
         }
         let last = set.numbers().last();
         for number in set.numbers().filter(|number| *number >= first) {
@@ -455,7 +458,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// Begins a message of a writer to a reader of others.
     fn begin(&mut self, index: usize, to: Guid) -> (Ends, Message) {
         let (reader, writer) = (to.entity, EntityId::writer(index));
-        let user = self.remote(to.prefix).map(|remote| remote.user());
+        let user = self.remote(to.prefix).map(|remote| remote.user);
         (Ends { reader, writer }, Message::new(self.prefix, user))
     }
 
@@ -484,21 +487,18 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             count: self.count,
             is_final: false,
         };
-        let mut message = Message::new(self.prefix, Some(to));
-        message.heartbeat(kind.ends(), heartbeat).send(out);
+        Message::new(self.prefix, Some(to))
+            .heartbeat(kind.ends(), heartbeat)
+            .send(out);
     }
 
     /// Reminds who has not said that it has everything.
     fn remind(&mut self, out: &mut impl Outlet) {
+        let none = SequenceSet { base: 1, bits: 0 };
         for remote in self.remotes.into_iter().flatten() {
             for (kind, last) in Kind::ALL.into_iter().zip([W, R]) {
                 if remote.has[kind as usize] <= last as Sequence {
-                    self.send_endpoints(
-                        remote.discovery(),
-                        kind,
-                        SequenceSet { base: 1, bits: 0 },
-                        out,
-                    );
+                    self.send_endpoints(remote.discovery, kind, none, out);
                 }
             }
         }

@@ -36,8 +36,7 @@ impl Stream {
         }
     }
 
-    /// Begins again if all that is expected is far above the number that the writer has come to: a
-    /// number of before was wrong.
+    /// Begins again if what is next is far above what the writer has reached: that was wrong.
     fn doubt(&mut self, reached: Sequence) {
         if self.next > reached.saturating_add(OVERTAKEN) {
             (self.next, self.there) = (0, 0);
@@ -61,12 +60,7 @@ impl Stream {
         self.skip_to(self.next);
     }
 
-    /// Notes that a sample is no longer there.
-    fn remove(&mut self, number: Sequence) {
-        self.there &= !HERE.wrapping_shr(number.wrapping_sub(self.next));
-    }
-
-    /// Gives up what is below this number, and passes what is there. Returns how many were given up.
+    /// Gives up what is below this number, passes what is there. Returns how many were given up.
     pub(crate) fn skip_to(&mut self, number: Sequence) -> u32 {
         let mut lost = 0;
         while self.there >= HERE || self.there > 0 && self.next < number {
@@ -291,7 +285,9 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         };
         if let Some(Slot { from, number, .. }) = place.replace(slot) {
             match self.writers.get_mut(usize::from(from)) {
-                Some(writer) if writer.stream.next <= number => writer.stream.remove(number),
+                Some(RemoteWriter { stream, .. }) if stream.next <= number => {
+                    stream.there &= !HERE.wrapping_shr(number - stream.next);
+                }
                 _ => self.counts.replaced = self.counts.replaced.wrapping_add(1),
             }
         }
