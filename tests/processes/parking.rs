@@ -64,8 +64,8 @@ fn rules(metrics: &Value) -> Vec<&str> {
     findings.map(|it| it["rule"].as_str().unwrap()).collect()
 }
 
-/// D-2, D-3: the SoC's process parks the vehicle, although the supply of the master dies on the way.
-/// Each frame that one of the systems heard has reached the SoC. The run shows phases, way and
+/// D-2, D-3: the SoC's process parks the vehicle, although the supply of the master dies on the
+/// way. Each frame that one of the systems heard has reached the SoC. The run shows phases, way and
 /// frames.
 #[test]
 fn a_run_with_an_soc_parks_and_a_takeover_loses_no_frame() {
