@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Instant, NetworkAddress, Recipient};
 use tandem_topics::{
-    Durability, Endpoint, GuidPrefix, Outlet, Participant, Qos, READERS, Reliability,
+    Counts, Durability, Endpoint, GuidPrefix, Outlet, Participant, Qos, READERS, Reliability,
 };
 
 const RELIABLE: Qos = Qos {
@@ -425,6 +425,44 @@ fn what_is_not_taken_is_replaced() {
         .collect();
     assert_eq!(taken, [3, 4, 5]);
     assert_eq!(soc.reader_counts(0).replaced, 2);
+}
+
+/// A reader notes 32 samples from a missing one on. Those further ahead are sent again.
+#[test]
+fn a_long_burst_behind_a_loss_arrives() {
+    static DEEP: [Endpoint; 1] = [Endpoint {
+        qos: Qos {
+            depth: 64,
+            ..RELIABLE
+        },
+        ..UP
+    }];
+    let mut from = Participant::<1, 0, 64, 4, 0>::new(prefix(0, 0), place(0), &DEEP, &NONE);
+    let mut to = Participant::<0, 1, 64, 0, 4>::new(prefix(1, 0), place(1), &NONE, &DEEP);
+    let (mut sent, mut answers) = (Sent::default(), Sent::default());
+    for step in 0..200 {
+        let now = Instant::ORIGIN + MS.times(10 * step);
+        from.poll(now, &mut sent);
+        if step == 100 {
+            sent.messages.clear();
+            for number in 1..=50u32 {
+                from.write(0, &number.to_le_bytes(), &mut sent).unwrap();
+            }
+            sent.messages.remove(0);
+        }
+        for (_, message) in std::mem::take(&mut sent).messages {
+            to.hear(now, &message, &mut answers);
+        }
+        to.poll(now, &mut answers);
+        for (_, message) in std::mem::take(&mut answers).messages {
+            from.hear(now, &message, &mut sent);
+        }
+    }
+    let taken = std::iter::from_fn(|| to.take(0));
+    let taken: Vec<_> = taken.map(|sample| sample.payload()[0]).collect();
+    assert_eq!(taken, (1..=50).collect::<Vec<u8>>());
+    assert_eq!(to.reader_counts(0), Counts::default());
+    assert!(from.writer_counts(0).repaired > 1);
 }
 
 /// Datagrams of others are counted, and change nothing.
