@@ -18,9 +18,9 @@ pub(crate) struct Registers {
     /// When the newest datagram of each channel was sent, in words; 0 for none.
     sent: [[AtomicU32; 2]; CHANNELS],
     /// Datagrams that have not left the system.
-    pub(crate) transmit: Ring<8, PACKET_WORDS>,
+    pub(crate) transmit: Ring<32, PACKET_WORDS>,
     /// Datagrams that were received on each channel.
-    pub(crate) receive: [Ring<16, PACKET_WORDS>; CHANNELS],
+    pub(crate) receive: [Ring<32, PACKET_WORDS>; CHANNELS],
 }
 
 fn read(words: &[AtomicU32; 2]) -> [u32; 2] {
