@@ -358,8 +358,6 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
         ("--dflash", args.dflash.is_some()),
         ("--timing", args.timing != Timing::Auto),
         ("--stagger", args.stagger.is_some()),
-        ("--soc", args.soc.is_some()),
-        ("--domain", args.domain.is_some()),
     ];
     match of_host.iter().find(|(_, given)| *given) {
         Some((option, _)) if args.board != BoardKind::Host => {

@@ -180,14 +180,17 @@ fn expected(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<Vec<u8>> 
                 {
                     last = data.writer_sn();
                     if payload.len() <= ROOM {
-                        samples.push(payload.to_vec());
+                        samples.push((last, payload.to_vec()));
                     }
                 }
             }
             _ => {}
         }
     }
-    samples
+    // In the order of their numbers. What a wrong number has left behind is not due.
+    samples.sort_by_key(|(number, _)| *number);
+    let due = samples.into_iter().filter(|(number, _)| *number <= last);
+    due.map(|(_, sample)| sample).collect()
 }
 
 /// Passes a datagram to a participant that knows its sender. What it takes must be what the second
