@@ -198,10 +198,18 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
             is_alive: true,
             ..RemoteWriter::default()
         };
-        for slot in &mut self.samples {
-            let _unread = slot.take_if(|slot| usize::from(slot.from) == index);
-        }
+        self.drop_from(index, 0);
         true
+    }
+
+    /// Drops the samples of a writer from this number on.
+    #[inline(never)]
+    fn drop_from(&mut self, index: usize, number: Sequence) {
+        let is_of =
+            |slot: &mut Slot<BYTES>| usize::from(slot.from) == index && slot.number >= number;
+        for slot in &mut self.samples {
+            let _dropped = slot.take_if(is_of);
+        }
     }
 
     /// Takes the places of these writers back, when another one needs them. What they have sent can
@@ -254,11 +262,16 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         };
         let number = data.sequence;
         let writer = &mut self.writers[index];
+        let before = writer.stream.next;
         if !writer.is_reliable {
             // It does not send again what is missing.
             writer.stream.doubt(number);
             writer.stream.skip_to(number);
         }
+        if writer.stream.next < before {
+            self.drop_from(index, number);
+        }
+        let writer = &mut self.writers[index];
         if !writer.stream.lacks(number) {
             return;
         }
@@ -306,10 +319,17 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         if !writer.is_reliable {
             return None;
         }
+        let before = writer.stream.next;
         let lost = writer.stream.on_heartbeat(heartbeat)?;
         (writer.last, writer.asked, writer.asks) = (heartbeat.last, now, 0);
         self.counts.lost = self.counts.lost.saturating_add(lost);
-        let set = writer.stream.missing(writer.last, self.depth);
+        let (next, set) = (
+            writer.stream.next,
+            writer.stream.missing(writer.last, self.depth),
+        );
+        if next < before {
+            self.drop_from(index, next);
+        }
         (set.bits > 0 || !heartbeat.is_final).then_some(set)
     }
 

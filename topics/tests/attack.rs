@@ -110,9 +110,8 @@ fn wrong_numbers_do_not_deafen() {
     }
 }
 
-/// A writer without guarantee: one sample with a wrong number does not silence it.
-#[test]
-fn a_wrong_number_does_not_silence_a_writer_without_guarantee() {
+/// Returns a participant that hears a writer of the SoC without guarantee.
+fn without_guarantee() -> Participant<0, 1, 3, 0, 24> {
     const BEST_EFFORT: Qos = Qos {
         reliability: Reliability::BestEffort,
         durability: Durability::Volatile,
@@ -122,27 +121,51 @@ fn a_wrong_number_does_not_silence_a_writer_without_guarantee() {
         qos: BEST_EFFORT,
         ..INPUTS[0]
     }];
-    let mut mcu = Participant::<0, 1, 3, 0, 24>::new(MCU, place(0), &[], &INPUT);
-    let (now, mut sent) = (hostile::START, Sent::default());
-    mcu.hear(
-        now,
-        &message(SOC, &[participant(SOC, place(1), 10)]),
-        &mut sent,
-    );
+    let mut mcu = Participant::new(MCU, place(0), &[], &INPUT);
     let offer = endpoint(SOC, PUBLICATIONS_WRITER, (POWER_WRITER, 1), &INPUT[0]);
-    mcu.hear(now, &message(SOC, &[offer]), &mut sent);
+    for part in [participant(SOC, place(1), 10), offer] {
+        mcu.hear(START, &message(SOC, &[part]), &mut Sent::default());
+    }
+    mcu
+}
+
+/// A writer without guarantee: one sample with a wrong number does not silence it.
+#[test]
+fn a_wrong_number_does_not_silence_a_writer_without_guarantee() {
+    let (mut mcu, mut sent) = (without_guarantee(), Sent::default());
     let mut hears = |number| {
-        mcu.hear(
-            now,
-            &message(SOC, &[data(POWER_WRITER, number, b"abcd")]),
-            &mut sent,
-        );
+        let part = data(POWER_WRITER, number, b"abcd");
+        mcu.hear(START, &message(SOC, &[part]), &mut sent);
         mcu.take(0).is_some()
     };
     assert!((1..=100).all(&mut hears));
     assert!(!hears(99), "it is late");
     assert!(hears(1 << 30));
     assert!((101..=200).all(&mut hears));
+}
+
+/// A sample with a wrong number that was not taken is dropped when the writer goes on below it. It
+/// does not come later, behind newer ones, and holds no place.
+#[test]
+fn what_a_wrong_number_leaves_is_dropped() {
+    let mut mcu = without_guarantee();
+    let mut hear = |number: u32| {
+        let part = data(POWER_WRITER, number, &number.to_le_bytes());
+        mcu.hear(START, &message(SOC, &[part]), &mut Sent::default());
+        mcu.clone()
+    };
+    let _untaken = hear(150);
+    let mut taken = Vec::new();
+    for number in 1..=200 {
+        // Three of them have room: nothing is replaced if the wrong one has left.
+        let mut after = hear(number);
+        let newest = std::iter::from_fn(|| after.take(0)).last();
+        let newest = newest.map(|sample| sample.payload().to_vec());
+        taken.push(newest);
+    }
+    let right = (1..=200u32).map(|number| Some(number.to_le_bytes().to_vec()));
+    assert!(taken.into_iter().eq(right));
+    assert_eq!(mcu.reader_counts(0).replaced, 197);
 }
 
 /// A reader of depth 3 holds what arrived behind a loss. It must have room for the lost one, if the

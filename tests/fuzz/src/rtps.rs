@@ -150,17 +150,11 @@ fn may_break_the_second(message: &[u8]) -> bool {
     parts.iter().any(|part| is_set(&part.0)) || has_open && message.iter().skip(20).any(is_set)
 }
 
-/// Returns whether a sample is taken after this one: it is newer, or so much older that the number
-/// of before must have been wrong.
-const fn is_new(number: i64, last: i64) -> bool {
-    number > last || last + 1 > number + 32
-}
-
-/// Returns the samples that the second reader finds for the reader that takes all, and whether each
-/// can be taken.
-fn expected(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<(bool, Vec<u8>)> {
+/// Returns the samples that the second reader finds for the reader that takes all, with their
+/// numbers.
+fn found(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<(i64, &[u8])> {
     let writer = KNOWS_ALL.writers_of(TAKES_ALL).next();
-    let (mut is_ours, mut last, mut samples) = (true, 0, Vec::new());
+    let (mut is_ours, mut samples) = (true, Vec::new());
     for part in parts {
         match part {
             RtpsSubmessageReadKind::InfoDestination(to) => {
@@ -174,26 +168,31 @@ fn expected(from: GuidPrefix, parts: &[RtpsSubmessageReadKind]) -> Vec<(bool, Ve
                 let is_for = [EntityId([0; 4]), EntityId([0, 1, 1, 4])];
                 let is_from =
                     writer.is_some_and(|it| it.prefix == from && it.entity == id(data.writer_id()));
-                let payload = data.serialized_payload().as_ref();
-                if is_from
-                    && is_for.contains(&id(data.reader_id()))
-                    && is_new(data.writer_sn(), last)
-                {
-                    last = data.writer_sn();
-                    if payload.len() <= ROOM {
-                        samples.push((last, payload.to_vec()));
-                    }
+                if is_from && is_for.contains(&id(data.reader_id())) {
+                    samples.push((data.writer_sn(), data.serialized_payload().as_ref()));
                 }
             }
             _ => {}
         }
     }
-    // In the order of their numbers. What a wrong number has left behind is not due.
-    samples.sort_by_key(|(number, _)| *number);
-    let samples = samples.into_iter();
     samples
-        .map(|(number, sample)| (number <= last, sample))
-        .collect()
+}
+
+/// Returns those of these samples that are taken: each is newer than the last one. A much older one
+/// shows that numbers of before were wrong; what is not below it is dropped.
+fn due<'m>(samples: &[(i64, &'m [u8])]) -> Vec<&'m [u8]> {
+    let (mut last, mut due) = (0, Vec::new());
+    for &(number, sample) in samples {
+        let begins_again = last + 1 > number + 32;
+        if begins_again {
+            due.retain(|(before, _)| *before < number);
+        }
+        if number > last || begins_again {
+            last = number;
+            due.extend((sample.len() <= ROOM).then_some((number, sample)));
+        }
+    }
+    due.into_iter().map(|(_, sample)| sample).collect()
 }
 
 /// Passes a datagram to a participant that knows its sender. What it takes must be what the second
@@ -217,11 +216,9 @@ pub(crate) fn rtps(datagram: &[u8]) -> bool {
         return false;
     };
     let parts = read.submessages();
-    let found = expected(GuidPrefix(read.header().guid_prefix()), parts);
+    let found = found(GuidPrefix(read.header().guid_prefix()), parts);
     if is_plain(datagram, parts) {
-        let due = found.iter().filter(|(is_due, _)| *is_due);
-        let due: Vec<_> = due.map(|(_, sample)| sample.clone()).collect();
-        assert_eq!(taken, due);
+        assert_eq!(taken, due(&found));
     }
     for sample in &taken {
         let is_found = found.iter().any(|(_, found)| found == sample);
