@@ -24,3 +24,7 @@ pub use reader::{Sample, WRITERS};
 pub use types::*;
 pub use wire::{EntityId, Guid, GuidPrefix, Outlet, Parameter, Parameters, pid};
 pub use writer::{READERS, WriteError};
+
+/// The participant of a system: one writer, four readers, a history of three. D-4
+pub type Controller =
+    Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, { PowerControl::PAYLOAD_LEN }>;

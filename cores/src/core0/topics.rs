@@ -7,13 +7,15 @@ use super::{Core0Task, Executor, TaskBody};
 use crate::driving::parking::SocSample;
 use crate::trace::{Begin, Event};
 use heapless::Deque;
-use tandem_board::{Board, CanId, Channel, Duration, Instant, Network, Received, Recipient};
+use tandem_board::{
+    Board, CanId, Channel, Duration, Instant, Network, NoNetwork, Received, Recipient,
+};
 use tandem_bus::e2e::Checker;
 use tandem_bus::{FRAMES, FrameInfo};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, SocTopic, controller_prefix};
 use tandem_topics::{
-    CanFrame, GuidPrefix, LateralControl, LongitudinalControl, Outlet, ParkingBrake, Participant,
-    PowerControl, TopicType,
+    CanFrame, Controller, GuidPrefix, LateralControl, LongitudinalControl, Outlet, ParkingBrake,
+    PowerControl, TopicType as _,
 };
 
 /// Capacity for frames that have not been published: what the bus carries in 5 ms.
@@ -30,13 +32,8 @@ const THEIRS_HOLDS: Duration = Duration::from_ms(100);
 const SILENT_PERIODS: u64 = 5;
 /// How often losses and silence of frames are looked for.
 const SUPERVISES_EVERY: Duration = Duration::from_ms(100);
-/// Length of the longest command, bytes.
-const COMMAND: usize = PowerControl::PAYLOAD_LEN;
-/// Length of the longest datagram that is read whole, bytes: that of an Ethernet frame.
-const LONGEST: usize = 1_472;
-
-/// The controller's participant: depth 3. D-4
-type Controller = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, COMMAND>;
+/// Length of the longest datagram of a port, bytes.
+const LONGEST: usize = <NoNetwork as Network>::MAX_BYTES;
 
 /// The frames that core 0 has heard and not published.
 #[derive(Default)]
@@ -175,12 +172,6 @@ struct Supervision {
 }
 
 impl Supervision {
-    fn on_frame(&mut self, received: &Received) {
-        if let Some(index) = index_of(received) {
-            self.heard[index] = Some(received.at);
-        }
-    }
-
     /// Tells which frames are silent, and of which some were lost since that was told.
     fn poll<'b, B: Board>(&mut self, now: Instant, executor: &impl Executor<'b, B>) {
         if now.since(self.polled) < SUPERVISES_EVERY {
@@ -220,8 +211,8 @@ fn index_of(received: &Received) -> Option<usize> {
     FRAMES.iter().position(|frame| frame.id == id)
 }
 
-/// Returns a frame as a sample.
-fn sample_of(received: &Received) -> CanFrame {
+/// Returns a frame as a sample. `period_ms`: 0 if it is unknown.
+fn sample_of(received: &Received, period_ms: u32) -> CanFrame {
     let bytes = received.frame.data();
     let mut data = [0; 64];
     data[..bytes.len()].copy_from_slice(bytes);
@@ -230,7 +221,7 @@ fn sample_of(received: &Received) -> CanFrame {
             CanId::Standard(id) => id.into(),
             CanId::Extended(id) => id | 1 << 31,
         },
-        period_ms: index_of(received).map_or(0, |index| FRAMES[index].cycle_ms as u16),
+        period_ms: period_ms as u16,
         length: bytes.len() as u8,
         data,
     }
@@ -302,8 +293,12 @@ impl<'b, B: Board> TopicsTask<'b, B> {
             let Some(received) = executor.shared(|shared| shared.heard.frames.pop_front()) else {
                 return;
             };
-            self.supervision.on_frame(&received);
-            if let Ok(payload) = sample_of(&received).encode() {
+            let known = index_of(&received);
+            if let Some(index) = known {
+                self.supervision.heard[index] = Some(received.at);
+            }
+            let period_ms = known.map_or(0, |index| FRAMES[index].cycle_ms);
+            if let Ok(payload) = sample_of(&received, period_ms).encode() {
                 // It ends after 2^32 frames, seven weeks at 1 kHz. The SoC then hears the other
                 // system.
                 let _ended = participant.write(0, &payload, &mut Port(self.board));
@@ -382,7 +377,7 @@ mod tests {
     }
 
     /// D-3: another SoC commands when the first one has sent no valid command for 500 ms. Commands
-    /// with a wrong CRC, or that were sent before, keep nobody away.
+    /// with a wrong CRC, or that were sent before, do not keep the place.
     #[test]
     fn only_valid_commands_keep_the_place_of_the_commander() {
         let mut damaged = command(7);

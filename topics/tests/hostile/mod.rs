@@ -2,10 +2,12 @@
 
 use tandem_board::{Duration, Instant, NetworkAddress, Recipient};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS};
-use tandem_topics::{CanFrame, Endpoint, GuidPrefix, Outlet, Participant, TopicType as _};
+use tandem_topics::{
+    CanFrame, Controller, Endpoint, GuidPrefix, Outlet, Participant, PowerControl, TopicType as _,
+};
 
-const COMMAND: usize = 24;
-pub(crate) type Mcu = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, COMMAND>;
+const COMMAND: usize = PowerControl::PAYLOAD_LEN;
+pub(crate) type Mcu = Controller;
 pub(crate) type Soc = Participant<4, 1, 3, COMMAND, { CanFrame::PAYLOAD_LEN }>;
 
 pub(crate) const START: Instant = Instant::from_ns(1_000_000_000);

@@ -9,11 +9,9 @@ use core::sync::atomic::AtomicU8;
 use tandem_board::{Instant, NetworkAddress, Recipient};
 use tandem_board_riscv32_virt::{clint, entry, hart};
 use tandem_topics::endpoints::{INPUTS, OUTPUTS, controller_prefix};
-use tandem_topics::{CanFrame, Outlet, Participant, PowerControl, TopicType};
+use tandem_topics::{CanFrame, Controller, Outlet, TopicType as _};
 
 entry!(main);
-
-type Controller = Participant<1, 4, 3, { CanFrame::PAYLOAD_LEN }, { PowerControl::PAYLOAD_LEN }>;
 
 /// As large as the participant, which lies on the stack.
 #[used]
