@@ -34,7 +34,7 @@ const LAYOUTS: [WorldLayout; 2] = [WorldLayout::One, WorldLayout::Two];
 const DRIVE_MS: u64 = 5_000;
 /// A reader that was there before has joined both systems by this time, ms.
 const JOINED_MS: u64 = 1_500;
-/// It has joined a system when it has heard so many of its frames.
+/// A reader has joined a system after this many of its frames.
 const JOINED_FRAMES: usize = 500;
 /// Way to the place where the vehicle is parked, m.
 const WAY_M: f32 = 12.0;
@@ -103,7 +103,7 @@ fn frames_of_both_systems_reach_a_participant_of_tandem() {
     for layout in LAYOUTS {
         let place = place(225, layout);
         let mut node = Node::open(place, &[], &OUTPUTS).unwrap();
-        let mut gateway = Gateway::new();
+        let mut gateway = Gateway::default();
         let mut drive = Drive::start("free-lane", layout, place);
         let mut joined = None;
         for ms in 0..DRIVE_MS {
@@ -119,7 +119,7 @@ fn frames_of_both_systems_reach_a_participant_of_tandem() {
                 // What it missed while it joined was told to it.
                 let lost = node.participant.reader_counts(0).lost;
                 joined = Some((lost, drive.on_bus));
-                gateway = Gateway::new();
+                gateway = Gateway::default();
             }
         }
         let (lost, on_bus) = joined.unwrap();
@@ -232,7 +232,7 @@ fn frames_of_both_systems_reach_cyclone() {
                 prefix: GuidPrefix([writer; 12]),
                 entity: EntityId([0; 4]),
             };
-            let mut gateway = Gateway::new();
+            let mut gateway = Gateway::default();
             let of_writer = read.iter().filter(|(of, _)| *of == writer);
             for (_, frame) in of_writer.skip(JOINED_FRAMES) {
                 gateway.hear(Instant::ORIGIN, guid, frame);

@@ -75,7 +75,7 @@ pub(super) fn run(
     let mut node = open(place, &[endpoint])?;
     let mut listing = Listing::default();
     let mut printer = Printer {
-        gateway: Gateway::new(),
+        gateway: Gateway::default(),
         signals: SignalTable::new(),
         json: place.json,
         frames: 0,

@@ -32,7 +32,7 @@ pub(super) fn run(
     out: &mut Out<impl Write>,
 ) -> Result<(), Failure> {
     let mut node = open(place, &OUTPUTS)?;
-    let (mut gateway, mut listing) = (Gateway::new(), Listing::default());
+    let (mut gateway, mut listing) = (Gateway::default(), Listing::default());
     let watch = Watch::new(place, Some(MEASURES_S), stop);
     while !watch.is_over() {
         turn(&mut node, &mut listing)?;

@@ -62,7 +62,7 @@ impl Hostile {
         bytes[..self.random() as usize % 53].to_vec()
     }
 
-    /// The announcement of a participant that nobody knows, or of a system that starts again.
+    /// The announcement of an unknown participant, or of a system that starts again.
     fn newcomer(&mut self) -> Vec<u8> {
         let name = match self.random() % 4 {
             0 => controller_prefix(self.random() as u8 % 2, self.bytes()),

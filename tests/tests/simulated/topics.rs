@@ -51,9 +51,9 @@ impl Soc {
         Self {
             station,
             participant: Participant::new(GuidPrefix([name; 12]), at, &INPUTS, &OUTPUTS),
-            gateway: Gateway::new(),
+            gateway: Gateway::default(),
             receiver: FrameReceiver::new(),
-            commander: Commander::new(),
+            commander: Commander::default(),
             approach: Approach::new(WAY_M),
             heard: BTreeMap::new(),
         }

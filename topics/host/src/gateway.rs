@@ -89,7 +89,7 @@ struct Id {
     given: VecDeque<Given>,
     /// Counter of the newest frame.
     newest: Option<u8>,
-    /// Counters of the last frames that nobody has given.
+    /// Counters of the last frames that neither system has given.
     skipped: [bool; 256],
     report: IdReport,
 }
@@ -214,7 +214,7 @@ impl Id {
             return Passed::InOrder;
         };
         let ahead = counter.wrapping_sub(newest);
-        // Half of the time that so many frames take at least.
+        // Half of the shortest time in which this many frames arrive.
         let takes = self.interval().times(u32::from(ahead / 2));
         let is_plausible = ahead <= MAX_DELTA_COUNTER || after(now, self.report.last, takes);
         if (1..HALF).contains(&ahead) && is_plausible {
@@ -249,11 +249,6 @@ fn values(frame: &CanFrame) -> Option<&[u8]> {
 }
 
 impl Gateway {
-    /// Creates a gateway that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes a sample. Returns how the frame passes; `None` if it was given before.
     pub fn hear(&mut self, now: Instant, writer: Guid, frame: &CanFrame) -> Option<Passed> {
         let from = self.system(now, writer);

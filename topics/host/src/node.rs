@@ -29,7 +29,6 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// Opens a participant with a new name.
     ///
     /// # Errors
-    ///
     /// As [`Udp::open`].
     pub fn open(
         place: UdpPlace,
@@ -47,7 +46,6 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// Opens a participant with this name, which must be new at each start.
     ///
     /// # Errors
-    ///
     /// As [`Udp::open`].
     pub fn open_as(
         prefix: GuidPrefix,
@@ -87,7 +85,6 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// for those of many datagrams.
     ///
     /// # Errors
-    ///
     /// As [`Udp::wait`].
     pub fn turn(&mut self, most: Duration) -> io::Result<bool> {
         self.turn_watched(most, |_| {})
@@ -96,7 +93,6 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// As [`turn`](Self::turn); shows the datagram.
     ///
     /// # Errors
-    ///
     /// As [`Udp::wait`].
     pub fn turn_watched(
         &mut self,
@@ -117,7 +113,6 @@ impl<const W: usize, const R: usize> Node<W, R> {
     /// Publishes a sample: representation and body.
     ///
     /// # Errors
-    ///
     /// [`WriteError`] says why it was not published.
     pub fn write(&mut self, writer: usize, sample: &[u8]) -> Result<(), WriteError> {
         self.participant.write(writer, sample, &mut self.udp)
@@ -130,7 +125,7 @@ impl<const W: usize, const R: usize> Node<W, R> {
 }
 
 impl<const W: usize, const R: usize> Drop for Node<W, R> {
-    /// Says that the participant ends, so that nobody waits for its lease.
+    /// Says that the participant ends, so that others do not wait for its lease.
     fn drop(&mut self) {
         self.participant.leave(&mut self.udp);
     }

@@ -167,7 +167,6 @@ impl Profiles {
     /// Reads the text of a DDS-XML file; errors name `file`.
     ///
     /// # Errors
-    ///
     /// [`ProfileError`] says where the file is wrong, what it has there, and what was expected. It
     /// is also one if a base does not exist, if bases form a circle, and if the layers of a profile
     /// do not fit together for a topic without a filter, or for one that a filter of the file
@@ -206,7 +205,6 @@ impl Profiles {
     /// `Library::Profile::Name` for a `<datawriter_qos>` that has a name.
     ///
     /// # Errors
-    ///
     /// [`LookupError`]: there is no such profile, or its layers do not fit together for this topic.
     pub fn writer(&self, profile: &str, topic: &str) -> Result<Qos, LookupError> {
         self.lookup(profile, Kind::Writer, topic)
@@ -215,7 +213,6 @@ impl Profiles {
     /// Returns what a reader of this topic asks for. `profile`: as for [`Profiles::writer`].
     ///
     /// # Errors
-    ///
     /// [`LookupError`]: there is no such profile, or its layers do not fit together for this topic.
     pub fn reader(&self, profile: &str, topic: &str) -> Result<Qos, LookupError> {
         self.lookup(profile, Kind::Reader, topic)

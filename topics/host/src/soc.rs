@@ -14,7 +14,7 @@ use crate::gateway::{Gateway, Passed, content};
 use crate::node::Node;
 use crate::profiles::{LookupError, Profiles};
 
-/// Protects samples of the four topics end to end, and says when each is due.
+/// Protects samples of the four topics end to end, and says when each is due: at first, at once.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Commander {
     counters: [u8; 4],
@@ -22,16 +22,10 @@ pub struct Commander {
 }
 
 impl Commander {
-    /// Creates a commander whose counters start at 0, and whose samples are all due.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Returns the payload of a topic if it is due at `now`: then its counter rises, so it must be
     /// written. Its period begins again at `now`, as at most one sample is due after a stall.
     ///
     /// # Errors
-    ///
     /// [`CdrError`]: an order is out of the range of its type.
     pub fn due(
         &mut self,
@@ -70,7 +64,6 @@ impl Commander {
 /// borrows its endpoints for ever, so this is for the start of a process: it never frees them.
 ///
 /// # Errors
-///
 /// [`LookupError`]: there is no such profile, or it does not fit together for a topic.
 pub fn endpoints<const N: usize>(
     of: &[Endpoint; N],
@@ -97,7 +90,6 @@ impl Soc {
     /// Opens the SoC's participant, with the quality of service of a profile.
     ///
     /// # Errors
-    ///
     /// The profile does not exist (as an error of input), or as [`Node::open`].
     pub fn open(
         place: UdpPlace,
@@ -109,9 +101,9 @@ impl Soc {
         let inputs = endpoints(&OUTPUTS, |topic| profiles.reader(profile, topic)).map_err(wrong)?;
         Ok(Self {
             node: Node::open(place, outputs, inputs)?,
-            gateway: Gateway::new(),
+            gateway: Gateway::default(),
             receiver: FrameReceiver::new(),
-            commander: Commander::new(),
+            commander: Commander::default(),
             approach,
         })
     }
@@ -120,7 +112,6 @@ impl Soc {
     /// datagram is left. To be called every millisecond of that time.
     ///
     /// # Errors
-    ///
     /// As [`Node::turn`].
     pub fn turn_at(&mut self, now: Instant) -> io::Result<()> {
         self.node.tell_time(now);
@@ -132,7 +123,6 @@ impl Soc {
     /// To be called at least every 5 ms.
     ///
     /// # Errors
-    ///
     /// As [`Node::turn`].
     pub fn turn(&mut self, most: Duration) -> io::Result<bool> {
         let has_heard = self.node.turn(most)?;

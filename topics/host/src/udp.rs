@@ -22,7 +22,6 @@ impl Udp {
     /// if the interface has multicast.
     ///
     /// # Errors
-    ///
     /// No port of the domain is free, or the interface does not exist.
     pub fn open(place: UdpPlace) -> io::Result<Self> {
         Ok(Self {
@@ -39,7 +38,6 @@ impl Udp {
     /// Waits for a datagram, at most for this time.
     ///
     /// # Errors
-    ///
     /// A signal has arrived, or a socket is broken.
     pub fn wait(&self, time: Duration) -> io::Result<()> {
         let sockets = self.channel.sockets();

@@ -158,7 +158,7 @@ fn drive(bus: &[OnBus], streams: &[Stream; 2]) -> Given {
     let [a, b] = SystemId::ALL.map(|system| arrivals(bus, system, &streams[system.index()]));
     let mut all: Vec<Arrival> = a.into_iter().chain(b).collect();
     all.sort_by_key(|(at, ..)| *at);
-    let mut gateway = Gateway::new();
+    let mut gateway = Gateway::default();
     let mut passed = Vec::new();
     for (at, _, writer, place) in &all {
         let now = Instant::from_ns(at * 1_000_000);
@@ -256,7 +256,7 @@ proptest! {
     /// Bytes of others never panic, and nothing that one system alone publishes is ever lost.
     #[test]
     fn any_frames_pass(frames in prop::collection::vec(any_frame(), 0..300)) {
-        let mut gateway = Gateway::new();
+        let mut gateway = Gateway::default();
         for (at_ms, frame) in frames {
             let now = Instant::from_ns(u64::from(at_ms) * 1_000_000);
             let writer = Guid { prefix: GuidPrefix([9; 12]), ..Guid::default() };
@@ -312,7 +312,7 @@ fn equal_frames_of_a_burst_are_counted() {
         prefix: endpoints::controller_prefix(system, [0; 5]),
         ..Guid::default()
     });
-    let mut gateway = Gateway::new();
+    let mut gateway = Gateway::default();
     let order = [0, 1, 1, 0, 1, 0, 0];
     let given = order.map(|system| {
         let passed = gateway.hear(Instant::ORIGIN, names[system], &frame);
@@ -324,7 +324,7 @@ fn equal_frames_of_a_burst_are_counted() {
 /// A restarted sender begins with counter 0: that is a jump, and no loss.
 #[test]
 fn a_restarted_sender_is_no_loss() {
-    let mut gateway = Gateway::new();
+    let mut gateway = Gateway::default();
     let motion = Message::EgoMotion(EgoMotion::default());
     let mut at_ms = 0;
     for frames in [200, 50] {
@@ -346,7 +346,7 @@ fn a_restarted_sender_is_no_loss() {
 /// id is bounded.
 #[test]
 fn ids_of_nonsense_do_not_keep_the_others_out() {
-    let mut gateway = Gateway::new();
+    let mut gateway = Gateway::default();
     let mut hear = |at_ms: u64, id| {
         let frame = CanFrame {
             id,
@@ -374,7 +374,7 @@ fn values_that_return_with_the_counter_may_be_taken_for_late() {
         ..Guid::default()
     });
     for returns in [false, true] {
-        let mut gateway = Gateway::new();
+        let mut gateway = Gateway::default();
         let mut transmitter = FrameTransmitter::new();
         let mut last = None;
         for n in 0..=256_u64 {

@@ -179,7 +179,7 @@ fn driver_and_function_end_it() {
 /// D-3: each topic has its period, counter and CRC; after a stall there is no burst.
 #[test]
 fn commands_have_period_and_protection() {
-    let mut commander = Commander::new();
+    let mut commander = Commander::default();
     let orders = Orders::default();
     let mut checker = PowerControl::checker();
     let mut counts = [0; 4];
@@ -210,7 +210,7 @@ fn commands_have_period_and_protection() {
 /// An order out of range is an error, and takes no counter.
 #[test]
 fn an_order_out_of_range_is_refused() {
-    let mut commander = Commander::new();
+    let mut commander = Commander::default();
     let mut orders = Orders::default();
     orders.power.distance = -1.0;
     let due = |commander: &mut Commander, orders: &Orders| {

@@ -103,7 +103,7 @@ impl<'r, R: Transport> Topic<'r, R> {
         numbers.for_each(|number| publisher.publish(&R::value(number)).unwrap());
     }
 
-    /// Lets this many values arrive, which nobody takes.
+    /// Lets this many values arrive, and takes none.
     pub(crate) fn ignore(&mut self, count: u32) {
         if !R::IS_INSTANT {
             // A turn hears one at least.

@@ -212,7 +212,10 @@ impl Attack {
             (self.asked, self.parked) = (false, false);
         }
         self.asked |= phase.driver == Driver::Parks;
-        assert!(self.asked || output.mode == Mode::None, "nobody asked");
+        assert!(
+            self.asked || output.mode == Mode::None,
+            "the driver has not asked"
+        );
         if let Some(body) = output.body {
             let rests = body.gear == GearCode::Drive && body.brake != BrakeRequestCode::Apply;
             assert!(rests || speed < 0.06, "{body:?} at {speed} m/s");
