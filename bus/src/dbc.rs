@@ -321,7 +321,7 @@ impl Message {
     }
 
     /// The message of the frame with this id, with default values.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn blank(id: u16) -> Option<Self> {
         Some(match id {
             0x0A0 => Self::Control {

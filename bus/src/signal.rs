@@ -305,6 +305,7 @@ pub(crate) trait Walk {
     fn field<F: Field>(&mut self, signal: &Signal, value: &mut F) -> Result<(), FrameError>;
 
     /// Handles a signal whose value follows from the frame's id.
+    #[inline]
     fn implied(&mut self, signal: &Signal, raw: u8) -> Result<(), FrameError> {
         let mut value = raw;
         self.field(signal, &mut value)?;

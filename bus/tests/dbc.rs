@@ -450,7 +450,7 @@ impl Message {{
     }}
 
     /// The message of the frame with this id, with default values.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn blank(id: u16) -> Option<Self> {{
         Some(match id {{
 {blanks}            _ => return None,
