@@ -1,6 +1,7 @@
 //! `tandem run`: checks the arguments, runs both systems and the vehicle, and writes the report.
 
 use std::fs;
+use std::net::UdpSocket;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -309,6 +310,8 @@ struct Checked {
     /// The same CPUs, each with its index among those that this process may use.
     places: Vec<(usize, usize)>,
     dflash: Option<PathBuf>,
+    /// The claim on the run's domain, held until the run has ended.
+    _domain: Option<UdpSocket>,
 }
 
 impl Checked {
@@ -322,7 +325,7 @@ impl Checked {
         check_board(args)?;
         check_scenario(&args.scenario)?;
         can_group(args).map(CanUdp::join).transpose()?;
-        args.network().map(topics::check).transpose()?;
+        let domain = args.network().map(topics::claim).transpose()?;
         let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
@@ -344,6 +347,7 @@ impl Checked {
             cpus,
             places,
             dflash,
+            _domain: domain,
         })
     }
 }

@@ -196,3 +196,13 @@ fn an_interface_of_another_machine_is_refused() {
     let words = ["run", "--soc", "--interface", "192.0.2.1"];
     crate::fixture::refuses(&fixture, &words, &["domain 0 on 192.0.2.1", "interface"]);
 }
+
+/// A second run in a domain would be taken for the first one, and neither would park.
+#[test]
+fn a_domain_of_another_run_is_refused() {
+    let (fixture, own) = (Fixture::new(), own_place());
+    let _other = own.place.claim().unwrap();
+    let domain = own.place.domain().to_string();
+    let words = ["run", "--soc", "--domain", &domain];
+    crate::fixture::refuses(&fixture, &words, &["another run", "--domain"]);
+}

@@ -19,6 +19,8 @@ const PORTS: u16 = 7_400;
 const PORTS_OF_A_DOMAIN: u16 = 250;
 /// How many stations of an interface find each other without multicast.
 const STATIONS: u16 = 10;
+/// The port of a domain that no station has: it is bound as a claim.
+const CLAIM: u16 = 238;
 
 /// The group of a channel, and its ports in the range of a domain.
 struct Layout {
@@ -84,6 +86,15 @@ impl UdpPlace {
     #[must_use]
     pub const fn interface(self) -> Ipv4Addr {
         self.interface
+    }
+
+    /// Claims the place for one run of this machine, as long as the socket is open.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AddrInUse`] if it is claimed; others if the machine has no such interface.
+    pub fn claim(self) -> io::Result<UdpSocket> {
+        let port = PORTS + PORTS_OF_A_DOMAIN * self.domain + CLAIM;
+        UdpSocket::bind(SocketAddrV4::new(self.interface, port))
     }
 }
 

@@ -8,6 +8,7 @@ mod tests;
 
 use std::fs;
 use std::io::{self, Write};
+use std::net::UdpSocket;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -204,15 +205,21 @@ fn nothing(place: &TopicsPlace, topic: Option<&str>, listing: &Listing) -> Strin
     )
 }
 
-/// Checks that this machine can be a participant of a place.
+/// Checks that this machine can be a participant of a place, and claims the place for a run: the
+/// systems of another run would be taken for those of this one.
 ///
 /// # Errors
-/// If it cannot.
-pub(crate) fn check(at: UdpPlace) -> anyhow::Result<()> {
-    match UdpChannel::open(at, Channel::Topics) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(why_not(at, &error)),
-    }
+/// If it cannot be one, or another run is there.
+pub(crate) fn claim(at: UdpPlace) -> anyhow::Result<UdpSocket> {
+    UdpChannel::open(at, Channel::Topics).map_err(|error| why_not(at, &error))?;
+    at.claim().map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => anyhow!(
+            "domain {} on {}: another run is in it; choose another domain with --domain",
+            at.domain(),
+            at.interface()
+        ),
+        _ => why_not(at, &error),
+    })
 }
 
 /// Opens the SoC's participant, with a profile of the user's file or the built-in one.
