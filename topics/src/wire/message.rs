@@ -78,6 +78,7 @@ impl Message {
     }
 
     /// Ends a part: pads it with the zeros of the room, and fills its length in.
+    #[inline(never)]
     fn end(&mut self) -> &mut Self {
         self.len = self.len.next_multiple_of(4);
         let len = (self.len - self.part) as u16;
