@@ -11,7 +11,7 @@ shm:
 bus:
 board:
 redundancy: board
-cores: shm bus board redundancy topics
+cores: shm bus board redundancy timesync topics
 boot: board
 boot-host: board boot
 rtos:
@@ -19,7 +19,9 @@ runtime: board cores rtos
 capi: shm board redundancy
 topics: board bus shm
 topics-host: board board-udp bus shm topics
-vehicle: board bus
+timesync: board
+timesync-host: board timesync
+vehicle: board bus timesync
 page:
 board-host: board board-udp peripherals shm
 benches: board board-host board-udp page rtos shm topics topics-host two-cores

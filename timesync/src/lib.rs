@@ -1,0 +1,15 @@
+//! One time for the whole vehicle: sans-IO parts that tell a system, from the messages of another
+//! clock, which global time its local clock shows.
+//!
+//! A protocol (gPTP, a pulse with a transfer, CAN) turns messages and their stamps into a
+//! [`Sample`]: at this local time it was that global time. A time base turns samples into a time
+//! that never goes back, with a status and an estimate of its error. All arithmetic is in integers.
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+mod scale;
+
+pub use scale::{Arbitrary, GlobalTime, Sample, Scale, Tai, Utc};
