@@ -10,6 +10,13 @@
 #[cfg(test)]
 extern crate std;
 
+mod base;
 mod scale;
+mod servo;
 
+pub use base::{
+    BaseConfig, CONVERSION_WORDS, Conversion, Heard, MasterQuality, TimeBase, TimeReader,
+    TimeReading, TimeStatus,
+};
 pub use scale::{Arbitrary, GlobalTime, Sample, Scale, Tai, Utc};
+pub use servo::ServoConfig;
