@@ -66,8 +66,8 @@ impl BaseConfig {
 pub struct TimeStatus(u8);
 
 impl TimeStatus {
-    /// Its master is expected to send, and nothing of it was followed for the time-out. Or the local
-    /// clock shows what no time of the scale belongs to.
+    /// A master is expected to send, and nothing of it was followed for the time-out. Or the local
+    /// clock is so far off that the scale has no time for it.
     pub const TIMEOUT: Self = Self(0x01);
     /// The master follows a gateway, not the origin of the time itself.
     pub const SYNC_TO_GATEWAY: Self = Self(0x04);
@@ -75,8 +75,8 @@ impl TimeStatus {
     pub const GLOBAL_TIME_BASE: Self = Self(0x08);
     /// The master's time leapt ahead: the time will do so, or has just done so.
     pub const TIMELEAP_FUTURE: Self = Self(0x10);
-    /// The master's time leapt back: the time will do so, or has just done so, or is held until what
-    /// its reader has already seen is reached again.
+    /// The master's time leapt back: the time will do so, or has just done so, or stands still
+    /// until it reaches again what its reader has seen.
     pub const TIMELEAP_PAST: Self = Self(0x20);
     /// The time continues with the rate that was learned: after a time-out, or because this system
     /// became the master itself.
@@ -313,6 +313,9 @@ impl<S: Scale> TimeBase<S> {
     fn show(&mut self, now: Instant, leaps: bool) {
         let Some(servo) = &self.servo else { return };
         self.leaps = self.leaps.wrapping_add(u8::from(leaps));
+        // A local clock that jumped may be where the scale has no time: begin at the last sample.
+        let outside = u64::try_from(servo.time_at(now) >> FRACTION).is_err();
+        let now = if outside { servo.local() } else { now };
         let global = on_scale(servo.time_at(now) >> FRACTION);
         let shown = match &self.conversion {
             Some(last) if !leaps => last.at(now),
@@ -388,13 +391,13 @@ impl<S: Scale> Conversion<S> {
         i128::from(self.global.as_ns()) + slew + span + (fine >> FRACTION)
     }
 
-    /// Returns the first local time at which this conversion shows `global` or later: when to release
-    /// what is due then. [`Instant::NEVER`] if it never does.
+    /// Returns the first local time at which this conversion shows `global` or later, for a release
+    /// that is due then. [`Instant::NEVER`] if it never does.
     #[must_use]
     pub fn local_of(&self, global: GlobalTime<S>) -> Instant {
         let moved = |at: Instant, ns| Instant::from_ns(at.as_ns().saturating_add_signed(ns));
         let mut near = self.local;
-        // The slope is within 0.3 % of 1, so each round leaves 0.3 % of the distance: 2^64 ns need 9.
+        // The slope is within 0.3 % of 1: each round leaves 0.3 % of the distance, 2^64 ns need 9.
         for _ in 0..12 {
             near = moved(near, global.after(self.at(near)));
         }

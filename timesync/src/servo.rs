@@ -30,7 +30,7 @@ pub struct ServoConfig {
     pub memory: u16,
     /// How far a sample may be off while the noise of the link is not known yet.
     pub noise: Duration,
-    /// Largest rate between both clocks, ppb, at most 900,000: the sum of both crystals' tolerances.
+    /// Largest rate between both clocks, ppb, at most 900,000: the tolerances of both crystals.
     /// A learned rate never exceeds it.
     pub rate_limit_ppb: u32,
     /// How much the rate may have changed since it was learned, ppb: the crystals' temperature.
@@ -143,8 +143,8 @@ impl Servo {
         self.recent.iter().copied().max().unwrap_or(u64::MAX)
     }
 
-    /// Returns how wrong the rate may be, 2^-40: four sigma of a least-squares slope, if the largest
-    /// recent deviation is at least one sigma, and what the crystals may have changed.
+    /// Returns how wrong the rate may be, 2^-40: four sigma of a least-squares slope (one sigma is
+    /// the largest recent deviation), and what the crystals may have changed.
     pub(crate) fn rate_error(&self) -> u64 {
         // The learned rate and the true one are both within the limit.
         let worst = 2 * fine(self.config.rate_limit_ppb);
