@@ -279,14 +279,13 @@ impl<S: Scale> TimeBase<S> {
             return self.accept(sample, master, Heard::Followed);
         }
         let tolerance = limit.saturating_add(servo.worst_drift(passed));
-        let agrees = self.run > 0 && by_ns.abs_diff(last_ns) <= tolerance;
+        let agrees = by_ns.abs_diff(last_ns) <= tolerance;
         let run = if agrees { self.run } else { 0 };
         self.run = run.saturating_add(1);
         if is_leap && self.run > 1 {
-            let back = by_ns < 0;
-            self.told = TimeStatus(0)
-                .with(TimeStatus::TIMELEAP_PAST, back)
-                .with(TimeStatus::TIMELEAP_FUTURE, !back);
+            let is_back = by_ns < 0;
+            let told = TimeStatus(0).with(TimeStatus::TIMELEAP_PAST, is_back);
+            self.told = told.with(TimeStatus::TIMELEAP_FUTURE, !is_back);
         }
         if self.run >= self.config.leap_samples.max(2) {
             servo.step(local, deviation);
