@@ -11,6 +11,8 @@
 extern crate std;
 
 mod base;
+mod continuity;
+mod pulse;
 mod scale;
 mod servo;
 
@@ -18,5 +20,6 @@ pub use base::{
     BaseConfig, CONVERSION_WORDS, Conversion, Heard, MasterQuality, TimeBase, TimeReader,
     TimeReading, TimeStatus,
 };
+pub use pulse::{PULSE_WORDS, Pulse, PulseMaster, PulseRefusal, PulseSlave, PulseTransfer};
 pub use scale::{Arbitrary, GlobalTime, Sample, Scale, Tai, Utc};
 pub use servo::ServoConfig;
