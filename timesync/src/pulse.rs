@@ -1,10 +1,11 @@
 //! Time from a pulse with a transfer: an edge on the line `Time`, then a datagram over the link
 //! that says which global time it was at that edge. S-3
 //!
-//! To pair a transfer with the wrong edge makes the time wrong by a period. Five things rule it out:
+//! To pair a transfer with the wrong edge makes the time wrong by a period. Five things rule it
+//! out:
 //!
-//! 1. Edges are at least [`MIN_INTERVAL`] apart, and a transfer is paired with the newest edge only,
-//!    and only for [`MAX_AGE`] after it, which is less than half of that.
+//! 1. Edges are at least [`MIN_INTERVAL`] apart, and a transfer is paired with the newest edge
+//!    only, and only for [`MAX_AGE`] after it, which is less than half of that.
 //! 2. From pair to pair the number of the transfer and the receiver's count of edges grow alike.
 //! 3. From pair to pair the global time and the local clock grow alike (`continuity.rs`).
 //! 4. The first three pairs are of three edges in a row, and only the third is given on.
@@ -180,9 +181,9 @@ impl<S: Scale> PulseSlave<S> {
         self.heard = Some((now, transfer));
     }
 
-    /// Pairs the newest transfer with the newest edge. `edge`: how many rising edges this system has
-    /// received since its power-on, modulo 2³², and when it received the newest one; read after the
-    /// transfers. Returns `None` if there is nothing new.
+    /// Pairs the newest transfer with the newest edge. `edge`: how many rising edges this system
+    /// has received since its power-on, modulo 2³², and when it received the newest one; read after
+    /// the transfers. Returns `None` if there is nothing new.
     ///
     /// # Errors
     /// [`PulseRefusal`]: the transfer is not used.

@@ -154,7 +154,8 @@ const CLOCKS: Clocks = Clocks {
     global_ns: 3_000_000 * MS,
 };
 
-/// S-3: the sample is the middle of the time in which the edge was raised, here 1 us after `before`.
+/// S-3: the sample is the middle of the time in which the edge was raised, here 1 us after
+/// `before`.
 #[test]
 fn five_periods_of_all_faults_give_no_wrong_sample() {
     let mut given = 0;
@@ -177,8 +178,8 @@ fn five_periods_of_all_faults_give_no_wrong_sample() {
     assert!(given > 8_000_000, "{given}");
 }
 
-/// S-3: where every transfer is late by the same time, nothing but the intervals can tell; 16 of them
-/// take 2 s.
+/// S-3: where every transfer is late by the same time, nothing but the intervals can tell; 16 of
+/// them take 2 s.
 #[test]
 fn a_link_that_is_always_late_gives_no_sample() {
     for late in 45..1_850 {
