@@ -20,26 +20,26 @@
 //! SYNC and FUP of a system share a CAN id, and each system has an own one: a bus carries no two
 //! senders of one id, and a slave must know whose frame it is.
 //!
-//! Stricter than AUTOSAR: a SYNC that comes twice is dropped, not taken at its first time. CAN
+//! Stricter than AUTOSAR: a SYNC that arrives twice is dropped, not taken at its first time. CAN
 //! repeats a frame whose last bit was disturbed, which some receivers have accepted before: their
 //! stamp is then a frame earlier than the sender's. And a sample must follow from those before it
-//! (`continuity.rs`): a corrupted frame has a right CRC once in 256 times. What passes nevertheless
-//! is at most 0.2 ms wrong, or 1 ms after a second without samples.
+//! (`continuity.rs`): a corrupted frame has a right CRC once in 256 times. What passes all
+//! the same is at most 0.2 ms wrong, or 1 ms after a second without samples.
 
 use crate::continuity::{Continuity, Verdict};
 use crate::{GlobalTime, Sample, Scale};
 use crc::{CRC_8_AUTOSAR, Crc};
 use tandem_board::{Duration, Instant, SystemId};
 
-/// The only time domain.
-const DOMAIN: u8 = 0;
+/// The only time domain, 0, in the high nibble.
+const DOMAIN: u8 = 0x00;
 /// From one SYNC to the next.
 const PERIOD: Duration = Duration::from_ms(100);
 /// From SYNC on the bus to its FUP: a receiver with one buffer an id fetches SYNC in this time.
 const DEBOUNCE: Duration = Duration::from_ms(5);
 /// The longest time from SYNC to its FUP, at a slave.
 const FOLLOW_UP_TIMEOUT: Duration = Duration::from_ms(50);
-/// A master that sends no SYNC for so long is silent: three in a row are lost.
+/// A master is silent if it sends no SYNC for this time: three in a row are lost.
 const SILENCE: Duration = Duration::from_ms(350);
 /// The longest step of the sequence counter between two SYNC of a master that is not silent.
 const MAX_JUMP: u8 = 3;
@@ -86,7 +86,7 @@ impl Message {
         let [a, b, c, d] = self.value.to_be_bytes();
         let kind = if self.is_secured { 0x20 } else { 0x10 };
         let kind = kind | u8::from(self.is_follow_up) << 3;
-        let mut frame = [kind, 0, DOMAIN << 4 | self.counter, self.flags, a, b, c, d];
+        let mut frame = [kind, 0, DOMAIN | self.counter, self.flags, a, b, c, d];
         if self.is_secured {
             frame[1] = checksum(from, &frame);
         }
@@ -118,7 +118,7 @@ impl Message {
         if !is_accepted {
             return Err(CanTimeRefusal::Crc);
         }
-        if place >> 4 != DOMAIN {
+        if place & 0xF0 != DOMAIN {
             return Err(CanTimeRefusal::Domain);
         }
         Ok(Self {
@@ -427,13 +427,13 @@ mod tests {
             assert_eq!(sync, [0x10, 0, n as u8, 0, 0, 0, 0, 5]);
             master.on_sent(&[0x10; 8], now, time, false);
             master.on_sent(&sync, Instant::from_ns(now.as_ns() - 1), time, false);
-            assert_eq!(master.due(), now + PERIOD);
+            assert_eq!(master.due(), at(100 * n + 200));
             master.on_sent(&sync, now, time, is_to_gateway);
-            let due = expected.map_or(now + PERIOD, |_| now + DEBOUNCE);
+            let due = expected.map_or(at(100 * n + 200), |_| at(100 * n + 105));
             assert_eq!(master.due(), due);
             assert_eq!(master.poll(Instant::from_ns(due.as_ns() - 1), time), None);
             assert_eq!(expected.and_then(|_| master.poll(due, time)), expected);
-            assert_eq!(master.due(), now + PERIOD);
+            assert_eq!(master.due(), at(100 * n + 200));
         }
     }
 

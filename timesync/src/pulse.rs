@@ -32,7 +32,7 @@ const INTERVALS: u32 = 16;
 const MAX_LATENESS: Duration = Duration::from_ms(1);
 /// The longest time from `before` to `after` for which an edge has a transfer.
 const MAX_UNCERTAINTY: Duration = Duration::from_us(200);
-/// For so long an edge waits for its transfer, and a transfer for its edge.
+/// An edge waits for its transfer, and a transfer for its edge, up to this time.
 const MAX_AGE: Duration = Duration::from_ms(40);
 /// What the stamps of two edges may differ by: latencies of the interrupt.
 const STAMP_NOISE: Duration = Duration::from_us(50);
@@ -268,9 +268,10 @@ mod tests {
     /// S-3: what a slave says of each transfer; a stamp counts up to 40 ms, and no longer.
     #[test]
     fn a_slave_tells_why_it_gives_no_sample() {
+        const LONGEST: Duration = Duration::from_ms(40);
         let (mut master, mut slave) = (PulseMaster::new(at(0)), PulseSlave::default());
         for count in 7..10 {
-            let (edge, now) = (Some((count, master.due())), master.due() + MAX_AGE);
+            let (edge, now) = (Some((count, master.due())), master.due() + LONGEST);
             let transfer = raise(&mut master, 0, 1).unwrap();
             slave.on_transfer(now, transfer);
             let heard = slave.poll(now, edge);
@@ -289,8 +290,8 @@ mod tests {
         let out = Err(PulseRefusal::OutOfLine(0));
         assert_eq!(slave.poll(now, Some((11, now))), out);
         slave.on_transfer(now, transfer);
-        assert_eq!(slave.poll(now + MAX_AGE, None), Ok(None));
-        let later = now + MAX_AGE + Duration::from_ns(1);
+        assert_eq!(slave.poll(now + LONGEST, None), Ok(None));
+        let later = now + LONGEST + Duration::from_ns(1);
         assert_eq!(
             slave.poll(later, Some((11, now))),
             Err(PulseRefusal::NoEdge)

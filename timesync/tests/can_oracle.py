@@ -133,7 +133,7 @@ def refusals():
     say(1_501_000, fup(7, 500), "NoSync")
     say(1_600_000, sync(8, 2), "wait")
     say(1_650_001, fup(8, 600), "Late")
-    # SYNC comes twice: the stamp of the first is not that of the sender.
+    # SYNC arrives twice: the stamp of the first is not that of the sender.
     say(1_700_000, sync(9, 2), "wait")
     say(1_700_300, sync(9, 2), "Doubled")
     say(1_705_000, fup(9, 700), "NoSync")
@@ -142,13 +142,13 @@ def refusals():
     say(1_806_000, fup(10, 800), "NoSync")
     say(1_900_000, sync(11, 2), "wait")
     say(1_905_000, fup(11, 902), "OutOfLine(2000000)")
-    # B is heard when A has been silent for 350 ms, and goes on without a gap.
+    # B is heard when A has been silent for 350 ms, and continues the line.
     say(2_250_000, sync(9, 3, system="B"), "OtherMaster")
     say(2_250_001, sync(9, 3, system="B"), "wait")
     say(2_250_002, sync(12, 3), "OtherMaster")
     say(2_255_001, fup(9, 250, system="B"), "time:3250000000:0")
     say(2_256_000, fup(11, 900), "OtherMaster")
-    # The local clock goes back: all begins anew.
+    # The local clock goes back: the slave chooses its master again.
     say(1_000_000, sync(3, 3), "wait")
     say(1_001_000, fup(3, 300), "OutOfLine(50000000)")
 

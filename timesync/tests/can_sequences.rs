@@ -19,7 +19,7 @@ enum Fate {
     SyncTwice,
     /// SYNC and FUP come again after FUP.
     BothAgain,
-    /// FUP comes late, at last after the next SYNC.
+    /// FUP arrives this late, ms: 104 is after the next SYNC.
     FupLate(u64),
     FupFirst,
     /// The slave's stamp of SYNC is late: each time by another span.

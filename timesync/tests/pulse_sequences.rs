@@ -16,13 +16,13 @@ enum Fate {
     /// Noise before the transfer, and after it.
     NoiseFirst,
     NoiseLater,
-    /// The edge is lost, and noise comes instead: each time at another distance.
+    /// The edge is lost, and noise arrives instead: each time at another distance.
     EdgeMoved,
     TransferLost,
     TransferTwice,
     /// The transfer arrives again after the next one's edge.
     TransferAgain,
-    /// Late by so many ms: in the same period, in the next one, or in a later one.
+    /// Late by this time, ms: in the same period, in the next one, or in a later one.
     TransferLate(u64),
     /// The transfer arrives before the edge is seen.
     EdgeSeenLate,
@@ -190,6 +190,15 @@ fn a_link_that_is_always_late_gives_no_sample() {
         );
     }
     assert_eq!(run(&[Fate::TransferLate(30); 40], CLOCKS).len(), 38);
+}
+
+/// S-3: a slave learns from edges in a row: longer spans differ by less than the lateness of edges.
+#[test]
+fn pairs_with_gaps_teach_nothing() {
+    let gaps = [Fate::TransferLost, Fate::Good].repeat(10);
+    assert!(run(&gaps, CLOCKS).is_empty());
+    let fates = [&[Fate::Good; 3], &gaps[..]].concat();
+    assert_eq!(run(&fates, CLOCKS).len(), 11);
 }
 
 proptest! {
