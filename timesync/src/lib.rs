@@ -11,7 +11,7 @@
 extern crate std;
 
 mod base;
-mod can;
+mod can_time;
 mod continuity;
 mod pulse;
 mod scale;
@@ -21,7 +21,9 @@ pub use base::{
     BaseConfig, CONVERSION_WORDS, Conversion, Heard, MasterQuality, TimeBase, TimeReader,
     TimeReading, TimeStatus,
 };
-pub use can::{CanTime, CanTimeCrc, CanTimeFrame, CanTimeMaster, CanTimeRefusal, CanTimeSlave};
+pub use can_time::{
+    CanTime, CanTimeCrc, CanTimeFrame, CanTimeMaster, CanTimeRefusal, CanTimeSlave,
+};
 pub use pulse::{PULSE_WORDS, Pulse, PulseMaster, PulseRefusal, PulseSlave, PulseTransfer};
 pub use scale::{Arbitrary, GlobalTime, Sample, Scale, Tai, Utc};
 pub use servo::ServoConfig;

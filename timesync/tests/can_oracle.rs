@@ -59,7 +59,7 @@ fn the_tester_reads_our_frames() {
                 now + Duration::from_us(300),
                 time.moved(3_999_999_999 % (7 * period + 1)),
             );
-            master.on_sent(&sync, at, time, is_to_gateway);
+            master.on_sent(at, time, is_to_gateway);
             let follow_up = master.poll(master.due(), time).unwrap();
             writeln!(input, "{system} {} {}", hex(&sync), hex(&follow_up)).unwrap();
             let (secured, gateway) = (u8::from(is_secured), u8::from(is_to_gateway));

@@ -59,7 +59,7 @@ const FATES: [Fate; 16] = [
 fn frames(master: &mut CanTimeMaster, at: u64, global: u64) -> [CanTimeFrame; 2] {
     let (now, time) = (master.due(), GlobalTime::<Arbitrary>::from_ns(global));
     let sync = master.poll(now, time.moved(-(300 * US as i64))).unwrap();
-    master.on_sent(&sync, Instant::from_ns(at), time, false);
+    master.on_sent(Instant::from_ns(at), time, false);
     [sync, master.poll(master.due(), time).unwrap()]
 }
 

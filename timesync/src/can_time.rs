@@ -145,8 +145,8 @@ fn checksum(from: SystemId, frame: &CanTimeFrame) -> u8 {
 #[derive(Clone, Copy, Debug)]
 enum Phase {
     Idle,
-    /// SYNC was given to the caller at this time.
-    Handed(CanTimeFrame, Instant),
+    /// SYNC with these seconds was given to the caller at this time.
+    Handed(u32, Instant),
     /// SYNC was on the bus. The FUP is due.
     OnBus(CanTimeFrame, Instant),
 }
@@ -191,9 +191,8 @@ impl CanTimeMaster {
             self.phase = Phase::Idle;
             self.counter = (self.counter + 1) & 0x0F;
             let seconds = u32::try_from(time.as_ns() / SECOND_NS).ok()?;
-            let sync = self.message(false, 0, seconds);
-            self.phase = Phase::Handed(sync, now);
-            return Some(sync);
+            self.phase = Phase::Handed(seconds, now);
+            return Some(self.message(false, 0, seconds));
         }
         match self.phase {
             Phase::OnBus(follow_up, due) if now >= due => {
@@ -204,25 +203,19 @@ impl CanTimeMaster {
         }
     }
 
-    /// Takes when an own frame was on the bus. `at`: the controller's stamp; `time`: global time
-    /// then; `is_to_gateway`: that time comes from a gateway. Only the newest SYNC is used, so any
-    /// own frame may be told. If the time has leapt since, it has no FUP.
-    pub fn on_sent<S: Scale>(
-        &mut self,
-        frame: &CanTimeFrame,
-        at: Instant,
-        time: GlobalTime<S>,
-        is_to_gateway: bool,
-    ) {
-        let Phase::Handed(sync, handed) = self.phase else {
+    /// Takes when the newest frame of [`CanTimeMaster::poll`] was on the bus. `at`: the
+    /// controller's stamp; `time`: global time then; `is_to_gateway`: that time comes from a
+    /// gateway. Call it as soon as there is a stamp; more calls are harmless. If the time has leapt
+    /// since `poll`, SYNC has no FUP.
+    pub fn on_sent<S: Scale>(&mut self, at: Instant, time: GlobalTime<S>, is_to_gateway: bool) {
+        let Phase::Handed(seconds, handed) = self.phase else {
             return;
         };
-        if sync != *frame || at < handed {
+        if at < handed {
             return;
         }
         self.phase = Phase::Idle;
-        let [.., a, b, c, d] = sync;
-        let begin = u64::from(u32::from_be_bytes([a, b, c, d])) * SECOND_NS;
+        let begin = u64::from(seconds) * SECOND_NS;
         let Some(since) = time.as_ns().checked_sub(begin) else {
             return;
         };
@@ -425,10 +418,9 @@ mod tests {
             assert_eq!(master.poll(Instant::from_ns(now.as_ns() - 1), time), None);
             let sync = master.poll(now, Time::from_ns(5_900 * MS)).unwrap();
             assert_eq!(sync, [0x10, 0, n as u8, 0, 0, 0, 0, 5]);
-            master.on_sent(&[0x10; 8], now, time, false);
-            master.on_sent(&sync, Instant::from_ns(now.as_ns() - 1), time, false);
+            master.on_sent(Instant::from_ns(now.as_ns() - 1), time, false);
             assert_eq!(master.due(), at(100 * n + 200));
-            master.on_sent(&sync, now, time, is_to_gateway);
+            master.on_sent(now, time, is_to_gateway);
             let due = expected.map_or(at(100 * n + 200), |_| at(100 * n + 105));
             assert_eq!(master.due(), due);
             assert_eq!(master.poll(Instant::from_ns(due.as_ns() - 1), time), None);
