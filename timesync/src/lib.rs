@@ -14,6 +14,7 @@ mod base;
 mod can_time;
 mod continuity;
 mod pulse;
+pub mod gptp;
 mod scale;
 mod servo;
 
