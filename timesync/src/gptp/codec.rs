@@ -1,15 +1,20 @@
 //! Messages of PTP version 2 on the wire: IEEE 1588-2019, clause 13; IEEE 802.1AS-2020, clauses 10
 //! and 11. All numbers are big-endian.
 
-use super::{Claims, ClockId, EventId, PortIdentity, PtpProfile, TimeOutlet};
+use super::{Claims, ClockId, DelayMechanism, EventId, PortIdentity, PtpProfile, TimeOutlet, Why};
 
 /// The longest message that is sent: Follow_Up with its TLV.
 const LONGEST: usize = 76;
 const HEADER: usize = 34;
 const TWO_STEP: u16 = 0x0200;
 const PTP_TIMESCALE: u16 = 0x0008;
-/// Type, length, organisation and subtype of the TLV in a Follow_Up of 802.1AS.
-const FOLLOW_UP_TLV: [u8; 10] = [0, 3, 0, 28, 0x00, 0x80, 0xC2, 0, 0, 1];
+/// The TLV in a Follow_Up of 802.1AS: type, length, organisation, subtype; then rate and changes of
+/// the grandmaster, of which a master of one hop knows none.
+const FOLLOW_UP_TLV: [u8; 32] = {
+    let mut tlv = [0; 32];
+    (tlv[1], tlv[3], tlv[5], tlv[6], tlv[9]) = (3, 28, 0x80, 0xC2, 1);
+    tlv
+};
 /// What an Announce of ours says last: no steps removed, an oscillator of its own.
 const OWN_CLOCK: [u8; 3] = [0, 0, 0xA0];
 const NS: u64 = 1_000_000_000;
@@ -22,8 +27,8 @@ pub(super) enum Body {
     PeerRequest,
     /// t2 and the port that asked.
     PeerResponse(u64, PortIdentity),
-    /// t1, and the number of the grandmaster's time base if the TLV of 802.1AS is there.
-    FollowUp(u64, Option<u16>),
+    /// t1.
+    FollowUp(u64),
     /// t4 and the port that asked.
     DelayResponse(u64, PortIdentity),
     /// t3 and the port that asked.
@@ -43,16 +48,6 @@ pub(super) struct Message {
     /// 2^-16 ns.
     pub(super) correction: i64,
     pub(super) body: Body,
-}
-
-/// Why bytes are no message for this port.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Refused {
-    /// They are not a message of PTP version 2.
-    Malformed,
-    /// The major sdoId, which separates 802.1AS from IEEE 1588, is another one.
-    OtherProfile,
-    OtherDomain,
 }
 
 /// What has not been read yet.
@@ -84,21 +79,6 @@ impl Reader<'_> {
         (ns < NS).then_some(whole)
     }
 
-    /// Looks for the TLV of 802.1AS. Returns the number of the time base.
-    fn time_base(mut self) -> Option<u16> {
-        loop {
-            let mut tlv = Reader(self.0);
-            let [_, _, high, low] = self.take()?;
-            let len = u16::from_be_bytes([high, low]);
-            let (_, rest) = self.0.split_at_checked(len.into())?;
-            if tlv.take()? == FOLLOW_UP_TLV {
-                let [_, _, _, _] = tlv.take()?;
-                return tlv.u16();
-            }
-            self.0 = rest;
-        }
-    }
-
     fn announce(&mut self, flags: u16) -> Option<Body> {
         let [.., priority, class, accuracy] = self.take::<16>()?;
         let [_, _, _] = self.take()?;
@@ -120,8 +100,8 @@ impl Reader<'_> {
 /// Reads a message. Bytes behind its length, such as the padding of a frame, are ignored.
 ///
 /// # Errors
-/// [`Refused`] says why it is not for a port of this profile.
-pub(super) fn decode(bytes: &[u8], profile: PtpProfile) -> Result<Message, Refused> {
+/// Says why it is not for a port of this profile.
+pub(super) fn decode(bytes: &[u8], profile: PtpProfile) -> Result<Message, Why> {
     let mut head = Reader(bytes);
     let begin = |head: &mut Reader<'_>| {
         let [kind, version] = head.take()?;
@@ -130,14 +110,14 @@ pub(super) fn decode(bytes: &[u8], profile: PtpProfile) -> Result<Message, Refus
         let content = bytes.get(HEADER..len.into())?;
         (version & 0xF == 2).then_some((kind, domain, content))
     };
-    let (kind, domain, content) = begin(&mut head).ok_or(Refused::Malformed)?;
+    let (kind, domain, content) = begin(&mut head).ok_or(Why::Malformed)?;
     if kind >> 4 != profile.sdo {
-        return Err(Refused::OtherProfile);
+        return Err(Why::OtherProfile);
     }
     if domain != profile.domain {
-        return Err(Refused::OtherDomain);
+        return Err(Why::OtherDomain);
     }
-    read(kind & 0xF, head, Reader(content)).ok_or(Refused::Malformed)
+    read(kind & 0xF, head, Reader(content)).ok_or(Why::Malformed)
 }
 
 fn read(kind: u8, mut head: Reader<'_>, mut content: Reader<'_>) -> Option<Message> {
@@ -151,7 +131,7 @@ fn read(kind: u8, mut head: Reader<'_>, mut content: Reader<'_>) -> Option<Messa
         0x1 => content.take::<10>().map(|_| Body::DelayRequest)?,
         0x2 => content.take::<20>().map(|_| Body::PeerRequest)?,
         0x3 => Body::PeerResponse(content.time()?, content.port()?),
-        0x8 => Body::FollowUp(content.time()?, content.time_base()),
+        0x8 => Body::FollowUp(content.time()?),
         0x9 => Body::DelayResponse(content.time()?, content.port()?),
         0xA => Body::PeerResponseFollowUp(content.time()?, content.port()?),
         0xB => content.announce(flags)?,
@@ -213,7 +193,8 @@ pub(super) fn send(
         Body::DelayRequest => (0x1, 44, 1),
         Body::PeerRequest => (0x2, 54, 5),
         Body::PeerResponse(..) => (0x3, 54, 5),
-        Body::FollowUp(_, base) => (0x8, if base.is_some() { 76 } else { 44 }, 2),
+        Body::FollowUp(..) if profile.delay == DelayMechanism::Peer => (0x8, 76, 2),
+        Body::FollowUp(..) => (0x8, 44, 2),
         Body::DelayResponse(..) => (0x9, 54, 3),
         Body::PeerResponseFollowUp(..) => (0xA, 54, 5),
         Body::Announce(_, claims) => {
@@ -238,11 +219,8 @@ pub(super) fn send(
     match &message.body {
         Body::Sync | Body::DelayRequest | Body::Other => frame.put(&[0; 10]),
         Body::PeerRequest => frame.put(&[0; 20]),
-        Body::FollowUp(time, None) => frame.time(*time),
-        Body::FollowUp(time, Some(base)) => {
-            let frame = frame.time(*time).put(&FOLLOW_UP_TLV).put(&[0; 4]);
-            frame.put(&base.to_be_bytes()).put(&[0; 16])
-        }
+        Body::FollowUp(time) if len == 44 => frame.time(*time),
+        Body::FollowUp(time) => frame.time(*time).put(&FOLLOW_UP_TLV),
         Body::PeerResponse(time, port)
         | Body::DelayResponse(time, port)
         | Body::PeerResponseFollowUp(time, port) => frame.time(*time).port(*port),

@@ -10,11 +10,11 @@ use tandem_board::{Duration, Instant};
 const DEPTH: usize = 8;
 /// After this many requests in a row without a delay, the old one counts no more.
 const LOST: u8 = 3;
-/// A rate is measured over 4 to 8 s, and used from 1 s on.
+/// A rate is measured over 4 to 8 s, and used from 0.5 s on.
 const RATE_OVER: Duration = Duration::from_ms(4_000);
-const RATE_FROM: Duration = Duration::from_ms(1_000);
+const RATE_FROM: Duration = Duration::from_ms(500);
 /// Two clocks of 100 ppm each differ by a 5,000th at most. 802.1AS, B.1.1
-const WILD: i64 = 5_000;
+const WILD: u64 = 5_000;
 /// The master is asked this long after a Sync.
 const ASKS_AFTER: Duration = Duration::from_ms(10);
 /// The exponent of an interval that is not told.
@@ -57,7 +57,7 @@ struct Rate {
     /// The last measurement was wild.
     struck: bool,
     /// 10^-9.
-    ppb: i64,
+    ppb: Option<i64>,
 }
 
 impl Rate {
@@ -68,7 +68,7 @@ impl Rate {
         let span = local.since(older.0);
         let span_ns = signed(span);
         let gained = (remote.wrapping_sub(older.1) as i64).wrapping_sub(span_ns);
-        let bound = span_ns.unsigned_abs() / WILD.unsigned_abs() + error.times(4).as_ns();
+        let bound = error.times(4).as_ns().saturating_add(span.as_ns() / WILD);
         if gained.unsigned_abs() > bound {
             let ppb = self.ppb;
             if core::mem::replace(&mut self.struck, true) {
@@ -81,8 +81,7 @@ impl Rate {
         }
         self.struck = false;
         if span >= RATE_FROM {
-            let ppb = gained.saturating_mul(1_000_000_000).checked_div(span_ns);
-            self.ppb = ppb.unwrap_or(0);
+            self.ppb = gained.saturating_mul(1_000_000_000).checked_div(span_ns);
         }
         if self
             .newer
@@ -96,7 +95,7 @@ impl Rate {
 
     /// Returns what the remote clock gains in a local span, ns.
     fn gain(&self, span: Duration) -> i64 {
-        (signed(span) / 1_000).saturating_mul(self.ppb) / 1_000_000
+        (signed(span) / 1_000).saturating_mul(self.ppb.unwrap_or(0)) / 1_000_000
     }
 }
 
@@ -173,7 +172,7 @@ impl Link {
     }
 
     pub(super) fn rate_ppb(&self) -> i64 {
-        self.rate.ppb
+        self.rate.ppb.unwrap_or(0)
     }
 
     /// Asks the other end when it is time. Returns when it will be time again.
@@ -198,7 +197,7 @@ impl Link {
     /// the master did.
     pub(super) fn on_pair(&mut self, now: Instant, (t2, t1): (Instant, u64)) {
         let is_sound = !self.is_peer() && self.rate.measure(t2, t1, self.settings.stamp_error);
-        if is_sound && self.sync.replace((t2, t1)).is_none() {
+        if is_sound && self.rate.ppb.is_some() && self.sync.replace((t2, t1)).is_none() {
             self.due = self.due.max(now + ASKS_AFTER);
         }
     }

@@ -99,11 +99,7 @@ impl<S: Scale> Master<S> {
         if self.sync.take_if(|sync| *sync == event).is_none() {
             self.responder.on_sent(event, at, out);
         } else if let Some(t1) = global(at) {
-            let base = match self.settings.profile.delay {
-                DelayMechanism::Peer => Some(0),
-                DelayMechanism::EndToEnd => None,
-            };
-            let body = Body::FollowUp(t1.as_ns(), base);
+            let body = Body::FollowUp(t1.as_ns());
             self.send(body, self.sequence, self.settings.sync_exponent, out);
         }
     }

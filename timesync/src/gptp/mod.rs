@@ -7,6 +7,8 @@ mod codec;
 mod delay;
 mod master;
 mod slave;
+#[cfg(test)]
+mod tests;
 
 use tandem_board::{Duration, Instant};
 
@@ -163,6 +165,8 @@ pub trait TimeOutlet {
 pub enum Why {
     /// No master was heard since the start, or for the time-out.
     Silent,
+    /// Bytes were no message of PTP version 2.
+    Malformed,
     /// Messages have another major sdoId: one end is 802.1AS, the other one IEEE 1588.
     OtherProfile,
     /// Messages are of another domain.

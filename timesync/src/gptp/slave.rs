@@ -1,6 +1,6 @@
 //! The slave: it follows one master, and makes a sample of each Sync with its Follow_Up.
 
-use super::codec::{Body, Message, Refused, correction_ns, decode};
+use super::codec::{Body, Message, correction_ns, decode};
 use super::delay::{Link, Responder};
 use super::{Claims, ClockId, EventId, PortIdentity, SlaveSettings, TimeOutlet, Why};
 use crate::{GlobalTime, Sample, Scale};
@@ -34,7 +34,7 @@ pub struct SlaveCounts {
     pub others: u32,
     /// How often a master was chosen.
     pub chosen: u32,
-    /// How often the master's time leapt by 10 ms or more, or it said so.
+    /// How often the master's time leapt by 10 ms or more.
     pub leaps: u32,
     /// Exchanges that gave no delay.
     pub refused_delays: u32,
@@ -55,15 +55,6 @@ pub struct SlaveStatus {
     pub counts: SlaveCounts,
 }
 
-/// The first half of a pair that was heard.
-#[derive(Clone, Copy, Debug)]
-enum Half {
-    /// Its time of arrival.
-    Sync(Message, Instant),
-    /// It has overtaken its Sync.
-    FollowUp(Message),
-}
-
 /// A slave on one port.
 #[derive(Clone, Debug)]
 pub struct Slave<S: Scale> {
@@ -72,11 +63,10 @@ pub struct Slave<S: Scale> {
     followed: Option<Followed>,
     /// The grandmaster of the last Announce.
     announced: ClockId,
-    /// The number of its time base in the last Follow_Up.
-    time_base: Option<u16>,
     /// When the master was chosen, or its last pair was heard.
     heard: Instant,
-    half: Option<Half>,
+    /// The Sync that waits for its Follow_Up, and its time of arrival.
+    sync: Option<(Message, Instant)>,
     /// The last Sync.
     sequence: Option<u16>,
     /// The last pair: t2 and t1.
@@ -96,9 +86,8 @@ impl<S: Scale> Slave<S> {
             responder: Responder::new(settings.profile, settings.identity),
             followed: None,
             announced: ClockId::default(),
-            time_base: None,
             heard: Instant::ORIGIN,
-            half: None,
+            sync: None,
             sequence: None,
             pair: None,
             refusal: Why::Silent,
@@ -159,20 +148,18 @@ impl<S: Scale> Slave<S> {
         let message = match decode(bytes, self.link.settings.profile) {
             Ok(message) if message.source.clock == own.clock => return None,
             Ok(message) => message,
-            Err(Refused::Malformed) => {
-                self.counts.malformed = self.counts.malformed.wrapping_add(1);
+            Err(why) => {
+                let is_malformed = why == Why::Malformed;
+                self.counts.malformed = self.counts.malformed.wrapping_add(is_malformed.into());
+                self.refuse(why);
                 return None;
             }
-            Err(Refused::OtherProfile) => return self.refuse(Why::OtherProfile),
-            Err(Refused::OtherDomain) => return self.refuse(Why::OtherDomain),
         };
         let from = message.source;
         match message.body {
             Body::Announce(grandmaster, claims) => self.on_announce(at, from, grandmaster, claims),
-            Body::Sync if self.hears(at, from) => return self.on_sync(at, message),
-            Body::FollowUp(..) if self.follows(from) => {
-                return self.on_follow_up(at, message);
-            }
+            Body::Sync if self.hears(at, from) => self.on_sync(at, message),
+            Body::FollowUp(t1) if self.follows(from) => return self.on_follow_up(at, &message, t1),
             Body::DelayResponse(_, to) if to == own && self.follows(from) => {
                 self.link.on_answer(at, &message);
             }
@@ -187,12 +174,10 @@ impl<S: Scale> Slave<S> {
         None
     }
 
-    fn refuse(&mut self, why: Why) -> Option<Sample<S>> {
+    fn refuse(&mut self, why: Why) {
         self.refusal = self.refusal.max(why);
-        None
     }
 
-    /// Returns whether this port is the one that is followed. If it is another one, counts it.
     fn follows(&self, port: PortIdentity) -> bool {
         self.followed.is_some_and(|followed| followed.port == port)
     }
@@ -244,74 +229,50 @@ impl<S: Scale> Slave<S> {
 
     /// Follows a master, or none.
     fn choose(&mut self, at: Instant, followed: Option<Followed>) {
-        let chosen = u32::from(followed.is_some());
-        self.counts.chosen = self.counts.chosen.wrapping_add(chosen);
+        self.counts.chosen = self.counts.chosen.wrapping_add(followed.is_some().into());
         self.refusal = followed.map_or(Why::Silent, |_| Why::NoFollowUp);
         (self.followed, self.heard) = (followed, at);
-        (self.half, self.sequence, self.pair, self.time_base) = (None, None, None, None);
+        (self.sync, self.sequence, self.pair) = (None, None, None);
         if !self.link.is_peer() {
             self.link.reset();
         }
     }
 
-    fn is_new(&self, message: &Message) -> bool {
-        let is_ahead = |last| (1..AHEAD).contains(&message.sequence.wrapping_sub(last));
-        self.sequence.is_none_or(is_ahead)
-    }
-
-    fn on_sync(&mut self, at: Instant, sync: Message) -> Option<Sample<S>> {
+    fn on_sync(&mut self, at: Instant, sync: Message) {
+        let is_ahead = |last| (1..AHEAD).contains(&sync.sequence.wrapping_sub(last));
+        let is_pending = |(before, _): &mut (Message, _)| before.sequence == sync.sequence;
         if !sync.is_two_step {
             self.refusal = Why::OneStep;
-            return None;
-        }
-        if !self.is_new(&sync) {
-            return None;
-        }
-        self.sequence = Some(sync.sequence);
-        match self.half.replace(Half::Sync(sync, at)) {
-            Some(Half::FollowUp(follow_up)) if follow_up.sequence == sync.sequence => {
-                self.on_pair(at, (sync, at), follow_up)
-            }
-            _ => None,
+        } else if self.sequence.is_none_or(is_ahead) {
+            self.sequence = Some(sync.sequence);
+            self.sync = Some((sync, at));
+        } else {
+            // Doubled, or its number is wrong: nothing tells which of the two is the right one.
+            self.sync.take_if(is_pending);
         }
     }
 
-    fn on_follow_up(&mut self, at: Instant, it: Message) -> Option<Sample<S>> {
-        match self.half {
-            Some(Half::Sync(sync, t2)) if sync.sequence == it.sequence => {
-                self.on_pair(at, (sync, t2), it)
-            }
-            _ if self.is_new(&it) => {
-                self.half = Some(Half::FollowUp(it));
-                None
-            }
-            _ => None,
-        }
-    }
-
-    fn on_pair(
-        &mut self,
-        at: Instant,
-        (sync, t2): (Message, Instant),
-        follow_up: Message,
-    ) -> Option<Sample<S>> {
-        self.half = None;
-        let Body::FollowUp(t1, base) = follow_up.body else {
-            return None;
-        };
-        let correction = sync.correction.saturating_add(follow_up.correction);
+    /// A Follow_Up whose Sync was not heard before is of no use: links keep the order.
+    fn on_follow_up(&mut self, at: Instant, it: &Message, t1: u64) -> Option<Sample<S>> {
+        let is_its = |(sync, _): &mut (Message, _)| sync.sequence == it.sequence;
+        let (sync, t2) = self.sync.take_if(is_its)?;
+        let correction = sync.correction.saturating_add(it.correction);
         let t1 = t1.checked_add_signed(correction_ns(correction))?;
-        let last = self.pair.unwrap_or((Instant::ORIGIN, t1));
-        if self.followed?.grandmaster != self.announced || self.pair.is_some() && t2 <= last.0 {
+        let goes_back = self.pair.is_some_and(|(last, _)| t2 <= last);
+        if goes_back || self.followed?.grandmaster != self.announced {
             return None;
         }
-        let (span, moved) = (t2.since(last.0).as_ns(), t1.wrapping_sub(last.1));
-        let gained = (moved.wrapping_sub(span) as i64).unsigned_abs();
-        let is_new_base = base.is_some() && self.time_base.is_some_and(|it| Some(it) != base);
-        let leaps = self.pair.is_some() && gained >= LEAP_NS || is_new_base;
-        self.counts.leaps = self.counts.leaps.wrapping_add(u32::from(leaps));
-        (self.heard, self.pair, self.time_base) = (at, Some((t2, t1)), base);
+        let (last_t2, last_t1) = self.pair.unwrap_or((t2, t1));
+        let moved = t1
+            .wrapping_sub(last_t1)
+            .wrapping_sub(t2.since(last_t2).as_ns());
+        (self.heard, self.pair) = (at, Some((t2, t1)));
         self.link.on_pair(at, (t2, t1));
+        if (moved as i64).unsigned_abs() >= LEAP_NS {
+            // It is told first. A second pair without a leap shows that it was no damaged message.
+            self.counts.leaps = self.counts.leaps.wrapping_add(1);
+            return None;
+        }
         let delay = self.link.delay()?;
         let global = GlobalTime::from_ns(t1.checked_add(delay.as_ns())?);
         self.counts.samples = self.counts.samples.wrapping_add(1);
