@@ -322,7 +322,8 @@ fn a_follow_up_belongs_to_one_sync() {
 #[test]
 #[rustfmt::skip]
 fn it_tells_why_there_are_no_samples() {
-    fn why<S: Scale>(settings: SlaveSettings, heard: &[(PtpProfile, PortIdentity, Body)]) -> Option<Why> {
+    type Heard = (PtpProfile, PortIdentity, Body);
+    fn why<S: Scale>(settings: SlaveSettings, heard: &[Heard]) -> Option<Why> {
         let mut slave = Slave::<S>::new(settings);
         for (at, (profile, source, body)) in heard.iter().enumerate() {
             let message = bytes(*profile, *source, 1, *body);
@@ -523,7 +524,8 @@ fn the_header_is_checked() {
     let (read, malformed) = (Ok(FollowUp(EPOCH)), Err(Why::Malformed));
     let table = [
         (1, 0x02, read), (1, 0x12, read), (1, 0x01, malformed), (1, 0x03, malformed),
-        (0, 0x08, Err(Why::OtherProfile)), (4, 1, Err(Why::OtherDomain)), (0, 0x1D, Ok(Body::Other)),
+        (0, 0x08, Err(Why::OtherProfile)), (4, 1, Err(Why::OtherDomain)),
+        (0, 0x1D, Ok(Body::Other)),
         (3, 44, read), (3, 43, malformed), (3, 77, read), (3, 78, malformed),
         // Seconds beyond 64 bits of ns; more than 10^9 ns; a correction that is too large.
         (34, 0xFF, malformed), (40, 0x40, malformed), (8, 0x7F, malformed),
@@ -562,7 +564,8 @@ proptest! {
         });
         for (at, content) in heard {
             let mut bytes = [header.as_flattened(), &content].concat();
-            bytes[..6].copy_from_slice(&[profile.sdo << 4 | content.len() as u8 & 15, 2, 0, len, 0, 0]);
+            let kind = profile.sdo << 4 | content.len() as u8 & 15;
+            bytes[..6].copy_from_slice(&[kind, 2, 0, len, 0, 0]);
             let (at, mut out) = (Instant::from_ns(at), Out::default());
             slave.poll(at, &mut out);
             slave.on_message(at, &bytes, &mut out);
