@@ -4,6 +4,7 @@
 #![allow(clippy::expect_used, reason = "a failure is what it is for")]
 
 mod boot;
+mod gptp;
 mod mutation;
 mod rtps;
 mod text;
@@ -44,7 +45,7 @@ const fn text(name: &'static str, body: fn(&[u8]) -> bool) -> Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     text("srecord", boot::record),
     bytes("frames", boot::frames),
     bytes("manifest", boot::manifest),
@@ -57,6 +58,7 @@ pub const TARGETS: [Target; 12] = [
     bytes("flash", wire::flash),
     bytes("recording", wire::recording),
     bytes("rtps", rtps::rtps),
+    bytes("gptp", gptp::gptp),
 ];
 
 /// Returns the target with this name.
