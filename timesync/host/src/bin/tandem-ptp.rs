@@ -17,6 +17,7 @@ tandem-ptp slave|master INTERFACE [options]
   --gptp | --peer | --end-to-end   802.1AS (default); IEEE 1588 with either delay mechanism
   --udp                            UDP over IPv4 instead of Ethernet
   --seconds N                      ends after this time; default 60
+  --max-delay-us N                 slave: a longer delay is refused; default 1000
   --rate-ppb N                     master: its time runs faster than the machine's clock by this
   --leap-ms N                      master: its time leaps by this after half of the run";
 
@@ -26,6 +27,7 @@ struct Options {
     profile: PtpProfile,
     transport: Transport,
     seconds: u32,
+    max_delay_us: u64,
     rate_ppb: i64,
     leap_ms: i64,
 }
@@ -38,6 +40,7 @@ fn options() -> Result<Options, Box<dyn Error>> {
         profile: PtpProfile::GPTP,
         transport: Transport::Ethernet,
         seconds: 60,
+        max_delay_us: 1_000,
         rate_ppb: 0,
         leap_ms: 0,
     };
@@ -55,6 +58,7 @@ fn options() -> Result<Options, Box<dyn Error>> {
             }
             "--udp" => options.transport = Transport::Udp,
             "--seconds" => options.seconds = value()?.parse()?,
+            "--max-delay-us" => options.max_delay_us = value()?.parse()?,
             "--rate-ppb" => options.rate_ppb = value()?.parse()?,
             "--leap-ms" => options.leap_ms = value()?.parse()?,
             _ => return Err(format!("unknown option {arg}\n{USAGE}").into()),
@@ -76,7 +80,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn slave(options: &Options, port: &mut TimePort) -> std::io::Result<()> {
     let end = now() + Duration::from_ms(1_000).times(options.seconds);
-    let settings = SlaveSettings::new(port.identity(), options.profile);
+    let settings = SlaveSettings {
+        max_delay: Duration::from_us(options.max_delay_us),
+        ..SlaveSettings::new(port.identity(), options.profile)
+    };
     let mut slave = Slave::<Arbitrary>::new(settings);
     let mut told: Option<SlaveStatus> = None;
     let mut out = std::io::stdout();

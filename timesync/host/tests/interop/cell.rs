@@ -113,7 +113,7 @@ impl Bench {
     fn new() -> Self {
         let seconds = std::env::var(SECONDS)
             .ok()
-            .map_or(20, |it| it.parse().unwrap());
+            .map_or(12, |it| it.parse().unwrap());
         let shell = || {
             let mut command = Command::new("unshare");
             command.args(["-n", "sh"]).stdin(Stdio::piped());

@@ -2,7 +2,7 @@
 //! and `statime` as peers, `tshark` as a reader of what we send. What is missing is `SKIPPED`.
 //!
 //! All ends of a cell have one clock, so the true offset is 0. `TANDEM_PTP_SECONDS` is the time of
-//! measuring, 20 s if it is not set. A campaign that a person starts has 120 s, and one cell at a
+//! measuring, 12 s if it is not set. A campaign that a person starts has 120 s, and one cell at a
 //! time: `cargo test --release -p tandem-timesync-host --test interop -- --nocapture
 //! --test-threads=1`.
 #![allow(clippy::unwrap_used)]
@@ -20,14 +20,22 @@ use tandem_board::Duration as Span;
 use tandem_timesync::gptp::TimeOutlet as _;
 use tandem_timesync_host::{PtpArrival, TimePort, Transport, now};
 
-/// Measures our slave beside ptp4l's, each with a port of one ptp4l as its master, in the same run.
+/// Lets the second master send between the messages of the first one: right behind them, its cache
+/// would be warmer, and its messages faster.
+fn half_a_period() {
+    std::thread::sleep(Duration::from_millis(62));
+}
+
+/// Measures our slave beside ptp4l's, each with a ptp4l of its own as its master, in the same run.
 fn follows_ptp4l(bench: &Bench, mechanism: Mechanism) {
     let [mac, _] = bench.link("ours", 0, 1);
     bench.link("theirs", 0, 1);
     let captured = capture(bench, 0, "ours0", &mac);
-    ptp4l(bench, 1, mechanism, false, &["ours1", "theirs1"]);
+    ptp4l(bench, 1, mechanism, false, "ours1");
+    half_a_period();
+    ptp4l(bench, 1, mechanism, false, "theirs1");
     let ours = our_slave(bench, 0, mechanism, "ours0");
-    let theirs = ptp4l(bench, 0, mechanism, true, &["theirs0"]);
+    let theirs = ptp4l(bench, 0, mechanism, true, "theirs0");
     bench.wait();
     let [all, ours] = [Offsets::ours, Offsets::some_of_ours].map(|it| it(&ours.read()));
     let theirs = Offsets::ptp4l(&theirs.read());
@@ -44,9 +52,10 @@ fn leads_ptp4l(bench: &Bench, mechanism: Mechanism) {
     bench.link("theirs", 0, 1);
     let captured = capture(bench, 1, "ours1", &mac);
     our_master(bench, 1, mechanism, "ours1", &[]);
-    ptp4l(bench, 1, mechanism, false, &["theirs1"]);
-    let ours = ptp4l(bench, 0, mechanism, true, &["ours0"]);
-    let theirs = ptp4l(bench, 0, mechanism, true, &["theirs0"]);
+    half_a_period();
+    ptp4l(bench, 1, mechanism, false, "theirs1");
+    let ours = ptp4l(bench, 0, mechanism, true, "ours0");
+    let theirs = ptp4l(bench, 0, mechanism, true, "theirs0");
     bench.wait();
     let [ours, theirs] = [&ours, &theirs].map(|log| Offsets::ptp4l(&log.read()));
     bench.figure(&format!(
@@ -127,7 +136,7 @@ fn follows_ptp4l_over_udp() {
         bench.link("ours", 0, 1);
         bench.run(0, "ip addr add 10.9.9.1/24 dev ours0");
         bench.run(1, "ip addr add 10.9.9.2/24 dev ours1");
-        ptp4l(bench, 1, Mechanism::Udp, false, &["ours1"]);
+        ptp4l(bench, 1, Mechanism::Udp, false, "ours1");
         let ours = our_slave(bench, 0, Mechanism::Udp, "ours0");
         bench.wait();
         let ours = Offsets::ours(&ours.read());
@@ -142,6 +151,7 @@ fn leads_statime() {
         bench.link("ours", 0, 1);
         bench.link("theirs", 0, 1);
         our_master(bench, 1, Mechanism::Gptp, "ours1", &[]);
+        half_a_period();
         our_master(bench, 1, Mechanism::Gptp, "theirs1", &[]);
         let ours = our_slave(bench, 0, Mechanism::Gptp, "ours0");
         let theirs = statime(bench, 0, "theirs0");
@@ -204,8 +214,7 @@ fn a_relay_is_asymmetric() {
         );
         offsets.sort_unstable();
         let median = offsets[offsets.len() / 2];
-        assert!((-700_000..-300_000).contains(&median), "{median}");
-        assert!(most >= 500_000, "{most}");
+        assert!(median < -300_000 && median > -most, "{median}, {most}");
         bench.figure(&format!(
             "median {median} ns, said to err by {most}; {lost} of {relayed} lost"
         ));

@@ -41,7 +41,7 @@ impl Offsets {
         let settled = numbers.into_iter().skip(first);
         let mut offsets: Vec<i64> = settled.map(i64::abs).collect();
         offsets.sort_unstable();
-        assert!(offsets.len() > 5, "{} offsets: {said}", offsets.len());
+        assert!(offsets.len() > 3, "{} offsets: {said}", offsets.len());
         Self(offsets)
     }
 
