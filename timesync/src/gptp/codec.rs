@@ -50,6 +50,19 @@ pub(super) struct Message {
     pub(super) body: Body,
 }
 
+impl Message {
+    /// Creates a message to be sent.
+    pub(super) const fn new(source: PortIdentity, sequence: u16, body: Body) -> Self {
+        Self {
+            source,
+            sequence,
+            is_two_step: matches!(body, Body::Sync | Body::PeerResponse(..)),
+            correction: 0,
+            body,
+        }
+    }
+}
+
 /// What has not been read yet.
 struct Reader<'m>(&'m [u8]);
 

@@ -206,16 +206,8 @@ impl Link {
         self.due = next(self.due, self.settings.ask_every, now);
         self.sequence = self.sequence.wrapping_add(1);
         let sync = self.sync.take();
-        let message = Message {
-            source: self.settings.identity,
-            sequence: self.sequence,
-            is_two_step: false,
-            correction: 0,
-            body: match sync {
-                None => Body::PeerRequest,
-                Some(_) => Body::DelayRequest,
-            },
-        };
+        let body = sync.map_or(Body::PeerRequest, |_| Body::DelayRequest);
+        let message = Message::new(self.settings.identity, self.sequence, body);
         self.exchange = Some(Exchange {
             id: send(self.settings.profile, &message, NO_INTERVAL, out),
             sync,
@@ -348,13 +340,8 @@ impl Responder {
         {
             return;
         }
-        let message = Message {
-            source: self.own,
-            is_two_step: true,
-            correction: 0,
-            body: Body::PeerResponse(at.as_ns(), ask.source),
-            ..*ask
-        };
+        let body = Body::PeerResponse(at.as_ns(), ask.source);
+        let message = Message::new(self.own, ask.sequence, body);
         let event = send(self.profile, &message, NO_INTERVAL, out);
         self.pending = Some((*ask, at, event));
     }
@@ -362,12 +349,9 @@ impl Responder {
     pub(super) fn on_sent(&mut self, event: EventId, at: Instant, out: &mut impl TimeOutlet) {
         let is_it = |(_, _, id): &mut (_, _, Option<EventId>)| *id == Some(event);
         if let Some((ask, ..)) = self.pending.take_if(is_it) {
-            let message = Message {
-                source: self.own,
-                is_two_step: false,
-                body: Body::PeerResponseFollowUp(at.as_ns(), ask.source),
-                ..ask
-            };
+            let body = Body::PeerResponseFollowUp(at.as_ns(), ask.source);
+            let mut message = Message::new(self.own, ask.sequence, body);
+            message.correction = ask.correction;
             send(self.profile, &message, NO_INTERVAL, out);
         }
     }

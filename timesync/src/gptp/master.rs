@@ -124,12 +124,9 @@ impl<S: Scale> Master<S> {
             Body::PeerRequest => self.responder.on_request(at, &message, out),
             Body::DelayRequest if profile.delay == DelayMechanism::EndToEnd => {
                 if let Some(t4) = global(at) {
-                    let answer = Message {
-                        source: identity,
-                        is_two_step: false,
-                        body: Body::DelayResponse(t4.as_ns(), message.source),
-                        ..message
-                    };
+                    let body = Body::DelayResponse(t4.as_ns(), message.source);
+                    let mut answer = Message::new(identity, message.sequence, body);
+                    answer.correction = message.correction;
                     send(profile, &answer, self.settings.sync_exponent, out);
                 }
             }
@@ -144,13 +141,7 @@ impl<S: Scale> Master<S> {
         interval: i8,
         out: &mut impl TimeOutlet,
     ) -> Option<EventId> {
-        let message = Message {
-            source: self.settings.identity,
-            sequence,
-            is_two_step: body == Body::Sync,
-            correction: 0,
-            body,
-        };
+        let message = Message::new(self.settings.identity, sequence, body);
         send(self.settings.profile, &message, interval, out)
     }
 }

@@ -29,15 +29,8 @@ impl TimeOutlet for Out {
 }
 
 fn bytes(profile: PtpProfile, source: PortIdentity, sequence: u16, body: Body) -> Vec<u8> {
-    let message = Message {
-        source,
-        sequence,
-        is_two_step: body == Sync,
-        correction: 0,
-        body,
-    };
     let mut out = Out::default();
-    send(profile, &message, 0, &mut out);
+    send(profile, &Message::new(source, sequence, body), 0, &mut out);
     out.0.remove(0)
 }
 
