@@ -199,6 +199,8 @@ impl TandemActions {
             (Line::Start, Edge::Falling) => self.sync = 1,
             (Line::Heartbeat1 | Line::Heartbeat2, Edge::Rising) => self.beat = TANDEM_EDGE_RISING,
             (Line::Heartbeat1 | Line::Heartbeat2, Edge::Falling) => self.beat = TANDEM_EDGE_FALLING,
+            // The redundancy never depends on the time line.
+            (Line::Time, _) => {}
         }
     }
 

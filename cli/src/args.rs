@@ -329,6 +329,8 @@ pub enum WireName {
     Heartbeat2,
     /// The start line
     Start,
+    /// The line of time synchronisation
+    Time,
     /// The power level line, which then reads as high
     Level,
     /// The data link

@@ -72,6 +72,7 @@ impl WireName {
             Self::Heartbeat1 => Wire::Line(Line::Heartbeat1),
             Self::Heartbeat2 => Wire::Line(Line::Heartbeat2),
             Self::Start => Wire::Line(Line::Start),
+            Self::Time => Wire::Line(Line::Time),
             Self::Level => Wire::Level,
             Self::Link => Wire::Link,
             Self::Can => Wire::Can,

@@ -6,10 +6,11 @@ pub(crate) mod wire {
     use tandem_peripherals::network::Wire;
 
     /// The names, in the order of [`Wire::ALL`].
-    pub(crate) const NAMES: [&str; 6] = [
+    pub(crate) const NAMES: [&str; 7] = [
         "start",
         "heartbeat-1",
         "heartbeat-2",
+        "time",
         "level",
         "link",
         "can",

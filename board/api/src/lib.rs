@@ -37,7 +37,7 @@ pub use can::{Can, CanErrors, CanFrame, CanId, CanState, InvalidFrame, Received,
 pub use faults::{FaultSource, HardwareFault, HardwareFaults, OutputDiagnosis};
 pub use flash::{DataFlash, FlashError, FlashStatus};
 pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
-pub use lines::{Edge, Line, Lines, Link, LinkFull};
+pub use lines::{Edge, Line, Lines, Link, LinkFull, TimeEdge};
 pub use monotonic::{MonotonicCounter, NoCounter};
 pub use network::{Channel, Datagram, Network, NetworkAddress, NetworkFull, NoNetwork, Recipient};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};

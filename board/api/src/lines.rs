@@ -1,4 +1,6 @@
-//! The wires between the two systems: ERU lines and the data link. T-CHIP-5
+//! The wires between the two systems: ERU lines and the data link. T-CHIP-5, S-3
+
+use crate::Instant;
 
 /// A hard-wired line to the other system. Each line exists once in each direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -10,11 +12,14 @@ pub enum Line {
     Heartbeat1,
     /// Second heartbeat line, redundant to the first.
     Heartbeat2,
+    /// Time synchronisation: the rising edge marks an instant, see [`Lines::time_edge`]. Edges do
+    /// not interrupt: hardware captures their times, and the receiver needs a datagram to use one.
+    Time,
 }
 
 impl Line {
     /// All lines.
-    pub const ALL: [Self; 3] = [Self::Start, Self::Heartbeat1, Self::Heartbeat2];
+    pub const ALL: [Self; 4] = [Self::Start, Self::Heartbeat1, Self::Heartbeat2, Self::Time];
 
     /// Returns whether an edge interrupts core 0 of the receiving system.
     #[must_use]
@@ -22,7 +27,7 @@ impl Line {
         matches!(self, Self::Start)
     }
 
-    /// Returns 0, 1 or 2.
+    /// Returns 0 ..= 3.
     #[must_use]
     pub const fn index(self) -> usize {
         self as usize
@@ -38,6 +43,16 @@ pub enum Edge {
     Falling,
 }
 
+/// A rising edge that was received on [`Line::Time`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeEdge {
+    /// Its number since power-on, from 1: what [`Lines::received`] returned when it came. Wraps
+    /// around.
+    pub count: u32,
+    /// When it came, on this system's clock.
+    pub at: Instant,
+}
+
 /// This system's ends of the lines.
 pub trait Lines {
     /// Sends one edge. Any context. It orders no memory accesses: the systems share no memory.
@@ -46,6 +61,16 @@ pub trait Lines {
     /// Returns how many edges of this type this line has received since this system's power-on. Any
     /// context. The count wraps around and survives the reset of a core, so take differences.
     fn received(&self, line: Line, edge: Edge) -> u32;
+
+    /// Returns the newest rising edge on [`Line::Time`]; `None` before the first since this
+    /// system's power-on. Any context. S-3
+    ///
+    /// Hardware stamps each edge when it comes, whatever the cores do: a capture unit, or on a
+    /// board without one a handler that only reads the clock. `count` and `at` always belong to one
+    /// edge, and survive the reset of a core. An edge may be counted a moment before its stamp can
+    /// be read. `at` is not after the call, and a newer edge has no earlier time. A sender that
+    /// dies in the middle of an edge may leave it counted but without a stamp.
+    fn time_edge(&self) -> Option<TimeEdge>;
 
     /// Reads the level line of the other system's supply. Any context. High while that supply is on
     /// and its system is out of reset. Falls when that system loses power or its safety chip holds

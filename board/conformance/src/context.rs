@@ -51,6 +51,8 @@ impl Handler {
         let lines = board.lines();
         lines.send(Line::Heartbeat1, Edge::Rising);
         lines.received(Line::Heartbeat2, Edge::Falling);
+        lines.send(Line::Time, Edge::Rising);
+        lines.time_edge();
         lines.peer_powered();
         board.can().wake_on_receive(run.is_multiple_of(2));
         board.can().overruns();
@@ -96,5 +98,7 @@ pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     let lines = board.lines();
     lines.send(Line::Heartbeat2, Edge::Falling);
     lines.received(Line::Heartbeat1, Edge::Rising);
+    lines.send(Line::Time, Edge::Rising);
+    lines.time_edge();
     Ok(())
 }

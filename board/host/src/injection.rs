@@ -207,8 +207,8 @@ impl Injection {
 
     /// Delivers to the other system an edge that this system did not send.
     pub fn stray_edge(&self, from: SystemId, line: Line, edge: Edge) {
-        self.backplane.send_edge(from, line, edge);
-        if line.interrupts() {
+        let arrives = self.backplane.send_edge(from, line, edge);
+        if line.interrupts() && arrives {
             Ringers::new(&self.run).ring(from.peer(), CoreId::CONTROL);
         }
     }

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull};
+use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull, TimeEdge};
 use tandem_peripherals::codec::{
     DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, decode_datagram, encode_datagram,
 };
@@ -32,18 +32,18 @@ impl HostLines {
 
 impl Lines for HostLines {
     fn send(&self, line: Line, edge: Edge) {
-        self.backplane.send_edge(self.of.system, line, edge);
-        let is_cut = self
-            .backplane
-            .cuts()
-            .is_cut(Wire::Line(line), self.of.system);
-        if line.interrupts() && !is_cut {
+        let arrives = self.backplane.send_edge(self.of.system, line, edge);
+        if line.interrupts() && arrives {
             self.ringers.ring(self.of.system.peer(), CoreId::CONTROL);
         }
     }
 
     fn received(&self, line: Line, edge: Edge) -> u32 {
         self.backplane.received_edges(self.of.system, line, edge)
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        self.backplane.time_edge(self.of.system)
     }
 
     fn peer_powered(&self) -> bool {

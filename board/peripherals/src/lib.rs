@@ -10,6 +10,7 @@ pub mod codec;
 pub mod data_flash;
 pub mod memory;
 pub mod network;
+pub mod stamp;
 pub mod supply;
 pub mod watchdog;
 

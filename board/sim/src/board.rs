@@ -11,7 +11,7 @@ use tandem_board::{
     Board, Can, CanErrors, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Edge, FaultSource,
     FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
     LinkFull, LmuWord, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    SystemId, TraceRecord, Traced, TransmitFull, Wake,
+    SystemId, TimeEdge, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::data_flash;
@@ -363,6 +363,11 @@ impl Lines for SimPort {
         let glance = &self.shared.glance;
         let count = glance.edges(self.place.system, line, edge);
         count.load(Ordering::Relaxed)
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        self.look();
+        self.shared.lock().system(self.place.system).time_edge
     }
 
     #[inline]

@@ -5,7 +5,8 @@ use crate::machine::Machine;
 use crate::outbox::Output;
 use std::sync::atomic::Ordering;
 use tandem_board::{
-    CanFrame, CoreAddress, Edge, Line, LinkFull, NetworkFull, Received, SystemId, TransmitFull,
+    CanFrame, CoreAddress, Edge, Line, LinkFull, NetworkFull, Received, SystemId, TimeEdge,
+    TransmitFull,
 };
 use tandem_peripherals::network::{Arrival, Delivery, Station, Wire};
 use tandem_peripherals::supply::Power;
@@ -22,10 +23,15 @@ impl Machine {
         }
     }
 
-    /// Counts an edge that arrives at a system, and interrupts core 0 if the line does so.
+    /// Counts an edge that arrives at a system now, and stamps it or interrupts core 0 if the line
+    /// does so.
     pub(crate) fn count_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         let count = self.glance.edges(to, line, edge);
-        count.fetch_add(1, Ordering::Relaxed);
+        let count = count.fetch_add(1, Ordering::Relaxed).wrapping_add(1);
+        if (line, edge) == (Line::Time, Edge::Rising) {
+            let at = self.local(to);
+            self.system(to).time_edge = Some(TimeEdge { count, at });
+        }
         if line.interrupts() {
             self.raise_peer(to.peer());
         }

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
     CoreAddress, CoreId, Duration, Edge, Instant, Line, LmuWord, Received, RoleLamp, SystemId,
-    Traced,
+    TimeEdge, Traced,
 };
 use tandem_peripherals::network::{Conditions, Ethernet, Network, Station};
 use tandem_peripherals::supply::{self, Power, Supply};
@@ -113,6 +113,8 @@ pub(crate) struct System {
     /// Changes what each core sends.
     pub(crate) sent: [Option<Filter>; CoreId::COUNT],
     pub(crate) inbox: VecDeque<Vec<u32>>,
+    /// The newest edge of the time line.
+    pub(crate) time_edge: Option<TimeEdge>,
 }
 
 impl System {
@@ -127,6 +129,7 @@ impl System {
             heard: [const { None }; CoreId::COUNT],
             sent: [const { None }; CoreId::COUNT],
             inbox: VecDeque::new(),
+            time_edge: None,
         }
     }
 }
@@ -146,7 +149,7 @@ pub(crate) struct Glance {
     /// The time on the clock of each system, ns.
     local_ns: [AtomicU64; 2],
     /// Counts of the edges that each system has received, by line and edge.
-    edges: [[[AtomicU32; 2]; 3]; 2],
+    edges: [[[AtomicU32; 2]; Line::ALL.len()]; 2],
 }
 
 impl Glance {

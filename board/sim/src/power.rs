@@ -60,6 +60,7 @@ impl Machine {
         let now = self.at();
         self.glance.forget_edges(system);
         let state = self.system(system);
+        state.time_edge = None;
         state.cores.iter_mut().for_each(|core| core.generation = 0);
         self.with_supply(system, |supply| supply.power_on(now));
     }

@@ -336,7 +336,8 @@ fn a_cut_wire_carries_nothing_until_it_is_restored() {
         send(1);
         pair.restore(Wire::Line(line), A);
     }
-    assert_eq!(edges(), [2, 2, 2], "each line was cut once");
+    assert_eq!(edges(), [3; 4], "each line was cut once");
+    assert_eq!(far.lines().time_edge().map(|edge| edge.count), Some(3));
     while far.link().try_receive(&mut [0]).is_some() {}
     while near.can().try_receive().is_some() || far.can().try_receive().is_some() {}
 

@@ -29,6 +29,32 @@ fn send(pair: &SimPair, from: SystemId, core: CoreId, frame: &CanFrame) {
     pair.board(from, core).can().try_send(frame).unwrap();
 }
 
+/// S-3: an edge has the exact time of its arrival, on the clock of the receiver, however late it is
+/// read. A power-on forgets the edge.
+#[test]
+fn what_hardware_stamps_has_the_exact_time() {
+    let mut pair = pair();
+    pair.set_clock_rate(SystemId::B, 100_000);
+    pair.run_for(Duration::from_ms(1_000));
+    let [near, far] = SystemId::ALL.map(|of| pair.board(of, CoreId::CONTROL));
+    let far_ns = far.now().as_ns();
+    near.lines().send(Line::Time, Edge::Rising);
+    assert_eq!(far.lines().time_edge(), None);
+    pair.run_for(Duration::from_ms(1_000));
+    // The clock of B is 1 in 10,000 faster: 3 µs are 3,000.3 ns on it.
+    let at = far_ns + 3_000;
+    let edge = far.lines().time_edge().unwrap();
+    assert_eq!(edge.count, 1);
+    assert!((at..=at + 1).contains(&edge.at.as_ns()), "{edge:?}");
+    near.lines().send(Line::Time, Edge::Falling);
+    pair.run_for(Duration::from_ms(1));
+    assert_eq!(far.lines().time_edge(), Some(edge), "a falling edge");
+    pair.power_off(SystemId::B);
+    pair.power_on(SystemId::B);
+    let far = pair.board(SystemId::B, CoreId::CONTROL);
+    assert_eq!(far.lines().time_edge(), None);
+}
+
 /// The waiting frame with the lowest identifier is sent next. A frame on the bus is not
 /// interrupted, and the frames of one sender keep their order.
 #[test]

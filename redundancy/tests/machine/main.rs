@@ -765,6 +765,7 @@ fn lines_in_and_out() {
         (Line::Heartbeat1, Edge::Rising) => u32::MAX,
         (Line::Heartbeat1, Edge::Falling) => 11,
         (Line::Heartbeat2, _) => 20,
+        (Line::Time, _) => 300,
     };
     let expected = LineSnapshot {
         handshakes: 1,

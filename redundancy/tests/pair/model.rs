@@ -59,7 +59,7 @@ pub(crate) struct System {
     pub(crate) flash: Option<SystemState>,
     pub(crate) flash_lost: bool,
     writing: Option<(u64, SystemState)>,
-    edges: [[u32; 2]; 3],
+    edges: [[u32; 2]; Line::ALL.len()],
     can_frames: u32,
     inbox: VecDeque<Frame>,
     link_inbox: VecDeque<LinkReport>,
@@ -123,7 +123,7 @@ impl Pair {
             flash_lost: false,
             writing: None,
             // Near their wrap-around, so that they wrap around in every run.
-            edges: [[u32::MAX - 40; 2]; 3],
+            edges: [[u32::MAX - 40; 2]; Line::ALL.len()],
             can_frames: u32::MAX - 3,
             inbox: VecDeque::new(),
             link_inbox: VecDeque::new(),
@@ -202,7 +202,7 @@ impl Pair {
         system.machine = None;
         system.boot = None;
         system.frozen_until = 0;
-        system.edges = [[u32::MAX - 40; 2]; 3];
+        system.edges = [[u32::MAX - 40; 2]; Line::ALL.len()];
         system.writing = None;
         system.until_reset = None;
     }
@@ -492,6 +492,7 @@ impl Pair {
             Line::Start => self.cuts.start[from.index()],
             Line::Heartbeat1 => self.cuts.beats[0][from.index()],
             Line::Heartbeat2 => self.cuts.beats[1][from.index()],
+            Line::Time => false,
         };
         let to = &mut self.systems[from.peer().index()];
         if to.powered && !cut {

@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicU32;
 use tandem_board::{
     Board, Can, CanErrors, CanFrame, Channel, CoreId, DataFlash, Datagram, Edge, FlashError,
     FlashStatus, Identity, Instant, Line, Lines, Link, LinkFull, Network, NetworkAddress,
-    NetworkFull, Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TraceRecord,
-    TransmitFull, Wake,
+    NetworkFull, Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TimeEdge,
+    TraceRecord, TransmitFull, Wake,
 };
 use tandem_board_sim::SimBoard;
 
@@ -116,6 +116,10 @@ impl Lines for Counted<'_> {
 
     fn received(&self, line: Line, edge: Edge) -> u32 {
         uncounted(|| self.board.lines().received(line, edge))
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        uncounted(|| self.board.lines().time_edge())
     }
 
     fn peer_powered(&self) -> bool {

@@ -19,7 +19,7 @@ use tandem_board::{CoreAddress, FaultSource};
 use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
 /// Number of cases in the suite.
-const COUNT: usize = 59;
+const COUNT: usize = 62;
 
 /// Makes a case whose parts have static lifetime.
 macro_rules! case {
@@ -79,6 +79,11 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
         case!("can-overruns", Plain, A0: can::flood::<B>, A1: can::late_receiver::<B>),
         case!("lines-count", Plain, A0: lines::counter::<B>, B0: lines::counter::<B>),
         case!("lines-start-interrupts", Plain, A0: lines::starter::<B>, B0: lines::started::<B>),
+        case!("lines-time", Plain, A0: lines::marker::<B>, B0: lines::marked::<B>),
+        case!("lines-time-pairs", Plain,
+            A0: lines::hasty_reader::<B>, B0: lines::hasty_marker::<B>),
+        case!("lines-time-reset", Restarts,
+            A0: lines::marked_once::<B>, B0: lines::marks_once::<B>),
         case!("lines-level", Plain, A0: lines::level::<B>, B0: lines::level::<B>),
         case!("lines-level-reset", Restarts,
             A0: supply::reset_in_sight::<B>, B0: supply::sees_reset::<B>),

@@ -3,6 +3,7 @@
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_peripherals::codec::{BusFrame, DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
 use tandem_peripherals::network::LINK_DATAGRAMS;
+use tandem_peripherals::stamp::CAPTURE_WORDS;
 use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::trace_ring;
@@ -88,10 +89,12 @@ const SYSTEMS_AT: usize = RUN_AT + LINE;
 const SYSTEM_WORDS: usize = 2 * LINE;
 const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
 const CORE_WORDS: usize = 3 * LINE;
-/// Counts of rising and falling edges on three lines: the sender's, then the receiver's baseline.
+/// Counts of rising and falling edges on the lines: the sender's, then the receiver's baseline.
 const EDGES_AT: usize = CORES_AT + CoreAddress::COUNT * CORE_WORDS;
 const EDGE_WORDS: usize = LINE;
-const RINGS_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
+/// Stamps of the edges that each system has sent on the time line.
+const CAPTURES_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
+const RINGS_AT: usize = CAPTURES_AT + (2 * CAPTURE_WORDS).next_multiple_of(LINE);
 
 pub(super) const fn run(register: Run) -> usize {
     RUN_AT + register as usize
@@ -111,6 +114,11 @@ pub(super) const fn edge(from: SystemId, line: Line, edge: Edge) -> usize {
 
 pub(super) const fn edge_baseline(by: SystemId, line: Line, edge_type: Edge) -> usize {
     2 * EDGE_WORDS + edge(by, line, edge_type)
+}
+
+/// Returns the first of the words that stamp what `from` sends on the time line.
+pub(super) const fn capture(from: SystemId) -> usize {
+    CAPTURES_AT + from.index() * CAPTURE_WORDS
 }
 
 /// Returns the index of a supply's trace.
@@ -239,6 +247,7 @@ mod tests {
             places.extend(group.iter().map(|place| (place.at, place.words)));
         }
         for s in SystemId::ALL {
+            places.push((capture(s), CAPTURE_WORDS));
             for register in [System::SupplyPid, System::ResetCause, System::Lamp] {
                 places.push((system(s, register), 1));
             }

@@ -12,11 +12,13 @@ use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{
     CanErrors, CoreId, Duration, Edge, Forgery, Generation, HardwareFault, HardwareFaults, Line,
-    ResetCause, ResetRequest, RoleLamp, SystemId,
+    ResetCause, ResetRequest, RoleLamp, SystemId, TimeEdge,
 };
 use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
+use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture};
 use tandem_peripherals::supply::starts_after;
 
+use crate::clock;
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
@@ -26,7 +28,7 @@ pub(crate) use layout::{
 };
 
 /// "TDM" and the version of the layout, so that processes of different builds reject each other.
-const MAGIC: u32 = 0x5444_4D05;
+const MAGIC: u32 = 0x5444_4D06;
 const NAME: &str = "backplane";
 /// The longest delay of a disturbed connection, equal to the limit of `Kind::Late`. A
 /// corrupt word in the shared memory must not cause a longer delay, because delayed frames
@@ -134,6 +136,19 @@ impl Backplane {
 
     fn edge_baseline(self, by: SystemId, line: Line, edge: Edge) -> Register {
         Register(&self.words[layout::edge_baseline(by, line, edge)])
+    }
+
+    /// Returns `N` words that begin at this index.
+    fn part<const N: usize>(self, at: usize) -> &'static [AtomicU32; N] {
+        &self.words[at..].as_chunks().0[0]
+    }
+
+    /// Returns the capture unit for what `from` sends on the time line.
+    fn capture(self, from: SystemId) -> Capture<'static> {
+        Capture {
+            count: self.edge(from, Line::Time, Edge::Rising).0,
+            stamps: self.part::<CAPTURE_WORDS>(layout::capture(from)),
+        }
     }
 
     /// Returns the trace ring of a core, by its index, or of a supply, by [`supply_trace_ring`].
@@ -485,10 +500,23 @@ impl Backplane {
 
 /// Lines.
 impl Backplane {
-    pub(crate) fn send_edge(self, from: SystemId, line: Line, edge: Edge) {
-        if !self.cuts().is_cut(Wire::Line(line), from) {
-            self.edge(from, line, edge).count();
+    /// Sends an edge; returns whether it arrives. The sender's process acts as the capture unit of
+    /// the receiver, so a stamp has no latency of an interrupt: all processes have one clock.
+    pub(crate) fn send_edge(self, from: SystemId, line: Line, edge: Edge) -> bool {
+        if self.cuts().is_cut(Wire::Line(line), from) {
+            return false;
         }
+        match (line, edge) {
+            (Line::Time, Edge::Rising) => self.capture(from).edge(clock::now),
+            _ => _ = self.edge(from, line, edge).count(),
+        }
+        true
+    }
+
+    /// Returns the newest rising edge that `by` has received on the time line since its power-on.
+    pub(crate) fn time_edge(self, by: SystemId) -> Option<TimeEdge> {
+        let before = self.edge_baseline(by, Line::Time, Edge::Rising).get();
+        self.capture(by.peer()).newest(before)
     }
 
     /// Returns the number of edges that `from` has sent since the run began; wraps around.

@@ -67,3 +67,32 @@ fn a_forgery_crosses_the_backplane() {
     backplane.forge(None);
     assert_eq!(backplane.forgery(), None);
 }
+
+/// S-3: a stamp is a time between those before and after the edge. A cut line carries no edge, and
+/// a power-on forgets those before it.
+#[test]
+fn a_time_edge_has_its_time_unless_the_line_is_cut() {
+    let (_run, backplane) = ScratchRun::create();
+    let [a, b] = SystemId::ALL;
+    let send = || {
+        let before = clock::now();
+        let arrives = backplane.send_edge(a, Line::Time, Edge::Rising);
+        (arrives, before..=clock::now())
+    };
+    let counts = || [a, b].map(|of| backplane.time_edge(of).map(|edge| edge.count));
+    assert_eq!(counts(), [None, None]);
+    for count in 1..10 {
+        let (_, around) = send();
+        let edge = backplane.time_edge(b).unwrap();
+        assert_eq!(edge.count, count);
+        assert!(around.contains(&edge.at), "{edge:?} {around:?}");
+    }
+    backplane.set_cut(Wire::Line(Line::Time), a, true);
+    assert!(!send().0);
+    assert_eq!(counts(), [None, Some(9)]);
+    backplane.set_cut(Wire::Line(Line::Time), a, false);
+    backplane.clear_received_edges(b);
+    assert_eq!(counts(), [None, None]);
+    assert!(send().0);
+    assert_eq!(counts(), [None, Some(1)]);
+}

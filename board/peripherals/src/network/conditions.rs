@@ -20,10 +20,11 @@ pub enum Wire {
 
 impl Wire {
     /// The wires that start at a system.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Line(Line::Start),
         Self::Line(Line::Heartbeat1),
         Self::Line(Line::Heartbeat2),
+        Self::Line(Line::Time),
         Self::Level,
         Self::Link,
         Self::Can,
@@ -40,9 +41,9 @@ impl Cuts {
     pub const fn bit(wire: Wire, from: SystemId) -> u32 {
         let number = match wire {
             Wire::Line(line) => line.index(),
-            Wire::Level => 3,
-            Wire::Link => 4,
-            Wire::Can => 5,
+            Wire::Level => 4,
+            Wire::Link => 5,
+            Wire::Can => 6,
         };
         1 << (8 * from.index() + number)
     }

@@ -1,6 +1,7 @@
 //! A simulated board that breaks one contract: the conformance suite must find it.
 
 mod network;
+mod stamps;
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -11,7 +12,7 @@ use tandem_board::{
     Board, Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FaultSource,
     FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
     LinkFull, LmuWord, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    SystemId, TraceRecord, TransmitFull, Wake, watchdog_answer,
+    SystemId, TimeEdge, TraceRecord, TransmitFull, Wake, watchdog_answer,
 };
 use tandem_board_sim::{Config, SimBoard};
 use tandem_peripherals::data_flash::{ERASED, SIZE};
@@ -91,6 +92,14 @@ defects! {
     LineLoopback,
     /// An edge on the start line does not interrupt.
     SilentStart,
+    /// The time line has an edge before one came.
+    TimeEdgeTooSoon,
+    /// An edge on the time line is stamped when it is read.
+    TimeEdgeLate,
+    /// A new edge on the time line changes the time before the count.
+    TimeEdgeTorn,
+    /// A reset forgets the newest edge on the time line.
+    TimeEdgeForgotten,
     /// The level line does not show that the other system is on.
     LevelStuckLow,
     /// The level line does not fall.
@@ -238,6 +247,7 @@ pub(crate) struct Bent {
     loses_next: Cell<bool>,
     frames: RefCell<VecDeque<Received>>,
     received: Cell<u32>,
+    time_edges: Cell<u32>,
     datagrams: RefCell<VecDeque<Vec<u32>>>,
     packets: RefCell<VecDeque<network::Held>>,
     refused: RefCell<Vec<network::Held>>,
@@ -254,6 +264,7 @@ impl Bent {
             loses_next: Cell::default(),
             frames: RefCell::default(),
             received: Cell::default(),
+            time_edges: Cell::default(),
             datagrams: RefCell::default(),
             packets: RefCell::default(),
             refused: RefCell::default(),
@@ -603,6 +614,10 @@ impl Lines for Bent {
             (Some(Defect::WrongEdge), Edge::Falling) => 0,
             _ => count(edge) + self.edges(self.place().system, line, edge).load(SeqCst),
         }
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        self.bent_time_edge()
     }
 
     fn peer_powered(&self) -> bool {

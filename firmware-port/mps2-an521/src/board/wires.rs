@@ -9,13 +9,14 @@ use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
     Can, CanErrors, CanFrame, CoreAddress, CoreId, Edge, Line, Lines, Link, LinkFull, Received,
-    SystemId, TransmitFull,
+    SystemId, TimeEdge, TransmitFull,
 };
 use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Reach, Sender, decode_datagram,
     encode_datagram,
 };
 use tandem_peripherals::network::LINK_DATAGRAMS;
+use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture};
 use tandem_shm::fifo::{self, Consumer, Producer};
 use tandem_shm::{Shape, bare};
 
@@ -37,7 +38,9 @@ impl<const N: usize> Words<N> {
 /// All wires. Zero at power-on.
 struct Wires {
     /// Numbers of edges, by receiving system, line and type.
-    edges: [[[AtomicU32; 2]; 3]; 2],
+    edges: [[[AtomicU32; 2]; Line::ALL.len()]; 2],
+    /// Stamps of the newest rising edges of the time line, by receiving system.
+    captured: [[AtomicU32; CAPTURE_WORDS]; 2],
     /// Datagrams, by receiving system.
     link: [Words<{ fifo::words(DATAGRAMS) }>; 2],
     /// Frames, by receiving processor.
@@ -50,7 +53,8 @@ struct Wires {
 
 #[unsafe(link_section = ".bss.wires")]
 static WIRES: Wires = Wires {
-    edges: [const { [const { [const { AtomicU32::new(0) }; 2] }; 3] }; 2],
+    edges: [const { [const { [const { AtomicU32::new(0) }; 2] }; Line::ALL.len()] }; 2],
+    captured: [const { [const { AtomicU32::new(0) }; CAPTURE_WORDS] }; 2],
     link: [const { Words::new() }; 2],
     can: [const { Words::new() }; CPUS],
     overruns: [const { AtomicU32::new(0) }; CPUS],
@@ -80,10 +84,21 @@ impl An521Lines {
             peer_core_0: player(cast, own.peer(), CoreId::CONTROL),
         }
     }
+
+    /// The sender stamps an edge for the receiver: both processors have one clock.
+    fn capture(to: SystemId) -> Capture<'static> {
+        Capture {
+            count: &WIRES.edges[to.index()][Line::Time.index()][Edge::Rising as usize],
+            stamps: &WIRES.captured[to.index()],
+        }
+    }
 }
 
 impl Lines for An521Lines {
     fn send(&self, line: Line, edge: Edge) {
+        if (line, edge) == (Line::Time, Edge::Rising) {
+            return Self::capture(self.own.peer()).edge(timers::now);
+        }
         let edges = &WIRES.edges[self.own.peer().index()][line.index()];
         // Release pairs with the Acquire in `received`, so that edges arrive in order, as on wires.
         edges[edge as usize].fetch_add(1, Ordering::Release);
@@ -95,6 +110,10 @@ impl Lines for An521Lines {
     fn received(&self, line: Line, edge: Edge) -> u32 {
         // Acquire pairs with the Release in `send`.
         WIRES.edges[self.own.index()][line.index()][edge as usize].load(Ordering::Acquire)
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        Self::capture(self.own).newest(0)
     }
 
     /// Returns true: both systems share the power of the machine.

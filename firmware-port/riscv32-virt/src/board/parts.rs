@@ -6,7 +6,7 @@ use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
     Can, CanErrors, CanFrame, Channel, CoreAddress, CoreId, DataFlash, Datagram, Edge, FlashError,
     FlashStatus, Instant, Line, Lines, Link, LinkFull, Network, NetworkAddress, NetworkFull,
-    Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
+    Received, Recipient, ResetCause, ResetRequest, RoleLamp, Supply, TimeEdge, TransmitFull,
 };
 use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, PacketHead, Reach, Sender, decode_datagram, encode_datagram,
@@ -91,14 +91,18 @@ impl Can for VirtCan {
 impl Lines for VirtLines {
     fn send(&self, line: Line, edge: Edge) {
         let peer = self.0.system.peer();
-        peripherals::system(peer).edges[line.index()][edge as usize].fetch_add(1, Relaxed);
+        peripherals::system(peer).count_edges(line, edge, 1);
         if line.interrupts() {
             peripherals::interrupt(peer);
         }
     }
 
     fn received(&self, line: Line, edge: Edge) -> u32 {
-        system(self.0).edges[line.index()][edge as usize].load(Relaxed)
+        system(self.0).received(line, edge)
+    }
+
+    fn time_edge(&self) -> Option<TimeEdge> {
+        system(self.0).time_edge()
     }
 
     fn peer_powered(&self) -> bool {

@@ -8,7 +8,8 @@
 //!
 //! A vehicle process may run on the host. The carrier then exchanges messages with it once in each
 //! millisecond of virtual time: see [`Peripherals::connect`]. Edges and datagrams to a system that
-//! is not in this machine collect in its registers here, and are sent with the next exchange.
+//! is not in this machine collect in its registers here, and are sent with the next exchange. The
+//! receiver's carrier stamps such an edge on the time line when it arrives.
 
 pub(crate) mod data_flash;
 mod ethernet;
@@ -22,9 +23,12 @@ use crate::clint;
 use crate::hart::{self, CARRIER};
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use ring::Ring;
-use tandem_board::{CoreAddress, CoreId, HardwareFault, HardwareFaults, Instant, Line, SystemId};
+use tandem_board::{
+    CoreAddress, CoreId, Edge, HardwareFault, HardwareFaults, Instant, Line, SystemId, TimeEdge,
+};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
 use tandem_peripherals::network::LINK_DATAGRAMS;
+use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture};
 
 /// The carrier's registers for one core.
 #[repr(C)]
@@ -48,6 +52,11 @@ pub(crate) struct SystemRegisters {
     pub(crate) cores: [CoreRegisters; CoreId::COUNT],
     /// Number of received edges, by line and type.
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
+    /// How many rising edges of the time line came before power-on: they number the stamps, so a
+    /// power-on does not clear their count.
+    pub(crate) time_edges_before: AtomicU32,
+    /// Stamps of the newest rising edges of the time line.
+    pub(crate) captured: [AtomicU32; CAPTURE_WORDS],
     /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
     pub(crate) network: ethernet::Registers,
@@ -105,6 +114,54 @@ pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
 }
 
 impl SystemRegisters {
+    /// Counts edges that arrive at the system now, and stamps the last one on the time line. In one
+    /// machine the hart of the sender does this: all harts have one clock.
+    pub(crate) fn count_edges(&self, line: Line, edge: Edge, count: u32) {
+        let edges = &self.edges[line.index()][edge as usize];
+        if (line, edge) == (Line::Time, Edge::Rising) {
+            edges.fetch_add(count.saturating_sub(1), Ordering::Relaxed);
+            self.capture().edge(now);
+        } else {
+            edges.fetch_add(count, Ordering::Relaxed);
+        }
+    }
+
+    /// Returns the number of edges since power-on.
+    pub(crate) fn received(&self, line: Line, edge: Edge) -> u32 {
+        let count = self.edges[line.index()][edge as usize].load(Ordering::Relaxed);
+        match (line, edge) {
+            (Line::Time, Edge::Rising) => {
+                count.wrapping_sub(self.time_edges_before.load(Ordering::Relaxed))
+            }
+            _ => count,
+        }
+    }
+
+    pub(crate) fn time_edge(&self) -> Option<TimeEdge> {
+        let before = self.time_edges_before.load(Ordering::Relaxed);
+        self.capture().newest(before)
+    }
+
+    fn capture(&self) -> Capture<'_> {
+        Capture {
+            count: &self.edges[Line::Time.index()][Edge::Rising as usize],
+            stamps: &self.captured,
+        }
+    }
+
+    /// Begins to count edges anew.
+    pub(crate) fn forget_edges(&self) {
+        let before = self.capture().count.load(Ordering::Relaxed);
+        self.time_edges_before.store(before, Ordering::Relaxed);
+        for line in Line::ALL {
+            for edge in [Edge::Rising, Edge::Falling] {
+                if (line, edge) != (Line::Time, Edge::Rising) {
+                    self.edges[line.index()][edge as usize].store(0, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+
     pub(crate) fn has_faults(&self) -> HardwareFaults {
         HardwareFaults(self.faults.load(Ordering::Relaxed))
     }

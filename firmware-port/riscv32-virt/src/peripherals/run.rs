@@ -8,7 +8,7 @@ use crate::memory::{self, Strap, stack_used, strap};
 use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{
-    Channel, CoreAddress, CoreId, HardwareFault, Instant, Line, NetworkAddress, ResetCause,
+    Channel, CoreAddress, CoreId, Edge, HardwareFault, Instant, Line, NetworkAddress, ResetCause,
     ResetRequest, RoleLamp, SystemId,
 };
 use tandem_cosim::{Assembly, Item};
@@ -86,9 +86,7 @@ impl Peripherals {
                 word.store(0, Relaxed);
             }
             let registers = system(*which);
-            for edges in registers.edges.iter().flatten() {
-                edges.store(0, Relaxed);
-            }
+            registers.forget_edges();
             registers.link.clear();
             registers.generation.store(0, Relaxed);
         }
@@ -230,12 +228,12 @@ impl Peripherals {
                 edge,
                 count,
             } => {
-                let lines = system(to).edges.get(line);
-                if let Some(edges) = lines.and_then(|edges| edges.get(edge)) {
-                    edges.fetch_add(count, Relaxed);
-                }
-                if line == Line::Start.index() {
-                    interrupt(to);
+                let edge = [Edge::Rising, Edge::Falling].get(edge);
+                if let (Some(line), Some(edge)) = (Line::ALL.get(line), edge) {
+                    system(to).count_edges(*line, *edge, count);
+                    if line.interrupts() {
+                        interrupt(to);
+                    }
                 }
             }
             Item::Datagram { to, words } => {
