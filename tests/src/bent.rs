@@ -81,6 +81,17 @@ impl Can for BentCan {
             .try_for_each(|frame| self.board.can().try_send(frame))
     }
 
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let frames = (self.on_send.borrow_mut())(self.board.now(), *frame);
+        frames
+            .iter()
+            .try_for_each(|frame| self.board.can().try_send_stamped(frame))
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.board.can().stamp()
+    }
+
     fn discard_unsent(&self) {
         self.board.can().discard_unsent();
     }

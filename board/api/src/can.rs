@@ -153,6 +153,21 @@ pub trait Can {
     /// [`TransmitFull`] if the buffer is full.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
 
+    /// Sends like [`Can::try_send`], and makes the controller record when the frame was on the bus:
+    /// [`Can::stamp`]. (M_CAN: an entry of the transmit event FIFO.) One at a time. S-4
+    ///
+    /// # Errors
+    /// [`TransmitFull`] if the buffer is full.
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
+
+    /// Returns when the newest frame passed to [`Can::try_send_stamped`] was on the bus, on this
+    /// system's clock. One at a time. S-4
+    ///
+    /// `None` while the frame waits, for ever if it was refused, discarded or lost, and if this
+    /// incarnation of the core has passed none. It is the instant of [`Received::at`] at the
+    /// receivers: exactly, except where a board says how far the two may differ.
+    fn stamp(&self) -> Option<Instant>;
+
     /// Discards the frames of this core that wait in the transmit buffer. One at a time.
     ///
     /// A frame that is already on its way to the bus is still sent. Of the frames passed to

@@ -80,7 +80,9 @@ pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), CaseFailure> {
     if let Ok(frame) = frame {
         // Fails if the buffer is full: the bus may be slower than this loop.
         let _ = board.can().try_send(&frame);
+        let _ = board.can().try_send_stamped(&frame);
     }
+    board.can().stamp();
     board.can().discard_unsent();
     board.can().try_receive();
     let _ = board.link().try_send(&[round]);

@@ -3,11 +3,11 @@
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tandem_board::{Can, CanErrors, CanFrame, Identity, Received, TransmitFull};
+use tandem_board::{Can, CanErrors, CanFrame, Identity, Instant, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Reach, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
-use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
+use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, Transmit};
 use crate::clock;
 use crate::doorbell::Ringers;
 
@@ -31,6 +31,8 @@ impl HostCan {
     ) -> Result<Self, FitError> {
         let transmit = RINGS.transmit[of.address().index()];
         backplane.set_wakes_on_receive(of.system, of.core, false);
+        // Now no frame of the last incarnation is the newest one.
+        backplane.begin_stamp(of.system, of.core);
         Ok(Self {
             backplane,
             of,
@@ -52,8 +54,8 @@ impl HostCan {
     }
 }
 
-impl Can for HostCan {
-    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+impl HostCan {
+    fn send(&self, frame: &CanFrame, mark: u32) -> Result<(), TransmitFull> {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
@@ -64,11 +66,31 @@ impl Can for HostCan {
         };
         let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
         let discards = self.backplane.discards(self.of.system, self.of.core);
+        let words = Transmit {
+            frame,
+            discards,
+            mark,
+        };
         transmit
-            .send(&encode_transmit(&frame, discards))
+            .send(&words.encode())
             .map_err(|fifo::Full| TransmitFull)?;
         self.ringers.ring_bus();
         Ok(())
+    }
+}
+
+impl Can for HostCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send(frame, 0)
+    }
+
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let mark = self.backplane.begin_stamp(self.of.system, self.of.core);
+        self.send(frame, mark)
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.backplane.can_stamp(self.of.system, self.of.core)
     }
 
     fn discard_unsent(&self) {

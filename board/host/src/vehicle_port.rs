@@ -9,12 +9,12 @@ use tandem_board::{
     SupplyEvent, SystemId, TraceRecord, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
-use tandem_peripherals::network::{self, Network, Wire};
+use tandem_peripherals::network::{self, Network, Sent, Wire};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::args::VehicleArgs;
 use crate::backplane::{
-    Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
+    Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, Transmit, supply_trace_ring,
 };
 use crate::clock::{self, Ticker};
 use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
@@ -198,13 +198,15 @@ impl HostVehiclePort {
                 };
                 // Do this after the receive, because the core may have just discarded this frame.
                 let is_powered = node.follow(backplane, network);
-                let wanted = |(_, before): &(BusFrame, u32)| is_powered && *before == node.discards;
-                let Some((frame, _)) = decode_transmit(&words).filter(wanted) else {
+                let wanted = |it: &Transmit| is_powered && it.discards == node.discards;
+                let Some(Transmit { frame, mark, .. }) = Transmit::decode(&words).filter(wanted)
+                else {
                     continue;
                 };
                 // Read the clock again: this process may have been delayed since `now`.
                 let Received { frame, at } = frame.received;
-                let sent = at.clamp(emptied, clock::now());
+                let at = at.clamp(emptied, clock::now());
+                let sent = Sent { at, mark };
                 // The ring determines the sender. A controller that is ready is not full.
                 let _full = network.send_frame(node.of, &frame, sent, now, &mut self.noise);
             }
@@ -244,14 +246,17 @@ impl VehicleBus for HostVehiclePort {
         let mut all = core::mem::take(&mut self.carried);
         all.extend(core::iter::from_fn(|| self.network.carried()));
         // The sort is stable, so the frames of one core keep their order even at equal times.
-        all.sort_by_key(|carried| carried.sent);
+        all.sort_by_key(|carried| carried.sent.at);
         for carried in all.drain(..) {
             // Read the clock for each frame: this call may have started before the sender's time,
             // and this process may have been delayed since the previous frame.
             let at = clock::now();
             if let Sender::Core(CoreAddress { system, core }) = carried.sender {
-                let (frame, sent) = (carried.frame, carried.sent);
+                let (frame, Sent { at: sent, mark }) = (carried.frame, carried.sent);
                 seen(system, core, Carried { frame, sent, at });
+                if mark != 0 {
+                    self.backplane.set_can_stamp(system, core, mark, at);
+                }
             }
             self.publish(&carried, at);
         }
@@ -378,7 +383,6 @@ mod tests {
     use super::*;
     use crate::RunName;
     use crate::args::{Common, Schedule};
-    use crate::backplane::encode_transmit;
     use crate::backplane::tests::ScratchRun;
     use crate::can::HostCan;
     use std::sync::Arc;
@@ -429,7 +433,12 @@ mod tests {
                 sender: Sender::Core(CoreAddress::A0),
                 reach: Reach::NONE,
             };
-            transmit.send(&encode_transmit(&frame, 0)).unwrap();
+            let words = Transmit {
+                frame,
+                discards: 0,
+                mark: 0,
+            };
+            transmit.send(&words.encode()).unwrap();
             let mut seen = vec![];
             port.transmitted(&mut |_, _, carried| seen.push(carried.sent));
             seen

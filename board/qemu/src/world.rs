@@ -508,7 +508,7 @@ impl VehicleBus for EmulatedWorld {
             self.carried = self.carried.max(it.at);
             let carried = Carried {
                 frame: it.frame,
-                sent: it.sent,
+                sent: it.sent.at,
                 at: self.carried,
             };
             seen(from.system, from.core, carried);

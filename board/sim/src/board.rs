@@ -3,7 +3,7 @@
 use crate::baton::Baton;
 use crate::event::SystemEventKind;
 use crate::flash_medium::Flash;
-use crate::machine::{Attention, Shared};
+use crate::machine::{Attention, Machine, Shared};
 use crate::outbox::Output;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -33,10 +33,7 @@ pub struct SimPort {
 
 impl SimPort {
     /// Runs `act` if this incarnation of the core is still current: a dead core must not act.
-    pub(crate) fn alive<R>(
-        &self,
-        act: impl FnOnce(&mut crate::machine::Machine) -> R,
-    ) -> Option<R> {
+    pub(crate) fn alive<R>(&self, act: impl FnOnce(&mut Machine) -> R) -> Option<R> {
         let mut machine = self.shared.lock();
         let core = machine.core(self.place);
         let incarnations = core.alive && core.incarnation == self.incarnation;
@@ -294,20 +291,42 @@ impl FaultSource for SimBoard {
     }
 }
 
-impl Can for SimPort {
-    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+impl SimPort {
+    /// Passes a frame to the controller, with the mark that `mark` returns.
+    fn send_frame(
+        &self,
+        frame: &CanFrame,
+        mark: impl FnOnce(&mut Machine) -> u32,
+    ) -> Result<(), TransmitFull> {
         let sent = self
             .alive(|machine| {
-                if machine.holds(self.place, || Output::Frame(*frame)) {
+                let mark = mark(machine);
+                if machine.holds(self.place, || Output::Frame(*frame, mark)) {
                     return Ok(());
                 }
-                machine.send_can(self.place, frame)
+                machine.send_can(self.place, frame, mark)
             })
             .unwrap_or(Ok(()));
         if sent.is_err() {
             self.look();
         }
         sent
+    }
+}
+
+impl Can for SimPort {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send_frame(frame, |_| 0)
+    }
+
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send_frame(frame, |machine| machine.begin_stamp(self.place))
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.look();
+        self.alive(|machine| machine.core(self.place).stamp)
+            .flatten()
     }
 
     fn discard_unsent(&self) {

@@ -8,7 +8,8 @@ use tandem_board::{
     CanFrame, CoreAddress, Edge, Line, LinkFull, NetworkFull, Received, SystemId, TimeEdge,
     TransmitFull,
 };
-use tandem_peripherals::network::{Arrival, Delivery, Station, Wire};
+use tandem_peripherals::codec::Sender;
+use tandem_peripherals::network::{Arrival, Delivery, Sent, Station, Wire};
 use tandem_peripherals::supply::Power;
 
 impl Machine {
@@ -77,13 +78,22 @@ impl Machine {
         self.network.discard(from);
         let core = self.core(from);
         core.outbox
-            .retain(|(_, output)| !matches!(output, Output::Frame(_)));
+            .retain(|(_, output)| !matches!(output, Output::Frame(..)));
+    }
+
+    /// Begins the record of the next stamped frame of a core; returns the frame's mark.
+    pub(crate) fn begin_stamp(&mut self, from: CoreAddress) -> u32 {
+        self.marks += 1;
+        let (mark, core) = (self.marks, self.core(from));
+        (core.mark, core.stamp) = (mark, None);
+        mark
     }
 
     pub(crate) fn send_can(
         &mut self,
         from: CoreAddress,
         frame: &CanFrame,
+        mark: u32,
     ) -> Result<(), TransmitFull> {
         let now = self.at();
         let tamper = self.systems[from.system.index()].tamper;
@@ -95,10 +105,10 @@ impl Machine {
             };
             frame = filtered;
         }
-        let frame = &frame;
+        let sent = Sent { at: now, mark };
         let sent = self
             .network
-            .send_frame(from, frame, now, now, &mut self.noise);
+            .send_frame(from, &frame, sent, now, &mut self.noise);
         self.receive_carried();
         sent
     }
@@ -113,8 +123,17 @@ impl Machine {
     fn receive_carried(&mut self) {
         while let Some(carried) = self.network.carried() {
             let Delivery {
-                at, sender, frame, ..
+                at,
+                sender,
+                frame,
+                sent,
+                ..
             } = carried;
+            if let Sender::Core(from) = sender
+                && sent.mark != 0
+            {
+                self.stamp_can(from, sent.mark);
+            }
             let on_bus = OnBus { at, sender, frame };
             self.digest.frame(&on_bus);
             self.bus.push(on_bus);
@@ -124,6 +143,15 @@ impl Machine {
                     self.hear_can(place, frame);
                 }
             }
+        }
+    }
+
+    /// Stamps the frame with this mark, which is on the bus now, if its sender still waits for it.
+    fn stamp_can(&mut self, from: CoreAddress, mark: u32) {
+        let at = self.local(from.system);
+        let core = self.core(from);
+        if core.mark == mark {
+            core.stamp = Some(at);
         }
     }
 
@@ -203,8 +231,8 @@ impl Machine {
             Output::Datagram(words) => {
                 let _full: Result<(), LinkFull> = self.send_link(from.system, &words);
             }
-            Output::Frame(frame) => {
-                let _full: Result<(), TransmitFull> = self.send_can(from, &frame);
+            Output::Frame(frame, mark) => {
+                let _full: Result<(), TransmitFull> = self.send_can(from, &frame, mark);
             }
             Output::Packet(channel, to, bytes) => {
                 let end = (Station::of(from.system), channel);

@@ -47,6 +47,9 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
+    /// The mark of the newest stamped frame, and when it was on the bus.
+    pub(crate) mark: u32,
+    pub(crate) stamp: Option<Instant>,
     /// Whether an interrupt caused the present poll.
     pub(crate) interrupted: bool,
     /// The job to which the core's outputs belong.
@@ -70,6 +73,8 @@ impl Core {
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
+            mark: 0,
+            stamp: None,
             interrupted: false,
             job: None,
             outbox: Vec::new(),
@@ -199,6 +204,8 @@ pub(crate) struct Machine {
     pub(crate) events: Vec<SystemEvent>,
     /// Counts every start and end of an incarnation.
     pub(crate) incarnations: u64,
+    /// The number of stamped frames: the mark of the newest.
+    pub(crate) marks: u32,
     pub(crate) noise: ChaCha8Rng,
     pub(crate) network: Network,
     pub(crate) ethernet: Option<Ethernet>,
@@ -237,6 +244,7 @@ impl Shared {
             trace_lost: 0,
             events: Vec::new(),
             incarnations: 0,
+            marks: 0,
             noise: ChaCha8Rng::seed_from_u64(config.seed),
             network: Network::new(config.wires),
             ethernet: config.network.map(Ethernet::new),

@@ -7,7 +7,8 @@ use tandem_board::{CanFrame, Channel, Edge, Line, Recipient};
 pub(crate) enum Output {
     Edge(Line, Edge),
     Datagram(Vec<u32>),
-    Frame(CanFrame),
+    /// A frame, and its mark: 0 if it is not stamped.
+    Frame(CanFrame, u32),
     /// A datagram to the network.
     Packet(Channel, Recipient, Vec<u8>),
     /// The answer to the watchdog's question.

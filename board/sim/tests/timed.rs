@@ -29,23 +29,32 @@ fn send(pair: &SimPair, from: SystemId, core: CoreId, frame: &CanFrame) {
     pair.board(from, core).can().try_send(frame).unwrap();
 }
 
-/// S-3: an edge has the exact time of its arrival, on the clock of the receiver, however late it is
-/// read. A power-on forgets the edge.
+/// S-3, S-4: an edge and a frame have the exact time of their arrival, on the clock of each system,
+/// however late it is read. A power-on forgets the edge.
 #[test]
 fn what_hardware_stamps_has_the_exact_time() {
     let mut pair = pair();
     pair.set_clock_rate(SystemId::B, 100_000);
     pair.run_for(Duration::from_ms(1_000));
     let [near, far] = SystemId::ALL.map(|of| pair.board(of, CoreId::CONTROL));
-    let far_ns = far.now().as_ns();
+    let clocks = || [near.now().as_ns(), far.now().as_ns()];
+    let [near_ns, far_ns] = clocks();
     near.lines().send(Line::Time, Edge::Rising);
-    assert_eq!(far.lines().time_edge(), None);
+    let sent = frame(0x100, &[0x55; 16]);
+    near.can().try_send_stamped(&sent).unwrap();
+    assert_eq!((far.lines().time_edge(), near.can().stamp()), (None, None));
     pair.run_for(Duration::from_ms(1_000));
     // The clock of B is 1 in 10,000 faster: 3 µs are 3,000.3 ns on it.
     let at = far_ns + 3_000;
     let edge = far.lines().time_edge().unwrap();
     assert_eq!(edge.count, 1);
     assert!((at..=at + 1).contains(&edge.at.as_ns()), "{edge:?}");
+    let takes = RATES.time(Bits::of(&sent)).as_ns();
+    let stamp = Instant::from_ns(near_ns + takes);
+    assert_eq!(near.can().stamp(), Some(stamp));
+    let heard = far.can().try_receive().unwrap().at.as_ns();
+    let at = far_ns + takes + takes / 10_000;
+    assert!((at..=at + 1).contains(&heard), "{heard} {at}");
     near.lines().send(Line::Time, Edge::Falling);
     pair.run_for(Duration::from_ms(1));
     assert_eq!(far.lines().time_edge(), Some(edge), "a falling edge");

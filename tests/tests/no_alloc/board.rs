@@ -88,6 +88,14 @@ impl Can for Counted<'_> {
         uncounted(|| self.board.can().try_send(frame))
     }
 
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        uncounted(|| self.board.can().try_send_stamped(frame))
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        uncounted(|| self.board.can().stamp())
+    }
+
     fn discard_unsent(&self) {
         uncounted(|| self.board.can().discard_unsent());
     }

@@ -278,6 +278,14 @@ impl Can for EndlessCan {
         self.0.can().try_send(frame)
     }
 
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.0.can().try_send_stamped(frame)
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.0.can().stamp()
+    }
+
     fn discard_unsent(&self) {
         self.0.can().discard_unsent();
     }

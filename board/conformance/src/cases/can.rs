@@ -1,11 +1,14 @@
 //! The CAN controller and the bus.
 
+use super::supply::{is_first_incarnation, software_reset};
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, wait_for_all, wait_for_cores, woken_until, word,
 };
 use crate::case::{CaseFailure, check, equal, fail};
 use core::sync::atomic::Ordering;
-use tandem_board::{Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, Received, Wake};
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, Instant, Received, Wake,
+};
 
 const HERE: &[CoreId] = &[CoreId::CONTROL, CoreId::PERCEPTION];
 const PAUSE: Duration = Duration::from_ms(1);
@@ -245,6 +248,77 @@ pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(),
     wait_for_cores(board, HERE, 2)?;
     sleep(board, PAUSE)?;
     check(board.can().try_receive().is_none(), "no frame comes twice")
+}
+
+const STAMPED: u32 = 20;
+/// First byte of the frames that are stamped, and of the frame after each.
+const STAMPED_FRAME: u8 = 0xB0;
+const NEXT_FRAME: u8 = 0xC0;
+
+/// Sends a frame that the controller stamps as soon as the transmit buffer has room.
+#[track_caller]
+pub(super) fn send_stamped<B: Board>(board: &B, frame: &CanFrame) -> Result<(), CaseFailure> {
+    sleep_until(board, "the transmit buffer empties", || {
+        board.can().try_send_stamped(frame).is_ok()
+    })
+}
+
+/// S-4: the stamp of a frame is when the other core receives it, whatever is sent around it.
+pub(super) fn stamping_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
+    check(board.can().stamp().is_none(), "nothing was stamped yet")?;
+    wait_for_cores(board, HERE, 1)?;
+    for number in 0..STAMPED {
+        let begin = board.now();
+        for before in 0..number % 4 {
+            send(board, &numbered(0xA0, before)?)?;
+        }
+        send_stamped(board, &numbered(STAMPED_FRAME, number)?)?;
+        sleep(board, PAUSE)?;
+        send(board, &numbered(NEXT_FRAME, number)?)?;
+        let heard = || word(board, 0).load(Ordering::Acquire) > number;
+        sleep_until(board, "the frames come", heard)?;
+        let at = [1, 2].map(|index| word(board, index).load(Ordering::Relaxed));
+        let at = Instant::from_words(at);
+        let stamp = board.can().stamp();
+        check(stamp == Some(at), "a frame is stamped when it is received")?;
+        check(at >= begin, "a frame is on the bus after it is sent")?;
+    }
+    wait_for_cores(board, HERE, 2)
+}
+
+/// Tells the other core when each stamped frame came, after the next frame has come.
+pub(super) fn stamp_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
+    wait_for_cores(board, HERE, 1)?;
+    for number in 0..STAMPED {
+        loop {
+            let Received { frame, at } = receive(board)?;
+            match number_of(&frame) {
+                Some((STAMPED_FRAME, _)) => {
+                    for (index, value) in [1, 2].into_iter().zip(at.to_words()) {
+                        word(board, index).store(value, Ordering::Relaxed);
+                    }
+                }
+                Some((NEXT_FRAME, _)) => break,
+                _ => {}
+            }
+        }
+        // Release pairs with Acquire in `stamping_sender`.
+        word(board, 0).store(number + 1, Ordering::Release);
+    }
+    wait_for_cores(board, HERE, 2)
+}
+
+/// S-4. First incarnation: sends a stamped frame. Second: has no stamp.
+pub(super) fn stamps_once<B: Board>(board: &B, place: CoreAddress) -> Result<(), CaseFailure> {
+    let none = board.can().stamp().is_none();
+    check(none, "this incarnation has stamped nothing")?;
+    if is_first_incarnation(board) {
+        send_stamped(board, &numbered(STAMPED_FRAME, 0)?)?;
+        sleep_until(board, "a frame is stamped", || {
+            board.can().stamp().is_some()
+        })?;
+    }
+    software_reset(board, place)
 }
 
 const WAKES: u32 = 10;

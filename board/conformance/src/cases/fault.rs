@@ -1,5 +1,6 @@
 //! Faults of the hardware: each has an effect that portable code sees, until it is repaired.
 
+use super::can::send_stamped;
 use super::supply::{is_first_incarnation, middle, reset_for, serve};
 use crate::barrier::{
     PATIENCE, SETTLE, sleep, sleep_until, wait_for_cores, wait_for_peer, woken_until,
@@ -126,6 +127,48 @@ pub(super) fn hears_after_repair<B: FaultSource>(
         receive(board, number)?;
     }
     wait_for_cores(board, HERE, 5)
+}
+
+/// S-4: a stamped frame that the bus destroys has no stamp before it is on the bus, and none if it
+/// was discarded, whatever is sent later.
+pub(super) fn stamps_late<B: FaultSource>(
+    board: &B,
+    place: CoreAddress,
+) -> Result<(), CaseFailure> {
+    let breaks = |present| {
+        board.set_fault(place.system, HardwareFault::CanTransmit, present);
+        sleep(board, SETTLE)
+    };
+    let unstamped = |what| {
+        sleep(board, SETTLE)?;
+        check(board.can().stamp().is_none(), what)
+    };
+    wait_for_cores(board, HERE, 1)?;
+    for number in [0, 1] {
+        breaks(true)?;
+        send_stamped(board, &frame(number)?)?;
+        unstamped("a frame that waits has no stamp")?;
+        if number == 1 {
+            board.can().discard_unsent();
+        }
+        breaks(false)?;
+        if number == 0 {
+            let stamp = || board.can().stamp().is_some();
+            sleep_until(board, "a frame is stamped", stamp)?;
+        }
+    }
+    send(board, 2)?;
+    wait_for_cores(board, HERE, 2)?;
+    unstamped("a frame that was discarded has no stamp")
+}
+
+/// Receives what the bus carries in the end.
+pub(super) fn hears_stamped<B: FaultSource>(board: &B, _: CoreAddress) -> Result<(), CaseFailure> {
+    wait_for_cores(board, HERE, 1)?;
+    for number in [0, 2] {
+        receive(board, number)?;
+    }
+    wait_for_cores(board, HERE, 2)
 }
 
 /// More frames than a receiver needs to become error-passive.

@@ -19,7 +19,7 @@ use tandem_board::{CoreAddress, FaultSource};
 use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
 /// Number of cases in the suite.
-const COUNT: usize = 62;
+const COUNT: usize = 65;
 
 /// Makes a case whose parts have static lifetime.
 macro_rules! case {
@@ -73,6 +73,8 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
         case!("can-payload", Plain, A0: can::payload_sender::<B>, A1: can::payload_receiver::<B>),
         case!("can-discard", Plain,
             A0: can::discarding_sender::<B>, A1: can::discard_witness::<B>),
+        case!("can-stamp", Plain, A0: can::stamping_sender::<B>, A1: can::stamp_witness::<B>),
+        case!("can-stamp-reset", Restarts, A0: can::stamps_once::<B>),
         case!("can-wakes", Plain, A0: can::paced_sender::<B>, A1: can::woken_receiver::<B>),
         case!("can-wakes-only-if-asked", Plain,
             A0: can::steady_sender::<B>, A1: can::deaf_sleeper::<B>),
@@ -120,6 +122,8 @@ pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
             A0: fault::cannot_send::<B>, A1: fault::hears_after_repair::<B>),
         case!("fault-can-receive", Plain,
             A0: fault::sends_on::<B>, A1: fault::cannot_receive::<B>),
+        case!("fault-can-stamp", Plain,
+            A0: fault::stamps_late::<B>, A1: fault::hears_stamped::<B>),
         case!("fault-error-pin", Restarts, A0: fault::error_pin::<B>, B0: fault::error_pin::<B>),
         case!("fault-undervoltage", Restarts,
             A0: fault::undervoltage::<B>, B0: fault::undervoltage::<B>),

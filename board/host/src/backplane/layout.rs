@@ -8,21 +8,34 @@ use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::trace_ring;
 
-/// A frame on its way to the bus: the frame, then the number of discards before it.
-pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
+/// A frame on its way to the bus: the frame, the number of discards before it, its mark.
+pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 2;
 
-/// Encodes a frame for the transmit ring. `discards` is the number of times that the sender has
-/// discarded its waiting frames.
-pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
-    let mut words = [discards; TRANSMIT_WORDS];
-    words[..FRAME_WORDS].copy_from_slice(&frame.encode());
-    words
+/// A frame of the transmit ring.
+#[derive(Clone, Copy)]
+pub(crate) struct Transmit {
+    pub(crate) frame: BusFrame,
+    /// How often the sender had discarded its waiting frames before.
+    pub(crate) discards: u32,
+    /// The number of the frame among those that the sender wants stamped; 0 if it is none of them.
+    pub(crate) mark: u32,
 }
 
-/// Decodes a frame of the transmit ring and the number of discards that its sender made before.
-pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
-    let frame = words.first_chunk()?;
-    Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
+impl Transmit {
+    pub(crate) fn encode(&self) -> [u32; TRANSMIT_WORDS] {
+        let mut words = [self.discards; TRANSMIT_WORDS];
+        words[..FRAME_WORDS].copy_from_slice(&self.frame.encode());
+        words[FRAME_WORDS + 1] = self.mark;
+        words
+    }
+
+    pub(crate) fn decode(words: &[u32; TRANSMIT_WORDS]) -> Option<Self> {
+        Some(Self {
+            frame: BusFrame::decode(words.first_chunk()?)?,
+            discards: words[FRAME_WORDS],
+            mark: words[FRAME_WORDS + 1],
+        })
+    }
 }
 
 /// Words of a cache line. Words with different writers are on different lines.
@@ -81,7 +94,10 @@ pub(super) enum Core {
     WakeOnReceive = LINE as isize,
     TraceLost,
     Discards,
+    Marks,
     CanErrors = 2 * LINE as isize,
+    /// The first word of a stamp, which also the core writes.
+    CanStamp,
 }
 
 const RUN_AT: usize = 0;
@@ -234,6 +250,7 @@ const RINGS_AND_END: (Rings, usize) = {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_peripherals::stamp::STAMP_WORDS;
 
     #[test]
     fn nothing_overlaps() {
@@ -256,10 +273,12 @@ mod tests {
                     Core::Pid,
                     Core::Generation,
                     Core::TraceLost,
+                    Core::Marks,
                     Core::CanErrors,
                 ] {
                     places.push((core(s, c, register), 1));
                 }
+                places.push((core(s, c, Core::CanStamp), STAMP_WORDS));
             }
             for line in Line::ALL {
                 for e in [Edge::Rising, Edge::Falling] {

@@ -11,11 +11,11 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{
-    CanErrors, CoreId, Duration, Edge, Forgery, Generation, HardwareFault, HardwareFaults, Line,
-    ResetCause, ResetRequest, RoleLamp, SystemId, TimeEdge,
+    CanErrors, CoreId, Duration, Edge, Forgery, Generation, HardwareFault, HardwareFaults, Instant,
+    Line, ResetCause, ResetRequest, RoleLamp, SystemId, TimeEdge,
 };
 use tandem_peripherals::network::{BusFault, Conditions, Cuts, Wire};
-use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture};
+use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture, TimeStamp};
 use tandem_peripherals::supply::starts_after;
 
 use crate::clock;
@@ -23,9 +23,7 @@ use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
 use layout::{Core, Run, System, WORDS};
-pub(crate) use layout::{
-    RINGS, Ring, TRANSMIT_WORDS, decode_transmit, encode_transmit, supply_trace_ring,
-};
+pub(crate) use layout::{RINGS, Ring, TRANSMIT_WORDS, Transmit, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of different builds reject each other.
 const MAGIC: u32 = 0x5444_4D06;
@@ -485,6 +483,29 @@ impl Backplane {
     #[must_use]
     pub fn can_errors(self, system: SystemId, core: CoreId) -> CanErrors {
         CanErrors::from_word(self.core(system, core, Core::CanErrors).get())
+    }
+
+    /// Returns when the newest frame that the core wanted stamped was on the bus.
+    pub(crate) fn can_stamp(self, system: SystemId, core: CoreId) -> Option<Instant> {
+        let mark = self.core(system, core, Core::Marks).get();
+        self.stamp(system, core).read(mark)
+    }
+
+    /// Begins the record of the core's next stamped frame, and returns the frame's mark. The marks
+    /// go on over the core's incarnations: no frame of an earlier one can be the newest.
+    pub(crate) fn begin_stamp(self, system: SystemId, core: CoreId) -> u32 {
+        let mark = self.core(system, core, Core::Marks).count().wrapping_add(1);
+        self.stamp(system, core).forget(mark);
+        mark
+    }
+
+    /// Records when a frame of the core with this mark was on the bus. Vehicle only.
+    pub(crate) fn set_can_stamp(self, system: SystemId, core: CoreId, mark: u32, at: Instant) {
+        self.stamp(system, core).write(mark, at);
+    }
+
+    fn stamp(self, system: SystemId, core: CoreId) -> TimeStamp<'static> {
+        TimeStamp(self.part(layout::core(system, core, Core::CanStamp)))
     }
 
     /// Counts one lost trace record of the core.

@@ -17,4 +17,4 @@ pub use conditions::{BusFault, Conditions, Cuts, LINK_DATAGRAMS, Wire};
 #[cfg(feature = "network")]
 pub use ethernet::{Ethernet, Packet, PortFault, Station};
 #[cfg(feature = "network")]
-pub use model::{Arrival, Delivery, Network, WireTimes};
+pub use model::{Arrival, Delivery, Network, Sent, WireTimes};

@@ -50,12 +50,29 @@ pub struct Delivery {
     pub sender: Sender,
     /// The frame.
     pub frame: CanFrame,
-    /// When its sender passed it to its controller.
-    pub sent: Instant,
+    /// When its sender passed it to its controller, and its mark.
+    pub sent: Sent,
     /// When it was on the bus.
     pub at: Instant,
     /// The cores whose controllers receive it.
     pub reach: Reach,
+}
+
+/// What a board says of a frame that a core passes to its controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sent {
+    /// When.
+    pub at: Instant,
+    /// By this number the board recognises the frame when it was on the bus; 0 if it need not.
+    pub mark: u32,
+}
+
+impl Sent {
+    /// Makes the record of a frame without a mark.
+    #[must_use]
+    pub const fn at(at: Instant) -> Self {
+        Self { at, mark: 0 }
+    }
 }
 
 /// A frame between its sender and the bus.
@@ -63,7 +80,7 @@ pub struct Delivery {
 struct Handed {
     sender: Sender,
     frame: CanFrame,
-    sent: Instant,
+    sent: Sent,
 }
 
 impl Handed {
@@ -158,7 +175,7 @@ impl Network {
         is_cut || controller.limit.allows(now) && controller.unsent.is_empty()
     }
 
-    /// Passes a core's frame to its controller. `sent`: the time for [`Delivery::sent`].
+    /// Passes a core's frame to its controller. `sent`: for [`Delivery::sent`].
     ///
     /// # Errors
     /// [`TransmitFull`] if the core has used up its share of this millisecond, or its transmit
@@ -167,7 +184,7 @@ impl Network {
         &mut self,
         from: CoreAddress,
         frame: &CanFrame,
-        sent: Instant,
+        sent: Sent,
         now: Instant,
         noise: &mut impl Rng,
     ) -> Result<(), TransmitFull> {
@@ -211,7 +228,7 @@ impl Network {
         let handed = Handed {
             sender: Sender::Core(from),
             frame: *frame,
-            sent: now,
+            sent: Sent::at(now),
         };
         if !self.conditions.cuts.is_cut(Wire::Can, from.system) {
             self.connect(from, handed, now, noise);
@@ -237,7 +254,7 @@ impl Network {
         let handed = Handed {
             sender: Sender::Vehicle,
             frame: *frame,
-            sent: now,
+            sent: Sent::at(now),
         };
         self.offer(handed, now, noise);
     }

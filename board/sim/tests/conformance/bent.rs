@@ -82,6 +82,14 @@ defects! {
     FdTruncated,
     /// Lost CAN frames are not counted.
     OverrunNotCounted,
+    /// A CAN frame is stamped when it is passed to the controller.
+    StampAtOnce,
+    /// A CAN frame is stamped when its stamp is read.
+    StampLate,
+    /// Every CAN frame is stamped.
+    StampOfAny,
+    /// A stamp of a CAN frame stays until the next one, even over a reset.
+    StampStays,
     /// A received CAN frame does not wake the core.
     NoWakeOnReceive,
     /// A received CAN frame wakes a core that did not enable that.
@@ -201,6 +209,8 @@ pub(crate) struct Common {
     lmus: Vec<Lmu>,
     /// Sent frames, each with its core.
     sent: Mutex<Vec<(CoreAddress, CanFrame)>>,
+    /// The newest stamp of a frame.
+    stamp: Mutex<Option<Instant>>,
     /// Edges that arrived at each system without an interrupt.
     edges: [[[AtomicU32; 2]; Line::ALL.len()]; 2],
     flash: [Mutex<Medium>; 2],
@@ -545,12 +555,23 @@ impl Can for Bent {
         ) {
             self.common.sent.lock().unwrap().push((place, *frame));
         }
-        self.board.can().try_send(frame)?;
+        match self.is(Defect::StampOfAny) {
+            true => self.board.can().try_send_stamped(frame)?,
+            false => self.board.can().try_send(frame)?,
+        }
         if self.is(Defect::SelfReception) {
             let (frame, at) = (*frame, self.board.now());
             self.frames.borrow_mut().push_back(Received { frame, at });
         }
         Ok(())
+    }
+
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send_stamped(frame)
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.bent_stamp()
     }
 
     fn discard_unsent(&self) {

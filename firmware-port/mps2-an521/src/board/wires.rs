@@ -5,11 +5,11 @@ use super::{Cast, player};
 use crate::cpu::CPUS;
 use crate::mhu::{self, Unit};
 use crate::timers;
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Can, CanErrors, CanFrame, CoreAddress, CoreId, Edge, Line, Lines, Link, LinkFull, Received,
-    SystemId, TimeEdge, TransmitFull,
+    Can, CanErrors, CanFrame, CoreAddress, CoreId, Edge, Instant, Line, Lines, Link, LinkFull,
+    Received, SystemId, TimeEdge, TransmitFull,
 };
 use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Reach, Sender, decode_datagram,
@@ -163,6 +163,7 @@ pub struct An521Can {
     alone: bool,
     transmit: RefCell<Producer<'static, [u32; FRAME_WORDS]>>,
     receive: RefCell<Consumer<'static, [u32; FRAME_WORDS]>>,
+    stamp: Cell<Option<Instant>>,
 }
 
 impl An521Can {
@@ -176,32 +177,44 @@ impl An521Can {
             alone: cast[other].is_none(),
             transmit: RefCell::new(fits(bare::fifo_producer(transmit, FRAMES))),
             receive: RefCell::new(fits(bare::fifo_consumer(receive, FRAMES))),
+            stamp: Cell::new(None),
         }
     }
-}
 
-impl Can for An521Can {
-    /// Sends the frame at once; if the receiver's queue is full, the frame is lost.
-    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+    /// Sends the frame at once, and returns when; if the receiver's queue is full, the frame is
+    /// lost. `None` without a receiver: then nothing is sent.
+    fn send(&self, frame: &CanFrame) -> Option<Instant> {
         if self.alone {
-            return Ok(());
+            return None;
         }
+        let at = timers::now();
         let frame = BusFrame {
-            received: Received {
-                frame: *frame,
-                at: timers::now(),
-            },
+            received: Received { frame: *frame, at },
             sender: Sender::Core(self.of),
             reach: Reach::ALL,
         };
         if self.transmit.borrow_mut().send(&frame.encode()).is_err() {
             WIRES.overruns[self.other].fetch_add(1, Ordering::Relaxed);
-            return Ok(());
-        }
-        if WIRES.wakes[self.other].load(Ordering::Relaxed) != 0 {
+        } else if WIRES.wakes[self.other].load(Ordering::Relaxed) != 0 {
             mhu::interrupt(Unit::Wires, self.other);
         }
+        Some(at)
+    }
+}
+
+impl Can for An521Can {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send(frame);
         Ok(())
+    }
+
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.stamp.set(self.send(frame));
+        Ok(())
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        self.stamp.get()
     }
 
     /// Does nothing: `try_send` sends each frame at once.

@@ -13,6 +13,7 @@ use tandem_peripherals::codec::{
     encode_service,
 };
 use tandem_peripherals::data_flash::{self, Operation};
+use tandem_peripherals::stamp::TimeStamp;
 use tandem_peripherals::watchdog::{Window, question};
 
 /// Returns the registers of the system of core `of`.
@@ -43,13 +44,13 @@ pub struct VirtFlash(pub(super) CoreAddress);
 #[derive(Clone, Copy, Debug)]
 pub struct VirtSupply(pub(super) CoreAddress);
 
-impl Can for VirtCan {
-    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+impl VirtCan {
+    fn send(&self, frame: &CanFrame, mark: u32) -> Result<(), TransmitFull> {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
-                // A placeholder: the bus sets the time.
-                at: Instant::ORIGIN,
+                // The bus sets the time.
+                at: Instant::from_words([mark, 0]),
             },
             sender: Sender::Core(self.0),
             reach: Reach::ALL,
@@ -59,6 +60,21 @@ impl Can for VirtCan {
         }
         peripherals::call();
         Ok(())
+    }
+}
+
+impl Can for VirtCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send(frame, 0)
+    }
+
+    fn try_send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.send(frame, peripherals::core(self.0).begin_stamp())
+    }
+
+    fn stamp(&self) -> Option<Instant> {
+        let registers = peripherals::core(self.0);
+        TimeStamp(&registers.stamp).read(registers.marks.load(Relaxed))
     }
 
     fn discard_unsent(&self) {

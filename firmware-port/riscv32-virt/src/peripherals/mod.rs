@@ -9,7 +9,8 @@
 //! A vehicle process may run on the host. The carrier then exchanges messages with it once in each
 //! millisecond of virtual time: see [`Peripherals::connect`]. Edges and datagrams to a system that
 //! is not in this machine collect in its registers here, and are sent with the next exchange. The
-//! receiver's carrier stamps such an edge on the time line when it arrives.
+//! receiver's carrier stamps such an edge on the time line when it arrives. A frame is stamped when
+//! it is on the bus of the sender's machine; another machine receives it up to two exchanges later.
 
 pub(crate) mod data_flash;
 mod ethernet;
@@ -28,7 +29,7 @@ use tandem_board::{
 };
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
 use tandem_peripherals::network::LINK_DATAGRAMS;
-use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture};
+use tandem_peripherals::stamp::{CAPTURE_WORDS, Capture, STAMP_WORDS, TimeStamp};
 
 /// The carrier's registers for one core.
 #[repr(C)]
@@ -40,6 +41,10 @@ pub(crate) struct CoreRegisters {
     pub(crate) overruns: AtomicU32,
     /// The error counters of the CAN controller, packed in one word.
     pub(crate) can_errors: AtomicU32,
+    /// The mark of the newest frame that the core wants stamped. Goes on over its incarnations.
+    pub(crate) marks: AtomicU32,
+    /// When that frame was on the bus.
+    pub(crate) stamp: [AtomicU32; STAMP_WORDS],
     pub(crate) wake_on_receive: AtomicBool,
     /// Trace records: 2 words of time and 4 words of record.
     pub(crate) trace: Ring<512, TRACE_WORDS>,
@@ -95,6 +100,15 @@ impl CoreRegisters {
         self.receive.clear();
         self.overruns.store(0, Ordering::Relaxed);
         self.wake_on_receive.store(false, Ordering::Relaxed);
+        self.begin_stamp();
+    }
+
+    /// Begins the record of the next stamped frame, and returns the frame's mark.
+    pub(crate) fn begin_stamp(&self) -> u32 {
+        let mark = self.marks.load(Ordering::Relaxed).wrapping_add(1);
+        self.marks.store(mark, Ordering::Relaxed);
+        TimeStamp(&self.stamp).forget(mark);
+        mark
     }
 }
 

@@ -15,6 +15,7 @@ use tandem_cosim::{Assembly, Item};
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::controller::Confinement;
+use tandem_peripherals::stamp::TimeStamp;
 use tandem_peripherals::supply::{Change, Config, Power, Supply, starts_after};
 
 /// Maximum number of cycles between two reads of the counter if no hart used the yielded turn.
@@ -378,7 +379,12 @@ impl Peripherals {
                 let sends = || confinement.sends(now(), destroys);
                 if let Some(mut frame) = core(sender).transmit.take_if(sends) {
                     moved = true;
-                    set_time(&mut frame, now());
+                    // On its way to the bus, a frame carries its mark in place of its time.
+                    let (mark, at) = (frame[0], now());
+                    if mark != 0 {
+                        TimeStamp(&core(sender).stamp).write(mark, at);
+                    }
+                    set_time(&mut frame, at);
                     // The sender is the core whose ring held the frame, whatever the frame says.
                     set_sender(&mut frame, Sender::Core(sender));
                     self.broadcast(Some(sender), &frame);

@@ -35,7 +35,10 @@ impl Bench {
     fn exchange(&mut self, from: CoreAddress, at_ms: u64) -> vec::Vec<Delivery> {
         let Self { network, noise } = self;
         let at = ms(at_ms);
-        network.send_frame(from, &frame(1), at, at, noise).unwrap();
+        let sent = Sent::at(at);
+        network
+            .send_frame(from, &frame(1), sent, at, noise)
+            .unwrap();
         self.settle(at_ms)
     }
 
@@ -93,7 +96,7 @@ fn a_slow_connection_delivers_later() {
     let [due] = bench.settle(8)[..] else {
         panic!("one frame is due");
     };
-    assert_eq!((due.sent, due.at), (ms(5), ms(8)));
+    assert_eq!((due.sent, due.at), (Sent::at(ms(5)), ms(8)));
     assert!(!bench.network.is_disturbed());
 }
 
@@ -134,6 +137,36 @@ fn a_frame_that_the_bus_destroys_waits_in_its_controller() {
     assert_eq!(waits(|network| network.restart(A)), 0);
     assert_eq!(waits(|network| network.stop(SystemId::A, ms(11))), 0);
     assert_eq!(waits(|network| network.stop(SystemId::B, ms(11))), 1);
+}
+
+/// S-4: the bus tells which frame of a core was on it and when, after any delay; of a discarded one
+/// it tells nothing.
+#[test]
+fn the_bus_tells_when_a_marked_frame_was_on_it() {
+    let mut bench = Bench::new();
+    bench.network.conditions.bus[0].late = Duration::from_ms(3);
+    let send = |bench: &mut Bench, mark| {
+        let (at, Bench { network, noise }) = (ms(5), bench);
+        let sent = Sent { at, mark };
+        network.send_frame(A, &frame(1), sent, at, noise).unwrap();
+    };
+    for mark in [7, 0, 8] {
+        send(&mut bench, mark);
+    }
+    assert!(bench.settle(7).is_empty());
+    let times = |bench: &mut Bench, at| {
+        let carried = bench.settle(at).into_iter();
+        carried
+            .map(|it| (it.sent.mark, it.at))
+            .collect::<vec::Vec<_>>()
+    };
+    assert_eq!(times(&mut bench, 8), [(7, ms(8)), (0, ms(8)), (8, ms(8))]);
+    bench.network.conditions.hardware[0] =
+        HardwareFaults(HardwareFaults::bit(HardwareFault::CanTransmit));
+    send(&mut bench, 9);
+    bench.network.discard(A);
+    bench.network.conditions = Conditions::default();
+    assert_eq!(times(&mut bench, 20), []);
 }
 
 /// T-CHIP-5: edges and datagrams arrive after their delays; a stopped system loses its datagram.

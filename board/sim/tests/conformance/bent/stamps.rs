@@ -1,7 +1,7 @@
-//! Defects of the times that hardware records.
+//! Defects of the times that hardware records: of edges on the time line, and of sent frames.
 
 use super::{Bent, Defect};
-use tandem_board::{Board, Instant, Lines, TimeEdge};
+use tandem_board::{Board, Can, CanFrame, Instant, Lines, TimeEdge, TransmitFull};
 
 impl Bent {
     pub(super) fn bent_time_edge(&self) -> Option<TimeEdge> {
@@ -21,5 +21,28 @@ impl Bent {
             _ => {}
         }
         Some(edge)
+    }
+
+    pub(super) fn send_stamped(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let now = self.board.now();
+        self.board.can().try_send_stamped(frame)?;
+        if self.is(Defect::StampAtOnce) {
+            *self.common.stamp.lock().unwrap() = Some(now);
+        }
+        Ok(())
+    }
+
+    pub(super) fn bent_stamp(&self) -> Option<Instant> {
+        let stamp = self.board.can().stamp();
+        let mut kept = self.common.stamp.lock().unwrap();
+        match self.defect {
+            Some(Defect::StampAtOnce) => *kept,
+            Some(Defect::StampLate) => stamp.map(|_| self.board.now()),
+            Some(Defect::StampStays) => {
+                *kept = stamp.or(*kept);
+                *kept
+            }
+            _ => stamp,
+        }
     }
 }
