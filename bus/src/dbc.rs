@@ -63,6 +63,8 @@ value_tables! {
     RoleCode[4] { Starting = 0, Master = 1, Standby = 2, Suspended = 3 }
     /// Values of the signal `Route`.
     RouteCode[4] { Free = 0, Left = 1, Right = 2, Keep = 3 }
+    /// Values of the signal `TimeState`.
+    TimeStateCode[3] { OwnClock = 0, Global = 1, Holdover = 2 }
 }
 
 layouts! {
@@ -150,6 +152,27 @@ layouts! {
         /// Control cycles that were late, saturated. 0 ..= 255
         deadline_misses: u8 = DEADLINE_MISSES("DeadlineMisses", 120, 8, 0..=255),
     }
+    /// The global time in two frames: SYNC, and FUP with the time at which SYNC was on the bus. Sent by the master only (AUTOSAR CanTSyn). The id is behind those of control, so that no control frame waits for the time.
+    ///
+    /// Layout of `TimeSyncA`, `TimeSyncB`.
+    TimeSync[0x0C0, 0x0C1] {
+        /// 16 SYNC, 24 FUP, 32 SYNC with CRC, 40 FUP with CRC. 0 ..= 255
+        message_type: u8 = MESSAGE_TYPE("MessageType", 0, 8, 0..=255),
+        /// CRC-8H2F over bytes 2.. and the data id of domain and counter; in frames without CRC a user byte. 0 ..= 255
+        crc8: u8 = CRC8("Crc8", 8, 8, 0..=255),
+        /// The same in SYNC and its FUP, and one more in the next pair. 0 ..= 15
+        sequence_counter: u8 = SEQUENCE_COUNTER("SequenceCounter", 16, 4, 0..=15),
+        /// Time domain. 0 ..= 15
+        domain: u8 = DOMAIN("Domain", 20, 4, 0..=15),
+        /// FUP: seconds to add to those of SYNC. 0 ..= 3
+        overflow: u8 = OVERFLOW("Overflow", 24, 2, 0..=3),
+        /// FUP: the time is that of a sub-domain, without the global master.
+        to_sub_domain: bool = TO_SUB_DOMAIN("ToSubDomain", 26, 1, 0..=1),
+        /// 0; in SYNC byte 3 is a user byte. 0 ..= 31
+        reserved: u8 = RESERVED("Reserved", 27, 5, 0..=31),
+        /// SYNC: whole seconds. FUP: nanoseconds to add. 0 ..= 4294967295
+        time: u32 = TIME("Time", 32, 32, 0..=4294967295).big_endian(),
+    }
     /// Motion of the vehicle from its chassis sensors.
     ///
     /// Layout of `EgoMotion`.
@@ -197,8 +220,10 @@ layouts! {
     /// Layout of `RadarFrontHeader`, `RadarFrontLeftHeader`, `RadarFrontRightHeader`, `RadarRearLeftHeader`, `RadarRearRightHeader`, `CameraFrontHeader`.
     SensorHeader[0x200, 0x210, 0x220, 0x230, 0x240, 0x250] {
         /// Object frames that follow. 0 ..= 32
-        object_count: u8 = OBJECT_COUNT("ObjectCount", 24, 8, 0..=32),
-        /// Time of the measurement on the sensor's clock, wraps around. 0 ..= 4294967295 us
+        object_count: u8 = OBJECT_COUNT("ObjectCount", 24, 6, 0..=32),
+        /// Clock of MeasuredAt: the sensor's own, the global time, or the global time without its master.
+        time_state: TimeStateCode = TIME_STATE("TimeState", 30, 2, 0..=3),
+        /// Time of the measurement on the clock that TimeState names, wraps around; 0 = none. 0 ..= 4294967295 us
         measured_at: u32 = MEASURED_AT("MeasuredAt", 32, 32, 0..=4294967295),
     }
     /// One object. Vehicle frame: origin at the vehicle's centre of gravity, x forward, y left.
@@ -238,6 +263,8 @@ layouts! {
         right_exists: bool = RIGHT_EXISTS("RightExists", 26, 1, 0..=1),
         /// The lane continues beyond OwnEnd, but outside the operational design domain.
         ends_domain: bool = ENDS_DOMAIN("EndsDomain", 27, 1, 0..=1),
+        /// Clock of MeasuredAt: the sensor's own, the global time, or the global time without its master.
+        time_state: TimeStateCode = TIME_STATE("TimeState", 28, 2, 0..=3),
         /// Signal `C0`. -32.768 ..= 32.767 m in steps of 0.001
         c0: f32 = C0("C0", 32, 16, -32768..=32767; 0.001),
         /// Signal `C1`. -1.6384 ..= 1.63835  in steps of 0.00005
@@ -262,6 +289,8 @@ layouts! {
         right_end: f32 = RIGHT_END("RightEnd", 160, 16, 0..=65535; 0.1),
         /// Posted speed limit; 655.35 = none. 0 ..= 655.35 m/s in steps of 0.01
         speed_limit: f32 = SPEED_LIMIT("SpeedLimit", 176, 16, 0..=65535; 0.01),
+        /// Time of the measurement on the clock that TimeState names, wraps around; 0 = none. 0 ..= 4294967295 us
+        measured_at: u32 = MEASURED_AT("MeasuredAt", 192, 32, 0..=4294967295),
     }
 }
 
@@ -292,6 +321,13 @@ pub enum Message {
         /// The values.
         status: Status,
     },
+    /// The global time in two frames.
+    TimeSync {
+        /// 0 = A, 1 = B.
+        system: u8,
+        /// The values.
+        time_sync: TimeSync,
+    },
     /// Motion of the vehicle from its chassis sensors.
     EgoMotion(EgoMotion),
     /// Requests of the driver.
@@ -312,11 +348,12 @@ impl Message {
             Self::BodyControl { system, .. } => [2, 3][(*system != 0) as usize],
             Self::GateEcho(_) => 4,
             Self::Status { system, .. } => [5, 6][(*system != 0) as usize],
-            Self::EgoMotion(_) => 7,
-            Self::DriverRequest(_) => 8,
-            Self::SensorHeader(sensor, _) => [9, 11, 13, 15, 17, 19][sensor.index()],
-            Self::SensorObject(sensor, _) => [10, 12, 14, 16, 18, 20][sensor.index()],
-            Self::CameraLanes(_) => 21,
+            Self::TimeSync { system, .. } => [7, 8][(*system != 0) as usize],
+            Self::EgoMotion(_) => 9,
+            Self::DriverRequest(_) => 10,
+            Self::SensorHeader(sensor, _) => [11, 13, 15, 17, 19, 21][sensor.index()],
+            Self::SensorObject(sensor, _) => [12, 14, 16, 18, 20, 22][sensor.index()],
+            Self::CameraLanes(_) => 23,
         }
     }
 
@@ -348,6 +385,14 @@ impl Message {
             0x0B1 => Self::Status {
                 system: 1,
                 status: Status::default(),
+            },
+            0x0C0 => Self::TimeSync {
+                system: 0,
+                time_sync: TimeSync::default(),
+            },
+            0x0C1 => Self::TimeSync {
+                system: 1,
+                time_sync: TimeSync::default(),
             },
             0x110 => Self::EgoMotion(EgoMotion::default()),
             0x120 => Self::DriverRequest(DriverRequest::default()),
@@ -383,6 +428,7 @@ impl Message {
             }
             Self::GateEcho(gate_echo) => gate_echo.walk(walk),
             Self::Status { status, .. } => status.walk(walk),
+            Self::TimeSync { time_sync, .. } => time_sync.walk(walk),
             Self::EgoMotion(ego_motion) => ego_motion.walk(walk),
             Self::DriverRequest(driver_request) => driver_request.walk(walk),
             Self::SensorHeader(_, sensor_header) => sensor_header.walk(walk),
@@ -393,7 +439,7 @@ impl Message {
 }
 
 /// Every frame of the vehicle bus, in the order of the DBC, which is by id.
-pub const FRAMES: [FrameInfo; 22] = [
+pub const FRAMES: [FrameInfo; 24] = [
     FrameInfo::new(0x0A0, "ControlA", 16, 10),
     FrameInfo::new(0x0A1, "ControlB", 16, 10),
     FrameInfo::new(0x0A2, "BodyControlA", 8, 0),
@@ -401,6 +447,8 @@ pub const FRAMES: [FrameInfo; 22] = [
     FrameInfo::new(0x0A8, "GateEcho", 20, 10),
     FrameInfo::new(0x0B0, "StatusA", 16, 100),
     FrameInfo::new(0x0B1, "StatusB", 16, 100),
+    FrameInfo::new(0x0C0, "TimeSyncA", 8, 0).without_e2e(),
+    FrameInfo::new(0x0C1, "TimeSyncB", 8, 0).without_e2e(),
     FrameInfo::new(0x110, "EgoMotion", 16, 10),
     FrameInfo::new(0x120, "DriverRequest", 8, 100),
     FrameInfo::new(0x200, "RadarFrontHeader", 8, 50),

@@ -23,18 +23,19 @@ impl Message {
         Ok(message)
     }
 
-    /// Returns the frame, protected end to end with this counter.
+    /// Returns the frame, protected end to end with this counter; a frame with a protection of its
+    /// own holds it in its values and has no counter.
     /// [`FrameTransmitter`](crate::FrameTransmitter) keeps the counters.
     ///
     /// Values out of range saturate, fractions round to nearest, NaN becomes 0.
     #[must_use]
     pub fn encode(&self, counter: u8) -> Encoded {
-        let FrameInfo { id, len, .. } = *self.frame();
+        let info @ FrameInfo { id, len, .. } = *self.frame();
         let mut bytes = [0; MAX_LEN];
         let mut message = *self;
         // Encoding never fails.
         let _ok = message.walk(&mut Encode(&mut bytes));
-        e2e::protect(id, counter, &mut bytes[..len]);
+        info.protect(counter, &mut bytes[..len]);
         Encoded { id, len, bytes }
     }
 
@@ -52,7 +53,7 @@ impl Message {
     ) -> Result<(), FrameError> {
         let blank = u16::try_from(id).ok().and_then(Self::blank);
         let mut message = blank.ok_or(FrameError::UnknownId)?;
-        let FrameInfo { id, len, .. } = *message.frame();
+        let info @ FrameInfo { len, .. } = *message.frame();
         if data.len() != len {
             return Err(FrameError::WrongLength);
         }
@@ -68,7 +69,7 @@ impl Message {
         if !alter.is_found {
             return Err(FrameError::UnknownSignal);
         }
-        e2e::protect(id, data[2], &mut bytes[..len]);
+        info.protect(data[2], &mut bytes[..len]);
         data.copy_from_slice(&bytes[..len]);
         Ok(())
     }
@@ -96,7 +97,7 @@ impl Message {
             Some(_) => data[2].wrapping_add(1),
             None => value as u8,
         };
-        e2e::protect(info.id, counter, data);
+        info.protect(counter, data);
         name.map_or(Ok(()), |name| Self::alter(id, data, name, |_| value))
     }
 
@@ -118,6 +119,15 @@ impl Message {
         let mut message = *self;
         // Listing never fails.
         let _ok = message.walk(&mut List(each));
+    }
+}
+
+impl FrameInfo {
+    /// Protects a frame end to end, if it has that protection.
+    fn protect(&self, counter: u8, data: &mut [u8]) {
+        if self.has_e2e {
+            e2e::protect(self.id, counter, data);
+        }
     }
 }
 

@@ -15,6 +15,9 @@ pub struct FrameInfo {
     pub len: usize,
     /// Period, ms.
     pub cycle_ms: u32,
+    /// Whether [`e2e`](crate::e2e) protects it. Else the frame has a protection of its own, which
+    /// is a part of its values: its reader checks it.
+    pub has_e2e: bool,
 }
 
 impl FrameInfo {
@@ -24,6 +27,15 @@ impl FrameInfo {
             name,
             len,
             cycle_ms,
+            has_e2e: true,
+        }
+    }
+
+    /// Returns the same frame with a protection of its own.
+    pub(crate) const fn without_e2e(self) -> Self {
+        Self {
+            has_e2e: false,
+            ..self
         }
     }
 }
@@ -58,11 +70,13 @@ impl core::error::Error for FrameError {}
 /// Bytes of the longest frame of CAN FD.
 pub(crate) const MAX_LEN: usize = 64;
 
-/// A little endian (Intel) signal of up to 32 bits without offset; signed if `min` is negative.
+/// A signal of up to 32 bits without offset; signed if `min` is negative. It is little endian
+/// (Intel); one of whole bytes may be big endian (Motorola).
 #[derive(Debug)]
 pub(crate) struct Signal {
     name: &'static str,
-    /// Position of the lowest bit; bit 0 is the lowest of byte 0.
+    /// Position of the lowest bit, of the first byte's if it is big endian; bit 0 is the lowest of
+    /// byte 0.
     start: usize,
     /// Number of bits, 1 ..= 32.
     len: u32,
@@ -72,6 +86,8 @@ pub(crate) struct Signal {
     max: i64,
     /// Physical value of one step.
     factor: f32,
+    /// Whether the first byte is the highest.
+    is_big_endian: bool,
 }
 
 impl Signal {
@@ -89,6 +105,15 @@ impl Signal {
             min: *range.start(),
             max: *range.end(),
             factor: 1.0,
+            is_big_endian: false,
+        }
+    }
+
+    /// Returns the same signal with its highest byte first. It fills whole bytes.
+    pub(crate) const fn big_endian(self) -> Self {
+        Self {
+            is_big_endian: true,
+            ..self
         }
     }
 
@@ -107,7 +132,7 @@ impl Signal {
     fn get(&self, data: &[u8; MAX_LEN]) -> Result<i64, FrameError> {
         let mut window = 0;
         for (i, byte) in data[self.bytes()].iter().enumerate() {
-            window |= u64::from(*byte) << (8 * i);
+            window |= u64::from(*byte) << self.shift(i);
         }
         let unsigned = (window >> (self.start % 8)) & self.mask();
         let raw = if self.min < 0 {
@@ -129,7 +154,7 @@ impl Signal {
         let unsigned = raw.clamp(self.min, self.max) as u64 & self.mask();
         let window = unsigned << (self.start % 8);
         for (i, byte) in data[self.bytes()].iter_mut().enumerate() {
-            *byte |= (window >> (8 * i)) as u8;
+            *byte |= (window >> self.shift(i)) as u8;
         }
     }
 
@@ -139,6 +164,16 @@ impl Signal {
 
     fn bytes(&self) -> RangeInclusive<usize> {
         self.start / 8..=(self.start + self.len as usize - 1) / 8
+    }
+
+    /// Returns the place of the `index`-th byte among the bits of the signal's bytes.
+    const fn shift(&self, index: usize) -> usize {
+        let place = 8 * index;
+        if self.is_big_endian {
+            self.len as usize - 8 - place
+        } else {
+            place
+        }
     }
 
     const fn mask(&self) -> u64 {
@@ -266,7 +301,8 @@ pub(crate) use value_tables;
 macro_rules! layouts {
     ($($(#[$doc:meta])* $name:ident $ids:tt {$(
         $(#[$about:meta])*
-        $field:ident: $type:ident = $signal:ident($($place:expr),+ $(; $step:literal)?),
+        $field:ident: $type:ident = $signal:ident($($place:expr),+ $(; $step:literal)?)
+            $(.$order:ident())?,
     )+})+) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -276,7 +312,8 @@ macro_rules! layouts {
 
         impl $name {
             layouts!(@ids $ids);
-            $(pub(crate) const $signal: Signal = Signal::new($($place),+)$(.in_steps_of($step))?;)+
+            $(pub(crate) const $signal: Signal = Signal::new($($place),+)
+                $(.in_steps_of($step))?$(.$order())?;)+
 
             fn walk(&mut self, walk: &mut impl Walk) -> Result<(), FrameError> {
                 $(walk.field(&Self::$signal, &mut self.$field)?;)+
@@ -368,7 +405,8 @@ impl<C: FnMut(f64) -> f64> Walk for Alter<'_, C> {
             };
             let window = bits << (signal.start % 8);
             for (i, byte) in self.data[signal.bytes()].iter_mut().enumerate() {
-                *byte = *byte & !((mask >> (8 * i)) as u8) | (window >> (8 * i)) as u8;
+                let at = signal.shift(i);
+                *byte = *byte & !((mask >> at) as u8) | (window >> at) as u8;
             }
         }
         Ok(())

@@ -6,7 +6,10 @@ mod frames;
 use std::collections::BTreeSet;
 
 use proptest::prelude::*;
-use tandem_bus::{CameraLanes, Control, FRAMES, FrameError, FrameInfo, Message, SensorId};
+use tandem_bus::e2e::HEADER_LEN;
+use tandem_bus::{
+    CameraLanes, Control, FRAMES, FrameError, FrameInfo, FrameReceiver, Message, SensorId, TimeSync,
+};
 
 /// Every signal of the DBC, and no other, is part of its message.
 #[test]
@@ -170,6 +173,7 @@ fn the_system_saturates() {
 fn one_signal_is_altered_alone() {
     for frame in FRAMES {
         let good = blank(frame);
+        let content = if frame.has_e2e { HEADER_LEN.. } else { 0.. };
         let Ok(message) = Message::decode(frame.id.into(), &good) else {
             continue;
         };
@@ -182,11 +186,8 @@ fn one_signal_is_altered_alone() {
                 1.0
             });
             assert_eq!(altered, Ok(()), "{name}");
-            assert!(
-                tandem_bus::e2e::Checker::new(frame.id)
-                    .check(&data)
-                    .is_accepted()
-            );
+            let check = tandem_bus::e2e::Checker::new(frame.id).check(&data);
+            assert_eq!(check.is_accepted(), frame.has_e2e);
             if let Ok(message) = Message::decode(frame.id.into(), &data) {
                 message.values(|other, value| {
                     let is_one = (0.5..=1.05).contains(&value) || value < 0.5 && value > 0.0;
@@ -194,12 +195,12 @@ fn one_signal_is_altered_alone() {
                 });
             }
             let _ = Message::alter(frame.id.into(), &mut data, name, |_| before);
-            assert_eq!(data[3..], good[3..], "{name}");
+            assert_eq!(data[content.clone()], good[content.clone()], "{name}");
             assert_eq!(
                 Message::alter(frame.id.into(), &mut data, name, |_| f64::NAN),
                 Ok(())
             );
-            let is_all_ones = data[3..] == good[3..];
+            let is_all_ones = data[content.clone()] == good[content.clone()];
             assert!(!is_all_ones || name == "System", "{name}");
         }
         let mut data = good;
@@ -210,4 +211,29 @@ fn one_signal_is_altered_alone() {
     assert_eq!(unknown, Err(FrameError::UnknownId));
     let short = Message::alter(0x0A0, &mut [0; 8], "Term", |it| it);
     assert_eq!(short, Err(FrameError::WrongLength));
+}
+
+/// S-4: the frames of time are those of AUTOSAR's layout, byte for byte, with no header before it.
+#[test]
+fn frames_of_time_have_the_layout_of_their_protocol() {
+    let bytes = [0x28, 0x5A, 0xC7, 0b0000_0110, 0x12, 0x34, 0x56, 0x78];
+    for (system, id) in (0..).zip(TimeSync::IDS) {
+        let time_sync = TimeSync {
+            message_type: 0x28,
+            crc8: 0x5A,
+            sequence_counter: 7,
+            domain: 12,
+            overflow: 2,
+            to_sub_domain: true,
+            reserved: 0,
+            time: 0x1234_5678,
+        };
+        let message = Message::TimeSync { system, time_sync };
+        assert_eq!(message.encode(99).data(), bytes);
+        let mut receiver = FrameReceiver::new();
+        for _again in 0..2 {
+            assert_eq!(receiver.receive(id.into(), &bytes), Ok(message));
+        }
+        assert_eq!(receiver.lost(), 0);
+    }
 }

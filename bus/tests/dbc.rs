@@ -18,7 +18,8 @@ use can_dbc::{
     Signal, ValDescription, ValueType,
 };
 
-/// Signals of the end-to-end protection: `src/e2e.rs` fills and checks them.
+/// Signals of the end-to-end protection: `src/e2e.rs` fills and checks them. A message whose
+/// attribute `Protection` is `Own` has none of them; all its signals are values.
 const PROTECTION: [&str; 2] = ["Crc", "Counter"];
 /// The signal that names the sending system. Its value follows from the frame's id.
 const SYSTEM: &str = "System";
@@ -93,7 +94,7 @@ fn formatted(code: &str) -> Result<String> {
 fn generated(text: &str) -> Result<String> {
     let dbc = Dbc::try_from(text).map_err(|e| format!("the DBC: {e}"))?;
     for message in &dbc.messages {
-        check_protection(message)?;
+        check_protection(&dbc, message)?;
     }
     let sensors = sensors(&dbc);
     let layouts = layouts(&dbc, &sensors)?;
@@ -219,10 +220,25 @@ fn layouts<'a>(dbc: &'a Dbc, sensors: &[&str]) -> Result<Vec<Layout<'a>>> {
     Ok(layouts)
 }
 
-/// Checks that the signals of the end-to-end protection are where `src/e2e.rs` expects them.
-fn check_protection(message: &Message) -> Result<()> {
+/// Returns whether `src/e2e.rs` protects a message.
+fn has_e2e(dbc: &Dbc, message: &Message) -> bool {
+    let own = dbc.resolved_message_attribute(message.id, "Protection");
+    !matches!(own, Some(AttributeValue::Uint(1) | AttributeValue::Int(1)))
+}
+
+/// Checks that the signals of the end-to-end protection are where `src/e2e.rs` expects them, or
+/// that a message with a protection of its own has none of them.
+fn check_protection(dbc: &Dbc, message: &Message) -> Result<()> {
     for (name, start_bit, size) in [("Crc", 0, 16), ("Counter", 16, 8)] {
         let found = message.signals.iter().find(|s| s.name == name);
+        if !has_e2e(dbc, message) {
+            if found.is_some() {
+                return Err(
+                    format!("{}: {name} beside a protection of its own", message.name).into(),
+                );
+            }
+            continue;
+        }
         if !found.is_some_and(|s| s.start_bit == start_bit && s.size == size) {
             return Err(format!("{}: {name} must be {start_bit}|{size}", message.name).into());
         }
@@ -478,9 +494,14 @@ fn write_frames(dbc: &Dbc, out: &mut String) -> Result<()> {
     for message in &dbc.messages {
         let Message { name, size, .. } = message;
         let (id, cycle) = (standard_id(message)?, cycle_ms(dbc, message.id)?);
+        let protection = if has_e2e(dbc, message) {
+            ""
+        } else {
+            ".without_e2e()"
+        };
         writeln!(
             out,
-            "    FrameInfo::new({id}, \"{name}\", {size}, {cycle}),"
+            "    FrameInfo::new({id}, \"{name}\", {size}, {cycle}){protection},"
         )?;
     }
     writeln!(out, "];")?;
@@ -536,31 +557,44 @@ impl Field {
             name: snake(name),
             doc,
             rust,
-            signal: format!("{}({})", shouted(name), signal_place(message, signal)?),
+            signal: format!(
+                "{}({}){}",
+                shouted(name),
+                signal_place(message, signal)?,
+                match signal.byte_order {
+                    ByteOrder::LittleEndian => "",
+                    ByteOrder::BigEndian => ".big_endian()",
+                }
+            ),
         })
+    }
+}
+
+/// Returns the first bit of a signal for `Signal::new`; `None` if the signal is big endian and does
+/// not fill whole bytes. The DBC gives the highest bit of a big endian signal.
+fn first_bit(signal: &Signal) -> Option<u64> {
+    let is_whole_bytes = signal.start_bit % 8 == 7 && signal.size.is_multiple_of(8);
+    match signal.byte_order {
+        ByteOrder::LittleEndian => Some(signal.start_bit),
+        ByteOrder::BigEndian if !is_whole_bytes => None,
+        ByteOrder::BigEndian => Some(signal.start_bit - 7),
     }
 }
 
 /// Returns the arguments of `Signal::new` in `src/signal.rs` for a signal.
 fn signal_place(message: &Message, signal: &Signal) -> Result<String> {
     let Signal {
-        name,
-        start_bit,
-        size,
-        factor,
-        ..
+        name, size, factor, ..
     } = signal;
-    if signal.byte_order != ByteOrder::LittleEndian
-        || signal.multiplexer_indicator != MultiplexIndicator::Plain
-        || signal.offset != 0.0
-        || *size > 32
-        || start_bit + size > message.size * 8
-    {
-        return Err(format!(
-            "{name}: not a plain little endian signal within the frame, up to 32 bits"
-        )
-        .into());
-    }
+    let start_bit = first_bit(signal).filter(|start_bit| {
+        signal.multiplexer_indicator == MultiplexIndicator::Plain
+            && signal.offset == 0.0
+            && *size <= 32
+            && start_bit + size <= message.size * 8
+    });
+    let start_bit = start_bit.ok_or_else(|| {
+        format!("{name}: not a plain signal within the frame, up to 32 bits, or whole bytes")
+    })?;
     let raw = |physical: &NumericValue| (number(physical) / factor).round() as i64;
     let (min, max) = (raw(&signal.min), raw(&signal.max));
     let held = match signal.value_type {

@@ -371,7 +371,7 @@ impl Forged {
     #[must_use]
     pub fn of(frame: FrameName, field: &str, value: Real) -> Option<Self> {
         let index = fields(frame).iter().position(|name| *name == field);
-        let is_counter = field == "Counter";
+        let is_counter = field == "Counter" && frame.info().has_e2e;
         let index = index.map(|it| it as u8).or(is_counter.then_some(COUNTER))?;
         Some(Self {
             frame,

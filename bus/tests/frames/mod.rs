@@ -3,7 +3,7 @@
 
 use std::sync::LazyLock;
 
-use can_dbc::{Dbc, MessageId, NumericValue, Signal};
+use can_dbc::{ByteOrder, Dbc, MessageId, NumericValue, Signal};
 use proptest::prelude::*;
 use tandem_bus::{FRAMES, FrameInfo, Message};
 
@@ -50,7 +50,12 @@ fn packed(frame: &FrameInfo, seeds: &[u64]) -> Message {
     for (signal, seed) in signals(frame.id).zip(seeds) {
         let raw = raw(frame, signal, *seed);
         for bit in 0..signal.size as usize {
-            let at = signal.start_bit as usize + bit;
+            let (start, size) = (signal.start_bit as usize, signal.size as usize);
+            let at = match signal.byte_order {
+                ByteOrder::LittleEndian => start + bit,
+                // Whole bytes, the lowest of which is the last.
+                ByteOrder::BigEndian => 8 * (start / 8 + size / 8 - 1 - bit / 8) + bit % 8,
+            };
             data[at / 8] |= ((raw >> bit & 1) as u8) << (at % 8);
         }
     }

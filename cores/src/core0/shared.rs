@@ -181,7 +181,10 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     fn on_message(&mut self, at: Instant, message: Message) -> TaskSet {
-        let is_of_system = matches!(message, Message::Control { .. } | Message::Status { .. });
+        let is_of_system = matches!(
+            message,
+            Message::Control { .. } | Message::Status { .. } | Message::TimeSync { .. }
+        );
         let third_party = &mut self.can.third_party_frames;
         *third_party = third_party.wrapping_add(u32::from(!is_of_system));
         let own = self.system.index();

@@ -144,7 +144,7 @@ impl Id {
 
     /// Returns the counter of a frame that is protected end to end.
     fn counter(&mut self, frame: &CanFrame) -> Option<u8> {
-        let info = self.report.info?;
+        let info = self.report.info.filter(|info| info.has_e2e)?;
         let data = content(frame);
         if data.len() == info.len && Checker::new(info.id).check(data) == Check::Initial {
             return Some(data[HEADER_LEN - 1]);
