@@ -11,8 +11,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
 use tandem_board_udp::UdpPlace;
 use tandem_boot_host::udp_bus::{GROUP, PORT};
-use tandem_vehicle::SensorFault;
-use tandem_vehicle::sensors::NoSensorFault;
+use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
+use tandem_vehicle::{SensorFault, SensorTiming};
 
 const EXAMPLES: &str = "\
 The three jobs:
@@ -247,6 +247,12 @@ pub struct RunArgs {
     /// camera-front:lost:10-15 or radar-front:late:10-15; may be repeated
     #[arg(long, value_name = "SENSOR:KIND:FROM-TO", value_parser = parse_sensor_fault)]
     pub sensor_fault: Vec<String>,
+
+    /// Set how a sensor's clock differs from the vehicle's, or how late it sends its lists:
+    /// radar-front:offset:5ms, all:rate:100ppm, all:drift:0.5ppm/s, camera-front:jump:-50ms@10s,
+    /// all:delay:20ms, all:jitter:5ms; may be repeated
+    #[arg(long, value_name = "SENSOR:KIND:VALUE", value_parser = parse_sensor_time)]
+    pub sensor_time: Vec<String>,
 
     /// Switch system A on this long after system B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
@@ -617,6 +623,10 @@ fn parse_span(text: &str) -> Result<(f64, f64), String> {
 
 fn parse_sensor_fault(text: &str) -> Result<String, NoSensorFault> {
     text.parse::<SensorFault>().map(|_| text.to_owned())
+}
+
+fn parse_sensor_time(text: &str) -> Result<String, NoSensorTiming> {
+    text.parse::<SensorTiming>().map(|_| text.to_owned())
 }
 
 /// Parses the name of a system, A or B, in either case.

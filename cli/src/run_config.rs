@@ -63,6 +63,8 @@ pub struct RunConfig {
     pub parks_from_s: Option<f64>,
     /// Failures of sensors, in the form of the command line.
     pub sensor_faults: Vec<String>,
+    /// Clocks and delays of sensors, in the form of the command line.
+    pub sensor_timing: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board with its own flashes.
     pub program_flash: Option<ProgramFlashes>,
     /// The update that each system receives while the other system drives.
@@ -153,6 +155,7 @@ impl RunConfig {
             answers_after_s: args.answers,
             parks_from_s: args.parks_from_s(),
             sensor_faults: args.sensor_fault.clone(),
+            sensor_timing: args.sensor_time.clone(),
             can: can_group(args),
             ..Self::default()
         }
@@ -239,6 +242,7 @@ mod tests {
             answers_after_s: None,
             parks_from_s: Some(0.0),
             sensor_faults: vec!["camera-front:lost:1-2".into()],
+            sensor_timing: vec!["all:delay:20ms".into()],
             program_flash: None,
             update: Some(UpdateFiles {
                 lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],

@@ -122,6 +122,8 @@ where
         });
         let faults = run.sensor_faults.iter().map(|text| text.parse());
         world.set_sensor_faults(faults.collect::<Result<_, _>>()?);
+        let timing = run.sensor_timing.iter().map(|text| text.parse());
+        world.set_sensor_timing(&timing.collect::<Result<Vec<_>, _>>()?);
         let update = run.update.as_ref().map(Update::read).transpose()?;
         Ok(Self {
             world,

@@ -47,6 +47,6 @@ pub use gate::{Acceptance, FrameCounts, Ruling};
 pub use metrics::WorldMetrics;
 pub use road::LaneId;
 pub use scenario::Scenario;
-pub use sensors::SensorFault;
+pub use sensors::{SensorFault, SensorTiming};
 pub use world::{VehicleSnapshot, World, WorldConfig, WorldSnapshot};
 pub use world_loop::{LocalBus, LoggedFrame};

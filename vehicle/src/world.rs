@@ -4,7 +4,8 @@ use std::iter;
 use std::sync::Arc;
 
 use tandem_bus::{
-    self as bus, FrameTransmitter, GearCode, Message, ParkingBrakeCode, SensorHeader, SensorId,
+    self as bus, CameraLanes, FrameTransmitter, GearCode, Message, ParkingBrakeCode, SensorHeader,
+    SensorId,
 };
 
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
@@ -20,7 +21,8 @@ use crate::road::{Foot, LaneId, Road, Rough};
 use crate::route::{Here, Navigation};
 use crate::scenario::Scenario;
 use crate::sensors::{
-    EgoTruth, Faults, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, SensorFault, Sensors,
+    EgoTruth, LANES_PHASE_MS, Outbox, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, SensorFault, SensorTiming,
+    Sensors, Stamp,
 };
 use crate::traffic::{Leader, Movement, Participant, Traffic};
 
@@ -154,7 +156,7 @@ pub struct World {
     ego: EgoTruth,
     traffic: Traffic,
     sensors: Sensors,
-    sensor_faults: Faults,
+    outbox: Outbox,
     gate: Gate,
     /// Width of the lane that the ego is in or nearest to; 0 if that lane runs the other way.
     lane_width: f64,
@@ -202,7 +204,7 @@ impl World {
             meter: Meter::new(traffic.vehicles().len(), Arc::clone(&scenario.goals)),
             snapshot: WorldSnapshot::default(),
             sensors: Sensors::new(config.seed),
-            sensor_faults: Faults::default(),
+            outbox: Outbox::default(),
             gate: Gate::new(),
             lane_width: 0.0,
             wrong_way: false,
@@ -236,7 +238,13 @@ impl World {
 
     /// Sets which sensors fail in this run.
     pub fn set_sensor_faults(&mut self, faults: Vec<SensorFault>) {
-        self.sensor_faults = Faults::new(faults);
+        self.outbox.set_faults(faults);
+    }
+
+    /// Sets how the sensors' clocks differ from the vehicle's, and how long their lists take to the
+    /// bus. They begin with the vehicle's clock and without a delay.
+    pub fn set_sensor_timing(&mut self, timing: &[SensorTiming]) {
+        self.sensors.set_timing(timing);
     }
 
     /// Receives a controller's frame at `now_ns` on the caller's clock. Returns the ruling on a
@@ -301,7 +309,7 @@ impl World {
                 || tick % DRIVER_TICKS == DRIVER_PHASE
                 || SENSOR_PHASE_MS.contains(&phase)
                 || phase == LANES_PHASE_MS
-                || self.sensor_faults.is_due(*tick)
+                || self.outbox.is_due(*tick)
         });
         sends.map_or(next_ns, |(_, at_ns)| at_ns)
     }
@@ -530,7 +538,7 @@ impl World {
         let Self {
             transmitter,
             sensors,
-            sensor_faults,
+            outbox,
             ego,
             ticks,
             ..
@@ -558,26 +566,37 @@ impl World {
             send(&Message::DriverRequest(wish));
         }
         let now = (*ticks, self.snapshot.time_s);
-        sensor_faults.release(*ticks, &mut send);
+        outbox.release(*ticks, &mut send);
         let phase = *ticks % SENSOR_PERIOD_MS;
         for sensor in SensorId::ALL
             .iter()
             .filter(|s| SENSOR_PHASE_MS[s.index()] == phase)
         {
+            let Stamp {
+                measured_at,
+                time_state,
+                delay_ms,
+            } = sensors.stamp(*sensor, now_ns, now.1);
             let objects = sensors.objects(*sensor, ego, self.traffic.vehicles());
-            let measured_at = (now_ns / 1_000) as u32;
             let header = SensorHeader {
                 object_count: objects.len() as u8,
+                time_state,
                 measured_at,
             };
             let header = Message::SensorHeader(*sensor, header);
             let objects = objects.iter().map(|of| Message::SensorObject(*sensor, *of));
             let list = iter::once(header).chain(objects);
-            sensor_faults.pass(now, *sensor, list, &mut send);
+            outbox.pass(now, (*sensor, delay_ms), list, &mut send);
         }
         if phase == LANES_PHASE_MS {
-            let lanes = Message::CameraLanes(sensors.lanes(ego, &self.road));
-            sensor_faults.pass(now, SensorId::CameraFront, iter::once(lanes), &mut send);
+            let camera = SensorId::CameraFront;
+            let stamp = sensors.stamp(camera, now_ns, now.1);
+            let lanes = Message::CameraLanes(CameraLanes {
+                time_state: stamp.time_state,
+                measured_at: stamp.measured_at,
+                ..sensors.lanes(ego, &self.road)
+            });
+            outbox.pass(now, (camera, stamp.delay_ms), iter::once(lanes), &mut send);
         }
     }
 

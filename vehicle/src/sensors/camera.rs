@@ -81,6 +81,7 @@ impl LaneCamera {
             } else {
                 CameraLanes::NO_SPEED_LIMIT
             },
+            ..CameraLanes::default()
         }
     }
 

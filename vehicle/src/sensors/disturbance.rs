@@ -1,4 +1,4 @@
-//! A sensor whose messages are lost or late for some time.
+//! The way from the sensors to the bus: a delay for each sensor, and messages that are lost or late.
 
 use std::collections::VecDeque;
 use std::str::FromStr;
@@ -25,7 +25,7 @@ pub struct SensorFault {
 pub struct NoSensorFault;
 
 /// Returns the name of a sensor on the command line: `radar-front-left`.
-fn name_of(sensor: SensorId) -> String {
+pub(super) fn name_of(sensor: SensorId) -> String {
     let mut name = String::new();
     for letter in sensor.name().chars() {
         if letter.is_ascii_uppercase() && !name.is_empty() {
@@ -34,6 +34,12 @@ fn name_of(sensor: SensorId) -> String {
         name.push(letter.to_ascii_lowercase());
     }
     name
+}
+
+/// Returns the sensor with this name on the command line.
+pub(super) fn named(name: &str) -> Option<SensorId> {
+    let mut known = SensorId::ALL.into_iter();
+    known.find(|sensor| name_of(*sensor) == name)
 }
 
 fn names() -> String {
@@ -59,8 +65,7 @@ fn parsed(text: &str) -> Option<SensorFault> {
         "late" => true,
         _ => return None,
     };
-    let mut known = SensorId::ALL.into_iter();
-    let sensor = known.find(|sensor| name_of(*sensor) == name)?;
+    let sensor = named(name)?;
     let is_span = (0.0..to).contains(&from) && to.is_finite();
     is_span.then_some(SensorFault {
         sensor,
@@ -71,38 +76,50 @@ fn parsed(text: &str) -> Option<SensorFault> {
 
 /// The stage between the sensors and the bus: holds the faults and the delayed messages.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Faults {
+pub(crate) struct Outbox {
     faults: Vec<SensorFault>,
     /// Messages with the tick at which they are due, in order.
     held: VecDeque<(u64, Message)>,
+    /// When the newest list of each sensor is due: no list overtakes an older one of its sensor.
+    newest: [u64; SensorId::ALL.len()],
 }
 
-impl Faults {
-    pub(crate) fn new(faults: Vec<SensorFault>) -> Self {
-        Self {
-            faults,
-            held: VecDeque::new(),
-        }
+impl Outbox {
+    pub(crate) fn set_faults(&mut self, faults: Vec<SensorFault>) {
+        self.faults = faults;
     }
 
-    /// Sends, holds back or drops a message of `sensor` at this tick and scenario time.
+    /// Sends, holds back or drops messages of `sensor` at this tick and scenario time. `delay`: of
+    /// the sensor, in ticks.
     pub(crate) fn pass(
         &mut self,
         (tick, time_s): (u64, f64),
-        sensor: SensorId,
+        (sensor, delay): (SensorId, u64),
         messages: impl Iterator<Item = Message>,
         send: &mut dyn FnMut(&Message),
     ) {
         let fails = |fault: &&SensorFault| {
             fault.sensor == sensor && (fault.span_s.0..fault.span_s.1).contains(&time_s)
         };
+        let due = tick + delay;
         match self.faults.iter().find(fails) {
-            None => messages.for_each(|message| send(&message)),
-            Some(fault) if fault.late => {
-                let due = tick + LATE_MS;
-                self.held.extend(messages.map(|message| (due, message)));
+            None => {
+                let newest = &mut self.newest[sensor.index()];
+                *newest = due.max(*newest);
+                match *newest {
+                    due if due <= tick => messages.for_each(|message| send(&message)),
+                    due => self.hold(due, messages),
+                }
             }
+            Some(fault) if fault.late => self.hold(due + LATE_MS, messages),
             Some(_) => {}
+        }
+    }
+
+    fn hold(&mut self, due: u64, messages: impl Iterator<Item = Message>) {
+        let first = self.held.partition_point(|(at, _)| *at <= due);
+        for (place, message) in (first..).zip(messages) {
+            self.held.insert(place, (due, message));
         }
     }
 
@@ -123,6 +140,42 @@ impl Faults {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_bus::{CameraLanes, SensorHeader};
+
+    /// Lists arrive in the order in which they are due; no list overtakes one of its own sensor.
+    #[test]
+    fn delayed_lists_leave_in_order() {
+        let list = |sensor, object_count| {
+            let header = SensorHeader {
+                object_count,
+                ..SensorHeader::default()
+            };
+            let header = Message::SensorHeader(sensor, header);
+            [header, Message::CameraLanes(CameraLanes::default())].into_iter()
+        };
+        let (mut outbox, mut sent) = (Outbox::default(), Vec::new());
+        for tick in 0..200 {
+            let mut send = |message: &Message| {
+                if let Message::SensorHeader(_, header) = message {
+                    sent.push((tick, header.object_count));
+                }
+            };
+            outbox.release(tick, &mut send);
+            let now = (tick, 0.0);
+            let mut pass = |sensor, delay, number| {
+                outbox.pass(now, (sensor, delay), list(sensor, number), &mut send);
+            };
+            match tick {
+                10 => pass(SensorId::RadarFront, 60, 1),
+                20 => pass(SensorId::CameraFront, 5, 2),
+                60 => pass(SensorId::RadarFront, 1, 3),
+                65 => pass(SensorId::CameraFront, 0, 4),
+                75 => pass(SensorId::RadarFront, 0, 5),
+                _ => {}
+            }
+        }
+        assert_eq!(sent, [(25, 2), (65, 4), (70, 1), (70, 3), (75, 5)]);
+    }
 
     #[test]
     fn faults_are_written_with_sensor_kind_and_time() {

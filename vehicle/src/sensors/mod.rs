@@ -7,18 +7,25 @@ mod camera;
 mod chassis;
 mod detect;
 mod disturbance;
+mod timing;
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use tandem_bus::{CameraLanes, EgoMotion, GearCode, ParkingBrakeCode, SensorId, SensorObject};
+use tandem_bus::{
+    CameraLanes, EgoMotion, GearCode, ParkingBrakeCode, SensorId, SensorObject, TimeStateCode,
+};
 
 use crate::geometry::{Pose, Vec2};
 use crate::road::{Frenet, LaneId, Road};
 use crate::traffic::RoadUser;
 
-pub(crate) use disturbance::Faults;
+pub(crate) use disturbance::Outbox;
 pub use disturbance::{NoSensorFault, SensorFault};
+pub use timing::{NoSensorTiming, SensorTiming, TimingError};
+
+/// The first of the streams of random numbers for the sensors' delays.
+const STREAMS_OF_TIMING: u64 = 24;
 
 /// Period of object lists and lanes: 50 ms. T-CHIP-3
 pub const SENSOR_PERIOD_MS: u64 = 50;
@@ -80,12 +87,16 @@ impl Noise {
         unit * deviation
     }
 
+    /// Returns a number in 0 .. 1, each as likely as any other.
+    fn uniform(&mut self) -> f64 {
+        // 53 random bits.
+        use chacha20::rand_core::Rng;
+        (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+    }
+
     /// Returns true with this probability.
     fn chance(&mut self, probability: f64) -> bool {
-        // 53 random bits: uniform in 0 .. 1.
-        use chacha20::rand_core::Rng;
-        let uniform = (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64);
-        uniform < probability
+        self.uniform() < probability
     }
 }
 
@@ -94,6 +105,18 @@ pub struct Sensors {
     detectors: [detect::Detector; 6],
     lanes: camera::LaneCamera,
     chassis: chassis::Chassis,
+    timings: [timing::Timing; 6],
+}
+
+/// When a sensor has measured, as it says in its frames, and how long it takes to send them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stamp {
+    /// µs, wraps around.
+    pub(crate) measured_at: u32,
+    /// The clock of the stamp.
+    pub(crate) time_state: TimeStateCode,
+    /// ms
+    pub(crate) delay_ms: u64,
 }
 
 impl Sensors {
@@ -104,6 +127,29 @@ impl Sensors {
             detectors: SensorId::ALL.map(|sensor| detect::Detector::new(sensor, seed)),
             lanes: camera::LaneCamera::new(seed),
             chassis: chassis::Chassis::new(seed),
+            timings: SensorId::ALL.map(|sensor| timing::Timing::new(sensor, seed)),
+        }
+    }
+
+    /// Sets how the sensors' times differ from the vehicle's. They begin without a difference.
+    pub(crate) fn set_timing(&mut self, timing: &[SensorTiming]) {
+        for SensorTiming { sensor, what } in timing {
+            for one in SensorId::ALL {
+                if sensor.is_none_or(|sensor| sensor == one) {
+                    self.timings[one.index()].set(*what);
+                }
+            }
+        }
+    }
+
+    /// Returns the time stamp of a measurement of `sensor` at `now_ns` on the vehicle's clock and
+    /// this scenario time.
+    pub(crate) fn stamp(&mut self, sensor: SensorId, now_ns: u64, time_s: f64) -> Stamp {
+        let timing = &mut self.timings[sensor.index()];
+        Stamp {
+            measured_at: (timing.read(now_ns, time_s) / 1_000) as u32,
+            time_state: TimeStateCode::OwnClock,
+            delay_ms: timing.delay_ms(),
         }
     }
 
