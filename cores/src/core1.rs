@@ -6,7 +6,7 @@
 //! missing, the cycle begins 5 ms after it was expected, and the next ones no longer wait for it.
 
 use crate::driving::knowledge::Knowledge;
-use crate::driving::perception::Perception;
+use crate::driving::perception::{Perception, RefusedStamp};
 use crate::driving::types::Scene;
 use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
 use crate::release::Release;
@@ -194,6 +194,14 @@ impl<'b, B: Board> Core1<'b, B> {
             self.board.trace(Event::Sensors { missing }.encode());
         }
         attached.scenes.publish(scene);
+        if let Some(RefusedStamp { source, off_us }) = self.perception.take_refused() {
+            let refused = Event::StampRefused {
+                source,
+                later: off_us < 0,
+                off_us: off_us.unsigned_abs(),
+            };
+            self.board.trace(refused.encode());
+        }
         attached.map.count_cycle();
         let (core, task) = (CoreId::PLANNING, TaskCode::PLANNING);
         self.board.trace(Event::Wake { core, task, flow }.encode());

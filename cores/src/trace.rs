@@ -356,6 +356,16 @@ pub enum Event {
         /// How many, since the last report.
         lost: u32,
     },
+    /// A sensor's stamps in global time deviate from what they have shown before: what was learned
+    /// from arrivals is used in their place.
+    StampRefused {
+        /// The sensor by [`SensorId::index`](tandem_bus::SensorId::index); 6: the camera's lanes.
+        source: u8,
+        /// By its stamp the measurement was later than expected; otherwise it was earlier.
+        later: bool,
+        /// By this, µs.
+        off_us: u32,
+    },
     /// The longest time for which a task held the shared state.
     Held {
         /// Which task.
@@ -564,6 +574,7 @@ codec! {
     52 SocSilent { topic: a } 0..=3;
     53 FrameSilent { id: x, age_ms: y };
     54 FrameGaps { id: x, lost: y };
+    55 StampRefused { source: a, later: b, off_us: x } 0..=6;
 }
 
 #[cfg(test)]
@@ -709,6 +720,11 @@ mod tests {
                 missing: 0x40,
             },
             Event::SensorContradicted { sensor: 5 },
+            Event::StampRefused {
+                source: 6,
+                later: true,
+                off_us: 50_000,
+            },
             Event::WrongTrajectory {
                 what: 4,
                 percent: 300,

@@ -578,6 +578,7 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
         let header = SensorHeader {
             object_count: 1,
             measured_at: (measured_ms * 1_000) as u32,
+            ..SensorHeader::default()
         };
         let object = SensorObject {
             x: truth(measured_ms),

@@ -180,6 +180,17 @@ pub fn core_event(event: Event) -> Option<String> {
         }
         Event::FrameSilent { id, age_ms } => format!("frame {id:#05x} is silent for {age_ms} ms"),
         Event::FrameGaps { id, lost } => format!("frame {id:#05x}: {lost} lost by their counter"),
+        Event::StampRefused {
+            source,
+            later,
+            off_us,
+        } => {
+            let sensor = SensorId::ALL.get(usize::from(source));
+            let name = sensor.map_or("CameraLanes", |sensor| sensor.name());
+            let way = if later { "late" } else { "early" };
+            let off_ms = f64::from(off_us) * 1e-3;
+            format!("the time stamps of {name} are {off_ms:.1} ms too {way}: arrivals are used")
+        }
         Event::SocSilent { topic } => {
             let topics = [
                 "PowerControl",

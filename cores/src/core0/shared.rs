@@ -17,7 +17,7 @@ use super::redundancy_port::{Outcome, RedundancyPort};
 use super::scene_check::{SceneCheck, Suspect};
 use super::topics::{FollowedSoc, Heard};
 use super::{Core0Task, TaskSet, frames};
-use crate::driving::perception::ego_of;
+use crate::driving::perception::{GlobalClock, ego_of};
 use crate::driving::types::Scene;
 use crate::release::TickGrid;
 use crate::tester_desk::DeskPort;
@@ -95,6 +95,12 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// Sets the ticks of an RTOS: its waits end at a tick, so releases lie on ticks from now on.
     pub fn set_ticks(&mut self, ticks: TickGrid) {
         self.grid.set_ticks(ticks, self.board.now());
+    }
+
+    /// Sets the global time of this system for the check of the scene; `None` if it has none that is
+    /// good enough.
+    pub const fn set_global(&mut self, global: Option<GlobalClock>) {
+        self.scene_check.set_global(global);
     }
 
     /// Returns the phase of this system, once the start protocol has begun.

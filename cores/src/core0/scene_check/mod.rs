@@ -11,6 +11,7 @@ mod peer;
 mod sensors;
 
 use crate::driving::odometry::motion;
+use crate::driving::perception::{GlobalClock, SensorClocks};
 use crate::driving::road::shifted;
 use crate::driving::types::{CameraLine, Ego, Scene};
 use crate::trace::Event;
@@ -95,6 +96,7 @@ pub(super) enum Suspect {
 /// All checks and what they have found. Costs about 600 multiplications in 50 ms, most of them for
 /// the filter of the lanes.
 pub(super) struct SceneCheck {
+    clocks: SensorClocks,
     ego: EgoCheck,
     lanes: LaneCheck,
     objects: ObjectCheck,
@@ -114,6 +116,7 @@ pub(super) struct SceneCheck {
 impl SceneCheck {
     pub(super) fn new() -> Self {
         Self {
+            clocks: SensorClocks::default(),
             ego: EgoCheck::new(0.0),
             lanes: LaneCheck::new(),
             objects: ObjectCheck::new(),
@@ -127,6 +130,11 @@ impl SceneCheck {
         }
     }
 
+    /// Sets the global time of this system; `None` if it has none that is good enough.
+    pub(super) const fn set_global(&mut self, global: Option<GlobalClock>) {
+        self.clocks.set_global(global);
+    }
+
     /// Takes the chassis' motion that core 0 has heard.
     pub(super) fn on_ego(&mut self, at: Instant, ego: Ego) {
         self.ego.on_ego(at, ego);
@@ -137,15 +145,17 @@ impl SceneCheck {
         if let Some(line) = CameraLine::of(at, camera) {
             self.lanes.on_line(line);
         }
+        let measured = self.clocks.time_of_lanes(at, camera.into());
         // No motion: that is found elsewhere.
-        if let (true, Some(ego)) = (camera.valid, self.ego.newest_before(at)) {
-            self.lanes.on_camera(at, camera, &ego);
+        if let (true, Some(ego)) = (camera.valid, self.ego.newest_before(measured)) {
+            self.lanes.on_camera(measured, camera, &ego);
         }
     }
 
     /// Takes the header of a sensor's list that core 0 has heard.
     pub(super) fn on_header(&mut self, at: Instant, sensor: SensorId, header: &SensorHeader) {
-        self.objects.on_header(at, sensor, header);
+        let measured = self.clocks.time_of(at, sensor, header.into());
+        self.objects.on_header(measured, sensor);
     }
 
     /// Takes an object of a sensor's list that core 0 has heard.

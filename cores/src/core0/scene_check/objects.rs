@@ -7,13 +7,12 @@
 use super::Finding;
 use super::lanes::offset;
 use crate::driving::control::driven_curvature;
-use crate::driving::perception::SensorClock;
 use crate::driving::road::DEFAULT_LANE_WIDTH_M;
 use crate::driving::types::{ClassCode, Object, Scene};
 use crate::trace::Event;
 use heapless::Vec;
 use tandem_board::{Duration, Instant};
-use tandem_bus::{SensorHeader, SensorId, SensorObject};
+use tandem_bus::{SensorId, SensorObject};
 
 const SENSORS: usize = SensorId::ALL.len();
 /// The lanes on the right, the own one and that on the left.
@@ -124,7 +123,6 @@ type AllSeen = Vec<Seen, { SENSORS * KEPT * LANES }>;
 type View = ([f32; 4], f32);
 
 pub(super) struct ObjectCheck {
-    clock: SensorClock,
     lists: [List; SENSORS],
     view: View,
     /// For each lane, how much the scenes lacked the nearest object.
@@ -145,7 +143,6 @@ fn lane((line, range): &View, x: f32, y: f32) -> Option<usize> {
 impl ObjectCheck {
     pub(super) fn new() -> Self {
         Self {
-            clock: SensorClock::default(),
             lists: Default::default(),
             view: ([0.0; 4], 0.0),
             lacking: [0.0; LANES],
@@ -155,8 +152,8 @@ impl ObjectCheck {
         }
     }
 
-    pub(super) fn on_header(&mut self, now: Instant, sensor: SensorId, header: &SensorHeader) {
-        let at = self.clock.time_of(now, header.measured_at);
+    /// Begins the list of a sensor that was measured at `at`.
+    pub(super) fn on_header(&mut self, at: Instant, sensor: SensorId) {
         self.lists[sensor.index()] = List {
             at,
             objects: Vec::new(),

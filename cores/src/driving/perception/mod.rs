@@ -11,6 +11,7 @@ mod lane;
 mod lists;
 mod round;
 mod scene;
+mod sensor_time;
 mod track;
 
 use heapless::Vec;
@@ -20,13 +21,15 @@ use tandem_bus::{CameraLanes, DriverRequest, EgoMotion, Message, SensorId, Senso
 use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, STARTING_CYCLES};
 use super::odometry::{Odometry, motion};
+use super::road::shifted;
 use super::types::{CameraLine, Ego, Object, RouteCode, Scene};
 use assignment::{Costs, IMPOSSIBLE, assign};
 pub(crate) use lane::LaneFilter;
 use lists::Lists;
-pub(crate) use lists::SensorClock;
 use round::{LANES, Round};
 use scene::RoadView;
+pub use sensor_time::GlobalClock;
+pub(crate) use sensor_time::{RefusedStamp, SensorClocks};
 use track::{Detection, Passage, Track};
 
 /// Largest number of tracks, confirmed or not.
@@ -38,12 +41,22 @@ const MAX_DETECTIONS: usize = 32;
 /// periods. Predictions over a longer time are of no use.
 pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
 
+/// Lanes that no cycle has used.
+#[derive(Clone, Copy, Debug)]
+struct NewLanes {
+    /// When their frame was on the bus.
+    arrived: Instant,
+    measured: Instant,
+    lanes: CameraLanes,
+}
+
 /// The perception function with all its memory: about 14 KiB, without allocation.
 #[derive(Clone, Debug)]
 pub struct Perception {
     odometry: Odometry,
+    clocks: SensorClocks,
     lists: Lists,
-    camera_lanes: Option<(Instant, CameraLanes)>,
+    camera_lanes: Option<NewLanes>,
     lanes: LaneFilter,
     tracks: Vec<Track, MAX_TRACKS>,
     /// The time up to which tracks and lanes are predicted.
@@ -71,6 +84,7 @@ impl Perception {
     pub fn new() -> Self {
         Self {
             odometry: Odometry::new(),
+            clocks: SensorClocks::default(),
             lists: Lists::default(),
             camera_lanes: None,
             lanes: LaneFilter::new(),
@@ -97,18 +111,37 @@ impl Perception {
         }
     }
 
+    /// Sets the global time of this system; `None` if it has none that is good enough. It is used
+    /// for the stamps of the frames that follow.
+    pub const fn set_global(&mut self, global: Option<GlobalClock>) {
+        self.clocks.set_global(global);
+    }
+
+    /// Returns the newest stamp in global time that was refused after others were used, once.
+    pub(crate) const fn take_refused(&mut self) -> Option<RefusedStamp> {
+        self.clocks.take_refused()
+    }
+
     /// Takes in a frame that was on the bus at `now`. Ignores frames that no sensor, chassis or
     /// driver sends.
     ///
-    /// The time of a list is its sensor's time stamp. Lanes have no time stamp: their time is the
-    /// time at which their frame was on the bus.
+    /// The time of a list and of lanes is their sensor's time stamp.
     pub fn on_message(&mut self, now: Instant, message: &Message) {
         match message {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
             Message::DriverRequest(request) => self.request = *request,
-            Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
+            Message::SensorHeader(sensor, header) => {
+                let at = self.clocks.time_of(now, *sensor, header.into());
+                self.lists.begin((now, at), *sensor, header);
+            }
             Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
-            Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
+            Message::CameraLanes(lanes) => {
+                self.camera_lanes = Some(NewLanes {
+                    arrived: now,
+                    measured: self.clocks.time_of_lanes(now, lanes.into()),
+                    lanes: *lanes,
+                });
+            }
             _ => {}
         }
     }
@@ -118,7 +151,7 @@ impl Perception {
     #[must_use]
     pub fn is_round_complete(&self) -> bool {
         self.round.is_next_complete(|member| match member {
-            LANES => self.camera_lanes.map(|(at, _)| at),
+            LANES => self.camera_lanes.map(|new| new.arrived),
             sensor => self.lists.completed(sensor),
         })
     }
@@ -158,12 +191,14 @@ impl Perception {
             self.advance(at);
             self.fuse(sensor, at, &objects);
         }
-        if let Some((at, lanes)) = self.camera_lanes.take() {
-            self.round.add(LANES, at);
+        if let Some(new) = self.camera_lanes.take() {
+            self.round.add(LANES, new.arrived);
+            let at = new.measured;
             oldest = Some(oldest.map_or(at, |oldest| oldest.min(at)));
             self.advance(at);
-            self.lanes.update(at, &lanes);
-            self.scene.camera = CameraLine::of(at, &lanes).unwrap_or(self.scene.camera);
+            self.lanes.update(at, &self.carried(&new));
+            let line = CameraLine::of(new.arrived, &new.lanes);
+            self.scene.camera = line.unwrap_or(self.scene.camera);
         }
         self.scene.measured = oldest.unwrap_or(self.scene.measured);
         self.scene.missing = self.missing(now);
@@ -210,6 +245,24 @@ impl Perception {
         }
         self.lanes.predict(dt, &step);
         self.time = Some(to);
+    }
+
+    /// Returns the lanes in the frame of the vehicle at the time up to which the tracks are
+    /// predicted.
+    fn carried(&self, new: &NewLanes) -> CameraLanes {
+        let lanes = new.lanes;
+        let Some(to) = self.time.filter(|time| *time > new.measured) else {
+            return lanes;
+        };
+        let step = self.odometry.between(new.measured, to);
+        let [c0, c1, c2, c3] = shifted(&[lanes.c0, lanes.c1, lanes.c2, lanes.c3], &step);
+        CameraLanes {
+            c0,
+            c1,
+            c2,
+            c3,
+            ..lanes
+        }
     }
 
     /// Takes in the list of one sensor, measured at or before the time up to which the tracks are
