@@ -3,6 +3,7 @@
 use std::iter;
 use std::sync::Arc;
 
+use tandem_board::SystemId;
 use tandem_bus::{
     self as bus, CameraLanes, FrameTransmitter, GearCode, Message, ParkingBrakeCode, SensorHeader,
     SensorId,
@@ -278,6 +279,12 @@ impl World {
             self.snapshot.running = true;
         }
         Some(judged.acceptance)
+    }
+
+    /// Receives a system's frame of time that was on the bus at `at_ns`, for the sensors.
+    pub(crate) fn on_time_sync(&mut self, from: SystemId, at_ns: u64, data: &[u8]) {
+        let time_s = self.snapshot.time_s;
+        self.sensors.on_time_sync(from, at_ns, time_s, data);
     }
 
     /// Runs the world up to `now_ns`, in ticks of one millisecond, and passes on the frames that

@@ -2,7 +2,7 @@
 //! sends the readings of its sensors.
 
 use tandem_board::{CanFrame, CanId, Carried, CoreId, Instant, SystemId, VehicleBus};
-use tandem_bus::{Control, Message};
+use tandem_bus::{Control, Message, TimeSync};
 
 use crate::gate::Ruling;
 use crate::world::World;
@@ -78,7 +78,13 @@ impl World {
     /// Receives a controller's frame at `now`.
     pub fn hear(&mut self, now: Instant, Carried { frame, sent, at }: Carried) -> LoggedFrame {
         let judged = match frame.id() {
-            CanId::Standard(id) => self.on_frame(now.as_ns(), id.into(), frame.data()),
+            CanId::Standard(id) => {
+                let index = TimeSync::IDS.iter().position(|of_time| *of_time == id);
+                if let Some(from) = index.and_then(SystemId::from_index) {
+                    self.on_time_sync(from, at.as_ns(), frame.data());
+                }
+                self.on_frame(now.as_ns(), id.into(), frame.data())
+            }
             CanId::Extended(_) => None,
         };
         LoggedFrame {

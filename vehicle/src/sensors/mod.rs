@@ -12,6 +12,7 @@ mod timing;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
+use tandem_board::SystemId;
 use tandem_bus::{
     CameraLanes, EgoMotion, GearCode, ParkingBrakeCode, SensorId, SensorObject, TimeStateCode,
 };
@@ -145,11 +146,14 @@ impl Sensors {
     /// Returns the time stamp of a measurement of `sensor` at `now_ns` on the vehicle's clock and
     /// this scenario time.
     pub(crate) fn stamp(&mut self, sensor: SensorId, now_ns: u64, time_s: f64) -> Stamp {
-        let timing = &mut self.timings[sensor.index()];
-        Stamp {
-            measured_at: (timing.read(now_ns, time_s) / 1_000) as u32,
-            time_state: TimeStateCode::OwnClock,
-            delay_ms: timing.delay_ms(),
+        self.timings[sensor.index()].stamp(now_ns, time_s)
+    }
+
+    /// Takes a frame of time that was on the bus at `at_ns` on the vehicle's clock: all sensors hear
+    /// it.
+    pub(crate) fn on_time_sync(&mut self, from: SystemId, at_ns: u64, time_s: f64, data: &[u8]) {
+        for timing in &mut self.timings {
+            timing.on_time_sync(from, at_ns, time_s, data);
         }
     }
 

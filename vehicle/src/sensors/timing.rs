@@ -1,12 +1,15 @@
-//! The clock of each sensor, and the time from its measurement to its frames.
+//! The time of each sensor: its clock, the global time that it hears over CAN, and the time from its
+//! measurement to its frames.
 
 use std::fmt;
 use std::str::FromStr;
 
-use tandem_bus::SensorId;
+use tandem_board::{Instant, SystemId};
+use tandem_bus::{SensorId, TimeStateCode};
+use tandem_timesync::{Arbitrary, BaseConfig, CanTimeCrc, CanTimeSlave, MasterQuality, TimeBase};
 
 use super::disturbance::{name_of, named};
-use super::{Noise, STREAMS_OF_TIMING};
+use super::{Noise, STREAMS_OF_TIMING, Stamp};
 
 /// How a sensor's time differs from the vehicle's: written as `radar-front:offset:5ms`,
 /// `all:rate:100ppm`, `all:drift:0.5ppm/s`, `camera-front:jump:-50ms@10s`, `all:delay:20ms` or
@@ -133,6 +136,9 @@ impl Clock {
 /// The time of one sensor.
 pub(super) struct Timing {
     clock: Clock,
+    /// The sensor follows the driving system's frames of time. S-4
+    slave: CanTimeSlave<Arbitrary>,
+    base: TimeBase<Arbitrary>,
     delay_ms: f64,
     jitter_ms: f64,
     noise: Noise,
@@ -143,6 +149,8 @@ impl Timing {
     pub(super) fn new(sensor: SensorId, seed: u64) -> Self {
         Self {
             clock: Clock::default(),
+            slave: CanTimeSlave::new(CanTimeCrc::Validated),
+            base: TimeBase::new(BaseConfig::CAN),
             delay_ms: 0.0,
             jitter_ms: 0.0,
             noise: Noise::new(seed, STREAMS_OF_TIMING + sensor.index() as u64),
@@ -160,13 +168,45 @@ impl Timing {
         }
     }
 
-    /// Returns what the sensor's clock shows, ns.
-    pub(super) fn read(&mut self, now_ns: u64, time_s: f64) -> u64 {
-        self.clock.read(now_ns, time_s)
+    /// Returns what the sensor's clock shows.
+    fn read(&mut self, now_ns: u64, time_s: f64) -> Instant {
+        Instant::from_ns(self.clock.read(now_ns, time_s))
+    }
+
+    /// Takes a frame of time that was on the bus at `at_ns` on the vehicle's clock.
+    pub(super) fn on_time_sync(&mut self, from: SystemId, at_ns: u64, time_s: f64, data: &[u8]) {
+        let at = self.read(at_ns, time_s);
+        if let Ok(Some(heard)) = self.slave.receive(from, at, data) {
+            let master = MasterQuality {
+                to_gateway: heard.is_to_gateway,
+                ..MasterQuality::default()
+            };
+            let _judged = self.base.on_sample(at, heard.sample, master);
+        }
+    }
+
+    /// Returns the stamp of a measurement now, and how long its frames wait.
+    pub(super) fn stamp(&mut self, now_ns: u64, time_s: f64) -> Stamp {
+        let now = self.read(now_ns, time_s);
+        let (time_state, ns) = match self.base.conversion() {
+            None => (TimeStateCode::OwnClock, now.as_ns()),
+            Some(conversion) => {
+                let state = match conversion.status_at(now).is_synchronised() {
+                    true => TimeStateCode::Global,
+                    false => TimeStateCode::Holdover,
+                };
+                (state, conversion.at(now).as_ns())
+            }
+        };
+        Stamp {
+            measured_at: (ns / 1_000) as u32,
+            time_state,
+            delay_ms: self.delay_ms(),
+        }
     }
 
     /// Returns the delay of the next list, ms.
-    pub(super) fn delay_ms(&mut self) -> u64 {
+    fn delay_ms(&mut self) -> u64 {
         let jitter_ms = match self.jitter_ms {
             0.0 => 0.0,
             jitter_ms => jitter_ms * self.noise.uniform(),
@@ -229,7 +269,7 @@ mod tests {
         }
         let mut ahead_us = |s: u64| {
             let now_ns = (7 + s) * SECOND_NS;
-            (timing.read(now_ns, s as f64) as i64 - now_ns as i64) / 1_000
+            (timing.read(now_ns, s as f64).as_ns() as i64 - now_ns as i64) / 1_000
         };
         assert_eq!(ahead_us(0), 5_000);
         assert_eq!(ahead_us(8), 5_000 + 800 + 64);
