@@ -2,7 +2,7 @@
 //!
 //! The ego stands. Every 3 s a vehicle crosses 40 m ahead with 30 m/s. The error is where the scene
 //! has it, less where it is: a delay of 20 ms shows as 0.6 m.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use std::fmt::Write as _;
 
@@ -91,8 +91,8 @@ struct Bench {
     states: Vec<TimeStateCode>,
 }
 
-/// The error of a scene at a scenario time, s: along the crossing vehicle's way, m; NaN if the scene
-/// has no such object.
+/// The error of a scene at a scenario time, s: along the crossing vehicle's way, m; NaN if the
+/// scene has no such object.
 type Errors = Vec<(f64, f64)>;
 
 impl Bench {
@@ -209,7 +209,7 @@ fn figures(errors: &Errors) -> (f64, f64, usize) {
     (mean, most, errors.len() - found.len())
 }
 
-/// S-4, S-5: a constant delay of the sensors cannot be learned from arrivals, and global stamps show
+/// S-4, S-5: a constant delay of the sensors cannot be learned from arrivals; global stamps show
 /// it.
 #[test]
 fn a_constant_delay_shows_with_global_stamps_only() {
@@ -236,8 +236,8 @@ fn a_constant_delay_shows_with_global_stamps_only() {
 }
 
 /// S-5: whatever the sensors' clocks do, with and without global time: the error stays bounded,
-/// and is as small as before 1 s after a leap, when a vehicle is at y = 0. A global time that differs from
-/// what was sent to the sensors is believed after 10 s, so the run ends before.
+/// and is as small as before 1 s after a leap, when a vehicle is at y = 0. A global time that
+/// differs from what was sent to the sensors is believed after 10 s, so the run ends before.
 #[test]
 fn wrong_clocks_of_sensors_cost_a_bounded_error() {
     let different = [

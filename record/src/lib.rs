@@ -13,6 +13,7 @@ pub mod reaction;
 pub mod required_limits;
 pub mod roles;
 pub mod run_log;
+pub mod sensor_time;
 pub mod start;
 pub mod takeover;
 pub mod verdict;

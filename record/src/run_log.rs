@@ -8,6 +8,7 @@ use tandem_vehicle::{LoggedFrame, Ruling};
 
 use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
+use crate::sensor_time::SensorTime;
 
 /// A part of the run that stalled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,6 +110,8 @@ pub struct RunLog {
     pub road: Vec<RoadPiece>,
     /// All control frames in the order of the bus.
     pub control: Vec<ControlFrame>,
+    /// The global time in the frames so far.
+    pub sensor_time: SensorTime,
     /// When the sensors measured each list, ns, in order.
     pub measured_ns: Vec<u64>,
     /// All status frames in the order of the bus.
@@ -161,6 +164,7 @@ impl RunLog {
 
     fn push_frame(&mut self, frame: &LoggedFrame) {
         let at_ns = frame.at.as_ns();
+        self.sensor_time.hear(frame);
         let message = frame.message();
         if let Some(ruling) = frame.ruling {
             let (mode, term, age_ns) = match message {
@@ -182,10 +186,8 @@ impl RunLog {
                     ruling,
                 }));
         } else if let Some(Message::SensorHeader(_, header)) = message {
-            // The sensor's time stamp is on the bus's clock, in µs, and wraps around.
-            let on_the_way = ((at_ns / 1_000) as u32).wrapping_sub(header.measured_at);
-            self.measured_ns
-                .push(at_ns.saturating_sub(u64::from(on_the_way) * 1_000));
+            let measured_ns = self.sensor_time.measured_ns(frame.at, &header);
+            self.measured_ns.push(measured_ns);
         } else if let Some(Message::Status { system, status }) = message {
             self.status.extend(
                 SystemId::from_index(system.into()).map(|system| StatusFrame {

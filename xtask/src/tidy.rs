@@ -27,7 +27,7 @@ board-host: board board-udp peripherals shm
 benches: board board-host board-udp page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
-record: board bus cores redundancy vehicle
+record: board bus cores redundancy timesync vehicle
 faults: board bus peripherals record vehicle
 sim: board board-sim bus cores faults record redundancy vehicle
 board-conformance: board

@@ -97,8 +97,8 @@ impl<'b, B: Board> SharedState<'b, B> {
         self.grid.set_ticks(ticks, self.board.now());
     }
 
-    /// Sets the global time of this system for the check of the scene; `None` if it has none that is
-    /// good enough.
+    /// Sets the global time of this system for the check of the scene; `None` if it has none that
+    /// is good enough.
     pub const fn set_global(&mut self, global: Option<GlobalClock>) {
         self.scene_check.set_global(global);
     }

@@ -1,4 +1,4 @@
-//! The way from the sensors to the bus: a delay for each sensor, and messages that are lost or late.
+//! The way from the sensors to the bus: the delay of each, and messages that are lost or late.
 
 use std::collections::VecDeque;
 use std::str::FromStr;

@@ -149,8 +149,7 @@ impl Sensors {
         self.timings[sensor.index()].stamp(now_ns, time_s)
     }
 
-    /// Takes a frame of time that was on the bus at `at_ns` on the vehicle's clock: all sensors hear
-    /// it.
+    /// Takes a frame of time that was on the bus at `at_ns` on the vehicle's clock, for all.
     pub(crate) fn on_time_sync(&mut self, from: SystemId, at_ns: u64, time_s: f64, data: &[u8]) {
         for timing in &mut self.timings {
             timing.on_time_sync(from, at_ns, time_s, data);

@@ -1,5 +1,4 @@
-//! The time of each sensor: its clock, the global time that it hears over CAN, and the time from its
-//! measurement to its frames.
+//! The time of each sensor: its clock, the global time that it hears over CAN, and its delay.
 
 use std::fmt;
 use std::str::FromStr;

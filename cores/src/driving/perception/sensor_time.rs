@@ -124,8 +124,8 @@ struct SensorClock {
 }
 
 impl SensorClock {
-    /// Returns the time of a measurement that arrives `now`, at most 1 s before, and by how much its
-    /// stamp deviates if it is the first one that is refused.
+    /// Returns the time of a measurement that arrives `now`, at most 1 s before; and by how much
+    /// its stamp deviates, if it is the first one that is refused.
     fn time_of(
         &mut self,
         now: Instant,
