@@ -4,11 +4,11 @@
 use tandem_board::{Duration, Instant};
 use tandem_bus::{
     CameraLanes, ClassCode, DriverRequest, EgoMotion, Message, RouteCode, SensorHeader, SensorId,
-    SensorObject,
+    SensorObject, TimeStateCode,
 };
 use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX_AGE};
 use tandem_cores::driving::degraded::DegradedControl;
-use tandem_cores::driving::perception::Perception;
+use tandem_cores::driving::perception::{GlobalClock, Perception};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{
     CameraLine, Command, Ego, Lanes, Maneuver, Object, Scene, Trajectory,
@@ -636,5 +636,43 @@ fn the_route_leads_to_its_lane_when_there_is_room() {
             last = planner.plan(&scene).maneuver;
         }
         assert_eq!(last, expected, "{route:?} {objects:?}");
+    }
+}
+
+/// S-4: lanes that the camera measured before the newest list are moved with the vehicle: 20 ms at
+/// 30 m/s are 0.6 m along a line that is 0.1 rad aside.
+#[test]
+fn lanes_that_are_older_than_a_list_are_moved_with_the_vehicle() {
+    for (delay_ms, expected) in [(0, 0.0), (20, 0.06)] {
+        let mut perception = Perception::new();
+        let now = at_ms(1_000);
+        let motion = EgoMotion {
+            world_running: true,
+            speed: 30.0,
+            ..EgoMotion::default()
+        };
+        for ms in (900..=1_000).step_by(10) {
+            perception.on_message(at_ms(ms), &Message::EgoMotion(motion));
+        }
+        let (global_us, state) = (7_000_000, TimeStateCode::Global);
+        perception.set_global(GlobalClock::new(now, global_us, Duration::ZERO));
+        let header = SensorHeader {
+            time_state: state,
+            measured_at: global_us,
+            object_count: 0,
+        };
+        perception.on_message(now, &Message::SensorHeader(SensorId::RadarFront, header));
+        let lanes = CameraLanes {
+            valid: true,
+            c1: 0.1,
+            view_range: 80,
+            width: 3.5,
+            time_state: state,
+            measured_at: global_us - delay_ms * 1_000,
+            ..CameraLanes::default()
+        };
+        perception.on_message(now, &Message::CameraLanes(lanes));
+        let found = perception.cycle(now).lanes.unwrap().c[0];
+        assert!((found - expected).abs() < 1e-3, "{found} m");
     }
 }

@@ -253,6 +253,7 @@ impl SensorClocks {
 mod tests {
     extern crate std;
     use super::*;
+    use proptest::prelude::*;
 
     const RADAR: SensorId = SensorId::RadarFront;
     /// How far the sensors' clock is ahead of this core's, and the global time, µs: both wrap soon.
@@ -424,6 +425,33 @@ mod tests {
                         );
                     }
                 }
+            }
+        }
+    }
+
+    proptest! {
+        /// Whatever sensors and time base say, and whatever the clocks do: a measurement lies at most
+        /// 1 s before its arrival, and never after it.
+        #[test]
+        fn a_measurement_lies_before_its_arrival(
+            lists in prop::collection::vec(
+                (0_usize..3, any::<u32>(), 0_u8..3, any::<u32>(), 0_u64..10_000, any::<bool>()),
+                1..60,
+            ),
+            step in prop_oneof![Just(50_000_u64), any::<u64>().prop_map(|it| it >> 8)],
+        ) {
+            let mut clocks = SensorClocks::default();
+            let mut now_us = 0;
+            for (sensor, stamp_us, state, global_us, error_us, is_regular) in lists {
+                now_us = (now_us + step) % (u64::MAX / 1_000);
+                let (now, state) = (us(now_us), TimeStateCode::ALL[usize::from(state)]);
+                let own_us = if is_regular { now_us as u32 } else { stamp_us };
+                let global_us = if is_regular { now_us as u32 } else { global_us };
+                let error = Duration::from_us(error_us);
+                clocks.set_global(GlobalClock::new(us(now_us / 2), global_us, error));
+                let at = clocks.time_of(now, SensorId::ALL[sensor], Stamp { us: own_us, state });
+                prop_assert!(at <= now);
+                prop_assert!(now.since(at) <= Duration::from_ms(1_000));
             }
         }
     }
