@@ -19,20 +19,21 @@ pub struct Reaction {
 /// Returns the reaction to each measurement, and the age of the data behind each control frame.
 ///
 /// A control frame contains the age of its oldest measurement. This age omits the shortest delay of
-/// the bus, but includes any longer wait for the bus. The time of sending minus the age is a point
-/// in time: the oldest measurement is the last one taken before it, even if it was sent later. A
+/// the bus, but includes any longer wait for the bus. Without stamps in global time it also omits a
+/// delay that all sensors have, which is added. The time of sending minus the age is a point in
+/// time: the oldest measurement is the last one taken before it, even if it was sent later. A
 /// measurement belongs to the last command whose oldest measurement is not newer than it. The
 /// reaction ends when that command first takes effect.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
-    let measured_ns = &log.measured_ns;
+    let (measured_ns, unseen_ns) = (&log.measured_ns, log.sensor_time.unseen_ns());
     // The commands in the order in which they took effect. Each has the time of its oldest
     // measurement, and the time at which its first frame took effect.
     let mut commands: Vec<(u64, u64)> = Vec::new();
     for frame in log.accepted() {
         let Some(age_ns) = frame.age_ns else { continue };
-        let told_ns = frame.sent_ns.saturating_sub(age_ns);
+        let told_ns = frame.sent_ns.saturating_sub(age_ns + unseen_ns);
         let newer = measured_ns.partition_point(|at_ns| *at_ns <= told_ns + EARLY_NS);
         let Some(oldest_ns) = newer.checked_sub(1).map(|index| measured_ns[index]) else {
             continue;
