@@ -45,6 +45,8 @@ unsafe extern "C" {
     pub(crate) fn tandem_yield_from_interrupt(woken: Base);
     pub(crate) fn tandem_task_info(task: *mut Tcb, info: *mut TaskInfo);
 
+    /// The time of the tick after the next one. Exists only on riscv32.
+    pub(crate) static mut ullNextTime: u64;
     /// Exists only on riscv32.
     pub(crate) fn tandem_port_reset();
     pub(crate) fn vTaskStartScheduler();

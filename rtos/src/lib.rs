@@ -43,7 +43,7 @@ pub use sys::set::{AddError, Member, QueueSet};
 pub use sys::task::{TaskError, TaskHandle, TaskStatistics};
 pub use sys::timer::{CommandsFull, Timer};
 pub use task::{Priority, SpawnError, TaskOptions};
-pub use time::Ticks;
+pub use time::{LONGEST_SHIFT_NS, TickTime, Ticks};
 
 /// The target: its doorbell, its fatal errors, and a reset of its hart.
 #[cfg(target_arch = "riscv32")]

@@ -4,6 +4,20 @@ use core::time::Duration;
 
 /// Ticks in a second.
 pub(crate) const TICK_RATE_HZ: u32 = 1000;
+/// Length of a tick that is not moved, ns.
+pub(crate) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
+/// The most by which one call moves the ticks, ns.
+pub const LONGEST_SHIFT_NS: i32 = 100_000;
+
+/// A tick that the kernel has counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TickTime {
+    /// The kernel's count of ticks, this one included.
+    pub count: Ticks,
+    /// When it was due, in nanoseconds of the clock that times
+    /// [`KernelEvent`](crate::KernelEvent)s. Its interrupt may have been later.
+    pub due_ns: u64,
+}
 
 /// A time span or a point in time, in ticks of 1 ms. Points wrap after 49 days.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -49,9 +63,7 @@ impl Ticks {
 /// that does not fit in 32 bits becomes the longest finite wait, about 49 days.
 impl From<Duration> for Ticks {
     fn from(span: Duration) -> Self {
-        let ticks = span
-            .as_nanos()
-            .div_ceil(1_000_000_000 / u128::from(TICK_RATE_HZ));
+        let ticks = span.as_nanos().div_ceil(u128::from(TICK_NS));
         let longest = Self::FOREVER.0 - 1;
         Self(u32::try_from(ticks).map_or(longest, |ticks| ticks.min(longest)))
     }

@@ -446,35 +446,6 @@ fn registers_survive_pre_emption() {
     assert!(rounds.load(Ordering::Relaxed) > 0);
 }
 
-/// The origin of the ticks is the same value at every call. If it changed by the time for which a
-/// task was interrupted between two reads, a task that waits on absolute time would keep that
-/// error.
-#[test]
-fn ticks_have_one_origin() {
-    let log = Log::new();
-    let ours = log.clone();
-    run(TickSource::Wall, |kernel| {
-        for name in ["a", "b"] {
-            let log = ours.clone();
-            let body = move |ctx: &TaskContext| {
-                let (mut least, mut most) = (u64::MAX, 0);
-                while ctx.now() < Ticks(100) {
-                    let origin = ctx.tick_origin_ns();
-                    (least, most) = (least.min(origin), most.max(origin));
-                }
-                let now = tandem_rtos::host::now_ns();
-                log.note((least, most, now));
-            };
-            kernel.task(name, 1, body);
-        }
-    });
-    let found = log.take();
-    for (least, most, now) in &found {
-        assert_eq!((least, most), (&found[0].0, &found[0].0));
-        assert!(now - least >= 100_000_000, "tick 100 was before its time");
-    }
-}
-
 /// The control words of the floating-point units: rounding, precision, masked exceptions.
 #[cfg(target_arch = "x86_64")]
 mod control {

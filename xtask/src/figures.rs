@@ -40,6 +40,7 @@ lock/free: lock and unlock
 lock/contended-3: three harts want it at once, until the last has given it back
 pool/get-give: borrow 16 words and give them back
 rtos/yield: a task yields, and no other is ready
+rtos/shift-ticks: a task moves the next tick and all later ones
 rtos/round-trip: FreeRTOS task to bare core 1 and back to the notified task
 task/floor: from a bare core's store that posts the interrupt to the FreeRTOS task that it notifies
 task/signal: the same by a signal through a mailbox

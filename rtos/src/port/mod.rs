@@ -8,7 +8,8 @@ pub mod host;
 #[cfg(target_os = "linux")]
 pub(crate) use host::{
     Stack, assert_may_block, attach, deferred as without_others, epoch, fatal, idle, in_task,
-    prepare, run_time, run_time_span, start, tear_down, tick_origin_ns, timestamp_ns, virtual_work,
+    prepare, run_time, run_time_span, set_next_tick, start, tear_down, tick_times_ns, timestamp_ns,
+    virtual_work,
 };
 
 #[cfg(target_arch = "riscv32")]
@@ -16,7 +17,7 @@ pub(crate) mod riscv32;
 #[cfg(target_arch = "riscv32")]
 pub(crate) use riscv32::{
     Stack, assert_may_block, attach, epoch, fatal, idle, in_task, prepare, run_time, run_time_span,
-    start, tear_down, tick_origin_ns, timestamp_ns, virtual_work, without_others,
+    set_next_tick, start, tear_down, tick_times_ns, timestamp_ns, virtual_work, without_others,
 };
 
 /// The source of the tick.

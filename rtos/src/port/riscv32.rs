@@ -9,11 +9,11 @@ use super::{StartError, TickSource};
 use crate::context::InterruptContext;
 use crate::ffi;
 use crate::interrupt::{HandlerError, Interrupt, InterruptPriority};
-use crate::time::TICK_RATE_HZ;
+use crate::time::TICK_NS;
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicUsize, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, AtomicU32, AtomicUsize, Ordering};
 use core::time::Duration;
 
 /// The smallest stack in words: room for a context and some calls.
@@ -151,6 +151,7 @@ pub(crate) unsafe fn reset() {
         ffi::vTaskResetState();
         ffi::vTimerResetState();
     }
+    MOVE.1.store(0, Ordering::Relaxed);
     IN_INTERRUPT.store(false, Ordering::Relaxed);
     EPOCH.store(epoch().wrapping_add(1), Ordering::Relaxed);
 }
@@ -195,6 +196,7 @@ pub(crate) fn run_time() -> u64 {
 
 /// Nanoseconds of a count of `mtime`: 10 MHz, as configCPU_CLOCK_HZ.
 const MTIME_NS: u64 = 100;
+const COUNTS_PER_TICK: u64 = TICK_NS / MTIME_NS;
 
 /// Converts a span of [`run_time`] to time.
 pub(crate) fn run_time_span(counts: u64) -> Duration {
@@ -206,20 +208,46 @@ pub(crate) fn timestamp_ns() -> u64 {
     run_time() * MTIME_NS
 }
 
-/// Returns the time of tick 0, in nanoseconds of [`timestamp_ns`]'s clock. It is computed from the
-/// timer's register, which holds the time of the next tick.
-pub(crate) fn tick_origin_ns() -> u64 {
-    let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
-    // Neither value changes while interrupts are masked: the tick's interrupt changes both.
-    let (next, ticks) = ffi::critical(|| {
-        // SAFETY: the two words of the CLINT's register of this hart.
-        let (low, high) = unsafe { (register.read_volatile(), register.add(1).read_volatile()) };
-        let next = u64::from(high) << 32 | u64::from(low);
-        // SAFETY: only reads the count of ticks.
-        (next, unsafe { ffi::xTaskGetTickCount() })
-    });
-    let since = (u64::from(ticks) + 1) * (1_000_000_000 / u64::from(TICK_RATE_HZ));
-    (next * MTIME_NS).saturating_sub(since)
+/// The last move of a tick: the count of ticks when it was made, and by how many counts of `mtime`.
+static MOVE: (AtomicU32, AtomicI32) = (AtomicU32::new(0), AtomicI32::new(0));
+
+/// Returns when the last tick was due and when the next one is, in nanoseconds of
+/// [`timestamp_ns`]'s clock. Called with interrupts masked.
+pub(crate) fn tick_times_ns() -> (u64, u64) {
+    let next = next_tick();
+    // SAFETY: only reads the count of ticks.
+    let is_moved = MOVE.0.load(Ordering::Relaxed) == unsafe { ffi::xTaskGetTickCount() };
+    let by = if is_moved {
+        MOVE.1.load(Ordering::Relaxed)
+    } else {
+        0
+    };
+    let last = next.wrapping_sub_signed(by.into()) - COUNTS_PER_TICK;
+    (last * MTIME_NS, next * MTIME_NS)
+}
+
+/// Returns the count of `mtime` at the next tick. Called with interrupts masked.
+fn next_tick() -> u64 {
+    // SAFETY: only the tick's interrupt and `set_next_tick` write it after the start.
+    unsafe { (&raw const ffi::ullNextTime).read() - COUNTS_PER_TICK }
+}
+
+/// Moves the next tick to this time, and all later ones with it. Called with interrupts masked,
+/// while no tick is due.
+pub(crate) fn set_next_tick(at_ns: u64) {
+    let at = at_ns / MTIME_NS;
+    let by = at.wrapping_sub(next_tick()) as i32;
+    let register = ptr::with_exposed_provenance_mut::<u32>(MTIMECMP + 8 * hart());
+    // SAFETY: the two words of the CLINT's register of this hart, and what the tick's interrupt
+    // writes to it. The low word is first the largest, so that no value in between is due.
+    unsafe {
+        register.write_volatile(u32::MAX);
+        register.add(1).write_volatile((at >> 32) as u32);
+        register.write_volatile(at as u32);
+        (&raw mut ffi::ullNextTime).write(at + COUNTS_PER_TICK);
+        MOVE.0.store(ffi::xTaskGetTickCount(), Ordering::Relaxed);
+    }
+    MOVE.1.store(by, Ordering::Relaxed);
 }
 
 /// Returns `false`: there is no virtual time.

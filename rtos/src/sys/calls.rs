@@ -5,10 +5,14 @@ use crate::context::{InterruptContext, TaskContext, TimerContext};
 use crate::ffi::{self, Base};
 use crate::port;
 use crate::task::{SpawnError, TaskOptions};
-use crate::time::Ticks;
+use crate::time::{LONGEST_SHIFT_NS, TICK_NS, TickTime, Ticks};
 use alloc::boxed::Box;
 use core::ptr;
 use core::time::Duration;
+
+/// A tick that is nearer is not moved, ns: a timer that has just expired when it is set anew could
+/// interrupt twice, and each of its interrupts is a tick.
+const NEAREST_SHIFT_NS: u64 = 50_000;
 
 impl TimerContext {
     /// Returns the current tick.
@@ -46,12 +50,41 @@ impl TaskContext {
         task::now(false)
     }
 
-    /// Returns the time of tick 0, in nanoseconds of the clock that times
-    /// [`KernelEvent`](crate::KernelEvent)s. The value is the same in every task and at every call,
-    /// until the count of ticks wraps around (49 days).
+    /// Returns the last tick. Its count and its time belong together, whatever interrupts the call.
+    #[must_use]
+    pub fn last_tick(&self) -> TickTime {
+        ffi::critical(|| TickTime {
+            count: self.now(),
+            due_ns: port::tick_times_ns().0,
+        })
+    }
+
+    /// Returns the time of tick 0, in nanoseconds of the same clock, if no tick was moved.
     #[must_use]
     pub fn tick_origin_ns(&self) -> u64 {
-        port::tick_origin_ns()
+        let last = self.last_tick();
+        last.due_ns - u64::from(last.count.0) * TICK_NS
+    }
+
+    /// Moves the next tick by `by_ns`, later if positive, and all later ticks with it. The count of
+    /// ticks does not change, so a wait ends with the same tick as without the call. More than
+    /// [`LONGEST_SHIFT_NS`] is cut to it; the port rounds to its clock (100 ns on riscv32).
+    ///
+    /// Returns `false`, and moves nothing, if the next tick has already been moved, or if it is
+    /// less than 50 µs away, before or after the move. So two ticks are 0.9 to 1.1 ms apart.
+    #[must_use]
+    pub fn shift_ticks(&self, by_ns: i32) -> bool {
+        let by_ns = by_ns.clamp(-LONGEST_SHIFT_NS, LONGEST_SHIFT_NS);
+        ffi::critical(|| {
+            let (last, next) = port::tick_times_ns();
+            let moved = next.saturating_add_signed(by_ns.into());
+            let is_near = port::timestamp_ns() + NEAREST_SHIFT_NS > next.min(moved);
+            if is_near || next - last != TICK_NS {
+                return false;
+            }
+            port::set_next_tick(moved);
+            true
+        })
     }
 
     /// Waits until this task's notification is not zero, and takes all of it.

@@ -11,7 +11,8 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, measure, memory, must, task};
 use tandem_rtos::{
-    Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, TickSource, Ticks,
+    Interrupt, InterruptPriority, Kernel, LONGEST_SHIFT_NS, Priority, TaskContext, TaskOptions,
+    TickSource, TickTime, Ticks,
 };
 use tandem_shm::mailbox::{Ring, Sender, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
@@ -86,6 +87,24 @@ fn measure_all(ctx: &TaskContext) {
         let begin = hart::cycles();
         ctx.yield_now();
         hart::cycles().wrapping_sub(begin)
+    });
+    let mut expected = None;
+    let mut by_ns = LONGEST_SHIFT_NS;
+    bench(ctx, "rtos/shift-ticks", || {
+        // Each tick is when the last round moved it to, and its interrupt within 10 µs of that.
+        let (last, now_ns) = (ctx.last_tick(), hart::time() * clint::TICK_NS);
+        assert!(expected.is_none_or(|it| it == last), "{expected:?} {last:?}");
+        assert!(now_ns - last.due_ns < 10_000, "{last:?} at {now_ns}");
+        by_ns = -by_ns;
+        let begin = hart::cycles();
+        let is_moved = ctx.shift_ticks(by_ns);
+        let took = hart::cycles().wrapping_sub(begin);
+        assert!(is_moved && !ctx.shift_ticks(by_ns) && ctx.last_tick() == last);
+        expected = Some(TickTime {
+            count: last.count.after(Ticks(1)),
+            due_ns: (last.due_ns + 1_000_000).saturating_add_signed(by_ns.into()),
+        });
+        took
     });
     bench(ctx, "rtos/round-trip", || {
         let before = BACK.load(Ordering::Relaxed);

@@ -16,7 +16,9 @@ mod tick;
 pub use exclusive::{TaskAllocator, deferred};
 pub use interrupts::raise;
 pub use tick::{caught_up, elapsed_ns, now_ns, observe as observe_ticks};
-pub(crate) use tick::{run_time, run_time_span, tick_origin_ns, timestamp_ns, virtual_work};
+pub(crate) use tick::{
+    run_time, run_time_span, set_next_tick, tick_times_ns, timestamp_ns, virtual_work,
+};
 
 pub(crate) use interrupts::attach;
 pub(crate) use process::fatal;

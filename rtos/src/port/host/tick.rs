@@ -1,22 +1,19 @@
 //! The tick: 1 kHz on absolute time, or driven by virtual time.
 //!
-//! The timers expire on a grid that begins when the scheduler starts. Each signal computes the
-//! number of due ticks from the clock, so no error accumulates; late ticks are made up at once and
-//! counted.
+//! The timers expire on a grid that begins when the scheduler starts and that tasks may shift. Each
+//! signal computes the number of due ticks from the clock, so no error accumulates; late ticks are
+//! made up at once and counted.
 
 use super::process::errno;
 use super::{signals, state};
 use crate::ffi;
 use crate::port::TickSource;
-use crate::time::TICK_RATE_HZ;
+use crate::time::TICK_NS;
 use core::mem::MaybeUninit;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64};
 use core::time::Duration;
-
-/// Length of a tick, ns.
-pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
 
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
 /// Two timers that alternate. The operating system re-arms a periodic timer when it delivers the
@@ -30,8 +27,10 @@ static MADE: AtomicU32 = AtomicU32::new(0);
 static START_NS: AtomicU64 = AtomicU64::new(0);
 /// Nanoseconds of virtual time since tick 0.
 static VIRTUAL_NS: AtomicU64 = AtomicU64::new(0);
-/// How many ticks were passed to the kernel.
-static DONE: AtomicU64 = AtomicU64::new(0);
+/// When the last tick that was passed to the kernel was due, on [`timestamp_ns`]'s clock.
+static LAST_NS: AtomicU64 = AtomicU64::new(0);
+/// When the next tick is due, on that clock.
+static NEXT_NS: AtomicU64 = AtomicU64::new(0);
 static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
 /// Called with the lateness of each tick interrupt in nanoseconds.
 static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
@@ -60,9 +59,20 @@ pub fn elapsed_ns() -> u64 {
     }
 }
 
-/// Returns the time of tick 0, in nanoseconds of [`timestamp_ns`]'s clock.
-pub(crate) fn tick_origin_ns() -> u64 {
-    START_NS.load(Relaxed)
+/// Returns when the last tick was due and when the next one is, in nanoseconds of
+/// [`timestamp_ns`]'s clock. Called with interrupts masked.
+pub(crate) fn tick_times_ns() -> (u64, u64) {
+    (LAST_NS.load(Relaxed), NEXT_NS.load(Relaxed))
+}
+
+/// Moves the next tick to this time, and all later ones with it. Called with interrupts masked,
+/// while no tick is due.
+pub(crate) fn set_next_tick(at_ns: u64) {
+    NEXT_NS.store(at_ns, Relaxed);
+    if !is_virtual() {
+        // A signal of the old time that arrives in between finds no tick due.
+        arm(at_ns);
+    }
 }
 
 /// Returns the time of CLOCK_MONOTONIC, ns.
@@ -82,9 +92,10 @@ pub(super) fn prepare(clock: TickSource) -> Result<(), i32> {
     VIRTUAL.store(clock == TickSource::Virtual, Relaxed);
     origin();
     VIRTUAL_NS.store(0, Relaxed);
-    for count in [&DONE, &CAUGHT_UP, &START_NS] {
+    for count in [&CAUGHT_UP, &START_NS, &LAST_NS] {
         count.store(0, Relaxed);
     }
+    NEXT_NS.store(TICK_NS, Relaxed);
     if clock == TickSource::Virtual {
         return Ok(());
     }
@@ -117,10 +128,17 @@ pub(super) fn begin() {
     }
     let start = now_ns();
     START_NS.store(start, Relaxed);
-    for (number, timer) in (1..).zip(&TIMERS) {
+    LAST_NS.store(start, Relaxed);
+    NEXT_NS.store(start + TICK_NS, Relaxed);
+    arm(start + TICK_NS);
+}
+
+/// Sets the timers: the first expires at `next_ns`, the other a tick later.
+fn arm(next_ns: u64) {
+    for (number, timer) in (0..).zip(&TIMERS) {
         let setting = libc::itimerspec {
             it_interval: time(TIMERS.len() as u64 * TICK_NS),
-            it_value: time(start + number * TICK_NS),
+            it_value: time(next_ns + number * TICK_NS),
         };
         let timer = timer.load(Relaxed);
         // SAFETY: the timer was made by `prepare`; the setting is valid, so this cannot fail.
@@ -146,21 +164,22 @@ pub(super) fn end() {
 
 /// Handles the interrupt of the tick. Called with interrupts masked.
 pub(super) fn interrupt() {
-    let elapsed = elapsed_ns();
-    let done = DONE.load(Relaxed);
-    let due = (elapsed / TICK_NS).saturating_sub(done);
-    if due == 0 {
+    let (now, next) = (timestamp_ns(), NEXT_NS.load(Relaxed));
+    if now < next {
         return;
     }
-    let late = elapsed - (done + 1) * TICK_NS;
+    let late = now - next;
     let observer = OBSERVER.load(Relaxed);
     if !observer.is_null() {
         // SAFETY: `observe` stored a function of this type.
         let observer: fn(u64) = unsafe { core::mem::transmute(observer) };
         observer(late);
     }
+    let due = 1 + late / TICK_NS;
     CAUGHT_UP.store(CAUGHT_UP.load(Relaxed) + due - 1, Relaxed);
-    DONE.store(done + due, Relaxed);
+    let last = next + (due - 1) * TICK_NS;
+    LAST_NS.store(last, Relaxed);
+    NEXT_NS.store(last + TICK_NS, Relaxed);
     for _ in 0..due {
         // SAFETY: interrupts are masked; called once for each tick.
         if unsafe { ffi::xTaskIncrementTick() } != 0 {
@@ -173,13 +192,25 @@ pub(super) fn interrupt() {
 pub(super) fn consume_virtual(mut span_ns: u64) {
     while span_ns > 0 {
         let now = VIRTUAL_NS.load(Relaxed);
-        let step = span_ns.min(TICK_NS - now % TICK_NS);
+        let left = left_to_tick(now);
+        let step = span_ns.min(left);
         span_ns -= step;
         VIRTUAL_NS.store(now + step, Relaxed);
-        if (now + step).is_multiple_of(TICK_NS) {
+        if step == left {
             // The tick is a real signal in virtual time too, so pre-emption works in the same way.
             signals::send_tick();
         }
+    }
+}
+
+/// Returns the virtual time from `now` to the next tick. Earlier ones may be pending, if interrupts
+/// are masked.
+fn left_to_tick(now: u64) -> u64 {
+    let next = NEXT_NS.load(Relaxed);
+    if now < next {
+        next - now
+    } else {
+        TICK_NS - (now - next) % TICK_NS
     }
 }
 
@@ -226,7 +257,7 @@ fn origin() -> (u64, u64) {
 /// Advances virtual time to the next tick.
 pub(super) fn skip_to_next() {
     let now = VIRTUAL_NS.load(Relaxed);
-    consume_virtual(TICK_NS - now % TICK_NS);
+    consume_virtual(left_to_tick(now));
 }
 
 /// Reads the counter for the run time of tasks: the processor's own, without a system call.
