@@ -14,10 +14,16 @@ pub struct Release {
     pub missed: u32,
 }
 
-/// The points at which a timer can wake a task.
+/// The points at which a timer can wake a task, as the task has last read them.
+///
+/// A kernel may move its later ticks. Then this copy tells wrong times, but right numbers for times
+/// that were computed with it. So a task turns a deadline into a number with the copy that the
+/// deadline is from, and reads the ticks anew when it wakes.
 #[derive(Clone, Copy, Debug)]
 pub struct TickGrid {
-    /// The time of a tick, or slightly earlier.
+    /// The number of the tick at the origin; wraps around.
+    pub number: u32,
+    /// When that tick was due: the last one when the copy was made.
     pub origin: Instant,
     /// Time between two ticks.
     pub period: Duration,
@@ -26,17 +32,18 @@ pub struct TickGrid {
 impl TickGrid {
     /// A timer that is exact to the nanosecond.
     pub const EXACT: Self = Self {
+        number: 0,
         origin: Instant::ORIGIN,
         period: Duration::from_ns(1),
     };
 
-    /// Returns the number of the first tick that is not before `at`.
+    /// Returns which tick after the origin is the first that is not before `at`.
     #[must_use]
     pub const fn after(&self, at: Instant) -> u64 {
         at.since(self.origin).as_ns().div_ceil(self.period.as_ns())
     }
 
-    /// Returns the number of the last tick that is not after `at`.
+    /// Returns which tick after the origin is the last that is not after `at`.
     #[must_use]
     pub const fn before(&self, at: Instant) -> u64 {
         at.since(self.origin).as_ns() / self.period.as_ns()
@@ -46,6 +53,15 @@ impl TickGrid {
     #[must_use]
     pub fn floor(&self, at: Instant) -> Instant {
         self.origin + Duration::from_ns(self.before(at) * self.period.as_ns())
+    }
+
+    /// Returns by how much the ticks were moved between this copy and a later one, ns; positive if
+    /// they are later now.
+    #[must_use]
+    pub fn moved_ns(&self, later: &Self) -> i64 {
+        let ticks = later.number.wrapping_sub(self.number);
+        let expected = self.origin + self.period.times(ticks);
+        later.origin.as_ns().wrapping_sub(expected.as_ns()) as i64
     }
 }
 
@@ -84,9 +100,9 @@ impl Grid {
         Some(Release { at, missed })
     }
 
-    /// Moves the next release, and all after it, earlier.
-    pub fn advance(&mut self, by: Duration) {
-        self.next = Instant::from_ns(self.next.as_ns().saturating_sub(by.as_ns()));
+    /// Moves the next release, and all after it, by `by_ns`: later if positive.
+    pub fn shift(&mut self, by_ns: i64) {
+        self.next = Instant::from_ns(self.next.as_ns().saturating_add_signed(by_ns));
     }
 
     /// Begins the grid anew: the next release is at `at`.
@@ -153,6 +169,7 @@ mod tests {
     #[test]
     fn ticks_are_counted_from_their_origin() {
         let ticks = TickGrid {
+            number: u32::MAX,
             origin: at(5) + Duration::from_us(300),
             period: Duration::from_ms(1),
         };
@@ -161,6 +178,15 @@ mod tests {
         assert_eq!((ticks.before(at(8)), ticks.after(at(8))), (2, 3));
         assert_eq!(ticks.floor(at(8)), exactly);
         assert_eq!(TickGrid::EXACT.floor(at(8)), at(8));
+        let moved = TickGrid {
+            number: 1,
+            origin: at(7) + Duration::from_us(280),
+            ..ticks
+        };
+        assert_eq!(
+            (ticks.moved_ns(&moved), moved.moved_ns(&moved)),
+            (-20_000, 0)
+        );
     }
 
     #[test]

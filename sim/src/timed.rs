@@ -71,11 +71,63 @@ fn trace_out(board: &SimBoard, task: TaskCode, leaves: Leaves) {
     board.trace(Event::TaskOut { task, leaves }.encode());
 }
 
+/// The ticks of the kernel, in virtual time.
+#[derive(Clone, Copy)]
+struct KernelTicks {
+    /// With the last tick.
+    grid: TickGrid,
+    /// When the next one is due.
+    next: Instant,
+}
+
+impl KernelTicks {
+    fn new(now: Instant) -> Self {
+        let (number, period) = (0, Duration::from_ms(1));
+        Self {
+            grid: TickGrid {
+                number,
+                origin: now,
+                period,
+            },
+            next: now + period,
+        }
+    }
+
+    /// Counts the ticks that are due; returns whether there is one.
+    fn advance(&mut self, now: Instant) -> bool {
+        if now < self.next {
+            return false;
+        }
+        let late = TickGrid {
+            origin: self.next,
+            ..self.grid
+        };
+        let due = 1 + late.before(now) as u32;
+        self.grid.number = self.grid.number.saturating_add(due);
+        self.grid.origin = late.floor(now);
+        self.next = self.grid.origin + self.grid.period;
+        true
+    }
+
+    /// Moves the next tick and all later ones, as the kernel's port does: by at most 100 µs, once a
+    /// tick, and not a tick that is less than 50 µs away before or after that.
+    fn shift(&mut self, now: Instant, by_ns: i32) {
+        let by_ns = by_ns.clamp(-100_000, 100_000);
+        let moved = Instant::from_ns(self.next.as_ns().saturating_add_signed(by_ns.into()));
+        let is_near = now + Duration::from_us(50) > self.next.min(moved);
+        if !is_near && self.next == self.grid.origin + self.grid.period {
+            self.next = moved;
+        }
+    }
+}
+
 /// The scheduler's state of a task.
 #[derive(Clone, Copy)]
 struct State {
-    /// The time of its next release.
-    due: Instant,
+    /// The number of the tick that releases it.
+    due: u64,
+    /// The ticks as it has last read them.
+    ticks: TickGrid,
     /// Whether it was released and its job has not begun.
     ready: bool,
     /// The remaining execution time of its job, ns.
@@ -86,65 +138,68 @@ struct TimedCore0 {
     time: Time,
     flow: Flow,
     tasks: Tasks<'static, SimBoard>,
-    ticks: TickGrid,
+    ticks: KernelTicks,
+    /// The tick after which the shared state has corrected the ticks.
+    steered: Option<u32>,
     states: [State; TASKS],
     /// The remaining execution time of the interrupt handlers, ns.
     handlers_ns: u64,
     running: Option<Core0Task>,
     last: Instant,
-    next_tick: Instant,
 }
 
 /// Creates core 0 of this board, whose jobs take `time`.
 #[must_use]
 pub fn core_0(board: &'static SimBoard, config: Config, time: Time) -> Poller {
-    let Parts {
-        shared,
-        drive,
-        mut tasks,
-    } = Parts::new(board, config);
-    let now = board.now();
-    let ticks = TickGrid {
-        origin: now,
-        period: Duration::from_ms(1),
-    };
-    tasks.monitoring.start(now);
-    tasks.control.start(now);
-    tasks.status.start(now);
-    let mut shared = shared;
-    shared.set_ticks(ticks);
-    let mut core = TimedCore0 {
-        time,
-        flow: Flow {
-            board,
-            shared: RefCell::new(shared),
-            drive: RefCell::new(drive),
-            released: Cell::new(TaskSet::NONE),
-            doorbell: DoorbellThrottle::default(),
-            has_begun: Cell::new(false),
-        },
-        tasks,
-        ticks,
-        states: [State {
-            due: now,
-            ready: false,
-            left_ns: None,
-        }; TASKS],
-        handlers_ns: 0,
-        running: None,
-        last: now,
-        next_tick: now + ticks.period,
-    };
+    let mut core = TimedCore0::new(board, config, time);
     Box::new(move |_| core.poll())
 }
 
 impl TimedCore0 {
+    fn new(board: &'static SimBoard, config: Config, time: Time) -> Self {
+        let Parts {
+            shared,
+            drive,
+            mut tasks,
+        } = Parts::new(board, config);
+        let now = board.now();
+        let ticks = KernelTicks::new(now);
+        tasks.monitoring.start(now);
+        tasks.control.start(now);
+        tasks.status.start(now);
+        let mut shared = shared;
+        shared.set_ticks(ticks.grid);
+        Self {
+            time,
+            flow: Flow {
+                board,
+                shared: RefCell::new(shared),
+                drive: RefCell::new(drive),
+                released: Cell::new(TaskSet::NONE),
+                doorbell: DoorbellThrottle::default(),
+                has_begun: Cell::new(false),
+            },
+            tasks,
+            ticks,
+            steered: None,
+            states: [State {
+                due: 0,
+                ticks: ticks.grid,
+                ready: false,
+                left_ns: None,
+            }; TASKS],
+            handlers_ns: 0,
+            running: None,
+            last: now,
+        }
+    }
+
     fn poll(&mut self) -> Instant {
         let now = self.flow.board.now();
         self.spend(now);
         self.interrupts(now);
         for state in &mut self.states {
-            state.ready |= state.left_ns.is_none() && state.due <= now;
+            state.ready |= state.left_ns.is_none() && state.due <= self.ticks.grid.number.into();
         }
         self.dispatch(now);
         self.next(now)
@@ -176,9 +231,7 @@ impl TimedCore0 {
     fn interrupts(&mut self, now: Instant) {
         let (board, time) = (self.flow.board, self.time);
         let draw = |limit| board.draw_below(limit);
-        if now >= self.next_tick {
-            let number = self.ticks.before(now) + 1;
-            self.next_tick = self.tick(number);
+        if self.ticks.advance(now) {
             self.handlers_ns += time.of(TICK, draw);
         }
         let doorbell = &self.flow.doorbell;
@@ -193,10 +246,6 @@ impl TimedCore0 {
                 self.states[task as usize].ready |= task.info().is_for_interrupts();
             }
         }
-    }
-
-    fn tick(&self, number: u64) -> Instant {
-        self.ticks.origin + Duration::from_ns(number * self.ticks.period.as_ns())
     }
 
     /// Runs the most urgent task that is ready or has a job.
@@ -229,6 +278,11 @@ impl TimedCore0 {
 
     fn begin(&mut self, task: Core0Task, now: Instant) {
         let (board, flow, tasks) = (self.flow.board, &self.flow, &mut self.tasks);
+        let ticks = self.ticks.grid;
+        let moved_ns = self.states[task as usize].ticks.moved_ns(&ticks);
+        if moved_ns != 0 {
+            tasks.shift(task, flow, moved_ns);
+        }
         flow.released.set(TaskSet::NONE);
         flow.has_begun.set(false);
         board.hold(Some(task as u8));
@@ -239,10 +293,15 @@ impl TimedCore0 {
             state.ready |= released.contains(Core0Task::ALL[index]);
         }
         self.states[task as usize] = State {
-            due: self.wakes(task, deadline, now),
+            due: u64::from(ticks.number) + task.wakes(&ticks, deadline),
+            ticks,
             ready: false,
             left_ns: None,
         };
+        if task == Core0Task::Roles && self.steered.replace(ticks.number) != Some(ticks.number) {
+            let by_ns = flow.shared.borrow_mut().tick_correction(ticks, now);
+            self.ticks.shift(now, by_ns);
+        }
         if self.flow.has_begun.get() {
             let draw = |limit| board.draw_below(limit);
             let left_ns = self.time.execution(task.info().code, draw);
@@ -253,22 +312,9 @@ impl TimedCore0 {
         }
     }
 
-    /// Returns the tick at which the kernel wakes a task for its deadline, as in `tandem-runtime`.
-    fn wakes(&self, task: Core0Task, deadline: Instant, now: Instant) -> Instant {
-        if deadline == Instant::NEVER {
-            return deadline;
-        }
-        let after_now = self.ticks.before(now) + 1;
-        let number = match task {
-            Core0Task::Roles => self.ticks.before(deadline).max(after_now),
-            _ => self.ticks.after(deadline),
-        };
-        self.tick(number)
-    }
-
     /// Returns the time of the next event.
     fn next(&self, now: Instant) -> Instant {
-        let mut next = self.next_tick.min(self.flow.doorbell.due().max(now));
+        let mut next = self.ticks.next.min(self.flow.doorbell.due().max(now));
         let left_ns = self
             .running
             .and_then(|task| self.states[task as usize].left_ns);
@@ -343,5 +389,73 @@ impl Job {
         });
         self.ends = ends.filter(|ends| *ends > now);
         self.ends
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::{CoreId, SystemId};
+    use tandem_board_sim::{Config as BoardConfig, SimPair};
+
+    /// The rules of the kernel's port: `TaskContext::shift_ticks` in `tandem-rtos`.
+    #[test]
+    fn ticks_move_once_and_not_when_they_are_near() {
+        let at = |us| Instant::ORIGIN + Duration::from_us(us);
+        let mut ticks = KernelTicks::new(at(5_000));
+        assert!(!ticks.advance(at(5_999)));
+        ticks.shift(at(5_851), -100_000);
+        assert_eq!(ticks.next, at(6_000), "it would be less than 50 µs away");
+        ticks.shift(at(5_851), -99_000);
+        ticks.shift(at(5_851), 1_000);
+        assert_eq!(ticks.next, at(5_901), "moved once");
+        assert!(ticks.advance(at(7_950)));
+        assert_eq!((ticks.grid.number, ticks.grid.origin), (3, at(7_901)));
+        ticks.shift(at(7_950), i32::MAX);
+        assert_eq!(ticks.next, at(9_001));
+    }
+
+    /// S-5: a core whose every tick is later than its clock wants runs each periodic task in its
+    /// ticks: each release is in time, and none is missed.
+    #[test]
+    fn releases_follow_ticks_that_move() {
+        let config = BoardConfig {
+            trace_records: 1 << 16,
+            ..BoardConfig::default()
+        };
+        let mut pair = SimPair::new(config, |board| {
+            if board.identity().core != CoreId::CONTROL {
+                return Box::new(|_| Instant::NEVER);
+            }
+            let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+            let mut core = TimedCore0::new(board, Config::rt(), Time::Typical);
+            Box::new(move |_| {
+                let later_ns = 20_000 + board.draw_below(80_000) as i32;
+                core.ticks.shift(board.now(), later_ns);
+                core.poll()
+            })
+        });
+        pair.power_on(SystemId::A);
+        pair.run_for(Duration::from_ms(1_000));
+        let (traced, lost) = pair.take_trace();
+        assert_eq!(lost, 0);
+        let mut releases = [0; TASKS];
+        for record in traced {
+            if let Some(Event::TaskIn {
+                task,
+                begin: Begin::Released { late_ns, missed },
+            }) = Event::decode(record.record)
+                && let Some(task) = Core0Task::of(task).filter(|task| task.info().is_periodic())
+            {
+                assert_eq!(missed, 0, "{task:?} at {:?}", record.at);
+                assert!(late_ns < 100_000, "{task:?} {late_ns} ns late");
+                releases[task as usize] += 1;
+            }
+        }
+        let of = |task: Core0Task| releases[task as usize];
+        // A tick is 1.06 ms long on average, so 5 of them are 5.3 ms.
+        let monitoring = of(Core0Task::Monitoring);
+        assert!((185..193).contains(&monitoring), "{releases:?}");
+        assert!((92..97).contains(&of(Core0Task::Control)), "{releases:?}");
     }
 }

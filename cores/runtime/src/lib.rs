@@ -212,25 +212,54 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
     }
 }
 
-/// Waits for a notification, but no longer than until the first tick at or after `deadline`.
-///
-/// The roles are polled at each tick. If their deadline lies between two ticks, they are polled at
-/// the earlier one: a wasted poll is cheaper than a late heartbeat.
-fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: Instant) {
-    let ctx = executor.ctx;
-    let now = ticks.before(executor.runtime.board.now());
-    let due = match executor.task {
-        Core0Task::Roles => ticks.before(deadline).max(now + 1),
-        _ => ticks.after(deadline),
-    };
-    let far = due.saturating_sub(now) > u64::from(LONGEST.0);
+/// Returns for how many ticks a task waits until its deadline; `None` if that has passed. `count`
+/// is the kernel's count of ticks, `ticks` are those with which the deadline was computed.
+fn ticks_until(
+    task: Core0Task,
+    ticks: &TickGrid,
+    count: Ticks,
+    now: Instant,
+    deadline: Instant,
+) -> Option<Ticks> {
+    if deadline.since(now) > Duration::from_ms(LONGEST.0.into()) {
+        return Some(LONGEST);
+    }
     // The kernel's count may be behind the clock, or beyond the due tick if the machine was stopped
     // since the clock was read. The count and the due tick wrap around after 49 days.
-    let left = ctx.now().until(Ticks(due as u32));
-    if far {
-        ctx.take_notifications(LONGEST);
-    } else if due > now {
-        ctx.take_notifications(left.min(LONGEST));
+    let due = Ticks(ticks.number).after(Ticks(task.wakes(ticks, deadline) as u32));
+    let left = count.until(due);
+    match task {
+        Core0Task::Roles => Some(left.max(Ticks(1))),
+        _ => (deadline > now).then_some(left),
+    }
+}
+
+/// Waits for a notification, but no longer than until the tick at which the kernel wakes the task
+/// for `deadline`.
+fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: Instant) {
+    let (ctx, now) = (executor.ctx, executor.runtime.board.now());
+    if let Some(left) = ticks_until(executor.task, ticks, ctx.now(), now, deadline) {
+        ctx.take_notifications(left);
+    }
+}
+
+/// Reads the ticks.
+fn read_ticks(ctx: &TaskContext) -> TickGrid {
+    let last = ctx.last_tick();
+    TickGrid {
+        number: last.count.0,
+        origin: Instant::from_ns(last.due_ns),
+        period: TICK,
+    }
+}
+
+/// Moves the next tick and all later ones as the shared state wants.
+fn steer<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: TickGrid) {
+    let now = executor.runtime.board.now();
+    let by_ns = executor.shared(|shared| shared.tick_correction(ticks, now));
+    if by_ns != 0 {
+        // Refused if this task is late; the correction after the next tick makes up for it.
+        let _is_moved = executor.ctx.shift_ticks(by_ns);
     }
 }
 
@@ -247,17 +276,18 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
 /// The loop of a task.
 fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'static, B>) {
     let board = executor.runtime.board;
-    let ticks = TickGrid {
-        origin: Instant::from_ns(executor.ctx.tick_origin_ns()),
-        period: TICK,
-    };
+    let mut ticks = read_ticks(executor.ctx);
     task.start(ticks.floor(board.now()));
-    if executor.task == Core0Task::Roles {
+    if executor.task == Core0Task::Control {
         executor.shared(|shared| shared.set_ticks(ticks));
     }
     let mut report_at = board.now() + REPORT_PERIOD;
+    let mut is_new_tick = true;
     loop {
         let deadline = task.poll(executor);
+        if executor.task == Core0Task::Roles && is_new_tick {
+            steer(executor, ticks);
+        }
         let now = board.now();
         if now >= report_at {
             report_at = now + REPORT_PERIOD;
@@ -265,13 +295,19 @@ fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'stati
         }
         wait(executor, &ticks, deadline);
         if executor.task == DOORBELL_WAITER {
-            wait_for_doorbell(executor, &ticks);
+            wait_for_doorbell(executor);
+        }
+        let before = core::mem::replace(&mut ticks, read_ticks(executor.ctx));
+        is_new_tick = ticks.number != before.number;
+        let moved_ns = before.moved_ns(&ticks);
+        if moved_ns != 0 {
+            task.shift(executor, moved_ns);
         }
     }
 }
 
 /// If a ring is held back, waits until it passes.
-fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid) {
+fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>) {
     let (doorbell, board) = (&executor.runtime.doorbell, executor.runtime.board);
     loop {
         // The handler of the doorbell uses the throttle too.
@@ -282,7 +318,7 @@ fn wait_for_doorbell<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid
         if due == Instant::NEVER {
             return;
         }
-        wait(executor, ticks, due);
+        wait(executor, &read_ticks(executor.ctx), due);
     }
 }
 
@@ -388,3 +424,6 @@ pub fn start<B: Board + Sync>(
         .map_err(RuntimeError::Start)?;
     Err(RuntimeError::Stopped)
 }
+
+#[cfg(test)]
+mod tests;

@@ -36,6 +36,10 @@ pub struct ControlTask<'b, B>(pub(super) &'b B);
 impl<'b, B: Board> TaskBody<'b, B> for ControlTask<'b, B> {
     const ID: Core0Task = Core0Task::Control;
 
+    fn shift(&mut self, executor: &impl Executor<'b, B>, by_ns: i64) {
+        executor.shared(|shared| shared.grid.shift(by_ns));
+    }
+
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         let now = self.0.now();
         let (inputs, pass_on, next) = executor.shared(|shared| {

@@ -39,6 +39,14 @@ impl ControlGrid {
         self.restart(now);
     }
 
+    /// Moves all later releases by `by_ns`, as the ticks were moved since the task that runs at
+    /// these releases last read them.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        let origin_ns = self.ticks.origin.as_ns().saturating_add_signed(by_ns);
+        self.ticks.origin = Instant::from_ns(origin_ns);
+        self.grid.shift(by_ns);
+    }
+
     /// Begins a new grid: the next release is at the last tick.
     pub(super) fn restart(&mut self, now: Instant) {
         self.grid.restart(self.ticks.floor(now));
@@ -54,7 +62,7 @@ impl ControlGrid {
     pub(super) fn release(&mut self, now: Instant) -> Option<Release> {
         let release = self.grid.release(now)?;
         if self.follow.moves() {
-            self.grid.advance(GRID_STEP);
+            self.grid.shift(-(GRID_STEP.as_ns() as i64));
         }
         Some(release)
     }

@@ -34,6 +34,7 @@ mod vehicle_clock;
 mod wheel;
 
 use crate::Config;
+use crate::release::TickGrid;
 use crate::task_table::{CORE_0, TaskCode, TaskInfo};
 use crate::trace::Begin;
 pub use control_cycle::{ControlTask, DegradedTask};
@@ -84,6 +85,19 @@ impl Core0Task {
     #[must_use]
     pub const fn info(self) -> &'static TaskInfo {
         &CORE_0[self as usize]
+    }
+
+    /// Returns at which tick after the origin of `ticks` a kernel wakes this task for a deadline
+    /// that the task computed with these ticks.
+    ///
+    /// The roles are polled at each tick. If their deadline lies between two ticks, they are polled
+    /// at the earlier one: a wasted poll is cheaper than a late heartbeat.
+    #[must_use]
+    pub fn wakes(self, ticks: &TickGrid, deadline: Instant) -> u64 {
+        match self {
+            Self::Roles => ticks.before(deadline).max(1),
+            _ => ticks.after(deadline),
+        }
     }
 
     /// The task with this code; `None` if core 0 has none.
@@ -163,6 +177,10 @@ pub trait TaskBody<'b, B: Board> {
     /// Makes the releases of a periodic task begin at `at`.
     fn start(&mut self, _at: Instant) {}
 
+    /// Moves the releases of a periodic task by `by_ns`, later if positive: the ticks on which they
+    /// lie were moved.
+    fn shift(&mut self, _executor: &impl Executor<'b, B>, _by_ns: i64) {}
+
     /// Does all due work and returns the latest time of the next call; it may be called earlier.
     /// Blocks only in the executor's locks, never allocates.
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant;
@@ -191,6 +209,19 @@ impl<'b, B: Board> Tasks<'b, B> {
             Core0Task::TrajectoryInput => self.trajectory_input.poll(executor),
             Core0Task::Status => self.status.poll(executor),
             Core0Task::Topics => self.topics.poll(executor),
+        }
+    }
+
+    /// Moves the releases of this task; see [`TaskBody::shift`].
+    pub fn shift(&mut self, task: Core0Task, executor: &impl Executor<'b, B>, by_ns: i64) {
+        match task {
+            Core0Task::Roles => self.roles.shift(executor, by_ns),
+            Core0Task::Monitoring => self.monitoring.shift(executor, by_ns),
+            Core0Task::Control => self.control.shift(executor, by_ns),
+            Core0Task::Degraded => self.degraded.shift(executor, by_ns),
+            Core0Task::TrajectoryInput => self.trajectory_input.shift(executor, by_ns),
+            Core0Task::Status => self.status.shift(executor, by_ns),
+            Core0Task::Topics => self.topics.shift(executor, by_ns),
         }
     }
 }

@@ -93,6 +93,7 @@ impl<'b, B: Board> SharedState<'b, B> {
     }
 
     /// Sets the ticks of an RTOS: its waits end at a tick, so releases lie on ticks from now on.
+    /// The executor passes the copy of the ticks with which [`Core0Task::Control`] begins.
     pub fn set_ticks(&mut self, ticks: TickGrid) {
         self.grid.set_ticks(ticks, self.board.now());
     }
@@ -101,6 +102,14 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// is good enough.
     pub const fn set_global(&mut self, global: Option<GlobalClock>) {
         self.scene_check.set_global(global);
+    }
+
+    /// Returns by how much the executor is to move its next tick and all later ones, ns; later if
+    /// positive. Called once after each tick that the roles see. `ticks`: with the last tick.
+    ///
+    /// The executor may move them by less, or not at all; the next call sees what it did.
+    pub fn tick_correction(&mut self, _ticks: TickGrid, _now: Instant) -> i32 {
+        0
     }
 
     /// Returns the phase of this system, once the start protocol has begun.

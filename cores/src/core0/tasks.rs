@@ -270,6 +270,10 @@ impl<'b, B: Board> TaskBody<'b, B> for MonitoringTask<'b, B> {
         self.grid.restart(at);
     }
 
+    fn shift(&mut self, _: &impl Executor<'b, B>, by_ns: i64) {
+        self.grid.shift(by_ns);
+    }
+
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.map.is_none() {
             self.attach();
@@ -454,6 +458,10 @@ impl<'b, B: Board> TaskBody<'b, B> for StatusTask<'b, B> {
 
     fn start(&mut self, at: Instant) {
         self.grid.restart(at);
+    }
+
+    fn shift(&mut self, _: &impl Executor<'b, B>, by_ns: i64) {
+        self.grid.shift(by_ns);
     }
 
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {

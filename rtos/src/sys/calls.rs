@@ -59,13 +59,6 @@ impl TaskContext {
         })
     }
 
-    /// Returns the time of tick 0, in nanoseconds of the same clock, if no tick was moved.
-    #[must_use]
-    pub fn tick_origin_ns(&self) -> u64 {
-        let last = self.last_tick();
-        last.due_ns - u64::from(last.count.0) * TICK_NS
-    }
-
     /// Moves the next tick by `by_ns`, later if positive, and all later ticks with it. The count of
     /// ticks does not change, so a wait ends with the same tick as without the call. More than
     /// [`LONGEST_SHIFT_NS`] is cut to it; the port rounds to its clock (100 ns on riscv32).
