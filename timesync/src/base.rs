@@ -28,7 +28,8 @@ pub struct BaseConfig {
     pub timeout: Duration,
     /// A deviation beyond this is a leap: it is told, then jumped. Smaller ones are slewed.
     pub leap: Duration,
-    /// Samples in a row that agree on a leap or a step before it is followed, at least 2.
+    /// Samples in a row that agree on a leap, a step or a beginning before it is followed, at least
+    /// 2.
     pub leap_samples: u8,
 }
 
@@ -124,7 +125,9 @@ pub struct MasterQuality {
 /// What became of a sample. A number is by how much it says that it is later than shown, ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
-    /// The first sample: it set the time.
+    /// There is no time yet: it begins when several samples in a row agree.
+    Unconfirmed,
+    /// The last of the first samples that agree: they set the time.
     First,
     /// The time follows it.
     Followed,
@@ -151,7 +154,7 @@ enum Source {
     Master,
 }
 
-/// Turns samples into time. It has none until its first sample or [`TimeBase::set_free`].
+/// Turns samples into time. It has none until several samples agree, or [`TimeBase::set_free`].
 ///
 /// It needs no poll: a [`Conversion`] finds out by itself that its samples have stopped.
 #[derive(Clone, Debug)]
@@ -176,6 +179,11 @@ pub struct TimeBase<S: Scale> {
     telling: u8,
     /// Leaps so far, modulo 256.
     leaps: u8,
+    /// After a time-out: how far off the time may be if the first sample was wild, ns, until so many
+    /// more were followed.
+    doubt: (u64, u8),
+    /// The local clock went back, and no sample has come since.
+    is_lost: bool,
 }
 
 impl<S: Scale> TimeBase<S> {
@@ -195,6 +203,17 @@ impl<S: Scale> TimeBase<S> {
             told: TimeStatus(0),
             telling: 0,
             leaps: 0,
+            doubt: (0, 0),
+            is_lost: false,
+        }
+    }
+
+    /// Looks at the local clock, as often as its owner does. If it went back, the status is a
+    /// time-out until a sample is followed.
+    pub fn look(&mut self, now: Instant) {
+        if self.look_at_clock(now) && self.conversion.is_some() {
+            self.is_lost = true;
+            self.show(now, true);
         }
     }
 
@@ -203,7 +222,8 @@ impl<S: Scale> TimeBase<S> {
     pub fn on_sample(&mut self, now: Instant, sample: Sample<S>, master: MasterQuality) -> Heard {
         let back = self.look_at_clock(now);
         let heard = self.judge(now, sample, master);
-        if back || heard != Heard::Refused {
+        let moves = !matches!(heard, Heard::Refused | Heard::Unconfirmed);
+        if moves || back && self.conversion.is_some() {
             self.show(now, back || matches!(heard, Heard::LeapFollowed(_)));
         }
         heard
@@ -213,7 +233,7 @@ impl<S: Scale> TimeBase<S> {
     /// none, the local clock is the time from now on, beginning with `start`. A sample ends it.
     pub fn set_free(&mut self, now: Instant, start: GlobalTime<S>) {
         let back = self.look_at_clock(now);
-        if self.servo.is_none() {
+        if self.conversion.is_none() {
             let start = start.as_ns().min(LAST_NS);
             self.servo = Some(Servo::new(self.config.servo, now, start, 0));
         }
@@ -253,10 +273,8 @@ impl<S: Scale> TimeBase<S> {
             return Heard::Refused;
         }
         let passed = local.since(self.heard.replace(local).unwrap_or(local));
-        let Some(servo) = &mut self.servo else {
-            self.servo = Some(Servo::new(self.config.servo, local, global_ns, 1));
-            return self.accept(sample, master, Heard::First);
-        };
+        let alone = Servo::new(self.config.servo, local, global_ns, 1);
+        let servo = self.servo.get_or_insert_with(|| alone.clone());
         let deviation = servo.deviation(local, global_ns);
         let by_ns = nanoseconds(deviation);
         let last_ns = core::mem::replace(&mut self.offset_ns, by_ns);
@@ -265,13 +283,31 @@ impl<S: Scale> TimeBase<S> {
         if !is_leap {
             servo.note(by_ns.unsigned_abs());
         }
-        if !is_leap && by_ns.unsigned_abs() <= limit {
+        let is_near = !is_leap && by_ns.unsigned_abs() <= limit;
+        if self.conversion.is_none() {
+            if is_near && self.run > 0 && passed <= self.config.timeout {
+                servo.follow(local, deviation);
+                self.run = self.run.saturating_add(1);
+            } else {
+                (*servo, self.run) = (alone, 1);
+            }
+            if self.run < self.config.leap_samples.max(2) {
+                return Heard::Unconfirmed;
+            }
+            return self.accept(sample, master, Heard::First);
+        }
+        if is_near {
             // After a time-out the newest sample knows more than the line.
             if local.since(servo.local()) > self.config.timeout {
+                let before = self.conversion.map_or(0, |it| it.error_at(now).as_ns());
+                let most = before.saturating_add(by_ns.unsigned_abs());
+                self.doubt = (most, self.config.leap_samples.max(2));
                 servo.step(local, deviation);
             } else {
                 servo.follow(local, deviation);
             }
+            let (most, left) = self.doubt;
+            self.doubt = (most, left.saturating_sub(1));
             self.telling = self.telling.saturating_sub(1);
             if self.telling == 0 {
                 self.told = TimeStatus(0);
@@ -282,13 +318,16 @@ impl<S: Scale> TimeBase<S> {
         let agrees = by_ns.abs_diff(last_ns) <= tolerance;
         let run = if agrees { self.run } else { 0 };
         self.run = run.saturating_add(1);
+        // Samples that drift away agree on a step before they agree on a leap.
+        let is_told = !is_leap || self.told != TimeStatus(0);
         if is_leap && self.run > 1 {
             let is_back = by_ns < 0;
             let told = TimeStatus(0).with(TimeStatus::TIMELEAP_PAST, is_back);
             self.told = told.with(TimeStatus::TIMELEAP_FUTURE, !is_back);
         }
-        if self.run >= self.config.leap_samples.max(2) {
+        if self.run >= self.config.leap_samples.max(2) && is_told {
             servo.step(local, deviation);
+            self.doubt = (0, 0);
             if !is_leap {
                 return self.accept(sample, master, Heard::Stepped(by_ns));
             }
@@ -303,7 +342,7 @@ impl<S: Scale> TimeBase<S> {
 
     fn accept(&mut self, sample: Sample<S>, master: MasterQuality, heard: Heard) -> Heard {
         let error = sample.error + master.error;
-        (self.run, self.source) = (0, Source::Master);
+        (self.run, self.source, self.is_lost) = (0, Source::Master, false);
         self.master = MasterQuality { error, ..master };
         heard
     }
@@ -324,14 +363,22 @@ impl<S: Scale> TimeBase<S> {
         // and whole nanoseconds are shown.
         let noise = servo.noise().saturating_mul(2).saturating_add(2);
         let span = now.as_ns().abs_diff(servo.local().as_ns());
-        let growth = servo.rate_error();
+        // A master that follows no living origin may have any rate: its error grows too.
+        let worst = servo.worst_rate();
+        let growth = servo.rate_error() + if self.master.to_gateway { worst } else { 0 };
         let grown = noise.saturating_add(grown(growth, span));
         let error = grown.saturating_add(self.master.error.as_ns());
+        let (most, left) = self.doubt;
+        let error = error.max(if left > 0 { most } else { 0 });
+        let fresh = match self.is_lost {
+            true => Instant::ORIGIN,
+            false => servo.local() + self.config.timeout,
+        };
         let gateway = TimeStatus(0).with(TimeStatus::SYNC_TO_GATEWAY, self.master.to_gateway);
         let (error, growth, fresh_until, status) = match self.source {
             Source::Own => (0, 0, Instant::NEVER, TimeStatus(0)),
             Source::Continued => (error, growth, Instant::NEVER, TimeStatus::HOLDOVER),
-            Source::Master => (error, growth, servo.local() + self.config.timeout, gateway),
+            Source::Master => (error, growth, fresh, gateway),
         };
         let status = status.with(TimeStatus::GLOBAL_TIME_BASE, true);
         self.conversion = Some(Conversion {

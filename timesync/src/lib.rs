@@ -13,8 +13,8 @@ extern crate std;
 mod base;
 mod can_time;
 mod continuity;
-mod pulse;
 pub mod gptp;
+mod pulse;
 mod scale;
 mod servo;
 

@@ -21,19 +21,23 @@ use crate::{GlobalTime, Sample, Scale};
 use tandem_board::{Duration, Instant};
 
 /// Words of a transfer, without those of its protection.
-pub const PULSE_WORDS: usize = 7;
+pub const PULSE_WORDS: usize = 6;
 
 /// The shortest interval between two edges. The mean is 125 ms.
 const MIN_INTERVAL: Duration = Duration::from_ms(95);
 /// By this the next interval is longer, up to the 16th.
 const STEP: Duration = Duration::from_ms(4);
 const INTERVALS: u32 = 16;
-/// A later edge has no transfer: the intervals would no longer differ.
-const MAX_LATENESS: Duration = Duration::from_ms(1);
+/// A later edge has no transfer: two intervals would differ by less than 1.5 ms, more than the
+/// tolerance of 3.
+const MAX_LATENESS: Duration = Duration::from_us(2_500);
 /// The longest time from `before` to `after` for which an edge has a transfer.
 const MAX_UNCERTAINTY: Duration = Duration::from_us(200);
 /// An edge waits for its transfer, and a transfer for its edge, up to this time.
 const MAX_AGE: Duration = Duration::from_ms(40);
+/// An edge is stamped at most this much after it was raised: 10 µs in the isolator and the filter
+/// of the input, and the latency of the stamp.
+const LATENCY: Duration = Duration::from_us(15);
 /// What the stamps of two edges may differ by: latencies of the interrupt.
 const STAMP_NOISE: Duration = Duration::from_us(50);
 
@@ -48,10 +52,8 @@ pub struct PulseTransfer<S: Scale> {
     pub uncertainty: Duration,
     /// The master's estimate of the error of its time, up to 4.2 s.
     pub master_error: Duration,
-    /// The status of the master's time base. Not read here.
-    pub status: u32,
-    /// The phase of the master's control cycles. Not read here.
-    pub phase: u32,
+    /// The master's time is that of a gateway.
+    pub is_to_gateway: bool,
 }
 
 impl<S: Scale> PulseTransfer<S> {
@@ -61,15 +63,15 @@ impl<S: Scale> PulseTransfer<S> {
         let ns = |span: Duration| u32::try_from(span.as_ns()).unwrap_or(u32::MAX);
         let [low, high] = Instant::from_ns(self.time.as_ns()).to_words();
         let (uncertainty, error) = (ns(self.uncertainty), ns(self.master_error));
-        let (number, status, phase) = (self.number, self.status, self.phase);
-        [number, low, high, uncertainty, error, status, phase]
+        let flags = self.is_to_gateway.into();
+        [self.number, low, high, uncertainty, error, flags]
     }
 
-    /// The inverse of [`PulseTransfer::to_words`]; `None` if the number of words is another one, or
-    /// the uncertainty is more than a master states.
+    /// The inverse of [`PulseTransfer::to_words`]; `None` if the number of words is another one,
+    /// the uncertainty is more than a master states, or a flag is unknown.
     #[must_use]
     pub fn from_words(words: &[u32]) -> Option<Self> {
-        let &[number, low, high, uncertainty, error, status, phase] = words else {
+        let &[number, low, high, uncertainty, error, flags @ 0..=1] = words else {
             return None;
         };
         let uncertainty = Duration::from_ns(uncertainty.into());
@@ -78,8 +80,7 @@ impl<S: Scale> PulseTransfer<S> {
             time: GlobalTime::from_ns(Instant::from_words([low, high]).as_ns()),
             uncertainty,
             master_error: Duration::from_ns(error.into()),
-            status,
-            phase,
+            is_to_gateway: flags == 1,
         })
     }
 }
@@ -109,7 +110,7 @@ impl PulseMaster {
     }
 
     /// Numbers the edge that was sent between these times. Returns the transfer to send at once,
-    /// whose `status`, `master_error` and `phase` the caller fills in. `time`: global time at
+    /// whose `master_error` and `is_to_gateway` the caller fills in. `time`: global time at
     /// `before`. `None` if the edge was late, or it is not known well enough when it was.
     pub fn raised<S: Scale>(
         &mut self,
@@ -127,8 +128,7 @@ impl PulseMaster {
             time,
             uncertainty,
             master_error: Duration::ZERO,
-            status: 0,
-            phase: 0,
+            is_to_gateway: false,
         })
     }
 }
@@ -215,7 +215,7 @@ impl<S: Scale> PulseSlave<S> {
         let sample = Sample {
             local: at,
             global: transfer.time.moved(half as i64),
-            error: Duration::from_ns(half),
+            error: LATENCY + Duration::from_ns(half),
         };
         match self.line.judge(sample, key, STAMP_NOISE, follows) {
             Verdict::InLine => Ok(Some(Pulse { sample, transfer })),
@@ -249,11 +249,11 @@ mod tests {
     #[test]
     fn a_master_tells_of_edges_whose_time_it_knows() {
         let mut master = PulseMaster::new(at(9));
-        let first = raise(&mut master, 1_000, 200).unwrap();
-        assert_eq!((first.number, first.time.as_ns()), (0, 1_009_005));
+        let first = raise(&mut master, 2_500, 200).unwrap();
+        assert_eq!((first.number, first.time.as_ns()), (0, 2_509_005));
         assert_eq!(first.uncertainty, Duration::from_us(200));
-        assert_eq!(master.due(), at(9 + 1_000 + 95_000));
-        assert_eq!(raise(&mut master, 1_001, 0), None);
+        assert_eq!(master.due(), at(9 + 2_500 + 95_000));
+        assert_eq!(raise(&mut master, 2_501, 0), None);
         assert_eq!(raise(&mut master, 0, 201), None);
         assert_eq!(raise(&mut master, 0, 0).unwrap().number, 3);
         let intervals = [0; 16].map(|_| {
@@ -280,6 +280,7 @@ mod tests {
                 let sample = pulse.unwrap().sample;
                 assert_eq!(sample.local, edge.unwrap().1);
                 assert_eq!(sample.global, transfer.time.moved(500));
+                assert_eq!(sample.error, LATENCY + Duration::from_ns(500));
             }
             assert_eq!(slave.poll(now, edge), Ok(None));
             slave.on_transfer(now, transfer);
@@ -303,11 +304,11 @@ mod tests {
         /// S-3: words from the link are decoded or refused, and never cause a panic.
         #[test]
         fn any_words_are_allowed(
-            words in prop::collection::vec(prop_oneof![any::<u32>(), 0..200_002u32], 6..9),
+            words in prop::collection::vec(prop_oneof![any::<u32>(), 0..200_002u32, 0..3u32], 5..8),
             edges in prop::collection::vec(any::<(u64, u32, u64)>(), 9),
         ) {
             let transfer = PulseTransfer::<Arbitrary>::from_words(&words);
-            let is_valid = words.len() == PULSE_WORDS && words[3] <= 200_000;
+            let is_valid = words.len() == PULSE_WORDS && words[3] <= 200_000 && words[5] <= 1;
             prop_assert_eq!(transfer.map(|it| it.to_words().to_vec()), is_valid.then_some(words));
             let mut slave = PulseSlave::default();
             for (now, count, at) in edges {

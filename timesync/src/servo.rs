@@ -75,7 +75,9 @@ impl Servo {
         }
     }
 
-    /// Returns the line at a local time, 2^-40 ns; also outside of the scale.
+    /// Returns the line at a local time, 2^-40 ns; also outside of the scale. One copy, as of all
+    /// that has 128 bits: they are large code.
+    #[inline(never)]
     pub(crate) fn time_at(&self, local: Instant) -> i128 {
         let span = i128::from(local.as_ns()) - i128::from(self.local.as_ns());
         self.time + (span << FRACTION) + span * i128::from(self.rate)
@@ -118,14 +120,12 @@ impl Servo {
 
     /// Learns the noise from a sample, followed or not.
     pub(crate) fn note(&mut self, deviation_ns: u64) {
-        // The deviation of the second sample is due to the rate.
-        if self.count > 1 {
-            let [a, b, c, d, e, f, g, _] = self.recent;
-            self.recent = [deviation_ns, a, b, c, d, e, f, g];
-        }
+        let [a, b, c, d, e, f, g, _] = self.recent;
+        self.recent = [deviation_ns, a, b, c, d, e, f, g];
     }
 
     /// Returns from which deviation on a sample is an outlier, ns. `error`: of the sample.
+    #[inline(never)]
     pub(crate) fn limit(&self, local: Instant, error: Duration) -> u64 {
         let recent = &self.recent;
         let more_than_half = |v: &u64| recent.iter().filter(|w| *w <= v).count() > RECENT / 2;
@@ -143,24 +143,30 @@ impl Servo {
         self.recent.iter().copied().max().unwrap_or(u64::MAX)
     }
 
-    /// Returns how wrong the rate may be, 2^-40: four sigma of a least-squares slope (one sigma is
-    /// the largest recent deviation), and what the crystals may have changed.
+    /// Returns how wrong the rate may be, 2^-40: eight sigma of a least-squares slope (one sigma is
+    /// the largest recent deviation), and what the crystals may have changed. Four would do if no
+    /// samples were lost and no older one was farther off.
     pub(crate) fn rate_error(&self) -> u64 {
         // The learned rate and the true one are both within the limit.
-        let worst = 2 * fine(self.config.rate_limit_ppb);
+        let worst = self.worst_rate();
         if self.count < LEARNED {
             return worst;
         }
         // In 2^20 ns, so that both fit 64 bits.
-        let scatter = (self.noise().min(1 << 32) * 14) << (FRACTION - 20);
+        let scatter = (self.noise().min(1 << 32) * 28) << (FRACTION - 20);
         let span = self.span.saturating_mul(self.count.isqrt().into()) >> 20;
         let learned = scatter.checked_div(span).unwrap_or(worst);
         worst.min(learned.saturating_add(fine(self.config.wander_ppb)))
     }
 
+    /// Returns by how much two rates within the limit may differ, 2^-40.
+    pub(crate) const fn worst_rate(&self) -> u64 {
+        2 * fine(self.config.rate_limit_ppb)
+    }
+
     /// Returns how far both clocks may drift apart in a span at most, ns.
     pub(crate) fn worst_drift(&self, span: Duration) -> u64 {
-        grown(2 * fine(self.config.rate_limit_ppb), span.as_ns())
+        grown(self.worst_rate(), span.as_ns())
     }
 
     /// Returns the local time of the newest sample that was followed.
@@ -181,6 +187,7 @@ const fn fine(ppb: u32) -> u64 {
 }
 
 /// Returns what a rate (2^-40) makes of a span, ns.
+#[inline(never)]
 pub(crate) fn grown(rate: u64, span_ns: u64) -> u64 {
     u64::try_from((u128::from(rate) * u128::from(span_ns)) >> FRACTION).unwrap_or(u64::MAX)
 }
@@ -190,6 +197,7 @@ fn divided(a: u64, b: u64) -> u64 {
     a.checked_div(b).unwrap_or(0)
 }
 
+#[inline(never)]
 fn scaled(deviation: i128, gain: u64) -> i128 {
     deviation.saturating_mul(gain.into()) >> GAIN_BITS
 }

@@ -81,7 +81,9 @@ impl Bench {
 
     fn samples(&mut self, count: u32) {
         for _ in 0..count {
-            assert!(matches!(self.sample(0), Heard::First | Heard::Followed));
+            let heard = self.sample(0);
+            let is_good = matches!(heard, Heard::Unconfirmed | Heard::First | Heard::Followed);
+            assert!(is_good, "{heard:?}");
         }
     }
 
@@ -189,9 +191,9 @@ fn the_bandwidth_is_the_stated_one() {
     }
     let reduced = power.sqrt() / (10_000.0 / 3_f64.sqrt());
     println!("noise reduced to {reduced:.3}");
-    // 14 * 10 us / (8 * 8 s), and 200 ppb that the crystals may have changed.
+    // 28 * 10 us / (8 * 8 s), and 200 ppb that the crystals may have changed.
     let grown = bench.shown(2 * SECOND).error - bench.shown(SECOND).error;
-    assert!((1_400..3_400).contains(&grown.as_ns()), "{grown:?}");
+    assert!((2_800..6_800).contains(&grown.as_ns()), "{grown:?}");
     assert!((reduced - 0.206).abs() < 0.03);
 }
 
@@ -212,8 +214,9 @@ fn figures_of_offset_convergence_and_holdover() {
         for seed in 0..40 {
             let mut bench = Bench::new(0, jitter * 1_000, seed, 0);
             bench.ppb = bench.random(200_000);
+            bench.samples(2);
             let mut bad = 0;
-            for n in 1..=60 * 8 {
+            for n in 3..=60 * 8 {
                 bench.samples(1);
                 let after = LATE + bench.random(62_000_000).unsigned_abs() * 2;
                 let error = bench.error(after).abs();
@@ -269,6 +272,25 @@ fn wild_samples_must_agree() {
     assert!(matches!(bench.sample(0), Heard::LeapFollowed(_)));
 }
 
+/// S-5: three samples in a row that agree begin the time, and a wild one begins none. One that is
+/// hardly wild is in the error that is claimed.
+#[test]
+fn a_beginning_is_confirmed() {
+    for wild in [0, 70_000, -5_000_000, 146 * SECOND as i64] {
+        for place in 0..3 {
+            let mut bench = Bench::new(50_000, 10, 3, 0);
+            let mut heard = 0;
+            while bench.base.conversion().is_none() {
+                bench.sample(if heard == place { wild } else { 0 });
+                heard += 1;
+            }
+            let is_wild = wild.abs() > 70_000;
+            assert_eq!(heard, if is_wild { place + 4 } else { 3 }, "{wild}");
+            bench.error(LATE);
+        }
+    }
+}
+
 /// S-5: a step below the threshold of a leap is slewed: the time meets it after 2,048 times the
 /// step, and never runs faster or slower by more than 488 ppm and the rate.
 #[test]
@@ -287,7 +309,8 @@ fn a_small_step_is_slewed() {
         let needs = LATE + (by.unsigned_abs() << SLEW_SHIFT);
         assert!(bench.error(needs - 1_000_000).abs() > 400);
         assert!(bench.error(needs + 1_000_000).abs() < 10);
-        assert!((unslewed - bench.shown(needs).error).as_ns() > 400_000);
+        // 900 us less, and 0.39 us more each ms: the step may be noise, so the rate may be wrong.
+        assert!((unslewed - bench.shown(needs).error).as_ns() > 100_000);
         bench.samples(40);
         assert!(bench.error(0).abs() < 10);
     }
@@ -354,6 +377,63 @@ fn holdover_continues_with_the_learned_rate() {
     }
 }
 
+/// S-5: after a time-out the time may have drifted, and a wild sample may agree with it: until two
+/// more confirm it, what was stated before holds.
+#[test]
+fn the_first_sample_after_a_time_out_is_doubted() {
+    let mut bench = Bench::new(40_000, 200, 5, 80);
+    bench.local += 100 * SECOND;
+    let drifted = 15_000;
+    bench.set_by = drifted;
+    let before = bench.shown(0).error;
+    assert_eq!(bench.sample(-drifted), Heard::Followed);
+    assert!(bench.error(0) < -10_000 && bench.shown(0).error >= before);
+    for _ in 0..8 {
+        bench.sample(0);
+        bench.error(LATE);
+    }
+    assert!(bench.error(SECOND / 10).abs() < 1_000);
+    bench.samples(8);
+    assert!(bench.shown(LATE).error < before);
+}
+
+/// S-5: whoever sees that the local clock went back tells it, before a sample comes.
+#[test]
+fn a_clock_that_goes_back_is_a_time_out() {
+    let mut bench = Bench::new(40_000, 200, 6, 20);
+    bench.base.look(bench.here(SECOND / 20));
+    assert!(bench.shown(SECOND / 20).status.is_synchronised());
+    bench.local -= 3 * SECOND;
+    bench.base.look(bench.here(0));
+    assert!(bench.shown(0).status.has(TimeStatus::TIMEOUT));
+    assert!(bench.shown(SECOND).status.has(TimeStatus::HOLDOVER));
+    for _ in 0..8 {
+        bench.sample(0);
+    }
+    assert!(!bench.shown(LATE).status.has(TimeStatus::TIMEOUT));
+}
+
+/// S-5: the time of a master that has lost the origin may run at any rate: the error grows with it.
+#[test]
+fn behind_a_gateway_the_error_grows_as_crystals_may_differ() {
+    let growth = |to_gateway| {
+        let mut bench = Bench::new(40_000, 200, 7, 80);
+        let master = MasterQuality {
+            to_gateway,
+            ..MasterQuality::default()
+        };
+        bench.sample_of(0, master);
+        bench.shown(SECOND).error.as_ns() - bench.shown(0).error.as_ns()
+    };
+    assert!(growth(false) < 2_000, "{}", growth(false));
+    // Both clocks differ by 200 ppm at most, and so do the master's and the origin's.
+    assert!(
+        (400_000..403_000).contains(&growth(true)),
+        "{}",
+        growth(true)
+    );
+}
+
 /// S-5: the master of a vehicle without a gateway shows its own clock. A gateway that comes later
 /// is followed like a leap; what it says of itself is in status and error.
 #[test]
@@ -395,13 +475,14 @@ fn a_start_claims_little() {
         .set_free(bench.here(0), bench.truth(0).moved(20_000));
     bench.samples(1);
     assert_eq!(bench.base.conversion().unwrap().rate_ppb(), 0);
-    // Three samples: 20 us of noise are assumed, and the rate of 200 ppm is no noise.
+    // Three samples: their deviation of 25 us counts as noise, although the rate of 200 ppm caused
+    // it.
     let bench = Bench::new(-200_000, 0, 1, 3);
-    assert!(bench.shown(LATE).error < Duration::from_us(21));
-    // Seven samples without noise: the rate may still be wrong by twice its limit.
+    assert!(bench.shown(LATE).error < Duration::from_us(71));
+    // Eight samples without noise: the rate may still be wrong by twice its limit.
     let mut bench = Bench::new(-200_000, 0, 1, 0);
     bench.base.config.servo.noise = Duration::ZERO;
-    for (samples, grows_by) in [(7, 400_000), (1, 200)] {
+    for (samples, grows_by) in [(8, 400_000), (3, 200)] {
         bench.samples(samples);
         let grown = bench.shown(2 * SECOND).error - bench.shown(SECOND).error;
         assert!(grown.as_ns().abs_diff(grows_by) < 100, "{grown:?}");
@@ -409,7 +490,7 @@ fn a_start_claims_little() {
     // A rate fits its 32 bits, whatever is configured.
     let mut bench = Bench::new(1_500_000, 0, 1, 0);
     bench.base.config.servo.rate_limit_ppb = u32::MAX;
-    bench.samples(2);
+    bench.samples(3);
     assert_eq!(bench.base.conversion().unwrap().rate_ppb(), 899_999);
 }
 

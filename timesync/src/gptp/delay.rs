@@ -17,6 +17,9 @@ const RATE_FROM: Duration = Duration::from_ms(500);
 const WILD: u64 = 5_000;
 /// The master is asked this long after a Sync.
 const ASKS_AFTER: Duration = Duration::from_ms(10);
+/// With an older Sync it is not asked: at 200 ppm the clocks drift apart by half of the stamps'
+/// error in software, before their rate is known.
+const OLDEST_SYNC: Duration = Duration::from_ms(50);
 /// The exponent of an interval that is not told.
 const NO_INTERVAL: i8 = 0x7F;
 
@@ -166,6 +169,13 @@ impl Link {
         (self.filter, self.rate, self.sync) = (Filter::default(), Rate::default(), None);
     }
 
+    /// Forgets what was measured on the local clock, which has jumped back to `now`. The delay
+    /// stays.
+    pub(super) fn clock_jumped(&mut self, now: Instant) {
+        (self.exchange, self.rate, self.sync) = (None, Rate::default(), None);
+        self.due = self.due.min(now);
+    }
+
     pub(super) fn delay(&self) -> Option<Duration> {
         let ns = self.filter.median()?;
         Some(Duration::from_ns(ns.unsigned_abs()))
@@ -179,6 +189,7 @@ impl Link {
     ///
     /// The last exchange is judged here: all that answer have done so by now.
     pub(super) fn poll(&mut self, now: Instant, out: &mut impl TimeOutlet) -> Instant {
+        self.sync = self.sync.filter(|(t2, _)| now.since(*t2) <= OLDEST_SYNC);
         let can_ask = self.is_peer() || self.sync.is_some();
         if can_ask && now >= self.due {
             if let Some(exchange) = self.exchange.take() {

@@ -258,9 +258,13 @@ impl<S: Scale> Slave<S> {
         let (sync, t2) = self.sync.take_if(is_its)?;
         let correction = sync.correction.saturating_add(it.correction);
         let t1 = t1.checked_add_signed(correction_ns(correction))?;
-        let goes_back = self.pair.is_some_and(|(last, _)| t2 <= last);
-        if goes_back || self.followed?.grandmaster != self.announced {
+        if self.followed?.grandmaster != self.announced {
             return None;
+        }
+        if self.pair.is_some_and(|(last, _)| t2 <= last) {
+            // The numbers say that it is later: the local clock has jumped.
+            self.pair = None;
+            self.link.clock_jumped(at);
         }
         let (last_t2, last_t1) = self.pair.unwrap_or((t2, t1));
         let moved = t1
