@@ -30,7 +30,8 @@ impl Message {
     /// Values out of range saturate, fractions round to nearest, NaN becomes 0.
     #[must_use]
     pub fn encode(&self, counter: u8) -> Encoded {
-        let info @ FrameInfo { id, len, .. } = *self.frame();
+        let info = self.frame();
+        let &FrameInfo { id, len, .. } = info;
         let mut bytes = [0; MAX_LEN];
         let mut message = *self;
         // Encoding never fails.
@@ -108,6 +109,7 @@ impl Message {
     }
 
     /// Returns the properties of the frame that carries the message.
+    #[inline(always)]
     #[must_use]
     pub const fn frame(&self) -> &'static FrameInfo {
         &FRAMES[self.index()]
@@ -124,6 +126,7 @@ impl Message {
 
 impl FrameInfo {
     /// Protects a frame end to end, if it has that protection.
+    #[inline(always)]
     fn protect(&self, counter: u8, data: &mut [u8]) {
         if self.has_e2e {
             e2e::protect(self.id, counter, data);

@@ -132,9 +132,9 @@ impl Signal {
     fn get(&self, data: &[u8; MAX_LEN]) -> Result<i64, FrameError> {
         let mut window = 0;
         for (i, byte) in data[self.bytes()].iter().enumerate() {
-            window |= u64::from(*byte) << self.shift(i);
+            window |= u64::from(*byte) << (8 * i);
         }
-        let unsigned = (window >> (self.start % 8)) & self.mask();
+        let unsigned = (self.ordered(window) >> (self.start % 8)) & self.mask();
         let raw = if self.min < 0 {
             let unused = u64::BITS - self.len;
             (unsigned << unused) as i64 >> unused
@@ -152,9 +152,9 @@ impl Signal {
     #[inline(always)]
     fn put(&self, data: &mut [u8; MAX_LEN], raw: i64) {
         let unsigned = raw.clamp(self.min, self.max) as u64 & self.mask();
-        let window = unsigned << (self.start % 8);
+        let window = self.ordered(unsigned << (self.start % 8));
         for (i, byte) in data[self.bytes()].iter_mut().enumerate() {
-            *byte |= (window >> self.shift(i)) as u8;
+            *byte |= (window >> (8 * i)) as u8;
         }
     }
 
@@ -166,13 +166,12 @@ impl Signal {
         self.start / 8..=(self.start + self.len as usize - 1) / 8
     }
 
-    /// Returns the place of the `index`-th byte among the bits of the signal's bytes.
-    const fn shift(&self, index: usize) -> usize {
-        let place = 8 * index;
+    /// Turns the signal's bytes round if it is big endian.
+    const fn ordered(&self, bytes: u64) -> u64 {
         if self.is_big_endian {
-            self.len as usize - 8 - place
+            bytes.swap_bytes() >> (u64::BITS - self.len)
         } else {
-            place
+            bytes
         }
     }
 
@@ -391,7 +390,7 @@ impl<C: FnMut(f64) -> f64> Walk for Alter<'_, C> {
             self.is_found = true;
             let factor = f64::from(signal.factor);
             let value = (self.with)(signal.get(self.data)? as f64 * factor);
-            let mask = signal.mask() << (signal.start % 8);
+            let mask = signal.ordered(signal.mask() << (signal.start % 8));
             let bits = if value.is_nan() {
                 signal.mask()
             } else {
@@ -403,10 +402,9 @@ impl<C: FnMut(f64) -> f64> Walk for Alter<'_, C> {
                 }) as i64;
                 raw.clamp(signal.min, signal.max) as u64 & signal.mask()
             };
-            let window = bits << (signal.start % 8);
+            let window = signal.ordered(bits << (signal.start % 8));
             for (i, byte) in self.data[signal.bytes()].iter_mut().enumerate() {
-                let at = signal.shift(i);
-                *byte = *byte & !((mask >> at) as u8) | (window >> at) as u8;
+                *byte = *byte & !((mask >> (8 * i)) as u8) | (window >> (8 * i)) as u8;
             }
         }
         Ok(())

@@ -8,10 +8,11 @@
 use crate::driving::knowledge::Knowledge;
 use crate::driving::perception::{Perception, RefusedStamp};
 use crate::driving::types::Scene;
-use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
+use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, VEHICLE_TIME, age_ns};
 use crate::release::Release;
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
+use crate::words::VehicleTime;
 use crate::{Core, RETRY, ReceivedFrame, read_can};
 use tandem_board::{Board, Can, CoreId, Duration, Instant};
 use tandem_bus::FrameReceiver;
@@ -39,6 +40,7 @@ struct Attached<'b> {
     to_planning: Sender<'b>,
     scenes: Writer<'b, Scene>,
     knowledge: Reader<'b, Knowledge>,
+    time: Reader<'b, VehicleTime>,
 }
 
 /// A cycle that has begun and is not completed.
@@ -60,6 +62,8 @@ pub struct Core1<'b, B: Board> {
     begun: Option<Begun>,
     /// Frames that the receiver has lost, at the last cycle.
     overruns: u32,
+    /// The vehicle's time, once core 0 has one.
+    time: Option<VehicleTime>,
 }
 
 impl<'b, B: Board> Core1<'b, B> {
@@ -77,6 +81,7 @@ impl<'b, B: Board> Core1<'b, B> {
             expected: start + PERIOD,
             begun: None,
             overruns: 0,
+            time: None,
         }
     }
 
@@ -84,10 +89,11 @@ impl<'b, B: Board> Core1<'b, B> {
         let Ok(map) = ControllerMap::attach(self.board) else {
             return;
         };
-        let (Ok(to_planning), Ok(scenes), Ok(knowledge)) = (
+        let (Ok(to_planning), Ok(scenes), Ok(knowledge), Ok(time)) = (
             MAILBOX_1_TO_2.sender(&map.map, map.incarnation),
             SCENE.writer(&map.map, map.incarnation),
             KNOWLEDGE.reader(&map.map),
+            VEHICLE_TIME.reader(&map.map),
         ) else {
             return;
         };
@@ -98,6 +104,7 @@ impl<'b, B: Board> Core1<'b, B> {
             to_planning,
             scenes,
             knowledge,
+            time,
         });
     }
 
@@ -147,9 +154,22 @@ impl<'b, B: Board> Core1<'b, B> {
         self.expected = next.unwrap_or(begun.released + (PERIOD - PATIENCE));
     }
 
+    /// Fetches the vehicle's time, by which global stamps of the sensors are read.
+    fn fetch_time(&mut self) {
+        if let Some(attached) = &mut self.attached
+            && let Ok(Some(time)) = attached.time.fetch()
+        {
+            self.time = Some(time);
+        }
+        let now = self.board.now();
+        let clock = self.time.and_then(|time| time.clock(now));
+        self.perception.set_global(clock);
+    }
+
     /// Reads the frames that have arrived. Returns the time at which the frame that completed the
     /// round was on the bus; `None` if the round is not complete.
     fn receive(&mut self) -> Option<Instant> {
+        self.fetch_time();
         let mut completed = None;
         let mut left = CAN_FRAMES;
         while let Some((at, frame)) = read_can(self.board, &mut self.frames, &mut left, |_| {}) {

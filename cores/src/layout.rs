@@ -2,6 +2,7 @@
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
+use crate::words::VehicleTime;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant, LmuWord};
 use tandem_shm::LINE_WORDS;
@@ -44,7 +45,10 @@ pub(crate) const TO_DESK: Region<Fifo<DeskWords, 16>> = KNOWLEDGE.then("to the d
 /// What the desk wants of core 0.
 pub(crate) const FROM_DESK: Region<Fifo<DeskWords, 8>> = TO_DESK.then("from the desk");
 
-const LAYOUT: Layout = FROM_DESK.end();
+/// Core 0 publishes how its clock becomes the vehicle's time; core 1 reads.
+pub const VEHICLE_TIME: Region<Newest<VehicleTime>> = FROM_DESK.then("vehicle time");
+
+const LAYOUT: Layout = VEHICLE_TIME.end();
 
 const _: () = assert!(
     LAYOUT.total_words() <= 8192,

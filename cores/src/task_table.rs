@@ -30,6 +30,8 @@ impl TaskCode {
     pub const TRAJECTORY_INPUT: Self = Self(9);
     /// Core 0: topics over DDS, to and from the SoC.
     pub const TOPICS: Self = Self(10);
+    /// Core 0: the time of the vehicle.
+    pub const TIME: Self = Self(11);
 
     /// Returns whether this task runs the control cycle.
     #[must_use]
@@ -108,7 +110,7 @@ use ReleasedBy::{Doorbell, OwnDeadline, Period, Task};
 
 /// The tasks of core 0, in falling order of priority: rate-monotonic, with the task last that
 /// nothing on the way from a sensor to the actuators waits for.
-pub const CORE_0: [TaskInfo; 7] = [
+pub const CORE_0: [TaskInfo; 8] = [
     TaskInfo {
         code: TaskCode::ROLES,
         name: "heartbeat and roles",
@@ -172,6 +174,16 @@ pub const CORE_0: [TaskInfo; 7] = [
         priority: 3,
         uses: &[SharedPart::Shared],
         purpose: "status frame",
+    },
+    TaskInfo {
+        code: TaskCode::TIME,
+        name: "time",
+        released_by: &[OwnDeadline, Task(TaskCode::ROLES)],
+        period: Duration::from_ms(10),
+        deadline: None,
+        priority: 2,
+        uses: &[SharedPart::Shared],
+        purpose: "follows the grandmaster or the other system, tells the time to it and to the sensors",
     },
     TaskInfo {
         code: TaskCode::TOPICS,
@@ -293,14 +305,14 @@ mod tests {
     }
 
     /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. Topics are
-    /// less urgent than all that drives. No two tasks have the same priority, so the kernel never
-    /// chooses their order.
+    /// less urgent than all that drives, and so is the time. No two tasks have the same priority,
+    /// so the kernel never chooses their order.
     #[test]
     fn the_priorities_of_core_0_are_rate_monotonic() {
         for pair in CORE_0.windows(2) {
             let is_monotonic = pair[0].period <= pair[1].period;
             assert!(
-                is_monotonic || pair[1].code == TaskCode::TOPICS,
+                is_monotonic || matches!(pair[1].code, TaskCode::TOPICS | TaskCode::TIME),
                 "{}",
                 pair[1].name
             );

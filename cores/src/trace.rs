@@ -356,6 +356,56 @@ pub enum Event {
         /// How many, since the last report.
         lost: u32,
     },
+    /// The vehicle's time on this system, ten times a second.
+    Time {
+        /// Code of the [`TimeSource`](crate::core0::TimeSource).
+        source: u8,
+        /// Bits of the [`TimeStatus`](tandem_timesync::TimeStatus).
+        status: u8,
+        /// Low word of the vehicle's time, ns.
+        global_ns: u32,
+        /// Low word of this system's clock at that time, ns.
+        local_ns: u32,
+        /// How much faster than this system's clock the vehicle's time runs, ppb.
+        rate_ppb: i32,
+    },
+    /// Another clock told its time.
+    TimeSample {
+        /// As in [`Time`](Self::Time).
+        source: u8,
+        /// How much later it says it is than this system thought, ns.
+        offset_ns: i32,
+        /// Delay of its messages, ns; 0 if it has none.
+        delay_ns: u32,
+        /// Largest error of the sample that the protocol knows of, ns.
+        error_ns: u32,
+    },
+    /// Another clock has leapt.
+    TimeLeap {
+        /// As in [`Time`](Self::Time).
+        source: u8,
+        /// The vehicle's time has followed it. Before that, the leap is told.
+        followed: bool,
+        /// How far, us.
+        by_us: i32,
+    },
+    /// A standby hears the grandmaster and the pulses of the system that drives, and they tell
+    /// different times: one of both links is asymmetric, or one of both lies.
+    TimeDisagrees {
+        /// How much later the grandmaster says it is, ns.
+        apart_ns: i32,
+    },
+    /// The grandmaster is followed, or no longer, or not yet.
+    GrandmasterTime {
+        /// 0: it is followed. Else the reason why not: the code of
+        /// [`gptp::Unfollowed`](tandem_timesync::gptp).
+        why: u8,
+    },
+    /// Another grandmaster than the one that is followed sends in its domain. Once a second.
+    OtherGrandmaster {
+        /// How many of its messages were heard; wraps around.
+        others: u32,
+    },
     /// A sensor's stamps in global time deviate from what they have shown before: what was learned
     /// from arrivals is used in their place.
     StampRefused {
@@ -472,6 +522,7 @@ fields! {
     Leaves as u8: |leaves| leaves as u8, Self::from_repr;
     FloodSource as u8: |source| source as u8, Self::from_repr;
     u32 as u32: u32::from, Some;
+    i32 as u32: i32::cast_unsigned, |word: u32| Some(word.cast_signed());
     CanErrors as u32: Self::to_word, |word| Some(Self::from_word(word));
 }
 
@@ -574,187 +625,14 @@ codec! {
     52 SocSilent { topic: a } 0..=3;
     53 FrameSilent { id: x, age_ms: y };
     54 FrameGaps { id: x, lost: y };
-    55 StampRefused { source: a, later: b, off_us: x } 0..=6;
+    55 Time { source: a, status: b, global_ns: x, local_ns: y, rate_ppb: z } 0..=2;
+    56 TimeSample { source: a, offset_ns: x, delay_ns: y, error_ns: z } 0..=2;
+    57 TimeLeap { source: a, followed: b, by_us: x } 0..=2;
+    58 TimeDisagrees { apart_ns: x };
+    59 GrandmasterTime { why: a };
+    60 StampRefused { source: a, later: b, off_us: x } 0..=6;
+    61 OtherGrandmaster { others: x };
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_event_survives_the_trace() {
-        let phase = |from, to| Event::Phase {
-            from,
-            to,
-            on: Evidence::PeerOff,
-        };
-        let leaves = |leaves| Event::TaskOut {
-            task: TaskCode::MONITORING,
-            leaves,
-        };
-        let flood = |source| Event::Flood {
-            source,
-            times: 12,
-            beyond: 3,
-        };
-        let events = [
-            Event::Started {
-                generation: 3,
-                cause: 2,
-            },
-            Event::Role {
-                role: 1,
-                mode: 2,
-                term: 9,
-            },
-            phase(Phase::Standby, Phase::DegradedMaster),
-            Event::TookOver {
-                cause: Evidence::PeerSilent,
-                since_heartbeat_us: 4000,
-                since_control_us: 12_000,
-                term: 4,
-            },
-            Event::PeerFailed(true),
-            Event::Line {
-                line: 2,
-                silent: true,
-            },
-            Event::LinesSplit,
-            Event::CanSilent(false),
-            Event::Ignored { term: 6 },
-            Event::TermRaised { term: 7 },
-            Event::StateLost,
-            Event::ControlCycle {
-                lateness_ns: 1,
-                execution_ns: 2,
-                transmitted: true,
-            },
-            Event::Chain {
-                latency_ns: 7,
-                cycle: 8,
-            },
-            Event::CoreSilent { core: 2 },
-            Event::DeadlineMiss {
-                task: TaskCode::CONTROL,
-                missed: 5,
-            },
-            Event::FramesLost { count: 77 },
-            Event::Sensors { missing: 33 },
-            Event::CanErrors {
-                errors: CanErrors {
-                    transmit: 256,
-                    receive: 3,
-                    bus_offs: 1,
-                },
-            },
-            Event::Refused { id: 0x110 },
-            Event::TaskIn {
-                task: TaskCode::CONTROL,
-                begin: Begin::Goes,
-            },
-            Event::TaskIn {
-                task: TaskCode(200),
-                begin: Begin::Released {
-                    late_ns: 12,
-                    missed: 3,
-                },
-            },
-            leaves(Leaves::Done),
-            leaves(Leaves::Blocked),
-            leaves(Leaves::Preempted),
-            leaves(Leaves::Gives),
-            Event::Ready {
-                task: TaskCode::STATUS,
-            },
-            Event::IrqIn { irq: IrqCode::TICK },
-            Event::IrqOut {
-                irq: IrqCode::DOORBELL,
-            },
-            Event::Interrupted {
-                irq: IrqCode::DOORBELL,
-            },
-            Event::Wake {
-                core: CoreId::PLANNING,
-                task: TaskCode::PLANNING,
-                flow: 77,
-            },
-            Event::Woken {
-                core: CoreId::PERCEPTION,
-                flow: 77,
-            },
-            Event::Stack {
-                task: TaskCode::CONTROL,
-                free_bytes: 900,
-            },
-            Event::Ring {
-                core: CoreId::CONTROL,
-            },
-            Event::Held {
-                task: TaskCode::STATUS,
-                longest_ns: 1200,
-            },
-            flood(FloodSource::Can),
-            flood(FloodSource::Doorbell),
-            Event::Agreement {
-                stage: 2,
-                percent: 99,
-            },
-            Event::WrongCommand { witness: 1 },
-            Event::ClockWrong { of: 2 },
-            Event::SocSilent { topic: 3 },
-            Event::OutputFault { found: 2 },
-            Event::WrongScene {
-                what: 4,
-                hearing: true,
-                thousandths: 50,
-            },
-            Event::SceneCheck { percent: 40 },
-            Event::WrongEcho,
-            Event::PeerScene {
-                what: 1,
-                own: false,
-                thousandths: 7,
-            },
-            Event::Ability {
-                bits: 2,
-                missing: 0x40,
-            },
-            Event::SensorContradicted { sensor: 5 },
-            Event::StampRefused {
-                source: 6,
-                later: true,
-                off_us: 50_000,
-            },
-            Event::WrongTrajectory {
-                what: 4,
-                percent: 300,
-            },
-            Event::TrajectoryCheck {
-                what: 0,
-                percent: 40,
-            },
-        ];
-        for event in events {
-            assert_eq!(Event::decode(event.encode()), Some(event));
-        }
-        assert_eq!(Event::decode([0; 4]), None);
-        assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
-        for strange in [
-            0x0002_0011,
-            0x0004_0012,
-            0x0000_0317,
-            0x0000_0318,
-            0x051C,
-            0x031D,
-            0x021E,
-            0x031F,
-            0x0320,
-            0x0928,
-            0x0430,
-            0x0434,
-            36,
-        ] {
-            assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
-        }
-    }
-}
+mod tests;

@@ -4,6 +4,7 @@
 //! refuses the whole value if one is impossible. Numbers cross as IEEE 754 bits.
 
 use crate::driving::knowledge::{Knowledge, KnownLine, KnownObject, KnownPlan, PLAN_POINTS};
+use crate::driving::perception::GlobalClock;
 use crate::driving::types::{
     CameraLine, ClassCode, Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object,
     RouteCode, Scene, StepFunction, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
@@ -11,6 +12,7 @@ use crate::driving::types::{
 use heapless::Vec;
 use tandem_board::Instant;
 pub use tandem_shm::{Corrupt, Payload};
+use tandem_timesync::{Arbitrary, CONVERSION_WORDS, Conversion};
 
 /// Largest magnitude that a physical quantity may have: far above all real values, and small enough
 /// that no product of three overflows.
@@ -322,6 +324,38 @@ macro_rules! payloads {
 }
 
 payloads! { Scene Trajectory Knowledge ControlStep }
+
+/// How a system's clock becomes the vehicle's time; `None` while there is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VehicleTime(pub Option<Conversion<Arbitrary>>);
+
+impl VehicleTime {
+    /// Returns the time at `now` for the lists of sensors; `None` if its error is too large.
+    #[must_use]
+    pub fn clock(&self, now: Instant) -> Option<GlobalClock> {
+        let conversion = self.0?;
+        let us = (conversion.at(now).as_ns() / 1_000) as u32;
+        GlobalClock::new(now, us, conversion.error_at(now))
+    }
+}
+
+impl Payload for VehicleTime {
+    const WORDS: usize = CONVERSION_WORDS;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        let words = self.0.map_or([0; CONVERSION_WORDS], |it| it.to_words());
+        words.into_iter().for_each(put);
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let words = core::array::from_fn(|_| take());
+        let conversion = Conversion::from_words(words);
+        let is_some = words != [0; CONVERSION_WORDS];
+        (conversion.is_some() == is_some)
+            .then_some(Self(conversion))
+            .ok_or(Corrupt)
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -5,6 +5,8 @@ use tandem_bus::{ModeCode, SensorId};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
+use tandem_timesync::TimeStatus;
+use tandem_timesync::gptp::Why;
 
 use crate::roles::RoleState;
 use crate::takeover::{Takeover, detected_ms, is_late};
@@ -21,6 +23,8 @@ pub const fn is_routine(event: &Event) -> bool {
             | Event::Wake { .. }
             | Event::Ring { .. }
             | Event::Woken { .. }
+            | Event::Time { .. }
+            | Event::TimeSample { .. }
     )
 }
 
@@ -191,6 +195,29 @@ pub fn core_event(event: Event) -> Option<String> {
             let off_ms = f64::from(off_us) * 1e-3;
             format!("the time stamps of {name} are {off_ms:.1} ms too {way}: arrivals are used")
         }
+        Event::TimeLeap {
+            source,
+            followed,
+            by_us,
+        } => {
+            let source = time_source(source);
+            let what = if followed { "follows a" } else { "finds a" };
+            format!(
+                "{what} leap of {source} by {:.3} ms",
+                f64::from(by_us) * 1e-3
+            )
+        }
+        Event::TimeDisagrees { apart_ns } => format!(
+            "the grandmaster's time is {:.1} us later than that of the system that drives",
+            f64::from(apart_ns) * 1e-3
+        ),
+        Event::OtherGrandmaster { others } => {
+            format!("hears another grandmaster, which it does not follow: {others} messages")
+        }
+        Event::GrandmasterTime { why: 0 } => "hears the grandmaster's time".to_owned(),
+        Event::GrandmasterTime { why } => {
+            format!("has no time of the grandmaster: {}", no_grandmaster(why))
+        }
         Event::SocSilent { topic } => {
             let topics = [
                 "PowerControl",
@@ -218,6 +245,72 @@ pub fn core_event(event: Event) -> Option<String> {
         ),
         _ => return None,
     })
+}
+
+/// Returns whom a clock follows, by the code of a [`TimeSource`](tandem_cores::core0::TimeSource).
+#[must_use]
+pub const fn time_source(code: u8) -> &'static str {
+    match code {
+        0 => "its own clock",
+        1 => "the grandmaster",
+        2 => "the other system",
+        _ => "an unknown clock",
+    }
+}
+
+/// Returns what a time is worth, by the bits of a [`TimeStatus`].
+#[must_use]
+pub fn time_status(bits: u8) -> &'static str {
+    let has = |status: TimeStatus| bits & status.bits() != 0;
+    if has(TimeStatus::TIMELEAP_FUTURE) {
+        "leaps ahead"
+    } else if has(TimeStatus::TIMELEAP_PAST) {
+        "leaps back"
+    } else if is_holdover(bits) {
+        "holdover"
+    } else if has(TimeStatus::SYNC_TO_GATEWAY) {
+        "to a gateway"
+    } else {
+        "synchronised"
+    }
+}
+
+/// Returns whether a time continues with the rate that was learned, by the bits of a
+/// [`TimeStatus`].
+#[must_use]
+pub const fn is_holdover(bits: u8) -> bool {
+    bits & TimeStatus::HOLDOVER.bits() != 0
+}
+
+/// Returns why the grandmaster is not followed, by the code of [`Event::GrandmasterTime`].
+#[must_use]
+pub fn no_grandmaster(code: u8) -> &'static str {
+    let reasons = [
+        (Why::Silent, "none is heard"),
+        (Why::Malformed, "its messages are damaged"),
+        (Why::OtherProfile, "its messages are of another profile"),
+        (Why::OtherDomain, "its messages are of another domain"),
+        (
+            Why::OtherMaster,
+            "another master than the right one is heard",
+        ),
+        (Why::NoAnnounce, "it sends no Announce"),
+        (Why::OtherScale, "its time has another scale"),
+        (Why::OtherGrandmaster, "another grandmaster is announced"),
+        (Why::OneStep, "it sends Sync in one step"),
+        (Why::NoFollowUp, "no Follow_Up is heard yet"),
+        (Why::NoStamp, "the port does not tell when requests left"),
+        (Why::NoAnswer, "requests for the delay are not answered yet"),
+        (
+            Why::ManyPeers,
+            "several ports answer requests for the delay",
+        ),
+        (Why::WildRate, "its rate is impossible"),
+        (Why::NegativeDelay, "the measured delay is negative"),
+        (Why::DelayAboveThreshold, "the measured delay is too long"),
+    ];
+    let reason = reasons.iter().find(|(why, _)| *why as u8 + 1 == code);
+    reason.map_or("for an unknown reason", |(_, text)| text)
 }
 
 /// Returns the names of what is missing.

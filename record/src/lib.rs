@@ -5,6 +5,7 @@
 //! world. A run on processes, in emulated machines or in virtual time fills the same [`RunLog`].
 #![forbid(unsafe_code)]
 
+pub mod clocks;
 pub mod description;
 pub mod file;
 pub mod gap;

@@ -154,6 +154,49 @@ pub struct Comfort {
     pub calm_jerk_max: f64,
 }
 
+/// The time of a clock, ten times a second.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockState {
+    /// The run's clock, ns.
+    pub at_ns: u64,
+    /// Code of the [`TimeSource`](tandem_cores::core0::TimeSource).
+    pub source: u8,
+    /// Bits of the [`TimeStatus`](tandem_timesync::TimeStatus).
+    pub status: u8,
+    /// By how much the vehicle's time is later than the run's clock: low word, ns.
+    pub ahead_ns: u32,
+    /// How much faster the vehicle's time runs than the system's clock, ppb.
+    pub rate_ppb: i32,
+}
+
+/// What another clock told, when this one has heard it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockSample {
+    /// The run's clock, ns.
+    pub at_ns: u64,
+    /// As in [`ClockState`].
+    pub source: u8,
+    /// How much later it is than this clock thought, ns.
+    pub offset_ns: i32,
+    /// Delay of its messages, ns; 0 if it has none.
+    pub delay_ns: u32,
+    /// Largest error of the sample that the protocol knows of, ns.
+    pub error_ns: u32,
+}
+
+/// What the SoC's process tells of its time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SocTime {
+    /// When it was told: the run's clock, ns.
+    pub at_ns: u64,
+    /// Its time; `None` before the first sample.
+    pub state: Option<ClockState>,
+    /// The newest sample; `None` before the first.
+    pub sample: Option<ClockSample>,
+    /// As in [`GrandmasterTime`](tandem_cores::trace::Event::GrandmasterTime).
+    pub why: u8,
+}
+
 /// A record of the vehicle itself, beside the trace and the frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "r", rename_all = "snake_case")]
@@ -190,6 +233,8 @@ pub enum VehicleRecord {
         /// Time, ns.
         at_ns: u64,
     },
+    /// The vehicle's time in the SoC's process.
+    SocTime(SocTime),
     /// The figures of the drive up to now; the last such record counts.
     Figures(DriveFigures),
     /// The last record of a run that reached its end.

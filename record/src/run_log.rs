@@ -6,6 +6,7 @@ use tandem_cores::trace::Event;
 use tandem_vehicle::mastership::Mastership;
 use tandem_vehicle::{LoggedFrame, Ruling};
 
+use crate::clocks::TimeLog;
 use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 use crate::sensor_time::SensorTime;
@@ -128,6 +129,8 @@ pub struct RunLog {
     pub held_up: Vec<Stall>,
     /// When the vehicle touched another one, ns.
     pub collisions_ns: Vec<u64>,
+    /// The vehicle's time on each clock.
+    pub time: TimeLog,
     /// The vehicle's own figures.
     pub figures: DriveFigures,
 }
@@ -135,6 +138,7 @@ pub struct RunLog {
 impl RunLog {
     /// Adds one entry. After the last one call [`RunLog::sort`].
     pub fn push(&mut self, entry: Entry) {
+        self.time.push(&entry);
         match entry {
             Entry::Trace(traced) => self.push_trace(traced),
             Entry::Supply(at, system, event) => self.supplies.push((at.as_ns(), system, event)),
@@ -148,6 +152,7 @@ impl RunLog {
         self.events.sort_by_key(|event| event.at_ns);
         self.supplies.sort_by_key(|(at_ns, ..)| *at_ns);
         self.measured_ns.sort_unstable();
+        self.time.sort();
     }
 
     fn push_trace(&mut self, traced: Traced) {
@@ -219,6 +224,7 @@ impl RunLog {
             }),
             VehicleRecord::Collision { at_ns } => self.collisions_ns.push(at_ns),
             VehicleRecord::Figures(figures) => self.figures = figures,
+            VehicleRecord::SocTime(_) => {}
             VehicleRecord::End {
                 at_ns,
                 lost_trace,

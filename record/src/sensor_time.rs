@@ -144,7 +144,7 @@ mod tests {
                 frame,
                 ruling: None,
             });
-            master.on_sent(&bytes, at(ms), global(at(ms)), false);
+            master.on_sent(at(ms), global(at(ms)), false);
         }
         assert_eq!(time.unseen_ns(), 0, "global stamps show all delays");
         let (ms, expected) = (200_050, 200_030_000);

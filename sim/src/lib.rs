@@ -12,8 +12,10 @@
 mod bench;
 mod bend;
 pub mod drive;
+pub mod grandmaster;
 mod outside;
 mod sequence_judge;
+pub mod time_chain;
 pub mod timed;
 pub mod timing;
 mod trial;

@@ -299,7 +299,7 @@ impl TimedCore0 {
             left_ns: None,
         };
         if task == Core0Task::Roles && self.steered.replace(ticks.number) != Some(ticks.number) {
-            let by_ns = flow.shared.borrow_mut().tick_correction(ticks, now);
+            let by_ns = flow.shared.borrow_mut().tick_correction(ticks);
             self.ticks.shift(now, by_ns);
         }
         if self.flow.has_begun.get() {

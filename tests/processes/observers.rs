@@ -125,7 +125,7 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
             News::Roles(now) => (roles, reached_s) = (roles + 1, now.time_s),
             News::Vehicle(_) => vehicles += 1,
             News::Frame(_) => frames += 1,
-            News::Event(_) => {}
+            News::Event(_) | News::Time(_) => {}
         });
     }
     run.until("news of both in their roles", |_| sees_both(&mut own));

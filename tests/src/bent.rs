@@ -1,9 +1,9 @@
-//! A CAN controller that alters frames when its core sends or receives them.
+//! A CAN controller and a link that alter messages when their core sends or receives them.
 
 use crate::around::Around;
 use std::cell::RefCell;
 use tandem_board::{
-    Board, Can, CanErrors, CanFrame, CanId, CoreId, Instant, Received, TransmitFull,
+    Board, Can, CanErrors, CanFrame, CanId, CoreId, Instant, Link, LinkFull, Received, TransmitFull,
 };
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_bus::Message;
@@ -15,6 +15,9 @@ use tandem_cores::{Config, Core};
 pub type OnSend = Box<dyn FnMut(Instant, CanFrame) -> Vec<CanFrame>>;
 /// Maps a received frame to the frame that the core reads instead.
 pub type OnHear = Box<dyn FnMut(Instant, CanFrame) -> CanFrame>;
+
+/// Maps a datagram that a core sends to the datagrams that reach the link: none, one or more.
+pub type OnLink = Box<dyn FnMut(Instant, &[u32]) -> Vec<Vec<u32>>>;
 
 /// A CAN controller around a simulated one, with altered frames.
 pub struct BentCan {
@@ -46,6 +49,39 @@ pub fn bent_core(board: &SimBoard, config: Config, on_send: OnSend, on_hear: OnH
             Box::new(move |_| core.poll())
         }
         other => panic!("{other} has no CAN"),
+    }
+}
+
+/// A link around a simulated one, with altered datagrams.
+pub struct BentLink {
+    board: SimBoard,
+    on_send: RefCell<OnLink>,
+}
+
+/// Creates core 0 of a system, with a function that alters the datagrams that it sends.
+#[must_use]
+pub fn core_with_link(board: &SimBoard, config: Config, on_send: OnLink) -> Poller {
+    let link = BentLink {
+        board: board.clone(),
+        on_send: on_send.into(),
+    };
+    let (can, supply) = (board.can().clone(), board.supply().clone());
+    let mut core = Core0::new(Around::leaked(board, can, link, supply), config);
+    Box::new(move |_| core.poll())
+}
+
+impl Link for BentLink {
+    const MAX_WORDS: usize = <<SimBoard as Board>::Link as Link>::MAX_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        let datagrams = (self.on_send.borrow_mut())(self.board.now(), words);
+        datagrams
+            .iter()
+            .try_for_each(|words| self.board.link().try_send(words))
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        self.board.link().try_receive(words)
     }
 }
 

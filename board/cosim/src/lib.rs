@@ -56,6 +56,8 @@ pub enum Item {
         edge: usize,
         /// Number of edges.
         count: u32,
+        /// When the last one was sent. Only the time line has this time.
+        at: Instant,
     },
     /// A datagram on the link to a system.
     Datagram {
@@ -222,7 +224,11 @@ impl Item {
                 line,
                 edge,
                 count,
-            } => put(head(3, to.index(), *line, *edge), &[*count]),
+                at,
+            } => {
+                let [low, high] = at.to_words();
+                put(head(3, to.index(), *line, *edge), &[*count, low, high])
+            }
             Self::Datagram { to, words } => {
                 let len = words[0] as usize;
                 put(head(4, to.index(), len, 0), &words[1..=len])
@@ -270,12 +276,16 @@ impl Item {
                 from: CoreAddress::from_index(a).ok_or(Malformed)?,
                 words: take(&mut rest)?,
             },
-            3 => Self::Edges {
-                to: system?,
-                line: b,
-                edge: c,
-                count: take::<1>(&mut rest)?[0],
-            },
+            3 => {
+                let [count, low, high] = take(&mut rest)?;
+                Self::Edges {
+                    to: system?,
+                    line: b,
+                    edge: c,
+                    count,
+                    at: Instant::from_words([low, high]),
+                }
+            }
             4 => Self::Datagram {
                 to: system?,
                 words: take_datagram(&mut rest, b)?,
@@ -404,6 +414,7 @@ mod tests {
                 line: 2,
                 edge: 1,
                 count: 77,
+                at: Instant::from_ns(3 << 40 | 5),
             },
             Item::Datagram {
                 to: SystemId::A,

@@ -12,6 +12,20 @@ pub fn now() -> Instant {
     Instant::from_ns(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
 }
 
+/// Reads the kernel's real-time clock (UTC since 1970, ns) between two times of this clock, which
+/// are less than 2 µs apart; `None` if the process was interrupted each time, or that clock is
+/// before 1970.
+#[must_use]
+pub fn with_utc() -> Option<([Instant; 2], u64)> {
+    (0..8).find_map(|_| {
+        let before = now();
+        let utc = clock_gettime(rustix::time::ClockId::Realtime);
+        let after = now();
+        let utc_ns = u64::try_from(utc.tv_sec).ok()? * 1_000_000_000 + utc.tv_nsec as u64;
+        (after.since(before) < Duration::from_us(2)).then_some(([before, after], utc_ns))
+    })
+}
+
 /// Sleeps until the absolute time `deadline`, so that a late wake-up does not delay later ones.
 pub fn sleep_until(deadline: Instant) {
     let at = timespec(deadline.as_ns());

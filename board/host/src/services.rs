@@ -77,6 +77,60 @@ pub struct Vehicle {
     pub lane: i64,
 }
 
+/// A clock that shows the vehicle's time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("TandemClock")]
+#[repr(C)]
+pub struct ChainedClock {
+    /// When it last told its time, by the run's clock, ns; 0 if it has none.
+    pub at_ns: u64,
+    /// When it last heard another clock, by the run's clock, ns; 0 if it has heard none.
+    pub heard_ns: u64,
+    /// How much later the clock that it follows was than it thought, ns.
+    pub offset_ns: i32,
+    /// Delay of the messages of that clock, ns; 0 if it has none.
+    pub delay_ns: u32,
+    /// Largest error of what it heard that the protocol knows of, ns.
+    pub error_ns: u32,
+    /// How much faster the vehicle's time runs than the clock of its system, ppb.
+    pub rate_ppb: i32,
+    /// Leaps of the clock that it follows, told or followed.
+    pub leaps: u32,
+    /// Whom it follows: 0 none, 1 the grandmaster, 2 the other system.
+    pub source: u8,
+    /// Bits of AUTOSAR's StbM: 0x01 time-out, 0x04 synchronised to a gateway, 0x08 the time was
+    /// set, 0x10 a leap to the future, 0x20 a leap to the past; and 0x80 holdover.
+    pub status: u8,
+    /// Why it has no time of the grandmaster; 0 if it has, 255 if it looks for none.
+    pub why: u8,
+    /// Unused.
+    pub reserved: u8,
+}
+
+/// The vehicle's time; service `tandem/RUN/time`, every 100 ms.
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("TandemClocks")]
+#[repr(C)]
+pub struct VehicleClocks {
+    /// The run's clock, ns.
+    pub at_ns: u64,
+    /// The clocks of A, of B and of the SoC.
+    pub clocks: [ChainedClock; 3],
+    /// How much later the time of A is than that of B, ns; `i32::MIN` while one of them has none.
+    pub apart_ns: i32,
+    /// How many control cycles of A and B began together in the last 5 s.
+    pub cycles: u32,
+    /// The median of the times between their starts, ns.
+    pub skew_p50_ns: u32,
+    /// The 99th percentile of these times, ns.
+    pub skew_p99_ns: u32,
+    /// By which clock each sensor stamps its lists, the radars, then the camera: 0 its own, 1 in
+    /// the vehicle's time, 2 in holdover; 255 if none has arrived for 5 s.
+    pub sensors: [u8; 6],
+    /// Unused.
+    pub reserved: [u8; 2],
+}
+
 /// A frame on the bus; service `tandem/RUN/can`.
 #[derive(Clone, Copy, Debug, PartialEq, ZeroCopySend)]
 #[type_name("TandemCanFrame")]
@@ -197,6 +251,7 @@ services! {
     Vehicle: "vehicle", 64;
     Frame: "can", 1_024;
     Event: "trace", 512;
+    VehicleClocks: "time", 16;
 }
 
 /// The publishers of a run's services. A value that cannot be published is lost for observers only.
@@ -210,6 +265,8 @@ pub struct Publisher {
     pub can: ServicePublisher<Frame>,
     /// Events of cores and supplies.
     pub trace: ServicePublisher<Event>,
+    /// The vehicle's time.
+    pub time: ServicePublisher<VehicleClocks>,
 }
 
 impl Publisher {
@@ -224,6 +281,7 @@ impl Publisher {
             vehicle: ServicePublisher::create_on(node, run)?,
             can: ServicePublisher::create_on(node, run)?,
             trace: ServicePublisher::create_on(node, run)?,
+            time: ServicePublisher::create_on(node, run)?,
         })
     }
 }
@@ -239,6 +297,8 @@ pub enum News {
     Frame(Frame),
     /// A trace record of a core or a supply.
     Event(Event),
+    /// The vehicle's time.
+    Time(VehicleClocks),
 }
 
 /// An observer of a run.
@@ -249,6 +309,7 @@ pub struct Observer {
     vehicle: ServiceSubscriber<Vehicle>,
     can: ServiceSubscriber<Frame>,
     trace: ServiceSubscriber<Event>,
+    time: ServiceSubscriber<VehicleClocks>,
 }
 
 impl Observer {
@@ -265,6 +326,7 @@ impl Observer {
             vehicle: ServiceSubscriber::on_node(node, &run)?,
             can: ServiceSubscriber::on_node(node, &run)?,
             trace: ServiceSubscriber::on_node(node, &run)?,
+            time: ServiceSubscriber::on_node(node, &run)?,
             run,
         })
     }
@@ -280,6 +342,7 @@ impl Observer {
         drain(&mut self.vehicle, News::Vehicle, into);
         drain(&mut self.can, News::Frame, into);
         drain(&mut self.trace, News::Event, into);
+        drain(&mut self.time, News::Time, into);
         // The roles are last, because they summarise the other samples.
         drain(&mut self.roles, News::Roles, into);
     }

@@ -1,33 +1,26 @@
 //! The Ethernet port of core 0: UDP sockets of its process.
 
 use std::io;
-use std::net::UdpSocket;
-use std::os::fd::AsRawFd as _;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rustix::time::{ClockId, Timespec, clock_gettime};
 use tandem_board::{
-    Channel, CoreId, Datagram, Duration, HardwareFault, Identity, Instant, Network, NetworkAddress,
+    Channel, CoreId, Datagram, HardwareFault, Identity, Instant, Network, NetworkAddress,
     NetworkFull, Recipient,
 };
-use tandem_board_udp::{UdpChannel, UdpPlace};
+use tandem_board_udp::UdpPlace;
 
 use crate::backplane::Backplane;
 use crate::clock;
+use crate::stamped_udp::StampedUdp;
 
 /// How many datagrams one call discards at most while the cable is cut.
 const DISCARDED_AT_ONCE: usize = 64;
-/// Reads the time at which the kernel received the datagram that was last read from a socket, and
-/// makes the kernel note these times. (Linux: asm-generic/sockios.h)
-const SIOCGSTAMPNS: libc::Ioctl = 0x8907;
 
 /// The Ethernet port of a system. It is connected on core 0 of a run with a domain, unless the
 /// sockets could not be opened.
 ///
-/// The time of sending is that of the call. The time of receiving is the kernel's, translated from
-/// its real-time clock, or that of the call if the kernel has noted none. Each call looks whether
-/// the cable is cut: what arrives while core 0 does not poll is only discarded if it polls before
-/// the repair.
+/// Each call looks whether the cable is cut: what arrives while core 0 does not poll is only
+/// discarded if it polls before the repair.
 #[derive(Debug)]
 pub struct HostNetwork {
     backplane: Backplane,
@@ -39,31 +32,20 @@ pub struct HostNetwork {
 /// A system's end of a channel.
 #[derive(Debug)]
 struct End {
-    udp: UdpChannel,
-    times: Mutex<Times>,
-}
-
-#[derive(Debug, Default)]
-struct Times {
-    sent: Option<Instant>,
-    /// The time of the newest datagram of each socket.
-    received: [Instant; 2],
+    udp: StampedUdp,
+    sent: Mutex<Option<Instant>>,
 }
 
 impl End {
     fn open(place: UdpPlace, channel: Channel) -> io::Result<Self> {
-        let udp = UdpChannel::open(place, channel)?;
-        for socket in udp.sockets() {
-            received_at(socket);
-        }
         Ok(Self {
-            udp,
-            times: Mutex::default(),
+            udp: StampedUdp::open(place, channel)?,
+            sent: Mutex::default(),
         })
     }
 
-    fn times(&self) -> MutexGuard<'_, Times> {
-        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+    fn sent(&self) -> MutexGuard<'_, Option<Instant>> {
+        self.sent.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -115,69 +97,28 @@ impl Network for HostNetwork {
         let Some(end) = self.end(channel) else {
             return Ok(());
         };
-        // Before the call: on the loopback interface the datagram has arrived when it returns.
-        let sent = clock::now();
-        if !self.is_cut() {
-            end.udp.send(to, bytes)?;
-        }
-        end.times().sent = Some(sent);
+        let sent = match self.is_cut() {
+            true => clock::now(),
+            false => end.udp.send(to, bytes)?,
+        };
+        *end.sent() = Some(sent);
         Ok(())
     }
 
     fn sent_at(&self, channel: Channel) -> Option<Instant> {
-        self.end(channel)?.times().sent
+        *self.end(channel)?.sent()
     }
 
     fn try_receive(&self, channel: Channel, bytes: &mut [u8]) -> Option<Datagram> {
         let end = self.end(channel)?;
         for _ in 0..DISCARDED_AT_ONCE {
-            let heard = end.udp.receive(bytes)?;
-            if self.is_cut() {
-                continue;
+            let datagram = end.udp.receive(bytes)?;
+            if !self.is_cut() {
+                return Some(datagram);
             }
-            let noted = received_at(end.udp.sockets()[heard.socket]);
-            let now = clock::now();
-            let mut times = end.times();
-            let last = &mut times.received[heard.socket];
-            // The kernel's real-time clock may have been set since.
-            *last = noted.unwrap_or(now).max(*last).min(now);
-            return Some(Datagram {
-                len: heard.len,
-                from: heard.from,
-                at: *last,
-            });
         }
         None
     }
-}
-
-/// Returns when the kernel received the datagram that was last read from this socket, on the
-/// board's clock; `None` if the kernel does not know.
-fn received_at(socket: &UdpSocket) -> Option<Instant> {
-    let mut at = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: the request writes one timespec, which outlives the call.
-    let result = unsafe { libc::ioctl(socket.as_raw_fd(), SIOCGSTAMPNS, &raw mut at) };
-    if result != 0 {
-        return None;
-    }
-    let (now, real) = both_clocks()?;
-    let ns = |seconds: i64, ns: i64| i128::from(seconds) * 1_000_000_000 + i128::from(ns);
-    let age = ns(real.tv_sec, real.tv_nsec) - ns(at.tv_sec, at.tv_nsec);
-    let age = u64::try_from(age.max(0)).ok()?;
-    Some(Instant::from_ns(now.as_ns().saturating_sub(age)))
-}
-
-/// Reads the board's clock and the kernel's real-time clock within 5 µs; `None` if the process was
-/// interrupted each time.
-fn both_clocks() -> Option<(Instant, Timespec)> {
-    (0..8).find_map(|_| {
-        let now = clock::now();
-        let real = clock_gettime(ClockId::Realtime);
-        (clock::now().since(now) < Duration::from_us(5)).then_some((now, real))
-    })
 }
 
 #[cfg(test)]
@@ -185,7 +126,7 @@ mod tests {
     use super::*;
     use crate::backplane::tests::ScratchRun;
     use std::net::Ipv4Addr;
-    use tandem_board::{Generation, SystemId};
+    use tandem_board::{Duration, Generation, SystemId};
 
     const CHANNEL: Channel = Channel::Time;
 

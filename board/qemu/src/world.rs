@@ -34,8 +34,8 @@ pub enum WorldLayout {
 #[derive(Debug)]
 pub struct EmulatedWorld {
     machines: Vec<Node>,
-    /// The number of the last step.
-    step: u64,
+    /// Steps so far.
+    steps: u64,
     /// Frames of cores that were on the bus since the last step.
     sent: Vec<network::Delivery>,
     /// The connections between the machines.
@@ -135,7 +135,7 @@ impl EmulatedWorld {
         }
         Ok(Self {
             machines,
-            step: 0,
+            steps: 0,
             sent: vec![],
             network: Network::default(),
             bridge: None,
@@ -193,11 +193,11 @@ impl EmulatedWorld {
     /// # Errors
     /// [`MachineError`] if a machine hangs or has ended without being killed.
     pub fn step(&mut self) -> Result<Instant, MachineError> {
-        if self.step > 0 {
+        if self.steps > 0 {
             self.bridge();
             self.answer()?;
         }
-        self.step += 1;
+        self.steps += 1;
         self.network.settle_bus(self.now(), &mut self.noise);
         self.carry();
         for index in 0..self.machines.len() {
@@ -463,6 +463,7 @@ impl EmulatedWorld {
             line: line.index(),
             edge: usize::from(edge == Edge::Falling),
             count: 1,
+            at: self.now(),
         };
         self.command(to, edges);
     }
@@ -494,9 +495,9 @@ impl EmulatedWorld {
 }
 
 impl VehicleBus for EmulatedWorld {
-    /// Returns the virtual time of the last step.
+    /// Returns the virtual time of the last step, at which the machines wait. The first is at zero.
     fn now(&self) -> Instant {
-        Instant::from_ns(self.step * PERIOD_NS)
+        Instant::from_ns(self.steps.saturating_sub(1) * PERIOD_NS)
     }
 
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {

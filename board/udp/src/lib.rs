@@ -5,10 +5,15 @@
 //! further ones in the range of a domain.
 #![forbid(unsafe_code)]
 
+use nix::sys::socket::sockopt::Timestamping;
+use nix::sys::socket::{
+    ControlMessageOwned, MsgFlags, SockaddrIn, TimestampingFlag, Timestamps, recvmsg, setsockopt,
+};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use std::fmt;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::os::fd::AsRawFd as _;
 use std::str::FromStr;
 use tandem_board::{Channel, NetworkAddress, NetworkFull, Recipient};
 
@@ -193,6 +198,55 @@ impl UdpChannel {
     /// # Errors
     /// [`NetworkFull`] if the socket's buffer is full.
     pub fn send(&self, to: Recipient, bytes: &[u8]) -> Result<(), NetworkFull> {
+        self.send_copies(to, |at| self.own.send_to(bytes, at))
+    }
+
+    /// As [`send`](Self::send). Returns when the first copy left, by the kernel's real-time clock:
+    /// UTC since 1970, ns; `None` if the kernel does not tell at once.
+    ///
+    /// # Errors
+    /// As [`send`](Self::send).
+    pub fn send_stamped(&self, to: Recipient, bytes: &[u8]) -> Result<Option<u64>, NetworkFull> {
+        let mut stamp = None;
+        let mut is_first = true;
+        self.send_copies(to, |at| {
+            if !std::mem::replace(&mut is_first, false) {
+                return self.own.send_to(bytes, at);
+            }
+            // A stamp that is late belongs to an earlier datagram.
+            while self.left_at().is_some() {}
+            let is_stamping = setsockopt(&self.own, Timestamping, &left_stamps()).is_ok();
+            let sent = self.own.send_to(bytes, at);
+            if is_stamping {
+                stamp = self.left_at();
+                // While it is set, the kernel does not note times of receiving.
+                let _ = setsockopt(&self.own, Timestamping, &TimestampingFlag::empty());
+            }
+            sent
+        })?;
+        Ok(stamp)
+    }
+
+    /// Returns the next stamp of a datagram that has left, UTC since 1970, ns.
+    fn left_at(&self) -> Option<u64> {
+        let mut control = nix::cmsg_space!(Timestamps, [u8; 64]);
+        let flags = MsgFlags::MSG_ERRQUEUE | MsgFlags::MSG_DONTWAIT;
+        let fd = self.own.as_raw_fd();
+        let told = recvmsg::<SockaddrIn>(fd, &mut [], Some(&mut control), flags).ok()?;
+        told.cmsgs().ok()?.find_map(|it| match it {
+            ControlMessageOwned::ScmTimestampsns(at) => {
+                let seconds = u64::try_from(at.system.tv_sec()).ok()?;
+                Some(seconds * 1_000_000_000 + u64::try_from(at.system.tv_nsec()).ok()?)
+            }
+            _ => None,
+        })
+    }
+
+    fn send_copies(
+        &self,
+        to: Recipient,
+        mut send: impl FnMut(SocketAddrV4) -> io::Result<usize>,
+    ) -> Result<(), NetworkFull> {
         let one = match to {
             Recipient::Everyone => None,
             Recipient::One(at) => Some(SocketAddrV4::new(at.address.into(), at.port)),
@@ -201,7 +255,7 @@ impl UdpChannel {
             .as_ref()
             .map_or(&self.everyone[..], std::slice::from_ref);
         for (index, to) in all.iter().enumerate() {
-            if let Err(error) = self.own.send_to(bytes, to)
+            if let Err(error) = send(*to)
                 && error.kind() == io::ErrorKind::WouldBlock
                 && index == 0
             {
@@ -214,7 +268,9 @@ impl UdpChannel {
     /// Copies the next datagram of another station; `None` if there is none. Never blocks. What
     /// does not fit is cut off.
     pub fn receive(&self, bytes: &mut [u8]) -> Option<UdpHeard> {
-        for (index, socket) in self.sockets().into_iter().enumerate() {
+        // The group first: the earliest copy of a datagram to everyone is there, and its time of
+        // arrival counts.
+        for (index, socket) in self.sockets().into_iter().enumerate().rev() {
             while let Ok((len, from)) = socket.recv_from(bytes) {
                 if let SocketAddr::V4(from) = from
                     && from != self.at
@@ -229,6 +285,13 @@ impl UdpChannel {
         }
         None
     }
+}
+
+/// Stamps in software, when a datagram leaves, without the datagram.
+const fn left_stamps() -> TimestampingFlag {
+    TimestampingFlag::SOF_TIMESTAMPING_TX_SOFTWARE
+        .union(TimestampingFlag::SOF_TIMESTAMPING_SOFTWARE)
+        .union(TimestampingFlag::SOF_TIMESTAMPING_OPT_TSONLY)
 }
 
 const fn address(of: SocketAddrV4) -> NetworkAddress {
@@ -250,6 +313,7 @@ fn shared(port: u16) -> io::Result<UdpSocket> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::UNIX_EPOCH;
 
     #[test]
     fn a_place_comes_back_as_it_was_written_and_no_other_text_is_one() {
@@ -282,6 +346,31 @@ mod tests {
             assert!(rest.iter().all(Result::is_ok));
             let full = UdpChannel::open(place, channel).unwrap_err();
             assert_eq!(full.kind(), io::ErrorKind::AddrInUse);
+        }
+    }
+
+    /// S-2: the kernel tells when a datagram left. A second one has a stamp of its own, and the
+    /// stamps of copies are not taken for it.
+    #[test]
+    fn a_datagram_tells_when_it_left() {
+        let interface = Ipv4Addr::new(127, 77, 1, 2);
+        let place = UdpPlace::new(230, interface).unwrap();
+        let [from, to] = [(); 2].map(|()| UdpChannel::open(place, Channel::Time).unwrap());
+        let now = || UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
+        for to_one in [true, false] {
+            let recipient = match to_one {
+                true => Recipient::One(to.address()),
+                false => Recipient::Everyone,
+            };
+            let before = now();
+            let left = from
+                .send_stamped(recipient, &[7])
+                .unwrap()
+                .expect("a stamp");
+            assert!((before..=now()).contains(&left), "{before} {left}");
+            let mut bytes = [0; 4];
+            assert!(to.receive(&mut bytes).is_some() && bytes[0] == 7);
+            assert_eq!(from.left_at(), None);
         }
     }
 }

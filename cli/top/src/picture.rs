@@ -99,6 +99,7 @@ impl Picture {
                 }
             }
             News::Event(event) => push(&mut self.events, *event, EVENTS),
+            News::Time(_) => {}
         }
     }
 }

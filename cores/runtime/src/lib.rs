@@ -255,8 +255,7 @@ fn read_ticks(ctx: &TaskContext) -> TickGrid {
 
 /// Moves the next tick and all later ones as the shared state wants.
 fn steer<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: TickGrid) {
-    let now = executor.runtime.board.now();
-    let by_ns = executor.shared(|shared| shared.tick_correction(ticks, now));
+    let by_ns = executor.shared(|shared| shared.tick_correction(ticks));
     if by_ns != 0 {
         // Refused if this task is late; the correction after the next tick makes up for it.
         let _is_moved = executor.ctx.shift_ticks(by_ns);
@@ -274,7 +273,7 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
 }
 
 /// The loop of a task.
-fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl TaskBody<'static, B>) {
+fn run<B: Board + Sync>(executor: &OfTask<'_, B>, task: &mut impl TaskBody<'static, B>) {
     let board = executor.runtime.board;
     let mut ticks = read_ticks(executor.ctx);
     task.start(ticks.floor(board.now()));
@@ -338,6 +337,8 @@ where
     let options = TaskOptions::new(info.name, Priority::new(info.priority))
         .stack_bytes(runtime.options.stack_bytes);
     let below = made.clone();
+    // On the heap: a body that the entry owned would be copied to the task's stack.
+    let mut body = Box::new(body);
     let entry = move |ctx: &TaskContext| {
         let executor = OfTask {
             ctx,
@@ -346,7 +347,7 @@ where
             below,
             jobs_left: Cell::new(runtime.options.overload.map_or(0, |it| it.every)),
         };
-        run(&executor, body);
+        run(&executor, &mut *body);
     };
     let handle = kernel.spawn(&options, entry);
     let handle = handle.map_err(|error| RuntimeError::Spawn(task, error))?;
@@ -389,11 +390,13 @@ pub fn start<B: Board + Sync>(
         degraded,
         trajectory_input,
         status,
+        time,
         topics,
     } = tasks;
     // The least urgent first: a task releases only less urgent ones.
     let mut made = Handles::default();
     spawn(&kernel, runtime, &mut made, topics)?;
+    spawn(&kernel, runtime, &mut made, time)?;
     spawn(&kernel, runtime, &mut made, status)?;
     spawn(&kernel, runtime, &mut made, trajectory_input)?;
     spawn(&kernel, runtime, &mut made, degraded)?;

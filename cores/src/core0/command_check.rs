@@ -128,13 +128,13 @@ impl CommandCheck<'_> {
         self.agreement.cycle(now, phase, deviation)
     }
 
-    /// Returns the datagram with this system's command, its scene and the SoC that it follows, for
-    /// the other one.
+    /// Returns the datagram with this system's command, its scene, the SoC that it follows and its
+    /// next cycle, for the other one.
     pub(super) fn datagram(
         &mut self,
         now: Instant,
         output: &Output,
-        (scene, soc): (Option<PeerScene>, u16),
+        (scene, soc, next_cycle): (Option<PeerScene>, u16, u32),
     ) -> impl AsRef<[u32]> + use<> {
         let mode = if self.agreement.is_warm(now) {
             output.mode
@@ -146,6 +146,7 @@ impl CommandCheck<'_> {
             stage: self.stage(),
             command: output.standalone,
             soc,
+            next_cycle,
             scene,
         };
         self.link.datagram(now, own)

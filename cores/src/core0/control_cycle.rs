@@ -44,6 +44,9 @@ impl<'b, B: Board> TaskBody<'b, B> for ControlTask<'b, B> {
         let now = self.0.now();
         let (inputs, pass_on, next) = executor.shared(|shared| {
             let release = shared.grid.release(now);
+            if release.is_some() {
+                shared.align_cycles();
+            }
             let next = shared.grid.next();
             let Some(release) = release else {
                 return (None, false, next);
@@ -148,9 +151,12 @@ impl<'b, B: Board> SharedState<'b, B> {
             return;
         };
         self.redundancy.report();
-        let own = self
-            .check
-            .datagram(begin, output, (self.scene_check.own(), self.followed.own));
+        let next_cycle = self.time.cycle_word(self.grid.next());
+        let own = self.check.datagram(
+            begin,
+            output,
+            (self.scene_check.own(), self.followed.own, next_cycle),
+        );
         let _full = self.board.link().try_send(own.as_ref());
         let transmitted = may_transmit && !self.check.is_wrong() && self.transmit(output);
         if transmitted && self.counters.control_cycles.is_multiple_of(BODY_CYCLES) {

@@ -4,6 +4,7 @@
 use super::CONTROL_PERIOD;
 use crate::release::{Grid, Release, TickGrid};
 use tandem_board::{Duration, Instant};
+use tandem_timesync::{Arbitrary, Conversion};
 
 /// A trajectory waits no longer than this for the control task, once the grid has moved.
 const LONGEST_WAIT: Duration = Duration::from_us(1_500);
@@ -14,11 +15,19 @@ const LATE: u8 = 3;
 /// The grid moves in steps of one tick of the kernel, because releases lie on ticks.
 const GRID_STEP: Duration = Duration::from_ms(1);
 
+/// By this much the cycles, or the ticks of an RTOS, move at most when they are moved to the
+/// vehicle's time: 0.5 % of a tick, so no task notices.
+const FINE_STEP_NS: i64 = 5_000;
+const STEP_NS: i64 = GRID_STEP.as_ns() as i64;
+const PERIOD_NS: i64 = CONTROL_PERIOD.as_ns() as i64;
+
 /// The releases of the control task.
 pub(super) struct ControlGrid {
     ticks: TickGrid,
     grid: Grid,
     follow: Follow,
+    /// The next release was moved already: from one to the next, one tick at most.
+    is_moved: bool,
     /// A control cycle that the degraded task has not run yet.
     for_degraded: Option<Release>,
 }
@@ -29,6 +38,7 @@ impl ControlGrid {
             ticks: TickGrid::EXACT,
             grid: Grid::new(started, CONTROL_PERIOD),
             follow: Follow::default(),
+            is_moved: false,
             for_degraded: None,
         }
     }
@@ -61,7 +71,10 @@ impl ControlGrid {
     /// Returns the release that is due at `now`.
     pub(super) fn release(&mut self, now: Instant) -> Option<Release> {
         let release = self.grid.release(now)?;
-        if self.follow.moves() {
+        // A system that follows another one has no part in this: that one follows the trajectories.
+        let was_moved = core::mem::replace(&mut self.is_moved, false);
+        if self.follow.moves() && !was_moved {
+            self.is_moved = true;
             self.grid.shift(-(GRID_STEP.as_ns() as i64));
         }
         Some(release)
@@ -70,6 +83,33 @@ impl ControlGrid {
     /// Returns the time of the next release.
     pub(super) const fn next(&self) -> Instant {
         self.grid.next()
+    }
+
+    /// Moves the next release, and all after it, towards a whole millisecond of the vehicle's time.
+    /// Releases on the ticks of an RTOS stay there: the ticks themselves are moved.
+    pub(super) fn align(&mut self, conversion: &Conversion<Arbitrary>) {
+        let by = off_millisecond(conversion, self.grid.next());
+        self.begin_at(conversion.local_of(conversion.at(self.grid.next()).moved(by)));
+    }
+
+    /// Moves the next release towards the cycle of another system, once and by a tick at most.
+    /// `told`: the low word of its time, ns. Returns whether the release is earlier now.
+    pub(super) fn follow(&mut self, told: u32, conversion: &Conversion<Arbitrary>) -> bool {
+        if core::mem::replace(&mut self.is_moved, true) {
+            return false;
+        }
+        let before = self.grid.next();
+        let own = conversion.at(before);
+        let apart = told.wrapping_sub(own.as_ns() as u32).cast_signed();
+        let by = within(apart.into(), PERIOD_NS);
+        self.begin_at(conversion.local_of(own.moved(by.clamp(-STEP_NS, STEP_NS))));
+        self.grid.next() < before
+    }
+
+    /// Puts the next release on the tick nearest to `at`.
+    fn begin_at(&mut self, at: Instant) {
+        let half = Duration::from_ns(self.ticks.period.as_ns() / 2);
+        self.grid.restart(self.ticks.floor(at + half));
     }
 
     /// Passes a release to the degraded task. An unused earlier release counts as missed.
@@ -83,6 +123,18 @@ impl ControlGrid {
     pub(super) fn take_passed_on(&mut self) -> Option<Release> {
         self.for_degraded.take()
     }
+}
+
+/// Returns by how much later a local time must be, ns, to move towards the next whole millisecond
+/// of the vehicle's time.
+pub(super) fn off_millisecond(conversion: &Conversion<Arbitrary>, at: Instant) -> i64 {
+    let into = conversion.at(at).as_ns() % STEP_NS as u64;
+    within(-(into as i64), STEP_NS).clamp(-FINE_STEP_NS, FINE_STEP_NS)
+}
+
+/// Returns the number nearest to 0 that differs from `ns` by a multiple of `period`.
+const fn within(ns: i64, period: i64) -> i64 {
+    (ns + period / 2).rem_euclid(period) - period / 2
 }
 
 /// Counts the trajectories that waited too long.

@@ -13,6 +13,7 @@ pub(super) const MAX_WORDS: usize = 32;
 pub(super) const PEER_COMMAND: u16 = 0x0801;
 pub(super) const KNOWLEDGE_REQUEST: u16 = 0x0802;
 pub(super) const KNOWLEDGE_CHUNK: u16 = 0x0803;
+pub(super) const PULSE: u16 = 0x0804;
 
 /// Writes CRC, the next counter and version into word 0. `words` has at most [`MAX_WORDS`].
 pub(super) fn seal(id: u16, version: u8, counter: &mut u8, words: &mut [u32]) {

@@ -2,7 +2,7 @@
 //!
 //! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
-//! Its work is seven tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is
+//! Its work is eight tasks ([`Core0Task`]; the table is [`crate::task_table`]). The body of each is
 //! a [`TaskBody`] that does all due work and returns when it is due next. It reaches the state that
 //! all tasks share through an [`Executor`]. [`Core0`] runs the tasks one after the other, each to
 //! its end; the crate `tandem-runtime` gives each a task of FreeRTOS; the simulator has an executor
@@ -29,6 +29,7 @@ mod scene_check;
 mod shared;
 mod state_flash;
 mod tasks;
+mod time;
 mod topics;
 mod vehicle_clock;
 mod wheel;
@@ -45,6 +46,7 @@ pub use run_to_completion::Core0;
 pub use shared::SharedState;
 use tandem_board::{Board, CoreId, Duration, Instant};
 pub use tasks::{MonitoringTask, RolesTask, StatusTask, TrajectoryInputTask};
+pub use time::{TimeSource, TimeTask};
 pub use topics::TopicsTask;
 
 /// Period of the control task.
@@ -65,6 +67,8 @@ pub enum Core0Task {
     TrajectoryInput,
     /// The status frame.
     Status,
+    /// The time of the vehicle.
+    Time,
     /// Topics over DDS, to and from the SoC.
     Topics,
 }
@@ -78,6 +82,7 @@ impl Core0Task {
         Self::Degraded,
         Self::TrajectoryInput,
         Self::Status,
+        Self::Time,
         Self::Topics,
     ];
 
@@ -195,6 +200,7 @@ pub struct Tasks<'b, B: Board> {
     pub degraded: DegradedTask,
     pub trajectory_input: TrajectoryInputTask<'b, B>,
     pub status: StatusTask<'b, B>,
+    pub time: TimeTask<'b, B>,
     pub topics: TopicsTask<'b, B>,
 }
 
@@ -208,6 +214,7 @@ impl<'b, B: Board> Tasks<'b, B> {
             Core0Task::Degraded => self.degraded.poll(executor),
             Core0Task::TrajectoryInput => self.trajectory_input.poll(executor),
             Core0Task::Status => self.status.poll(executor),
+            Core0Task::Time => self.time.poll(executor),
             Core0Task::Topics => self.topics.poll(executor),
         }
     }
@@ -221,6 +228,7 @@ impl<'b, B: Board> Tasks<'b, B> {
             Core0Task::Degraded => self.degraded.shift(executor, by_ns),
             Core0Task::TrajectoryInput => self.trajectory_input.shift(executor, by_ns),
             Core0Task::Status => self.status.shift(executor, by_ns),
+            Core0Task::Time => self.time.shift(executor, by_ns),
             Core0Task::Topics => self.topics.shift(executor, by_ns),
         }
     }
@@ -254,6 +262,7 @@ impl<'b, B: Board> Parts<'b, B> {
                 degraded: DegradedTask,
                 trajectory_input: TrajectoryInputTask::new(board),
                 status: StatusTask::new(board),
+                time: TimeTask::new(board),
                 topics: TopicsTask::new(board),
             },
         }

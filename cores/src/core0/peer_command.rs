@@ -18,6 +18,9 @@ pub(super) struct PeerCommand {
     pub(super) command: Command,
     /// The SoC that it follows, see [`soc_code`](super::topics::soc_code); 0 if none.
     pub(super) soc: u16,
+    /// When it begins its next control cycle: the low word of the vehicle's time, ns; 0 if it has
+    /// no time.
+    pub(super) next_cycle: u32,
     /// Its newest scene with a lane, if that is at most [`OLDEST`] old.
     pub(super) scene: Option<PeerScene>,
 }
@@ -33,8 +36,8 @@ const STEERING_MAX: f32 = 0.61;
 const ACCELERATION_MAX: f32 = 10.0;
 
 impl PeerCommand {
-    /// The command, the age of the scene, its line and its motion.
-    const WORDS: usize = 4 + 1 + 4 + 4;
+    /// The command, the age of the scene, its line, its motion, and the next control cycle.
+    const WORDS: usize = 4 + 1 + 4 + 4 + 1;
 
     fn from_words(now: Instant, words: &[u32; Self::WORDS]) -> Option<Self> {
         let code = |code: u32| u8::try_from(code).ok();
@@ -50,6 +53,7 @@ impl PeerCommand {
                 acceleration: number(words[3], ACCELERATION_MAX)?,
             },
             soc: (words[1] >> 16) as u16,
+            next_cycle: words[13],
             scene: scene(now, words),
         })
     }
@@ -94,10 +98,11 @@ impl PeerCommandLink {
         words[2] = own.command.steering_angle.to_bits();
         words[3] = own.command.acceleration.to_bits();
         words[4] = NO_SCENE;
+        words[13] = own.next_cycle;
         if let Some(PeerScene { at, c, ego }) = own.scene {
             words[4] = u32::try_from(now.since(at).as_ns() / 1_000).unwrap_or(NO_SCENE);
             let motion = [ego.speed, ego.yaw_rate, ego.steering_angle, ego.slip_angle];
-            for (word, number) in words[5..].iter_mut().zip(c.into_iter().chain(motion)) {
+            for (word, number) in words[5..13].iter_mut().zip(c.into_iter().chain(motion)) {
                 *word = number.to_bits();
             }
         }
@@ -127,6 +132,7 @@ mod tests {
                 acceleration: 1.5,
             },
             soc: 0xABCD,
+            next_cycle: 0x1234_5678,
             scene: Some(PeerScene {
                 at: NOW,
                 c: [0.1, 0.2, 0.3, 0.4],

@@ -8,16 +8,17 @@ use super::ability::AbilityCheck;
 use super::agreement::{Change, Stage};
 use super::can_port::CanPort;
 use super::command_check::CommandCheck;
-use super::control_grid::ControlGrid;
+use super::control_grid::{ControlGrid, off_millisecond};
 use super::datagram::MAX_WORDS;
 use super::knowledge_transfer::KnowledgeTransfer;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::read_back::Verdict;
 use super::redundancy_port::{Outcome, RedundancyPort};
 use super::scene_check::{SceneCheck, Suspect};
+use super::time::TimeShare;
 use super::topics::{FollowedSoc, Heard};
 use super::{Core0Task, TaskSet, frames};
-use crate::driving::perception::{GlobalClock, ego_of};
+use crate::driving::perception::ego_of;
 use crate::driving::types::Scene;
 use crate::release::TickGrid;
 use crate::tester_desk::DeskPort;
@@ -31,6 +32,10 @@ use tandem_bus::Message;
 use tandem_redundancy::{
     ControlHeader, FailureMode, Input, LineSnapshot, LinkReport, Mode, Phase, Redundancy, Term,
 };
+
+/// The ticks of an RTOS are moved by no less, ns: a crystal is 0.1 µs off after a tick, and two
+/// systems start their cycles within 20 µs.
+const TICK_STEP_NS: u64 = 1_000;
 
 /// Counters for the status frame and the supervision of the control task.
 #[derive(Default)]
@@ -57,6 +62,7 @@ pub struct SharedState<'b, B: Board> {
     pub(super) is_plan_wrong: bool,
     ability: AbilityCheck,
     pub(super) transfer: KnowledgeTransfer<'b>,
+    pub(super) time: TimeShare,
     pub(super) grid: ControlGrid,
     pub(super) counters: Counters,
     floods: Floods,
@@ -85,6 +91,7 @@ impl<'b, B: Board> SharedState<'b, B> {
             is_plan_wrong: false,
             ability: AbilityCheck::default(),
             transfer: KnowledgeTransfer::new(started, generation),
+            time: TimeShare::new(),
             grid: ControlGrid::new(started),
             counters: Counters::default(),
             floods: Floods::new(started),
@@ -96,20 +103,6 @@ impl<'b, B: Board> SharedState<'b, B> {
     /// The executor passes the copy of the ticks with which [`Core0Task::Control`] begins.
     pub fn set_ticks(&mut self, ticks: TickGrid) {
         self.grid.set_ticks(ticks, self.board.now());
-    }
-
-    /// Sets the global time of this system for the check of the scene; `None` if it has none that
-    /// is good enough.
-    pub const fn set_global(&mut self, global: Option<GlobalClock>) {
-        self.scene_check.set_global(global);
-    }
-
-    /// Returns by how much the executor is to move its next tick and all later ones, ns; later if
-    /// positive. Called once after each tick that the roles see. `ticks`: with the last tick.
-    ///
-    /// The executor may move them by less, or not at all; the next call sees what it did.
-    pub fn tick_correction(&mut self, _ticks: TickGrid, _now: Instant) -> i32 {
-        0
     }
 
     /// Returns the phase of this system, once the start protocol has begun.
@@ -156,6 +149,10 @@ impl<'b, B: Board> SharedState<'b, B> {
         if let Some(report) = self.newest_report() {
             released |= self.notify(Input::LinkReport(report));
         }
+        if self.time.has_transfer() {
+            released |= TaskSet::of(Core0Task::Time);
+        }
+        released |= self.follow_cycles();
         released | self.serve_desk()
     }
 
@@ -185,7 +182,8 @@ impl<'b, B: Board> SharedState<'b, B> {
                 }
                 self.on_peer_stage(theirs.stage);
                 self.followed.on_peer(self.board.now(), theirs.soc);
-            } else {
+                self.time.on_peer_cycle(theirs.next_cycle);
+            } else if !self.time.on_datagram(self.board.now(), words) {
                 let (now, redundancy) = (self.board.now(), self.redundancy.running());
                 let transfer = &mut self.transfer;
                 transfer.on_datagram(now, words, redundancy, self.system);
@@ -396,6 +394,54 @@ impl<'b, B: Board> SharedState<'b, B> {
         if ability != told {
             // The next poll acts on it.
             let _done = self.redundancy.on(Input::Ability(ability));
+        }
+    }
+
+    /// Moves the control cycles of a system that drives to whole milliseconds of the vehicle's
+    /// time.
+    pub(super) fn align_cycles(&mut self) {
+        if let Some(conversion) = self.time.conversion.as_ref()
+            && self.redundancy.is_driving()
+        {
+            self.grid.align(conversion);
+        }
+    }
+
+    /// Called when a trajectory has arrived. The control cycles follow trajectories, unless they
+    /// follow those of the system that drives.
+    pub(super) fn follow_trajectory(&mut self) {
+        if self.redundancy.is_driving() || self.time.conversion.is_none() {
+            self.grid.on_trajectory(self.board.now());
+        }
+    }
+
+    /// Releases the next control cycle at the global instant that the system which drives has told.
+    /// Returns the control task if that is earlier than it waits for.
+    fn follow_cycles(&mut self) -> TaskSet {
+        let told = self.time.take_peer_cycle();
+        let (Some(told), Some(conversion)) = (told, &self.time.conversion) else {
+            return TaskSet::NONE;
+        };
+        if self.redundancy.is_driving() || !self.grid.follow(told, conversion) {
+            return TaskSet::NONE;
+        }
+        TaskSet::of(Core0Task::Control)
+    }
+
+    /// Returns by how much the executor is to move its next tick and all later ones, ns; later if
+    /// positive: they are to lie on the milliseconds of the vehicle's time. Called once after each
+    /// tick that the roles see. `ticks`: with the last tick.
+    ///
+    /// The executor may move them by less, or not at all; the next call sees what it did.
+    #[must_use]
+    pub fn tick_correction(&self, ticks: TickGrid) -> i32 {
+        let conversion = self.time.conversion.as_ref();
+        let by = conversion.map_or(0, |it| off_millisecond(it, ticks.origin));
+        // Smaller steps would move the releases of all tasks at each tick.
+        if by.unsigned_abs() < TICK_STEP_NS {
+            0
+        } else {
+            by as i32
         }
     }
 

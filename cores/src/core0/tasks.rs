@@ -411,7 +411,7 @@ impl<'b, B: Board> TaskBody<'b, B> for TrajectoryInputTask<'b, B> {
                 self.refused = 0;
                 let event = executor.drive(|drive| drive.on_trajectory(trajectory));
                 let tasks = executor.shared(|shared| {
-                    shared.grid.on_trajectory(shared.board.now());
+                    shared.follow_trajectory();
                     event.map_or(TaskSet::NONE, |event| shared.on_checked_trajectory(event))
                 });
                 executor.release(tasks);

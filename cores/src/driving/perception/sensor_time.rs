@@ -430,8 +430,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever sensors and time base say, and whatever the clocks do: a measurement lies at most
-        /// 1 s before its arrival, and never after it.
+        /// Whatever sensors and time base say, and whatever the clocks do: a measurement lies at
+        /// most 1 s before its arrival, and never after it.
         #[test]
         fn a_measurement_lies_before_its_arrival(
             lists in prop::collection::vec(
