@@ -1,5 +1,7 @@
 //! The arguments of the `tandem` command.
 
+mod timing;
+
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -14,6 +16,8 @@ use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
+pub use timing::{GrandmasterArgs, GrandmasterScale, TimeArgs, TimeBoard};
+
 const EXAMPLES: &str = "\
 The three jobs:
   benchmark  tandem bench --quick
@@ -25,8 +29,8 @@ The three jobs:
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
 Exit status: 0 success; 1 the run failed (collision, no controller, two masters, ...);
-2 the command line or an input was wrong and nothing was started; 3 nothing was heard (topics);
-130 ended by Ctrl-C.";
+2 the command line or an input was wrong and nothing was started;
+3 nothing was heard (topics, time); 130 ended by Ctrl-C.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:
@@ -82,6 +86,8 @@ pub enum Command {
     /// Park the vehicle of a run; `tandem run --soc` starts this
     #[command(hide = true)]
     Soc(SocArgs),
+    /// Give the time to a run, as the grandmaster that its clocks follow
+    Grandmaster(GrandmasterArgs),
     /// Cut a wire of a run while it drives
     Cut(WireArgs),
     /// Restore a wire that was cut
@@ -108,6 +114,8 @@ pub enum Command {
     RtosDemo(PassedArguments),
     /// Show the topics between the controller and the SoC, or command as the SoC does
     Topics(TopicsArgs),
+    /// Show the vehicle's time: whom each clock follows, its offset, rate and status
+    Time(TimeArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show a
     /// frame of each core
     BootDemo(BootDemoArgs),
@@ -178,7 +186,7 @@ pub struct RunArgs {
     pub can_port: u16,
 
     /// Connect both systems to this DDS domain, 0 to 230; each run needs one of its own
-    /// (docs/topics.md) [default: no network; 0 with --soc]
+    /// (docs/topics.md) [default: no network; 0 with --soc or --grandmaster]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=230))]
     pub domain: Option<u16>,
 
@@ -191,6 +199,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "12",
           value_parser = parse_way)]
     pub soc: Option<f32>,
+
+    /// Start a grandmaster of time, which both systems and the SoC follow
+    #[arg(long, value_enum, value_name = "SCALE", num_args = 0..=1, default_missing_value = "tai")]
+    pub grandmaster: Option<GrandmasterScale>,
 
     /// Start the controller without its bootloader, to measure what the bootloader costs
     #[arg(long, conflicts_with_all = ["program_flash", "update"])]
@@ -270,7 +282,8 @@ pub struct RunArgs {
 impl RunArgs {
     /// Returns where both systems are on a network; `None` without one.
     pub fn network(&self) -> Option<UdpPlace> {
-        let domain = self.domain.or(self.soc.map(|_| 0))?;
+        let has_station = self.soc.is_some() || self.grandmaster.is_some();
+        let domain = self.domain.or(has_station.then_some(0))?;
         UdpPlace::new(domain, self.interface).ok()
     }
 
@@ -294,6 +307,10 @@ pub struct SocArgs {
     /// The file that it writes
     #[arg(long)]
     pub leaves: PathBuf,
+
+    /// The recording of its time
+    #[arg(long)]
+    pub times: PathBuf,
 
     /// Claim real time
     #[arg(long)]

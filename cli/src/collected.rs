@@ -34,7 +34,12 @@ impl Collected {
         }
         let stage = out.stage()?;
         let candump = stage.path().join(output::CANDUMP);
-        let log = read(&files.recording(), &candump).with_context(because)?;
+        let mut log = read(&files.recording(), &candump).with_context(because)?;
+        // Without an SoC there is none.
+        let _ = file::read(&files.soc_time(), |entry| {
+            log.push(entry);
+            Ok(())
+        });
         Ok(Self::staged(log, stage))
     }
 

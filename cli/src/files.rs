@@ -74,6 +74,16 @@ impl RunFiles {
         self.path("soc.json")
     }
 
+    /// Returns the path of the recording of the SoC's time.
+    pub fn soc_time(&self) -> PathBuf {
+        self.path("soc-time")
+    }
+
+    /// Returns the path of what the grandmaster's process leaves.
+    pub fn grandmaster(&self) -> PathBuf {
+        self.path("grandmaster.json")
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         PathBuf::from(format!("{}{name}", self.prefix))
     }

@@ -5,11 +5,13 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use tandem::args::{Cli, Command};
+use tandem::args::{Cli, Command, TimeBoard};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
-use tandem::{boot_demo, dflash, injection, print, ps, publish, run, soc, topics};
+use tandem::{
+    boot_demo, clock_view, dflash, grandmaster, injection, print, ps, publish, run, soc, topics,
+};
 
 fn main() -> ExitCode {
     tandem::program(|| {
@@ -56,11 +58,14 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Soc(args) => soc::run(&args),
+        Command::Grandmaster(args) => grandmaster::run(&args),
         Command::Cut(args) => injection::set_cut(&args, true).map_err(Failure::Run),
         Command::Mend(args) => injection::set_cut(&args, false).map_err(Failure::Run),
         Command::Power(args) => injection::power(&args).map_err(Failure::Run),
         Command::Fault(args) => injection::fault(&args).map_err(Failure::Run),
         Command::Topics(args) => topics::run(&args),
+        Command::Time(args) if args.board == TimeBoard::Sim => become_program(Program::Lab, words),
+        Command::Time(args) => clock_view::run(&args),
         Command::Dflash(args) => {
             let shown = dflash::run(&args)?;
             print(&shown).map_err(Failure::Run)

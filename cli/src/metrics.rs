@@ -9,8 +9,10 @@ use tandem_record::verdict::{Beside, Figures, Verdict};
 use tandem_record::{RunLog, ms_between, start};
 use tandem_vehicle::Ruling;
 
+use crate::grandmaster::GrandmasterEnd;
 use crate::percentiles::Spans;
 use crate::soc::{SocEnd, SocFigures};
+use crate::time_figures::TimeFigures;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]. It identifies a folder as a report.
@@ -33,6 +35,8 @@ pub struct Surroundings {
     pub watched_by: String,
     /// How the SoC ended; `None` if the run had none.
     pub soc: Option<SocEnd>,
+    /// The grandmaster; `None` if the run had none.
+    pub grandmaster: Option<GrandmasterEnd>,
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
@@ -124,6 +128,9 @@ pub struct Metrics {
     /// What the SoC did and heard; only in runs with one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) soc: Option<SocFigures>,
+    /// The vehicle's time; only in runs with one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) time: Option<TimeFigures>,
 }
 
 /// The type of [`Metrics::stalls`].
@@ -275,6 +282,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         lost_trace: log.lost_trace,
         stalled_ms: log.stalled_ms,
         soc: around.soc.as_ref().map(|end| SocFigures::of(end, log)),
+        time: TimeFigures::of(log, around.grandmaster.as_ref()),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Distributions of time spans, and the `.hgrm` files that HdrHistogram's tools read.
 
 use hdrhistogram::Histogram;
+use serde::Serialize;
 
 /// A distribution of time spans, stored in nanoseconds with four significant digits.
 pub struct Spans {
@@ -52,6 +53,34 @@ impl Spans {
     /// Returns the text of a `.hgrm` file, with values in milliseconds.
     pub fn to_hgrm(&self) -> String {
         tandem_page::hgrm::text(&self.histogram, 1e-6)
+    }
+}
+
+/// The magnitudes of deviations, µs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct DeviationFigures {
+    /// Median.
+    pub(crate) p50_us: f64,
+    /// 99th percentile.
+    pub(crate) p99_us: f64,
+    /// Largest.
+    pub(crate) max_us: f64,
+    /// How many there are.
+    pub(crate) count: u64,
+}
+
+impl DeviationFigures {
+    /// Of deviations in ns; `None` without any.
+    pub(crate) fn of_ns(deviations_ns: impl IntoIterator<Item = i64>) -> Option<Self> {
+        let sizes = deviations_ns.into_iter().map(i64::unsigned_abs);
+        let spans = Spans::from_ms(sizes.map(|ns| ns as f64 * 1e-6));
+        let us = |percent| Some(spans.percentile_ms(percent)? * 1e3);
+        Some(Self {
+            p50_us: us(50.0)?,
+            p99_us: us(99.0)?,
+            max_us: us(100.0)?,
+            count: spans.count(),
+        })
     }
 }
 

@@ -10,7 +10,7 @@ use std::io::Read as _;
 use std::os::fd::{AsFd as _, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 use std::os::unix::process::CommandExt as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,15 +22,20 @@ use rustix::process::getppid;
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreAddress, SystemId};
 use tandem_board_host::RunName;
-use tandem_board_host::services::{Event, Frame, Publisher, Roles, Vehicle};
+use tandem_board_host::services::{
+    ChainedClock, Event, Frame, Publisher, Roles, Vehicle, VehicleClocks,
+};
 use tandem_bus::{Message, RoleCode};
 use tandem_cores::trace;
+use tandem_record::clocks::{ChainClock, TimeLog};
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
 use tandem_shm::topic::Publish as _;
 use tandem_vehicle::LoggedFrame;
 
+use crate::files::RunFiles;
+use crate::percentiles::Spans;
 use crate::run_config::{LimitProfile, RunConfig};
 
 /// Delay of the next read after a read that found nothing, or only part of an entry.
@@ -48,6 +53,10 @@ const ENDS_WITHIN: Duration = Duration::from_secs(1);
 const CHECK_INTERVAL: Duration = Duration::from_millis(200);
 /// After this many checks without a message, the publisher assumes that `tandem run` has died.
 const SILENT_CHECKS: u32 = 300;
+/// Interval at which the vehicle's time is published, ns.
+const TIME_NS: u64 = 100_000_000;
+/// The time is published from what was recorded in this span, ns.
+const TIME_SPAN_NS: u64 = 5_000_000_000;
 /// A core that has written no trace record for this long is shown as dead, ns.
 const ALIVE_NS: u64 = 300_000_000;
 
@@ -92,7 +101,7 @@ impl Publishing {
     }
 
     /// Starts publishing this run.
-    pub(crate) fn follow(&mut self, run: &RunName, recording: PathBuf, config: &RunConfig) {
+    pub(crate) fn follow(&mut self, run: &RunName, files: &RunFiles, config: &RunConfig) {
         let begin = Begin {
             run: run.to_string(),
             duration_s: config.duration_s,
@@ -105,8 +114,9 @@ impl Publishing {
             return;
         }
         let (to, over) = (Arc::clone(&self.to), Arc::clone(&self.over));
+        let recordings = [files.recording(), files.soc_time()].map(Growing::new);
         let named = std::thread::Builder::new().name("publish".to_owned());
-        self.thread = named.spawn(move || hand_over(&recording, &to, &over)).ok();
+        self.thread = named.spawn(move || hand_over(recordings, &to, &over)).ok();
     }
 
     /// Ends the thread and the process. Kills the process if it does not end.
@@ -129,25 +139,49 @@ impl Publishing {
     }
 }
 
-/// Reads the recording as it grows, and sends whole entries to the publisher.
-fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
-    let (mut from, mut left) = (None, Vec::new());
-    while !over.load(Ordering::Relaxed) {
-        from = from.or_else(|| File::open(recording).ok());
-        let more = from
-            .as_mut()
-            .and_then(|from: &mut File| from.take(READ_MAX as u64).read_to_end(&mut left).ok());
-        while let Some(end) = file::whole_entries(&left, MESSAGE_MAX) {
+/// A recording that grows.
+struct Growing {
+    path: PathBuf,
+    file: Option<File>,
+    /// What is not sent yet.
+    left: Vec<u8>,
+}
+
+impl Growing {
+    const fn new(path: PathBuf) -> Self {
+        Self {
+            path,
+            file: None,
+            left: Vec::new(),
+        }
+    }
+
+    /// Reads what was added, and sends whole entries to the publisher. Returns how much was added.
+    fn hand_over(&mut self, to: &UnixDatagram) -> usize {
+        if self.file.is_none() {
+            self.file = File::open(&self.path).ok();
+        }
+        let Some(file) = &mut self.file else { return 0 };
+        let more = file.take(READ_MAX as u64).read_to_end(&mut self.left);
+        while let Some(end) = file::whole_entries(&self.left, MESSAGE_MAX) {
             if end <= MESSAGE_MAX {
                 // A publisher that is too slow loses these entries. If it has ended, the error is
                 // harmless.
-                let _ = to.send(&left[..end]);
+                let _ = to.send(&self.left[..end]);
             }
-            left.drain(..end);
+            self.left.drain(..end);
         }
-        let more = more.unwrap_or(0);
+        more.unwrap_or(0)
+    }
+}
+
+/// Reads the recordings as they grow, and sends whole entries to the publisher.
+fn hand_over([mut recording, mut beside]: [Growing; 2], to: &UnixDatagram, over: &AtomicBool) {
+    while !over.load(Ordering::Relaxed) {
+        let more = recording.hand_over(to);
+        beside.hand_over(to);
         if more < READ_MAX {
-            let found = more > 0 && left.is_empty();
+            let found = more > 0 && recording.left.is_empty();
             std::thread::sleep(if found { READ_INTERVAL } else { RETRY_INTERVAL });
         }
     }
@@ -192,6 +226,9 @@ pub fn run() -> anyhow::Result<()> {
         file::parse(&entries, |entry| news.take(&entry, &mut publisher))?;
         // What cannot be published is lost for observers only; so are the values below.
         let _ = publisher.roles.publish(&news.roles());
+        if let Some(time) = news.time() {
+            let _ = publisher.time.publish(&time);
+        }
     }
     Ok(())
 }
@@ -204,6 +241,9 @@ struct News {
     /// Time of the last trace record of each core, ns.
     seen_ns: [u64; CoreAddress::COUNT],
     start_ns: Option<u64>,
+    time: TimeLog,
+    /// When the time was last published, ns.
+    time_ns: u64,
 }
 
 impl News {
@@ -218,6 +258,8 @@ impl News {
             last: None,
             seen_ns: [0; CoreAddress::COUNT],
             start_ns: None,
+            time: TimeLog::default(),
+            time_ns: 0,
         }
     }
 
@@ -235,7 +277,20 @@ impl News {
         }
     }
 
+    /// Returns the vehicle's time if it is to be published.
+    fn time(&mut self) -> Option<VehicleClocks> {
+        let at_ns = self.roles.at_ns;
+        if at_ns < self.time_ns + TIME_NS {
+            return None;
+        }
+        self.time_ns = at_ns;
+        let from_ns = at_ns.saturating_sub(TIME_SPAN_NS);
+        self.time.forget(from_ns);
+        Some(of_time(&self.time, at_ns, from_ns))
+    }
+
     fn take(&mut self, entry: &Entry, publisher: &mut Publisher) {
+        self.time.push(entry);
         match entry {
             Entry::Trace(traced) => {
                 let of = CoreAddress::new(traced.system, traced.core);
@@ -311,6 +366,42 @@ impl News {
             }
             _ => {}
         }
+    }
+}
+
+fn of_time(log: &TimeLog, at_ns: u64, from_ns: u64) -> VehicleClocks {
+    let clock = |of| {
+        let log = log.clock(of);
+        let state = log.states.last().copied().unwrap_or_default();
+        let sample = log.samples.last().copied().unwrap_or_default();
+        ChainedClock {
+            at_ns: state.at_ns,
+            heard_ns: sample.at_ns,
+            offset_ns: sample.offset_ns,
+            delay_ns: sample.delay_ns,
+            error_ns: sample.error_ns,
+            rate_ppb: state.rate_ppb,
+            leaps: log.leaps.len() as u32,
+            source: state.source,
+            status: state.status,
+            why: log.grandmaster.last().map_or(u8::MAX, |(_, why)| *why),
+            reserved: 0,
+        }
+    };
+    let skews = log.skews();
+    let skews = Spans::from_ms(skews.iter().map(|(_, by_ns)| by_ns.abs() as f64 * 1e-6));
+    let skew_ns = |percent| (skews.percentile_ms(percent).unwrap_or(0.0) * 1e6) as u32;
+    VehicleClocks {
+        at_ns,
+        clocks: ChainClock::ALL.map(clock),
+        apart_ns: log.apart().last().map_or(i32::MIN, |(_, by_ns)| *by_ns),
+        cycles: skews.count() as u32,
+        skew_p50_ns: skew_ns(50.0),
+        skew_p99_ns: skew_ns(99.0),
+        sensors: log
+            .sensors(from_ns)
+            .map(|it| it.map_or(u8::MAX, |it| it as u8)),
+        reserved: [0; 2],
     }
 }
 

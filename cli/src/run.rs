@@ -26,6 +26,7 @@ use crate::can_udp::CanUdp;
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::files::RunFiles;
+use crate::grandmaster::{GrandmasterEnd, GrandmasterProcess};
 use crate::live::Progress;
 use crate::metrics::{Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
@@ -69,7 +70,11 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
-    let Driven { ended, soc } = driven?;
+    let Driven {
+        ended,
+        soc,
+        grandmaster,
+    } = driven?;
     let because = || match ended.vehicle {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
@@ -79,6 +84,10 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let around = surroundings(&config, granted)
         .after(machine, &launcher.finish())
         .with_soc(soc);
+    let around = Surroundings {
+        grandmaster,
+        ..around
+    };
     conclude(
         args,
         &checked,
@@ -244,6 +253,7 @@ pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
         },
         watched_by: String::new(),
         soc: None,
+        grandmaster: None,
     }
 }
 
@@ -362,6 +372,7 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
         ("--dflash", args.dflash.is_some()),
         ("--timing", args.timing != Timing::Auto),
         ("--stagger", args.stagger.is_some()),
+        ("--grandmaster", args.grandmaster.is_some()),
     ];
     match of_host.iter().find(|(_, given)| *given) {
         Some((option, _)) if args.board != BoardKind::Host => {
@@ -514,6 +525,8 @@ struct Driven {
     ended: Ended,
     /// How the SoC ended, if the run had one.
     soc: Option<SocEnd>,
+    /// How the grandmaster ended, if the run had one.
+    grandmaster: Option<GrandmasterEnd>,
 }
 
 /// Starts all processes and waits for the end of the run.
@@ -551,24 +564,48 @@ fn drive(
         };
         command
     };
+    let grandmaster = start_grandmaster(args, config, files)?;
     let soc = start_soc(args, config, files)?;
     launcher.start(&plan, &command)?;
     let publishing = publishing.map(|mut publishing| {
         let run = launcher.isolation().run();
-        publishing.follow(run, files.recording(), config);
+        publishing.follow(run, files, config);
         publishing
     });
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
     let ended = launcher.wait_and_switch(&plan, &command);
     // At once: that the bus is silent now is no matter of the SoC's.
     let soc = soc.map(SocProcess::end);
+    let grandmaster = grandmaster.map(GrandmasterProcess::end);
     if let Some(progress) = progress {
         progress.end();
     }
     if let Some(publishing) = publishing {
         publishing.end();
     }
-    Ok(Driven { ended, soc })
+    Ok(Driven {
+        ended,
+        soc,
+        grandmaster,
+    })
+}
+
+/// Starts the grandmaster's process, if the run has one.
+fn start_grandmaster(
+    args: &RunArgs,
+    config: &RunConfig,
+    files: &RunFiles,
+) -> anyhow::Result<Option<GrandmasterProcess>> {
+    let (Some(scale), Some(place)) = (args.grandmaster, args.network()) else {
+        return Ok(None);
+    };
+    let realtime = config.profile == LimitProfile::Rt;
+    let started = GrandmasterProcess::start(scale, place, files.grandmaster(), realtime)?;
+    let (grandmaster, pid) = started;
+    if !args.quiet {
+        eprintln!("grandmaster: process {pid}, at {place}, gives {scale}");
+    }
+    Ok(Some(grandmaster))
 }
 
 /// Starts the SoC's process, if the run has one.
@@ -584,6 +621,7 @@ fn start_soc(
         park: way,
         place,
         leaves: files.soc(),
+        times: files.soc_time(),
         realtime: config.profile == LimitProfile::Rt,
     })?;
     if !args.quiet {

@@ -1,41 +1,38 @@
 //! The ADAS computer of a run (`tandem run --soc`): a process that parks the vehicle over DDS.
 //!
-//! The run does not depend on the process, and does not wait for it. If it dies, the controller
-//! stops the vehicle by itself. It ends when its standard input closes: so it ends with the run,
-//! and also if `tandem run` is killed.
+//! If the process dies, the controller stops the vehicle by itself.
 
-use std::fs;
-use std::io::{self, Read as _};
-use std::os::unix::process::CommandExt as _;
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::thread::JoinHandle;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board_host::clock;
-use tandem_board_host::realtime::{Claim, claim};
 use tandem_board_udp::UdpPlace;
-use tandem_record::RunLog;
+use tandem_record::log::VehicleRecord;
+use tandem_record::{Entry, RunLog};
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::soc::Soc;
 
 use crate::args::SocArgs;
+use crate::companion::{self, Companion, CompanionKind};
 use crate::failure::Failure;
+use crate::gptp::Follower;
 use crate::topics::{self, IdFigures};
 
-/// Priority under SCHED_FIFO, below those of all cores: an ADAS computer keeps its periods.
-const PRIORITY: u8 = 20;
+const KIND: CompanionKind = CompanionKind {
+    command: "soc",
+    whose: "the SoC",
+    causes: "the controller stops the vehicle",
+};
+/// Interval at which it records its time.
+const TELLS_EVERY: Duration = Duration::from_millis(100);
 /// Interval at which the process writes what it has heard.
 const SAVES_EVERY: Duration = Duration::from_millis(500);
-/// Interval at which the run checks whether the process still exists.
-const LOOKS_EVERY: Duration = Duration::from_millis(100);
-/// Time within which the process must end.
-const ENDS_WITHIN: Duration = Duration::from_secs(1);
 
 /// A change of the phase of parking.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -187,11 +184,9 @@ impl SocFigures {
 }
 
 /// The SoC's process, as seen by `tandem run`. Dropping it ends the process.
-pub struct SocProcess {
+pub(crate) struct SocProcess {
     leaves: PathBuf,
-    /// Dropped to end the process.
-    over: Option<Sender<()>>,
-    thread: Option<JoinHandle<Option<String>>>,
+    process: Companion,
 }
 
 impl SocProcess {
@@ -199,98 +194,36 @@ impl SocProcess {
     ///
     /// # Errors
     /// If the process does not start.
-    pub fn start(args: SocArgs) -> anyhow::Result<(Self, u32)> {
+    pub(crate) fn start(args: SocArgs) -> anyhow::Result<(Self, u32)> {
         let SocArgs {
             park,
             place,
             leaves,
+            times,
             realtime,
         } = args;
-        let process = Command::new("/proc/self/exe")
-            .arg0("tandem")
-            .arg("soc")
-            .arg(format!("--park={park}"))
-            .arg(format!("--place={place}"))
-            .arg("--leaves")
-            .arg(&leaves)
-            .args(realtime.then_some("--realtime"))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            // Ctrl-C in the terminal must not reach the process, because the run ends it.
-            .process_group(0)
-            .spawn()
-            .context("the process of the SoC")?;
-        let pid = process.id();
-        let (over, is_over) = channel();
-        let thread = std::thread::Builder::new().name("soc".to_owned());
-        let thread = thread.spawn(move || watch(process, &is_over));
-        let thread = thread.context("a thread for the SoC")?;
-        let started = Self {
-            leaves,
-            over: Some(over),
-            thread: Some(thread),
-        };
-        Ok((started, pid))
+        let mut words: Vec<OsString> = vec![
+            format!("--park={park}").into(),
+            format!("--place={place}").into(),
+            "--leaves".into(),
+            leaves.clone().into(),
+            "--times".into(),
+            times.into(),
+        ];
+        words.extend(realtime.then(|| "--realtime".into()));
+        let (process, pid) = Companion::start(KIND, words)?;
+        Ok((Self { leaves, process }, pid))
     }
 
     /// Ends the process. Kills it if it does not end. Returns what it left.
-    pub fn end(mut self) -> SocEnd {
-        let died = self.stop();
+    pub(crate) fn end(mut self) -> SocEnd {
+        let died = self.process.end();
         let record = fs::read(&self.leaves).ok();
         let record = record.and_then(|text| serde_json::from_slice(&text).ok());
         SocEnd {
             record: record.unwrap_or_default(),
             died,
         }
-    }
-
-    fn stop(&mut self) -> Option<String> {
-        self.over = None;
-        self.thread.take()?.join().ok().flatten()
-    }
-}
-
-impl Drop for SocProcess {
-    fn drop(&mut self) {
-        self.stop();
-    }
-}
-
-/// Waits for the end of the run, and ends the process. If the process ends before, says so, and
-/// returns how it ended.
-fn watch(mut process: Child, over: &Receiver<()>) -> Option<String> {
-    while over.recv_timeout(LOOKS_EVERY) == Err(RecvTimeoutError::Timeout) {
-        if let Ok(Some(status)) = process.try_wait() {
-            let died = last_words(&mut process, status);
-            eprintln!("the SoC's process ended ({died}): the controller stops the vehicle");
-            return Some(died);
-        }
-    }
-    let ended = process.try_wait().ok().flatten();
-    // Tells the process to end.
-    drop(process.stdin.take());
-    let begin = Instant::now();
-    while matches!(process.try_wait(), Ok(None)) {
-        if begin.elapsed() > ENDS_WITHIN {
-            // Fails if the process has just ended.
-            let _ = process.kill();
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    ended.map(|status| last_words(&mut process, status))
-}
-
-/// Returns how the process ended, and what it said.
-fn last_words(process: &mut Child, status: ExitStatus) -> String {
-    let mut said = String::new();
-    if let Some(stderr) = &mut process.stderr {
-        // Without its words, the status remains.
-        let _ = stderr.read_to_string(&mut said);
-    }
-    match said.trim() {
-        "" => status.to_string(),
-        said => format!("{status}: {said}"),
     }
 }
 
@@ -300,26 +233,14 @@ fn last_words(process: &mut Child, status: ExitStatus) -> String {
 /// [`Failure::Usage`] if no participant can be opened; [`Failure::Run`] if its sockets or its file
 /// fail.
 pub fn run(args: &SocArgs) -> Result<(), Failure> {
-    let over = Arc::new(AtomicBool::new(false));
-    let is_over = Arc::clone(&over);
-    std::thread::spawn(move || {
-        // An error is the end, too.
-        let _ = io::copy(&mut io::stdin(), &mut io::sink());
-        over.store(true, Ordering::Relaxed);
-    });
-    if args.realtime {
-        // The run says what the machine grants.
-        let _ = claim(Claim {
-            priority: Some(PRIORITY),
-            cpu: None,
-            lock_memory: true,
-        });
-    }
+    let is_over = companion::begin(args.realtime);
     let mut soc = topics::open_soc(args.place, None, Approach::new(args.park))?;
+    let mut time = SocClock::open(args)?;
     let mut phases = Phases::default();
     let mut saved: Option<Instant> = None;
     while !is_over.load(Ordering::Relaxed) {
         topics::turn_soc(&mut soc)?;
+        time.turn()?;
         let has_changed = phases.note(clock::now(), &soc);
         if has_changed || saved.is_none_or(|saved| saved.elapsed() > SAVES_EVERY) {
             saved = Some(Instant::now());
@@ -328,6 +249,37 @@ pub fn run(args: &SocArgs) -> Result<(), Failure> {
     }
     SocRecord::of(&soc, args.park, &phases).write(&args.leaves)?;
     Ok(())
+}
+
+/// The SoC's time: it follows the grandmaster, and records how well. S-1
+struct SocClock {
+    follower: Follower,
+    records: File,
+    told: Instant,
+}
+
+impl SocClock {
+    fn open(args: &SocArgs) -> Result<Self, Failure> {
+        let follower = Follower::open(args.place);
+        let records = File::create(&args.times);
+        Ok(Self {
+            follower: follower.map_err(|error| topics::no_participant(args.place, &error))?,
+            records: records.with_context(|| args.times.display().to_string())?,
+            told: Instant::now(),
+        })
+    }
+
+    fn turn(&mut self) -> anyhow::Result<()> {
+        self.follower.turn();
+        if self.told.elapsed() < TELLS_EVERY {
+            return Ok(());
+        }
+        self.told = Instant::now();
+        let entry = Entry::from(VehicleRecord::SocTime(self.follower.state()));
+        let mut bytes = vec![];
+        entry.write(&mut bytes)?;
+        self.records.write_all(&bytes).context("the SoC's time")
+    }
 }
 
 /// The SoC of emulated systems: part of the run's process, because it has their time.

@@ -4,7 +4,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::metrics::Metrics;
+use crate::percentiles::DeviationFigures;
 use crate::soc::SocFigures;
+use crate::time_figures::TimeFigures;
 use crate::topics::IdFigures;
 
 /// Returns the most important figures, and the path of the report.
@@ -92,11 +94,24 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         row("SoC", parking(soc));
         row("topics", topics(soc));
     }
+    if let Some(time) = &metrics.time {
+        row("time", together(time));
+    }
     let parts = metrics.verdict.parts().into_iter();
     let verdict: Vec<String> = parts.map(|(_, part)| part).collect();
     row("verdict", verdict.join(&format!("\n{:24}", "")));
     row("report", report.display().to_string());
     text
+}
+
+/// How far A and B were apart.
+fn together(time: &TimeFigures) -> String {
+    let spread = |what: &str, of: &Option<DeviationFigures>| match of {
+        Some(it) => format!("{what} p50 {:.1}  p99 {:.1} us", it.p50_us, it.p99_us),
+        None => format!("{what} unknown"),
+    };
+    let cycles = spread("; control cycles", &time.skew);
+    format!("A and B apart: {}{cycles}", spread("clocks", &time.apart))
 }
 
 fn parking(soc: &SocFigures) -> String {

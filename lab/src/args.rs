@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
-use tandem::args::{BootDemoArgs, RunArgs, SocArgs};
+use tandem::args::{BootDemoArgs, GrandmasterArgs, RunArgs, SocArgs, TimeArgs};
 use tandem::board_kind::DemoBoard;
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
@@ -31,6 +31,9 @@ pub(crate) enum Command {
     /// Park the vehicle of a run; internal, started by `tandem run --soc`
     #[command(hide = true)]
     Soc(SocArgs),
+    /// Give the time to a run; internal, started by `tandem run --grandmaster`
+    #[command(hide = true)]
+    Grandmaster(GrandmasterArgs),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(JudgeArgs),
     /// Try faults on the control cores of both systems, in virtual time
@@ -39,6 +42,8 @@ pub(crate) enum Command {
     Chaos(ChaosArgs),
     /// Run the thesis's experiments and print its figures beside the measured ones
     Thesis(ThesisArgs),
+    /// Show the vehicle's time: whom each clock follows, its offset, rate and status
+    Time(TimeArgs),
     /// Show FreeRTOS tasks as an oscilloscope would: their periods and their preemption
     RtosDemo(RtosDemoArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show a

@@ -16,6 +16,7 @@ mod rtos_demo;
 mod sim;
 mod square_waves;
 mod thesis;
+mod time;
 mod work;
 
 use std::process::ExitCode;
@@ -23,7 +24,7 @@ use std::process::ExitCode;
 use clap::Parser as _;
 use tandem::board_kind::BoardKind;
 use tandem::failure::Failure;
-use tandem::{print, publish, run, soc};
+use tandem::{grandmaster, print, publish, run, soc};
 
 use args::{Cli, Command};
 
@@ -36,6 +37,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Run(args) if args.board == BoardKind::Host => run::run(&args),
         Command::Run(args) => emulated::run(&args),
         Command::Soc(args) => soc::run(&args),
+        Command::Grandmaster(args) => grandmaster::run(&args),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Flash(args) => flash_command::run(&args),
         Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),
@@ -43,6 +45,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Sim(args) => sim::run(&args),
         Command::Chaos(args) => chaos::run(&args),
         Command::Thesis(args) => thesis::run(&args),
+        Command::Time(args) => time::run(&args),
         Command::RtosDemo(args) => {
             let shown = rtos_demo::run(&args)?;
             print(&shown).map_err(Failure::Run)

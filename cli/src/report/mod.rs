@@ -1,5 +1,6 @@
 //! The report of a run: one HTML file that loads no other file.
 
+mod clocks;
 mod cores;
 mod sections;
 mod soc;
@@ -30,6 +31,7 @@ pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> Stri
         (control(log, metrics, &takeovers))
         (takeover_table(metrics))
         @if let Some(soc) = &metrics.soc { (soc::topics(soc)) }
+        @if let Some(figures) = &metrics.time { (clocks::section(log, &takeovers, figures)) }
         (cores::tasks(metrics))
         (conditions(metrics))
         (events(log))

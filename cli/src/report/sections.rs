@@ -13,7 +13,7 @@ use tandem_record::{RunLog, Takeover, ms_between};
 /// Largest number of points in a line. More could not be distinguished.
 const LINE_POINTS: usize = 1_500;
 /// Largest number of dots. More would only enlarge the file.
-const DOTS: usize = 3_000;
+pub(super) const DOTS: usize = 3_000;
 
 /// Shorter spans are drawn with this length, ms, because a logarithmic axis has no zero.
 const SHORTEST_MS: f64 = 0.001;
@@ -47,7 +47,7 @@ fn over_time(log: &RunLog, value: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
         .collect()
 }
 
-fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
+pub(super) fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
     // Thinning sorts values. Do not thin a line with gaps, because its pieces must stay apart.
     let whole = points.iter().any(|point| !point.1.is_finite());
     let points = if whole {
@@ -74,7 +74,8 @@ pub(super) fn series(
     }
 }
 
-fn time_chart(
+/// Returns a chart over scenario time, with marks of the takeovers.
+pub(super) fn time_chart(
     log: &RunLog,
     takeovers: &[Takeover],
     height: f64,

@@ -3,6 +3,7 @@
 use super::*;
 use std::path::Path;
 
+use crate::grandmaster::GrandmasterEnd;
 use crate::metrics::Surroundings;
 use crate::soc::SocEnd;
 use crate::tests::synthetic;
@@ -375,4 +376,54 @@ fn the_topics_are_on_the_page_of_a_run_with_an_soc() {
         "{table}"
     );
     assert!(!synthetic_page().contains("<h2>Topics</h2>"));
+}
+
+/// S-1: the page and the figures show the time of each clock, in runs with a time only: the
+/// deviation from the grandmaster, holdover, leaps, and the skew of the control cycles.
+#[test]
+fn the_time_is_on_the_page_with_its_figures() {
+    let mut log = synthetic::with_takeover(20.0);
+    let ahead_ns = 1_790_000_000_000_000_000;
+    synthetic::add_time(&mut log, ahead_ns);
+    let around = Surroundings {
+        grandmaster: Some(GrandmasterEnd {
+            ahead_ns: Some(ahead_ns),
+            died: Some("signal: 9".to_owned()),
+        }),
+        ..Surroundings::default()
+    };
+    let metrics = metrics::compute(&log, &Timeline::default(), &around);
+    let figures = serde_json::to_value(&metrics).unwrap()["time"].take();
+    let (a, b) = (&figures["clocks"]["A"], &figures["clocks"]["B"]);
+    let is = |value: &Value, wanted: f64| {
+        let value = value.as_f64().unwrap();
+        assert!(
+            (value - wanted).abs() < 0.01 * wanted,
+            "{value} {wanted}: {figures:#}"
+        );
+    };
+    is(&a["deviation"]["p50_us"], 2.0);
+    is(&b["deviation"]["max_us"], 1.0);
+    is(&a["offset"]["p99_us"], 2.0);
+    is(&a["delay"]["p50_us"], 7.0);
+    is(&a["holdover_s"], 4.0);
+    is(&figures["apart"]["max_us"], 3.0);
+    is(&figures["skew"]["p50_us"], 8.0);
+    assert_eq!((&a["leaps"], &b["leaps"]), (&json!(1), &json!(0)));
+    let page = page(&log, &Timeline::default(), &metrics);
+    for part in [
+        "<h2>Time</h2>",
+        "The grandmaster's process ended: signal: 9",
+        "<h2>Deviation from the grandmaster</h2>",
+        "<h2>Rate</h2>",
+        "<h2>Skew of the control cycles</h2>",
+        "follows a leap of the grandmaster by 3.000 ms",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    let without = Surroundings::default();
+    let metrics = metrics::compute(&log, &Timeline::default(), &without);
+    let page = super::page(&log, &Timeline::default(), &metrics);
+    assert!(page.contains("<h2>A and B apart</h2>"));
+    assert!(!synthetic_page().contains("<h2>Time</h2>"));
 }

@@ -1,11 +1,12 @@
 //! A synthetic run, for tests of the figures and of the report.
 
-use tandem_board::{CoreId, SystemId};
+use tandem_board::{CoreId, Instant, SystemId, Traced};
 use tandem_bus::{ModeCode, RoleCode};
-use tandem_cores::trace::Event;
-use tandem_record::RunLog;
+use tandem_cores::task_table::TaskCode;
+use tandem_cores::trace::{Begin, Event};
 use tandem_record::log::{DriveFigures, Header, Lane, Other, RoadPiece, Sample, VehicleRecord};
 use tandem_record::run_log::{ControlFrame, CoreEvent, StatusFrame};
+use tandem_record::{Entry, RunLog};
 use tandem_redundancy::Evidence;
 use tandem_vehicle::Ruling;
 
@@ -232,4 +233,57 @@ fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             }
         }
     }
+}
+
+/// Adds the time of a grandmaster that is `ahead_ns` ahead of the run's clock. A is 2 µs later and
+/// B 1 µs earlier than that; A's control cycles begin 8 µs later. A is in holdover from 10 s to
+/// 14 s, and follows a leap at 15 s.
+pub(crate) fn add_time(log: &mut RunLog, ahead_ns: u64) {
+    let end_ns = log.end_ns.unwrap_or(START_NS);
+    let mut traced = |system, at_ns, event: Event| {
+        log.push(Entry::Trace(Traced {
+            at: Instant::from_ns(at_ns),
+            system,
+            core: CoreId::CONTROL,
+            record: event.encode(),
+        }));
+    };
+    for (system, source, by_ns) in [(SystemId::A, 1, 2_000), (SystemId::B, 2, -1_000)] {
+        for at_ns in (START_NS..end_ns).step_by(100_000_000) {
+            let after_s = (at_ns - START_NS) / 1_000_000_000;
+            let is_held = system == SystemId::A && (10..14).contains(&after_s);
+            let global_ns = (at_ns + ahead_ns).wrapping_add_signed(by_ns) as u32;
+            let event = Event::Time {
+                source,
+                status: if is_held { 0x89 } else { 0x08 },
+                global_ns,
+                local_ns: at_ns as u32,
+                rate_ppb: 200,
+            };
+            traced(system, at_ns, event);
+            let event = Event::TimeSample {
+                source,
+                offset_ns: -(by_ns as i32),
+                delay_ns: if source == 1 { 7_000 } else { 0 },
+                error_ns: 17_000,
+            };
+            traced(system, at_ns, event);
+        }
+        let late_ns = if system == SystemId::A { 8_000 } else { 0 };
+        for at_ns in (START_NS + late_ns..end_ns).step_by(10_000_000) {
+            let begin = Begin::Released {
+                late_ns: 0,
+                missed: 0,
+            };
+            let task = TaskCode::CONTROL;
+            traced(system, at_ns, Event::TaskIn { task, begin });
+        }
+    }
+    let leap = Event::TimeLeap {
+        source: 1,
+        followed: true,
+        by_us: 3_000,
+    };
+    traced(SystemId::A, START_NS + 15_000_000_000, leap);
+    log.sort();
 }

@@ -147,7 +147,8 @@ fn at(place: &TopicsPlace) -> Result<UdpPlace, Failure> {
     UdpPlace::new(place.domain, place.interface).map_err(Failure::usage)
 }
 
-fn no_participant(at: UdpPlace, error: &io::Error) -> Failure {
+/// Says why the sockets of a station cannot be opened.
+pub(crate) fn no_participant(at: UdpPlace, error: &io::Error) -> Failure {
     Failure::Usage(why_not(at, error))
 }
 
