@@ -9,7 +9,8 @@ const IN_SLOTS: [(&str, &str); 4] = [
 ];
 
 fn main() {
-    let folder = env!("CARGO_MANIFEST_DIR");
+    // Asked for at run time: two clones may share a target folder.
+    let folder = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
     let bins = std::fs::read_dir(format!("{folder}/src/bin"))
         .into_iter()
         .flatten();

@@ -93,7 +93,10 @@ fn measure_all(ctx: &TaskContext) {
     bench(ctx, "rtos/shift-ticks", || {
         // Each tick is when the last round moved it to, and its interrupt within 10 µs of that.
         let (last, now_ns) = (ctx.last_tick(), hart::time() * clint::TICK_NS);
-        assert!(expected.is_none_or(|it| it == last), "{expected:?} {last:?}");
+        assert!(
+            expected.is_none_or(|it| it == last),
+            "{expected:?} {last:?}"
+        );
         assert!(now_ns - last.due_ns < 10_000, "{last:?} at {now_ns}");
         by_ns = -by_ns;
         let begin = hart::cycles();

@@ -107,7 +107,7 @@ impl Can for VirtCan {
 impl Lines for VirtLines {
     fn send(&self, line: Line, edge: Edge) {
         let peer = self.0.system.peer();
-        peripherals::system(peer).count_edges(line, edge, 1);
+        peripherals::system(peer).count_edges((line, edge), 1, peripherals::now);
         if line.interrupts() {
             peripherals::interrupt(peer);
         }

@@ -8,7 +8,7 @@ use crate::semihosting::{File, HostError};
 use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
-use tandem_board::{CoreAddress, CoreId, Line, RoleLamp, SystemId};
+use tandem_board::{CoreAddress, CoreId, Instant, Line, RoleLamp, SystemId};
 use tandem_cosim::{
     ANSWER_WORDS, ITEM_WORDS, Item, MAGIC, MAX_WORDS, PACKET_PARTS, PERIOD_NS, REPORT_WORDS,
     Report, packet_parts,
@@ -166,16 +166,21 @@ impl Host {
     /// Adds the edges and datagrams that were sent to a system that is not in this machine.
     fn put_signals(&mut self, to: SystemId) {
         let registers = system(to);
+        let time_edge = registers.time_edge();
         for line in Line::ALL {
             for edge in 0..2 {
                 let count = registers.edges[line.index()][edge].swap(0, Relaxed);
                 if count != 0 {
                     let line = line.index();
+                    // A core may have sent one in between: an edge without time is of no use.
+                    let at = time_edge.filter(|it| it.count == count);
+                    let at = at.map_or(Instant::ORIGIN, |it| it.at);
                     self.put(Item::Edges {
                         to,
                         line,
                         edge,
                         count,
+                        at,
                     });
                 }
             }

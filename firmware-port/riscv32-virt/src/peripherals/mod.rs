@@ -8,9 +8,10 @@
 //!
 //! A vehicle process may run on the host. The carrier then exchanges messages with it once in each
 //! millisecond of virtual time: see [`Peripherals::connect`]. Edges and datagrams to a system that
-//! is not in this machine collect in its registers here, and are sent with the next exchange. The
-//! receiver's carrier stamps such an edge on the time line when it arrives. A frame is stamped when
-//! it is on the bus of the sender's machine; another machine receives it up to two exchanges later.
+//! is not in this machine collect in its registers here, and are sent with the next exchange. An
+//! edge on the time line keeps the stamp that it got when it was sent: all machines have one time.
+//! A frame is stamped when it is on the bus of the sender's machine. Another machine receives both
+//! up to two exchanges later.
 
 pub(crate) mod data_flash;
 mod ethernet;
@@ -128,13 +129,18 @@ pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
 }
 
 impl SystemRegisters {
-    /// Counts edges that arrive at the system now, and stamps the last one on the time line. In one
-    /// machine the hart of the sender does this: all harts have one clock.
-    pub(crate) fn count_edges(&self, line: Line, edge: Edge, count: u32) {
+    /// Counts edges that arrive at the system, and stamps the last one on the time line with `at`.
+    /// In one machine the hart of the sender does this: all harts have one clock.
+    pub(crate) fn count_edges(
+        &self,
+        (line, edge): (Line, Edge),
+        count: u32,
+        at: impl Fn() -> Instant,
+    ) {
         let edges = &self.edges[line.index()][edge as usize];
         if (line, edge) == (Line::Time, Edge::Rising) {
             edges.fetch_add(count.saturating_sub(1), Ordering::Relaxed);
-            self.capture().edge(now);
+            self.capture().edge(at);
         } else {
             edges.fetch_add(count, Ordering::Relaxed);
         }

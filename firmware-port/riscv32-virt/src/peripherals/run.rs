@@ -228,10 +228,11 @@ impl Peripherals {
                 line,
                 edge,
                 count,
+                at,
             } => {
                 let edge = [Edge::Rising, Edge::Falling].get(edge);
                 if let (Some(line), Some(edge)) = (Line::ALL.get(line), edge) {
-                    system(to).count_edges(*line, *edge, count);
+                    system(to).count_edges((*line, *edge), count, || at);
                     if line.interrupts() {
                         interrupt(to);
                     }
