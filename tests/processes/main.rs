@@ -19,6 +19,7 @@ mod parking;
 mod place;
 mod stalls;
 mod startup;
+mod time;
 mod trace;
 
 /// The program under test.

@@ -44,6 +44,11 @@ rtos/shift-ticks: a task moves the next tick and all later ones
 rtos/round-trip: FreeRTOS task to bare core 1 and back to the notified task
 task/floor: from a bare core's store that posts the interrupt to the FreeRTOS task that it notifies
 task/signal: the same by a signal through a mailbox
+time/sample: the time base follows a sample
+time/at: a local time becomes global time
+time/gptp: Sync and Follow_Up become a sample
+time/pulse: an edge and its transfer become a sample
+time/can: SYNC and FUP become a sample
 clock/two-readings: two readings of the clock in a row
 ";
 

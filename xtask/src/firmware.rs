@@ -99,6 +99,8 @@ pub(crate) enum Image {
     Bench,
     /// From a FreeRTOS task on core 0 to bare core 1 and back, in instructions
     BenchRtos,
+    /// What core 0 spends on the time of the vehicle, in instructions
+    BenchTime,
     /// Boot ROM, bootloader and carrier; `tandem boot-demo --board qemu` starts it
     Bootloader,
     /// The conformance suite, each case on two freshly powered systems
@@ -243,6 +245,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
         "network",
         "outputs",
         "tasks",
+        "time",
         "topics",
         "chip",
         "emulated",
@@ -337,7 +340,7 @@ fn figures_of(log: &str) -> Result<Vec<Figure>> {
 
 fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
     let mut figures = Vec::new();
-    for image in [Image::Bench, Image::BenchRtos] {
+    for image in [Image::Bench, Image::BenchRtos, Image::BenchTime] {
         let log = run_image(root, image, 0, &[])?;
         let again = run_image(root, image, 0, &[])?;
         ensure!(log == again, "two runs differ:\n{log}\n{again}");

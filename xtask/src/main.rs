@@ -286,6 +286,20 @@ enum Campaign {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
+    /// Lose, double, swap, delay and corrupt messages of time, let clocks jump, and lie, in random
+    /// sequences. Fails if a reader's time goes back, leaps or stops untold, or a stated error is
+    /// exceeded without a liar
+    Time {
+        /// How many sequences
+        #[arg(long, default_value_t = 100_000)]
+        count: u64,
+        /// The number of the first sequence; the same number always produces the same one
+        #[arg(long, default_value_t = 0)]
+        first: u64,
+        /// Write {sequences, violations} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// How long, in seconds
@@ -448,6 +462,21 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command
         }
         Campaign::Topics { json } => return topics::run(root, json.as_deref()),
+        Campaign::Time { count, first, json } => {
+            let variables = [
+                ("TANDEM_TIME_SEQUENCES", count),
+                ("TANDEM_TIME_FIRST", first),
+            ];
+            let name = "no_reader_is_deceived_untold";
+            let mut command = test("tandem-timesync-host", "sequences", name, &variables);
+            if let Some(json) = json {
+                // The test runs in the folder of its package.
+                let json =
+                    std::path::absolute(&json).with_context(|| json.display().to_string())?;
+                command.env("TANDEM_TIME_JSON", json);
+            }
+            command
+        }
         Campaign::WrongInBoth => trial("wrong_in_both", &[])?,
         Campaign::SimDigest { count } => return sim_digest(root, count),
         Campaign::Mutants {

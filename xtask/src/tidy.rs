@@ -29,7 +29,7 @@ two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle
 faults: board bus peripherals record vehicle
-sim: board board-sim bus cores faults record redundancy vehicle
+sim: board board-sim bus cores faults record redundancy timesync vehicle
 board-conformance: board
 board-sim: board peripherals
 board-udp: board

@@ -25,6 +25,7 @@ mod sections;
 mod sources;
 mod stale;
 mod terms;
+mod time;
 mod topics;
 mod values;
 mod wrong;

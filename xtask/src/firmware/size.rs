@@ -1,7 +1,7 @@
 //! Text and RAM of images, from the sections of their ELF files.
 
 use super::{Image, TARGET, build_dir, cargo_build, cargo_build_package, released};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
 use clap::ValueEnum as _;
 use std::fs;
 use std::path::Path;
@@ -15,6 +15,11 @@ const RPMSG_LITE_TEXT: u32 = 2_762;
 const TOPICS: &str = "size-topics";
 const TOPICS_TEXT: u32 = 16 << 10;
 const TOPICS_STATE: u32 = 2 << 10;
+
+/// The image with the time of the vehicle, and its limits: 25 KiB of text, 1.25 KiB of state.
+const TIME: &str = "size-time";
+const TIME_TEXT: u32 = 25 << 10;
+const TIME_STATE: u32 = 1_280;
 
 /// A bootloader's bank without the manifest at its start, in bytes.
 const BANK_BYTES: u32 = (32 << 10) - 256;
@@ -35,10 +40,11 @@ struct Size {
 /// Prints a table of all images, of `shm` alone, and of the bootloader.
 ///
 /// # Errors
-/// If the bootloader does not fit in its bank, or the participant exceeds its limits or can panic.
+/// If the bootloader does not fit in its bank, or the participant of topics or the time exceeds its
+/// limits or can panic.
 pub(super) fn run(root: &Path) -> Result<()> {
     let mut arguments = vec!["--profile", "size"];
-    for image in ["size-none", "size-messages", "size-shm", "size-topics"] {
+    for image in ["size-none", "size-messages", "size-shm", TOPICS, TIME] {
         arguments.extend(["--bin", image]);
     }
     cargo_build(root, &arguments)?;
@@ -61,6 +67,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
         ("shm: mailbox and FIFO, both ends (opt s)", "size-messages"),
         ("shm: every primitive once (opt s)", "size-shm"),
         ("topics: the controller's participant (opt s)", TOPICS),
+        ("time: base, gPTP slave, pulse, CAN (opt s)", TIME),
     ] {
         let with = alone(image)?;
         let size = Size {
@@ -69,14 +76,21 @@ pub(super) fn run(root: &Path) -> Result<()> {
             ram: with.ram.saturating_sub(none.ram),
         };
         line(name, size);
-        if image == TOPICS && (size.text > TOPICS_TEXT || size.ram > TOPICS_STATE) {
-            bail!(
-                "the participant may have {TOPICS_TEXT} bytes of text and {TOPICS_STATE} of state"
-            );
-        }
-        if image == TOPICS && panics(&path(image))? > panics(&path("size-none"))? {
-            bail!("the participant can panic: {TOPICS} links a function of core::panicking");
-        }
+        let limits = [
+            (TOPICS, TOPICS_TEXT, TOPICS_STATE),
+            (TIME, TIME_TEXT, TIME_STATE),
+        ];
+        let Some((_, text, state)) = limits.into_iter().find(|(of, ..)| *of == image) else {
+            continue;
+        };
+        ensure!(
+            size.text <= text && size.ram <= state,
+            "{image} may have {text} bytes of text and {state} of state"
+        );
+        ensure!(
+            panics(&path(image))? <= panics(&path("size-none"))?,
+            "{image} can panic: it links a function of core::panicking"
+        );
     }
     println!(
         "{:<44} {RPMSG_LITE_TEXT:>7}",
