@@ -179,8 +179,8 @@ pub struct TimeBase<S: Scale> {
     telling: u8,
     /// Leaps so far, modulo 256.
     leaps: u8,
-    /// After a time-out: how far off the time may be if the first sample was wild, ns, until so many
-    /// more were followed.
+    /// After a time-out: how far off the time may be if the first sample was wild, ns, until so
+    /// many more were followed.
     doubt: (u64, u8),
     /// The local clock went back, and no sample has come since.
     is_lost: bool,
