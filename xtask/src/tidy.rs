@@ -21,6 +21,8 @@ topics: board bus shm
 topics-host: board board-udp bus shm topics
 timesync: board
 timesync-host: board timesync
+exec: board shm
+exec-host: board board-host boot exec shm
 vehicle: board bus timesync
 page:
 board-host: board board-udp peripherals shm

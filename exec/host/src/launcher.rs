@@ -1,0 +1,1 @@
+//! The launcher: starts, watches and stops processes as the supervisor decides.

@@ -1,0 +1,1 @@
+//! The manifest: which processes there are, and how they run.

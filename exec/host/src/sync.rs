@@ -1,0 +1,1 @@
+//! Clients and the sync master over shared memory (E-3).

@@ -1,0 +1,1 @@
+//! Trust: what runs is what was checked (E-4).

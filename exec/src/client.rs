@@ -1,0 +1,1 @@
+//! The deterministic client: what the next activation is for (E-1).

@@ -1,0 +1,1 @@
+//! Software lockstep: compares the outputs of redundant clients (E-3).

@@ -1,0 +1,1 @@
+//! The sync master: one answer to the requests of all redundant clients (E-3).
