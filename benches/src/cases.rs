@@ -1,5 +1,6 @@
 //! All cases by name. A group that has a floor lists it first.
 
+use crate::exec::{self, Supervisor};
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;
@@ -33,6 +34,9 @@ pub enum Comparison {
     Topics,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
+    /// Processes under a supervisor: ten from start to ready, restarts; the skew of activations; the
+    /// worker pool.
+    Exec,
     /// Pauses caused by the machine.
     Noise,
 }
@@ -239,6 +243,25 @@ const CASES: &[Cases] = &[
     (Comparison::Rtos, 2000, &[
         ("switch-posix-port", "the same, FreeRTOS's POSIX port",
             |p| rtos::posix_port(p, "switch")),
+    ]),
+    // Each start takes 20 to 300 ms.
+    (Comparison::Exec, 3, &[
+        ("ready-10", "tandem exec run: from its start to ten processes ready",
+            |p| exec::ready_10(p, Supervisor::Tandem)),
+        ("ready-10-s6", "s6-svscan, s6-svwait -U", |p| exec::ready_10(p, Supervisor::S6)),
+        ("ready-10-runit", "runsvdir; the processes tell when they are ready",
+            |p| exec::ready_10(p, Supervisor::Runit)),
+        ("ready-10-systemd", "systemd --user in namespaces of its own, until STATUS=Ready.",
+            |p| exec::ready_10(p, Supervisor::Systemd)),
+    ]),
+    // Each batch first lets the processes run for a second.
+    (Comparison::Exec, 10, &[
+        ("restart", "tandem exec run: from SIGKILL to ready again",
+            |p| exec::restart(p, Supervisor::Tandem)),
+        ("restart-s6", "the same, s6", |p| exec::restart(p, Supervisor::S6)),
+        ("restart-runit", "the same, runit", |p| exec::restart(p, Supervisor::Runit)),
+        ("restart-systemd", "the same, systemd --user, RestartSec=0",
+            |p| exec::restart(p, Supervisor::Systemd)),
     ]),
     (Comparison::Noise, 400, &[
         ("cpu0", "near CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[0])),
