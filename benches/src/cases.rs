@@ -1,6 +1,6 @@
 //! All cases by name. A group that has a floor lists it first.
 
-use crate::exec::{self, Supervisor};
+use crate::exec::{self, Supervisor, pool, skew};
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;
@@ -262,6 +262,17 @@ const CASES: &[Cases] = &[
         ("restart-runit", "the same, runit", |p| exec::restart(p, Supervisor::Runit)),
         ("restart-systemd", "the same, systemd --user, RestartSec=0",
             |p| exec::restart(p, Supervisor::Systemd)),
+    ]),
+    // Each cycle takes a millisecond.
+    (Comparison::Exec, 100, &[
+        ("skew-floor", "two processes in clock_nanosleep to the same instants, 1 kHz",
+            |p| skew::floor(p, 0)),
+        ("skew-spin-floor", "the same, the last 100 us spinning",
+            |p| skew::floor(p, skew::SPIN_NS)),
+    ]),
+    (Comparison::Exec, 50, &[
+        ("pool-sequential", "512 elements of 2 us each, one after the other", pool::sequential),
+        ("pool-rayon", "the same by rayon, two workers", pool::rayon),
     ]),
     (Comparison::Noise, 400, &[
         ("cpu0", "near CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[0])),

@@ -1,5 +1,7 @@
 //! Execution: ten processes from start to ready, restarts, and the skew of activations.
 
+pub(crate) mod pool;
+pub(crate) mod skew;
 mod start;
 mod supervisors;
 
