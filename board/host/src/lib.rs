@@ -59,7 +59,7 @@ pub use lines::{HostLines, HostLink};
 pub use memory::{LMU_WORDS, MemoryError};
 pub use name::{InvalidRunName, RunName};
 pub use observe::BusTap;
-pub use segment::SegmentError;
+pub use segment::{Segment, SegmentError};
 pub use stamped_udp::StampedUdp;
 pub use supply_client::HostSupply;
 pub use tandem_board_udp::UdpPlace;
