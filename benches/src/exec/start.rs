@@ -6,12 +6,13 @@
 use super::supervisors::{PROCESSES, Running, Supervisor};
 use crate::clock::monotonic_ns;
 use crate::harness::{Batch, BatchPlan, median};
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, Signal, kill_process};
 use std::fs::{self, File, Permissions};
 use std::io::{self, Read as _, Write as _};
 use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -91,7 +92,7 @@ impl Place {
             running: Some(running),
             leash,
         };
-        let said_ns = self.wait_for_supervisor(&mut started, &services)?;
+        let said_ns = self.wait_for_supervisor(&mut started)?;
         let mut is_ready = [false; PROCESSES];
         let mut last_ns = 0;
         while !is_ready.iter().all(|ready| *ready) {
@@ -109,49 +110,43 @@ impl Place {
     }
 
     /// Returns when the supervisor said that all are ready; `None` if it does not say.
-    fn wait_for_supervisor(
-        &self,
-        started: &mut Started,
-        services: &Path,
-    ) -> io::Result<Option<u64>> {
-        let begin = Instant::now();
-        if self.supervisor == Supervisor::S6 {
-            // It fails while s6-supervise has not yet made its folders, so it is tried again.
-            while !self.svwait(services)? {
-                if begin.elapsed() > LIMIT {
-                    return Err(io::Error::other("s6-svwait: never ready"));
-                }
-            }
-            return Ok(Some(monotonic_ns()));
+    fn wait_for_supervisor(&self, started: &mut Started) -> io::Result<Option<u64>> {
+        match self.supervisor {
+            Supervisor::Tandem => started.wait_for_line("\"reached\"")?,
+            Supervisor::Systemd => self.wait_for_notice("STATUS=Ready.")?,
+            Supervisor::S6 => self.svwait()?,
+            Supervisor::Runit => return Ok(None),
         }
-        let Some(word) = self.supervisor.says_ready() else {
-            return Ok(None);
-        };
+        Ok(Some(monotonic_ns()))
+    }
+
+    fn wait_for_notice(&self, line: &str) -> io::Result<()> {
         loop {
             let mut text = [0; 4096];
-            let told = self.notify.recv(&mut text);
-            let length = told.map_err(|error| {
-                let ended = started.running.as_mut().and_then(Running::has_ended);
-                ended.map_or(error, io::Error::other)
-            })?;
-            if String::from_utf8_lossy(&text[..length])
-                .lines()
-                .any(|line| line == word)
-            {
-                return Ok(Some(monotonic_ns()));
+            let length = self.notify.recv(&mut text)?;
+            let text = String::from_utf8_lossy(&text[..length]);
+            if text.lines().any(|it| it == line) {
+                return Ok(());
             }
         }
     }
 
-    /// Runs `s6-svwait -U`; returns whether all are ready.
-    fn svwait(&self, services: &Path) -> io::Result<bool> {
-        let mut command = Command::new("s6-svwait");
-        command
-            .args(["-U", "-a", "-t", "20000"])
-            .current_dir(services);
-        command.args((0..PROCESSES).map(|index| format!("p{index}")));
-        command.stderr(Stdio::null());
-        Ok(command.status()?.success())
+    /// Runs `s6-svwait -U` until it succeeds: it fails while s6-supervise has not yet made its
+    /// folders.
+    fn svwait(&self) -> io::Result<()> {
+        let begin = Instant::now();
+        while begin.elapsed() < LIMIT {
+            let mut command = Command::new("s6-svwait");
+            command.args(["-U", "-a", "-t", "20000"]);
+            command.args((0..PROCESSES).map(|index| format!("p{index}")));
+            command
+                .current_dir(self.path("services"))
+                .stderr(Stdio::null());
+            if command.status()?.success() {
+                return Ok(());
+            }
+        }
+        Err(io::Error::other("s6-svwait: never ready"))
     }
 
     /// Returns the process with this index: the one whose last arguments are the index and the path
@@ -176,6 +171,36 @@ impl Place {
 struct Started {
     running: Option<Running>,
     leash: io::PipeReader,
+}
+
+impl Started {
+    /// Reads the supervisor's output until a line that contains `word`.
+    fn wait_for_line(&mut self, word: &str) -> io::Result<()> {
+        let (begin, mut text) = (Instant::now(), vec![]);
+        loop {
+            let mut bytes = [0; 4096];
+            let mut fds = [PollFd::new(&self.leash, PollFlags::IN)];
+            let left = LIMIT.saturating_sub(begin.elapsed());
+            let ready = poll(&mut fds, left.try_into().ok().as_ref())?;
+            let length = if ready == 0 {
+                0
+            } else {
+                self.leash.read(&mut bytes)?
+            };
+            if length == 0 {
+                let ended = self.running.as_mut().and_then(Running::has_ended);
+                let why = ended.unwrap_or_else(|| format!("no line with {word}"));
+                return Err(io::Error::other(why));
+            }
+            text.extend_from_slice(&bytes[..length]);
+            if String::from_utf8_lossy(&text)
+                .lines()
+                .any(|line| line.contains(word))
+            {
+                return Ok(());
+            }
+        }
+    }
 }
 
 impl Drop for Started {

@@ -2,7 +2,7 @@
 //!
 //! | supervisor | how a process reports | who says that all are ready |
 //! |---|---|---|
-//! | `tandem exec run` | `READY=1` to `NOTIFY_SOCKET` | the launcher, by `READY=1` to its own `NOTIFY_SOCKET` |
+//! | `tandem exec run` | `READY=1` to `NOTIFY_SOCKET` | the launcher, by the event `reached` on stdout |
 //! | s6 | a newline to descriptor 3 | `s6-svwait -U` |
 //! | runit | not at all | the processes themselves |
 //! | `systemd --user` | `READY=1` to `NOTIFY_SOCKET` | the manager, by `STATUS=Ready.` |
@@ -49,15 +49,6 @@ impl Supervisor {
             Self::Tandem | Self::Systemd => "notify",
             Self::S6 => "fd3",
             Self::Runit => "none",
-        }
-    }
-
-    /// What this supervisor says when all are ready; `None` if it says nothing by itself.
-    pub(crate) fn says_ready(self) -> Option<&'static str> {
-        match self {
-            Self::Tandem => Some("READY=1"),
-            Self::Systemd => Some("STATUS=Ready."),
-            Self::S6 | Self::Runit => None,
         }
     }
 
@@ -136,7 +127,9 @@ impl Supervisor {
         };
         match &group {
             None if self == Self::Tandem => {
-                command.args(["exec", "run"]).arg(manifest(folder));
+                command
+                    .args(["exec", "run", "--json"])
+                    .arg(manifest(folder));
             }
             None => {
                 command.arg(folder);
