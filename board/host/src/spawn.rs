@@ -198,10 +198,26 @@ impl Prepared {
         if let Some(uid) = self.uid {
             set_thread_res_uid(uid, uid, uid)?;
         }
+        close_others_at_exec();
         for fd in &self.keep {
             fcntl_setfd(fd, FdFlags::empty())?;
         }
         Ok(())
+    }
+}
+
+/// Makes the program inherit the standard streams only. A descriptor that the caller has inherited
+/// itself may lack close-on-exec.
+fn close_others_at_exec() {
+    const FIRST: libc::c_uint = 3;
+    // SAFETY: the call changes flags of descriptors only. A kernel before 5.11 refuses it.
+    unsafe {
+        libc::syscall(
+            libc::SYS_close_range,
+            FIRST,
+            libc::c_uint::MAX,
+            libc::CLOSE_RANGE_CLOEXEC,
+        );
     }
 }
 

@@ -348,7 +348,9 @@ impl Shell<'_> {
                 LaunchEvent::Switching { target: self.target_name(to) }
             }
             Notice::Reached(target) => {
-                self.waiting.drain(..).for_each(|(_, request)| request.answer("ok"));
+                // A request for another one may have arrived since.
+                let reached: Vec<_> = self.waiting.extract_if(.., |it| it.0 == target).collect();
+                reached.into_iter().for_each(|(_, request)| request.answer("ok"));
                 LaunchEvent::Reached { target: self.target_name(target) }
             }
         };

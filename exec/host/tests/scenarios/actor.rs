@@ -13,7 +13,8 @@ use tandem_exec_host::report;
 
 /// Does the steps. A step that fails writes `error` and ends the process with status 9.
 pub(crate) fn run(steps: &[String]) -> ExitCode {
-    for step in steps {
+    // What follows are arguments for the step `argument`.
+    for step in steps.iter().take_while(|step| *step != "--") {
         let (verb, object) = step.split_once(':').unwrap_or((step, ""));
         if let Err(error) = act(verb, object) {
             let text = format!("{steps:?}: {step}: {error}\n");
@@ -74,7 +75,10 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
         "to" => report::switch_target(object),
         "not-to" => expect(report::switch_target(object).is_err()),
         "descriptors" => expect(open_descriptors()? == ["0", "1", "2"]),
-        "argument" => expect(std::env::args().any(|it| it == object)),
+        "argument" => {
+            let mut arguments = std::env::args().skip_while(|it| it != "--").skip(1);
+            expect(arguments.next().as_deref() == Some(object) && arguments.next().is_none())
+        }
         "program" => {
             let program = std::env::args().next().unwrap_or_default();
             expect(Path::new(&program).file_name() == std::env::current_exe()?.file_name())

@@ -211,6 +211,8 @@ fn process_launch_args() {
         "variable:VEHICLE=tandem",
         "no-variable:HOME",
         "append:checked",
+        "--",
+        "two words, \"quoted\"",
     ];
     let more = "ready = \"exit\"\nenvironment = { VEHICLE = \"tandem\" }";
     let mut rig = Rig::start(&[
