@@ -46,8 +46,11 @@ pub struct Config {
     pub candidates: usize,
     /// Time from one activation to the next.
     pub period: Duration,
-    /// Time that an answer needs to reach all clients; less than half a period.
+    /// Time that an answer needs to reach all clients.
     pub lead: Duration,
+    /// How long after an activation the master waits for all clients, if it has M; as a rule less
+    /// than the period without two leads. Longer: a late client delays the others.
+    pub wait: Duration,
     /// After this time without M requests the answer is the safe state. At the start: how long the
     /// master waits for all clients if it has M.
     pub patience: Duration,
@@ -60,7 +63,7 @@ impl Config {
         (1..=MAX_CLIENTS).contains(&self.clients)
             && (1..=self.clients).contains(&self.quorum)
             && (1..=MAX_CLIENTS).contains(&self.candidates)
-            && self.lead.times(2) < self.period
+            && self.lead < self.period
     }
 }
 
@@ -303,11 +306,7 @@ impl Master {
         let is_enough = self.requests().count() >= self.config.quorum;
         let wait_until = match (is_enough, self.last, self.first_request_at) {
             (true, ..) if !clients.any(is_missing) => Instant::ORIGIN,
-            // Half of the time before the activation is for this candidate's own delay.
-            (true, Some(last), _) => before(
-                last.activation + self.config.period,
-                self.config.lead.times(2),
-            ),
+            (true, Some(last), _) => last.activation + self.config.wait,
             (true, None, Some(first)) => first + self.config.patience,
             (false, Some(last), _) => last.activation + self.config.patience,
             (_, None, _) => Instant::NEVER,
@@ -487,8 +486,4 @@ impl Master {
     fn is_awaited(&self, client: ClientId) -> bool {
         self.seen[client.index()].silent == 0 && !self.excluded().contains(client)
     }
-}
-
-fn before(instant: Instant, span: Duration) -> Instant {
-    Instant::from_ns(instant.as_ns().saturating_sub(span.as_ns()))
 }

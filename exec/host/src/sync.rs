@@ -53,7 +53,7 @@ pub enum PlaceError {
     #[error("the shared memory of the sync master has another layout: {0:?}")]
     Layout(FitError),
     /// The numbers of the configuration contradict each other.
-    #[error("not a configuration of a sync master: needs 1 ≤ M ≤ N ≤ 8 and 2 · lead < period")]
+    #[error("not a configuration of a sync master: needs 1 ≤ M ≤ N ≤ 8 and lead < period")]
     Config,
 }
 
@@ -194,6 +194,15 @@ impl SyncClient {
     /// Returns the client, for `random`, `activation_time`, `set_lost` and `set_done`.
     pub const fn client(&mut self) -> &mut Client {
         &mut self.client
+    }
+
+    /// Returns a writer of any words into this client's mailbox, for tests of a client that lies.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn hostile(&self) -> Writer<'static, [u32; Request::WORDS]> {
+        let words = self.place.request_words(self.client.id());
+        #[allow(clippy::expect_used, reason = "attached once already")]
+        bare::newest_writer(words, REQUEST).expect("fits")
     }
 
     /// Ends the current activation with the digest of its outputs, and blocks until the time of
