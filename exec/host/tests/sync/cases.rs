@@ -155,7 +155,10 @@ fn lying_client() {
     let [mut zero, mut one] = [group.client(0, "-"), group.client(1, "-")];
     let liar = group.liar(2);
     for lie in ["Identity", "Cycle", "Garbage", "Twice"] {
-        master.until_has(&format!("Disagrees(ClientId(2), {lie})"));
+        let lie = format!("Disagrees(ClientId(2), {lie})");
+        if !master.told.contains(&lie) {
+            master.until_has(&lie);
+        }
     }
     zero.skip(40);
     one.skip(0);
