@@ -22,7 +22,6 @@ use std::io::{self, Read as _};
 use std::os::fd::{AsFd as _, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::Arc;
 
 use rustix::event::{PollFd, PollFlags, poll};
@@ -99,11 +98,11 @@ pub enum Unrecoverable {
 /// Returns the exit status of a launcher's process that gives up. Without a guardian it cleans up
 /// itself, before.
 #[must_use]
-pub fn give_up(why: &Unrecoverable) -> ExitCode {
+pub fn give_up(why: &Unrecoverable) -> u8 {
     if matches!(why, Unrecoverable::NoGuardian) {
         clean_up::CleanUp::alone().run();
     }
-    ExitCode::from(GIVES_UP)
+    GIVES_UP
 }
 
 /// Makes the error of a system call that must not fail.
@@ -424,10 +423,6 @@ impl Shell<'_> {
                 let target = target.map(|it| self.target_name(it));
                 request.answer(&event::state(target.as_deref(), reached, &rows));
             }
-            ("stop", "") => {
-                self.inputs.push_back(Input::Stop);
-                request.answer("ok");
-            }
             ("target", name) => match self.manifest.target_named(name) {
                 _ if self.children.is_other_process(request.from) => {
                     request.answer("only state management may switch the run target");
@@ -443,7 +438,7 @@ impl Shell<'_> {
                     request.answer(&format!("no such run target; there are: {names}"));
                 }
             },
-            _ => request.answer("expected ps, stop or target NAME"),
+            _ => request.answer("expected ps or target NAME"),
         }
     }
 

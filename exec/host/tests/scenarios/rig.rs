@@ -242,7 +242,7 @@ pub(crate) fn launcher(words: &[String]) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("{error}");
-            launcher::give_up(&error)
+            ExitCode::from(launcher::give_up(&error))
         }
     }
 }
