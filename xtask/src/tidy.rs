@@ -26,7 +26,7 @@ exec-host: board board-host boot exec shm
 vehicle: board bus timesync
 page:
 board-host: board board-udp peripherals shm
-benches: board board-host board-udp page rtos shm topics topics-host two-cores
+benches: board board-host board-udp exec exec-host page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle

@@ -8,16 +8,19 @@ use rayon::prelude::*;
 use rustix::thread::{CpuSet, sched_setaffinity};
 use std::hint::black_box;
 use std::io;
+use std::time::Duration;
+use tandem_exec::client::Random;
+use tandem_exec_host::pool::Pool;
 
-/// Elements of a run: radar targets of five sensors, rounded up.
-pub(crate) const ELEMENTS: usize = 512;
+/// Elements of a run.
+const ELEMENTS: usize = 512;
 /// Workers, one on each CPU.
-pub(crate) const WORKERS: usize = 2;
+const WORKERS: usize = 2;
 /// Steps of the computation of an element: about 2 us.
 const STEPS: u32 = 2_000;
 
 /// The computation of an element: a generator's steps, which no compiler can shorten.
-pub(crate) fn compute(element: &mut u64, seed: u64) {
+fn compute(element: &mut u64, seed: u64) {
     let mut state = (*element ^ seed) | 1;
     for _ in 0..black_box(STEPS) {
         state ^= state << 13;
@@ -28,7 +31,7 @@ pub(crate) fn compute(element: &mut u64, seed: u64) {
 }
 
 /// Times runs in a process of its own. `prepare` starts the workers, and returns what one run does.
-pub(crate) fn timed<F: FnMut(&mut [u64]) -> io::Result<()>>(
+fn timed<F: FnMut(&mut Vec<u64>) -> io::Result<()>>(
     plan: &BatchPlan,
     prepare: impl FnOnce() -> io::Result<F>,
 ) -> io::Result<Batch> {
@@ -62,11 +65,20 @@ pub(crate) fn timed<F: FnMut(&mut [u64]) -> io::Result<()>>(
 /// One after the other: what two workers halve at best.
 pub(crate) fn sequential(plan: &BatchPlan) -> io::Result<Batch> {
     timed(plan, || {
-        Ok(|elements: &mut [u64]| {
+        Ok(|elements: &mut Vec<u64>| {
             let all = elements.iter_mut().enumerate();
             all.for_each(|(index, element)| compute(element, index as u64));
             Ok(())
         })
+    })
+}
+
+/// By the worker pool. Each element also gets its own seed.
+pub(crate) fn tandem(plan: &BatchPlan) -> io::Result<Batch> {
+    timed(plan, || {
+        let work = |element: &mut u64, random: &mut Random| compute(element, random.draw());
+        let mut pool = Pool::new(WORKERS, ELEMENTS, Duration::from_secs(10), work)?;
+        Ok(move |elements: &mut Vec<u64>| pool.run(elements, 1).map_err(io::Error::other))
     })
 }
 
@@ -75,7 +87,7 @@ pub(crate) fn rayon(plan: &BatchPlan) -> io::Result<Batch> {
     timed(plan, || {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(WORKERS);
         let pool = pool.build().map_err(io::Error::other)?;
-        Ok(move |elements: &mut [u64]| {
+        Ok(move |elements: &mut Vec<u64>| {
             pool.install(|| {
                 let all = elements.par_iter_mut().enumerate();
                 all.for_each(|(index, element)| compute(element, index as u64));

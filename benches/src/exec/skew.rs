@@ -1,16 +1,38 @@
 //! Activation skew: how far apart two processes on two CPUs begin the same cycle.
 
 use crate::clock::{monotonic_ns, sleep_until};
-use crate::harness::{Batch, BatchPlan};
-use crate::shared::SharedPage;
+use crate::harness::{Batch, BatchPlan, next_run};
+use crate::shared::{Log, SharedPage};
 use crate::worker::{BatchPart, ask_for_fifo, perform};
 use std::hint::spin_loop;
 use std::io;
+use std::ops::Range;
+use tandem_board::Duration;
+use tandem_exec::master::Config;
+use tandem_exec::message::{Activation, ClientId};
+use tandem_exec_host::sync::{Place, SyncClient, SyncMaster, Wait};
 
 /// Period of the cycles, ns.
 const PERIOD_NS: u64 = 1_000_000;
 /// The last part of a wait that may be spent spinning, ns.
 pub(crate) const SPIN_NS: u64 = 100_000;
+/// The same for a client.
+pub(crate) const SPIN: Wait = Wait::SpinLast(Duration::from_ns(SPIN_NS));
+const CONFIG: Config = Config {
+    clients: 2,
+    quorum: 2,
+    candidates: 1,
+    period: Duration::from_ns(PERIOD_NS),
+    lead: Duration::from_us(200),
+    wait: Duration::from_us(500),
+    patience: Duration::from_ms(5_000),
+    takeover: Duration::from_ms(100),
+};
+/// The first activations are not of the kind `Run`.
+const FIRST_CYCLE: u64 = 10;
+const GIVE_UP: Duration = Duration::from_ms(5_000);
+/// In the log, of a cycle that the client did not run.
+const MISSED: u32 = u32::MAX;
 
 /// Two processes that sleep with `clock_nanosleep` until the same instants, and spin for the last
 /// `spin_ns`: what no synchronisation can improve.
@@ -38,12 +60,64 @@ pub(crate) fn floor(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
     Ok(skew_of(&shared))
 }
 
+/// Two deterministic clients of a sync master, which wait in this way; the master runs beside them.
+/// A sample is the difference of their lateness in a cycle that both ran.
+pub(crate) fn clients(plan: &BatchPlan, wait: Wait) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
+    let system = plan.system.ok_or(io::ErrorKind::NotFound)?;
+    let place = Place::create(system.run(), &format!("sync-{}", next_run()));
+    let place = place.map_err(io::Error::other)?;
+    let first = FIRST_CYCLE + plan.warm_up as u64;
+    let cycles = first..first + plan.rounds as u64;
+    let client = |number: usize| {
+        let cycles = cycles.clone();
+        BatchPart::on(plan.cpus[number], move |role| {
+            ask_for_fifo();
+            let id = ClientId::new(number).ok_or(io::ErrorKind::InvalidInput)?;
+            let client = SyncClient::attach(place, id, wait).map_err(io::Error::other)?;
+            log_cycles(client, cycles, &mut role.log)
+        })
+    };
+    let master = BatchPart::on(plan.cpus[0], move |_| {
+        ask_for_fifo();
+        let id = ClientId::new(0).ok_or(io::ErrorKind::InvalidInput)?;
+        let mut master = SyncMaster::attach(place, CONFIG, id).map_err(io::Error::other)?;
+        master.run(|_| (), || false);
+        Ok(())
+    });
+    perform(&shared, vec![client(0), client(1), master])?;
+    Ok(skew_of(&shared))
+}
+
+/// Logs the lateness in each of these cycles, and ends when all clients do.
+fn log_cycles(mut client: SyncClient, cycles: Range<u64>, log: &mut Log) -> io::Result<()> {
+    loop {
+        let activated = client.wait_for_activation(0, GIVE_UP);
+        let now_ns = monotonic_ns();
+        let activated = activated.map_err(io::Error::other)?;
+        let missed = activated.cycle - activated.missed..activated.cycle;
+        missed
+            .filter(|cycle| cycles.contains(cycle))
+            .for_each(|_| log.push(0, MISSED));
+        if cycles.contains(&activated.cycle) {
+            let late_ns = now_ns - client.client().activation_time().as_ns();
+            log.push(0, u32::try_from(late_ns).unwrap_or(u32::MAX - 1));
+        }
+        if activated.cycle >= cycles.end {
+            client.client().set_done();
+        }
+        if activated.code == Activation::Terminate {
+            return Ok(());
+        }
+    }
+}
+
 /// The difference between both processes' lateness in each cycle; parts 0 and 1 have logged it, ns.
 pub(crate) fn skew_of(shared: &SharedPage) -> Batch {
     let [first, second] = [0, 1].map(|number| shared.log(number));
     let both = first.samples(0).zip(second.samples(0));
     let (mut samples_ps, mut late_ns) = (vec![], 0);
-    for (a, b) in both {
+    for (a, b) in both.filter(|(a, b)| *a != MISSED && *b != MISSED) {
         // 0 would be below the clock's resolution.
         samples_ps.push(u64::from(a.abs_diff(b)).max(1) * 1000);
         late_ns = a.max(b).max(late_ns);

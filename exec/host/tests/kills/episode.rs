@@ -213,6 +213,17 @@ impl Life {
             .try_fold(u64::MAX, |least, cycle| Some(least.min(cycle?)))
     }
 
+    /// Returns what helps to understand a violation: the last kills, the last records.
+    fn story(&self, victims: &[String]) -> String {
+        let last = |log: &Vec<Record>| format!("{:#?}", &log[log.len().saturating_sub(4)..]);
+        let records: Vec<String> = self.logs().iter().map(last).collect();
+        let kills = &victims[victims.len().saturating_sub(8)..];
+        format!(
+            "last kills: {kills:?}; last records: {}",
+            records.join("\n")
+        )
+    }
+
     /// Waits until all clients have run a cycle that begins from now on.
     fn is_in_step_again(&self) -> bool {
         let mut newest = None;
@@ -269,6 +280,9 @@ pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
     let (wrong, cycles) = check(&life.logs());
     outcome.wrong.extend(wrong);
     outcome.cycles = cycles;
+    if !outcome.wrong.is_empty() {
+        outcome.wrong.push(life.story(&outcome.victims));
+    }
     outcome
 }
 
@@ -304,7 +318,11 @@ fn kill_one(life: &Life, dice: &mut Dice, outcome: &mut Outcome) -> bool {
         }
     };
     outcome.kills += 1;
-    outcome.victims.push(format!("{name} {}", victim.mode));
+    outcome.victims.push(format!(
+        "{name} {} at {:?}",
+        victim.mode,
+        tandem_board_host::clock::now()
+    ));
     sleep(Duration::from_millis(dice.below(25)));
     true
 }

@@ -56,7 +56,8 @@ fn kills() {
         kills += outcome.kills;
         cycles += outcome.cycles;
         for victim in outcome.victims {
-            *victims.entry(victim).or_default() += 1;
+            let what = victim.split(" at ").next().unwrap_or_default().to_owned();
+            *victims.entry(what).or_default() += 1;
         }
         for what in outcome.wrong {
             println!("VIOLATION after {kills} kills: {what}");

@@ -166,7 +166,7 @@ fn launcher(manifest: &Path) -> ExitCode {
         });
     match ran {
         Ok(Ok(())) => ExitCode::SUCCESS,
-        Ok(Err(error)) => launcher::give_up(&error),
+        Ok(Err(error)) => launcher::give_up(&error).into(),
         Err(why) => {
             eprintln!("{why}");
             ExitCode::from(NOTHING_STARTED)
