@@ -406,9 +406,44 @@ mod tests {
         }
     }
 
-    fn check<T: tandem_shm::Payload>(words: [u32; 8]) {
+    fn decode<T: tandem_shm::Payload>(words: [u32; 8]) -> Option<T> {
         let mut rest = words.into_iter();
-        if let Ok(value) = T::load(&mut || rest.next().unwrap()) {
+        T::load(&mut || rest.next().unwrap()).ok()
+    }
+
+    /// Each word that cannot be is refused.
+    #[test]
+    fn impossible_words_are_refused() {
+        let request: [u32; 8] = [0xD100_0401, 1, 5, 0, 9, 0, 7, 0];
+        let response: [u32; 8] = [0xD200_0401, 0x0000_0403, 5, 0, 9, 0, 7, 0];
+        assert!(decode::<Request>(request).is_some() && decode::<Response>(response).is_some());
+        let wrong_requests = [
+            (0, 0xD200_0401),
+            (0, 0xD100_0408),
+            (0, 0xD100_0601),
+            (0, 0xD100_0001),
+        ];
+        for (at, word) in wrong_requests
+            .into_iter()
+            .chain([(0, 0xD104_0401), (1, 0), (2, 0)])
+        {
+            let mut words = request;
+            words[at] = word;
+            assert!(decode::<Request>(words).is_none(), "{at} {word:x}");
+        }
+        let wrong_responses = [(0, 0xD100_0401), (0, 0xD200_0408), (0, 0xD200_0001)];
+        for (at, word) in wrong_responses
+            .into_iter()
+            .chain([(0, 0xD202_0401), (1, 0x303), (2, 0)])
+        {
+            let mut words = response;
+            words[at] = word;
+            assert!(decode::<Response>(words).is_none(), "{at} {word:x}");
+        }
+    }
+
+    fn check<T: tandem_shm::Payload>(words: [u32; 8]) {
+        if let Some(value) = decode::<T>(words) {
             let mut stored = vec![];
             value.store(&mut |word| stored.push(word));
             assert_eq!(stored, words);

@@ -335,6 +335,27 @@ fn the_next_candidate_follows_a_dead_master() {
     }
 }
 
+/// The turn is counted from the master of the last decision, not from the first id.
+#[test]
+fn the_turn_goes_on_from_the_last_master() {
+    let bench = Bench::running();
+    let last = Response {
+        master: id(1),
+        ..*bench.master.last().unwrap()
+    };
+    for (number, wait) in [(1, 0), (2, 2), (0, 4)] {
+        let mut next = Master::new(CONFIG, id(number)).unwrap();
+        next.on_decided(&last, &mut |_| {});
+        for client in 0..3 {
+            let request = bench.honest(client);
+            next.on_request(bench.now, id(client), &request, &mut |_| {});
+        }
+        let poll = next.poll(bench.now);
+        assert_eq!(poll.propose.is_some(), wait == 0, "candidate {number}");
+        assert!(wait == 0 || poll.wake == bench.now + ms(wait));
+    }
+}
+
 /// Enough members that are done end all; one alone does not.
 #[test]
 fn enough_that_are_done_end_all() {
