@@ -225,3 +225,228 @@ impl Client {
         self.id
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::Clients;
+    use proptest::prelude::*;
+
+    const MS: fn(u64) -> Instant = |ms| Instant::ORIGIN + Duration::from_ms(ms);
+
+    fn id(number: usize) -> ClientId {
+        ClientId::new(number).unwrap()
+    }
+
+    fn response(cycle: u64, code: Activation) -> Response {
+        Response {
+            master: id(0),
+            cycle,
+            activation: MS(10 * cycle),
+            code,
+            members: ClientId::first(3).collect(),
+            excluded: Clients::NONE,
+            is_safe_state: false,
+            skipped: 0,
+            agreed: 7,
+        }
+    }
+
+    /// Takes a response in time and is activated at its time.
+    fn activate(client: &mut Client, response: &Response) -> Activated {
+        let at = response.activation;
+        assert_eq!(client.on_response(MS(0), response), Ok(at));
+        client.activate(at).unwrap()
+    }
+
+    /// E-1: the whole table. Every code that may follow is taken; every other one is replaced by
+    /// the one that the table gives: nothing is left out.
+    #[test]
+    fn each_activation_follows_the_table() {
+        use Activation::{Init, RegisterServices, Run, ServiceDiscovery, Terminate};
+        let table = [
+            (None, RegisterServices, RegisterServices),
+            (Some(RegisterServices), ServiceDiscovery, ServiceDiscovery),
+            (Some(ServiceDiscovery), Init, ServiceDiscovery),
+            (Some(Init), Run, ServiceDiscovery),
+            (Some(Run), Run, ServiceDiscovery),
+            (Some(Terminate), Terminate, Terminate),
+        ];
+        for (last, next, if_lost) in table {
+            assert_eq!(Activation::after(last, false), next);
+            assert_eq!(Activation::after(last, true), if_lost);
+            for code in Activation::ALL {
+                let may_follow = [next, if_lost, Terminate].contains(&code);
+                assert_eq!(code.may_follow(last), may_follow, "{last:?} {code:?}");
+                let mut client = Client::new(id(1), 1);
+                client.code = last;
+                let taken = activate(&mut client, &response(1, code)).code;
+                assert_eq!(
+                    taken,
+                    if may_follow { code } else { next },
+                    "{last:?} {code:?}"
+                );
+            }
+        }
+    }
+
+    /// E-1: an overrun is told with its length, and so is a late wake-up.
+    #[test]
+    fn an_overrun_is_told() {
+        let mut client = Client::new(id(1), 1);
+        assert!(activate(&mut client, &response(1, Activation::RegisterServices)).is_punctual());
+        let next = response(2, Activation::ServiceDiscovery);
+        assert_eq!(client.on_response(MS(23), &next), Ok(MS(20)));
+        let activated = client.activate(MS(24)).unwrap();
+        assert_eq!(activated.overrun, Duration::from_ms(3));
+        assert_eq!(activated.late, Duration::from_ms(4));
+        assert!(!activated.is_punctual());
+        let after = activate(&mut client, &response(5, Activation::Init));
+        assert_eq!((after.missed, after.overrun), (2, Duration::ZERO));
+        assert!(!after.is_punctual());
+        let skipped = Response {
+            skipped: 3,
+            ..response(6, Activation::Run)
+        };
+        assert!(!activate(&mut client, &skipped).is_punctual());
+    }
+
+    /// A client is never activated early, twice, for an old cycle, or at a time that cannot be.
+    #[test]
+    fn what_cannot_be_is_not_taken() {
+        let mut client = Client::new(id(1), 1);
+        let first = response(1, Activation::RegisterServices);
+        assert_eq!(client.on_response(MS(0), &first), Ok(MS(10)));
+        assert_eq!(client.activate(MS(9)), None);
+        let second = response(2, Activation::ServiceDiscovery);
+        assert_eq!(
+            client.on_response(MS(9), &second),
+            Err(NotTaken::Stale),
+            "waits for one"
+        );
+        assert!(client.activate(MS(10)).is_some());
+        assert_eq!(client.activate(MS(10)), None);
+        assert_eq!(client.on_response(MS(10), &first), Err(NotTaken::Stale));
+        for at in [MS(10), MS(9), MS(10_011), Instant::NEVER] {
+            let wrong = Response {
+                activation: at,
+                ..second
+            };
+            assert_eq!(
+                client.on_response(MS(10), &wrong),
+                Err(NotTaken::WrongTime),
+                "{at:?}"
+            );
+        }
+        assert_eq!(client.request(5).cycle, 1);
+    }
+
+    /// A client that is no member and has lost a service does not run.
+    #[test]
+    fn a_joining_client_looks_for_its_services_alone() {
+        let mut client = Client::new(id(5), 2);
+        client.code = Some(Activation::Run);
+        client.set_lost(true);
+        let joining = activate(&mut client, &response(1, Activation::Run));
+        assert_eq!(
+            (joining.code, joining.standing),
+            (Activation::ServiceDiscovery, Standing::Joining)
+        );
+    }
+
+    /// SWS_EM_01326, 01327: equal numbers in all clients, others in each cycle.
+    #[test]
+    fn random_numbers_are_those_of_the_activation() {
+        // The first outputs of `SplittableRandom(1234567)`, as in the published test vectors.
+        let mut random = Random::new(1_234_567);
+        let first = [random.draw(), random.draw(), random.draw()];
+        assert_eq!(
+            first,
+            [
+                6_457_827_717_110_365_317,
+                3_203_168_211_198_807_973,
+                9_817_491_932_198_370_423
+            ]
+        );
+        let draw = |number: usize, cycle| {
+            let mut client = Client::new(id(number), number as u32 + 1);
+            activate(&mut client, &response(cycle, Activation::RegisterServices));
+            [client.random(), client.random()]
+        };
+        assert_eq!(draw(0, 4), draw(2, 4));
+        assert_ne!(draw(0, 4), draw(0, 5));
+    }
+
+    proptest! {
+        /// Shared memory is hostile: any words decode without a panic, and what decodes is stored
+        /// as the same words.
+        #[test]
+        fn any_words_are_decoded_or_refused(mut words: [u32; 8], head in 0_u32..1 << 18, kind in 0..3) {
+            if kind > 0 {
+                words[0] = (0xD0 + kind as u32) << 24 | head;
+            }
+            check::<Request>(words);
+            check::<Response>(words);
+        }
+
+        /// A response that was not meant for it never takes a client back in cycle or time.
+        #[test]
+        fn cycles_and_times_only_increase(words in prop::collection::vec((any::<u32>(), 0_u32..6, 0_u32..9), 1..40)) {
+            let mut client = Client::new(id(1), 1);
+            let mut last = (0, Instant::ORIGIN);
+            for (random, cycle, ms) in words {
+                let mut response = response(u64::from(cycle) + 1, Activation::ALL[random as usize % 5]);
+                response.activation = MS(u64::from(ms));
+                if client.on_response(MS(4), &response).is_ok() {
+                    client.activate(MS(9)).unwrap();
+                    prop_assert!(client.cycle > last.0 && client.activation > last.1);
+                    last = (client.cycle, client.activation);
+                }
+            }
+        }
+    }
+
+    fn decode<T: tandem_shm::Payload>(words: [u32; 8]) -> Option<T> {
+        let mut rest = words.into_iter();
+        T::load(&mut || rest.next().unwrap()).ok()
+    }
+
+    /// Each word that cannot be is refused.
+    #[test]
+    fn impossible_words_are_refused() {
+        let request: [u32; 8] = [0xD100_0401, 1, 5, 0, 9, 0, 7, 0];
+        let response: [u32; 8] = [0xD200_0401, 0x0000_0403, 5, 0, 9, 0, 7, 0];
+        assert!(decode::<Request>(request).is_some() && decode::<Response>(response).is_some());
+        let wrong_requests = [
+            (0, 0xD200_0401),
+            (0, 0xD100_0408),
+            (0, 0xD100_0601),
+            (0, 0xD100_0001),
+        ];
+        for (at, word) in wrong_requests
+            .into_iter()
+            .chain([(0, 0xD104_0401), (1, 0), (2, 0)])
+        {
+            let mut words = request;
+            words[at] = word;
+            assert!(decode::<Request>(words).is_none(), "{at} {word:x}");
+        }
+        let wrong_responses = [(0, 0xD100_0401), (0, 0xD200_0408), (0, 0xD200_0001)];
+        for (at, word) in wrong_responses
+            .into_iter()
+            .chain([(0, 0xD202_0401), (1, 0x303), (2, 0)])
+        {
+            let mut words = response;
+            words[at] = word;
+            assert!(decode::<Response>(words).is_none(), "{at} {word:x}");
+        }
+    }
+
+    fn check<T: tandem_shm::Payload>(words: [u32; 8]) {
+        if let Some(value) = decode::<T>(words) {
+            let mut stored = vec![];
+            value.store(&mut |word| stored.push(word));
+            assert_eq!(stored, words);
+        }
+    }
+}

@@ -8,6 +8,7 @@ const REGISTER: u64 = 1;
 const DISCOVERY: u64 = 2;
 const INIT: u64 = 3;
 const RUN: u64 = 4;
+const TERMINATE: u64 = 5;
 
 /// Returns the violations of one episode, and the number of cycles that at least two clients ran.
 pub(crate) fn check(logs: &[Vec<Record>]) -> (Vec<String>, usize) {
@@ -15,6 +16,7 @@ pub(crate) fn check(logs: &[Vec<Record>]) -> (Vec<String>, usize) {
     for log in logs {
         check_client(log, &mut wrong);
     }
+    check_safe_state(logs, &mut wrong);
     let mut cycles: BTreeMap<u64, Vec<&Record>> = BTreeMap::new();
     for record in logs.iter().flatten() {
         cycles.entry(record.cycle).or_default().push(record);
@@ -62,15 +64,18 @@ fn check_client(log: &[Record], wrong: &mut Vec<String>) {
             Some(INIT | RUN) => &[RUN],
             Some(_) => &[],
         };
+        // Whether the safe state is right is checked for all clients together.
+        let may_follow = if record.safe_state == 1 {
+            &[TERMINATE]
+        } else {
+            may_follow
+        };
         let mut say = |what: &str| wrong.push(format!("{what}: {record:?} after {last:?}"));
         if !may_follow.contains(&record.code) {
             say("this activation may not follow");
         }
         if record.standing == 2 {
             say("a client that computes what is right was excluded");
-        }
-        if record.safe_state != 0 {
-            say("the safe state without a reason");
         }
         if record.woken_ns < record.activation_ns {
             say("it was activated too early");
@@ -90,13 +95,38 @@ fn check_client(log: &[Record], wrong: &mut Vec<String>) {
     }
 }
 
+/// The safe state is right if, and only if, fewer than two members of the cycle before it still run:
+/// so two could not agree.
+fn check_safe_state(logs: &[Vec<Record>], wrong: &mut Vec<String>) {
+    let safe = logs.iter().flatten().find(|record| record.safe_state == 1);
+    let Some(safe) = safe else {
+        return;
+    };
+    let went_on = |log: &&Vec<Record>| {
+        let member = |record: &&Record| record.cycle + 1 == safe.cycle && record.standing == 1;
+        let member = log.iter().find(member).map(|record| record.process);
+        let last = log.iter().find(|record| record.cycle == safe.cycle);
+        member.is_some() && member == last.map(|record| record.process)
+    };
+    if logs.iter().filter(went_on).count() >= 2 {
+        wrong.push(format!("the safe state without a reason: {safe:?}"));
+    }
+    if logs
+        .iter()
+        .flatten()
+        .any(|it| it.cycle >= safe.cycle && it.code != TERMINATE)
+    {
+        wrong.push(format!("an activation after the safe state: {safe:?}"));
+    }
+}
+
 /// The answer to a cycle names the output of the cycle before, on which its members agreed.
 fn check_agreed(cycles: &BTreeMap<u64, Vec<&Record>>, wrong: &mut Vec<String>) {
     for (cycle, records) in cycles {
         let before = cycles.get(&(cycle - 1)).into_iter().flatten();
         let ran = before.filter(|it| it.code == RUN && it.standing == 1);
         for one in ran {
-            if one.output != records[0].agreed {
+            if one.output != records[0].agreed && records[0].safe_state == 0 {
                 wrong.push(format!(
                     "agreed on another output: {one:?}, {:?}",
                     records[0]

@@ -47,6 +47,8 @@ pub(crate) struct Outcome {
     pub(crate) kills: u64,
     /// Cycles that at least two clients have run together.
     pub(crate) cycles: usize,
+    /// Two clients were lost at once, so all of them ended. Then nothing more is killed.
+    pub(crate) is_safe_state: bool,
     /// Signal and victim of each kill.
     pub(crate) victims: Vec<String>,
     pub(crate) wrong: Vec<String>,
@@ -197,20 +199,29 @@ impl Life {
         (0..CLIENTS).map(log).collect()
     }
 
+    fn last_record(&self, id: usize) -> Option<Record> {
+        let mut log = File::open(self.folder.path().join(format!("log-{id}"))).ok()?;
+        log.seek(SeekFrom::End(-(Record::BYTES as i64))).ok()?;
+        let mut bytes = vec![];
+        log.read_to_end(&mut bytes).ok()?;
+        Record::read_all(&bytes).first().copied()
+    }
+
     /// Returns the last cycle that all clients have run as members; `None` if one is not in step.
     fn cycle_in_step(&self) -> Option<u64> {
-        let last = |id| {
-            let mut log = File::open(self.folder.path().join(format!("log-{id}"))).ok()?;
-            log.seek(SeekFrom::End(-(Record::BYTES as i64))).ok()?;
-            let mut bytes = vec![];
-            log.read_to_end(&mut bytes).ok()?;
-            Record::read_all(&bytes).first().copied()
-        };
         let in_step = |record: &Record| record.code == 4 && record.standing == 1;
-        let cycle = |id| Some(last(id).filter(in_step)?.cycle);
+        let cycle = |id| Some(self.last_record(id).filter(in_step)?.cycle);
         (0..CLIENTS)
             .map(cycle)
             .try_fold(u64::MAX, |least, cycle| Some(least.min(cycle?)))
+    }
+
+    fn is_safe_state(&self) -> bool {
+        let is_safe = |id| {
+            self.last_record(id)
+                .is_some_and(|record| record.safe_state == 1)
+        };
+        (0..CLIENTS).any(is_safe)
     }
 
     /// Returns what helps to understand a violation: the last kills, the last records.
@@ -224,15 +235,23 @@ impl Life {
         )
     }
 
-    /// Waits until all clients have run a cycle that begins from now on.
-    fn is_in_step_again(&self) -> bool {
+    /// Waits until all clients have run a cycle that begins from now on. Returns `false` if they do
+    /// not, which is a violation except in the safe state.
+    fn is_in_step_again(&self, outcome: &mut Outcome) -> bool {
         let mut newest = None;
-        eventually(|| {
+        let is_over = eventually(|| {
+            outcome.is_safe_state = self.is_safe_state();
             let cycle = self.cycle_in_step();
             // A process that was just killed may have logged its last cycle a moment before.
             let since = *newest.get_or_insert(cycle.unwrap_or(0) + 2);
-            cycle.is_some_and(|cycle| cycle > since)
-        })
+            outcome.is_safe_state || cycle.is_some_and(|cycle| cycle > since)
+        });
+        if !is_over {
+            outcome
+                .wrong
+                .push("the clients do not run in step again".to_owned());
+        }
+        is_over && !outcome.is_safe_state
     }
 }
 
@@ -257,20 +276,14 @@ pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
     let mut outcome = Outcome {
         kills: 0,
         cycles: 0,
+        is_safe_state: false,
         victims: vec![],
         wrong: vec![],
     };
-    if !life.is_in_step_again() {
-        outcome.wrong.push("the platform does not start".to_owned());
-        return outcome;
-    }
+    life.is_in_step_again(&mut outcome);
     // The last kill of an episode is the end of the platform.
     let kills = (1 + dice.below(LONGEST)).min(most);
-    while outcome.kills + 1 < kills {
-        if !kill_one(&life, dice, &mut outcome) {
-            break;
-        }
-    }
+    while outcome.kills + 1 < kills && kill_one(&life, dice, &mut outcome) {}
     if !life.is_in_step_again() {
         outcome
             .wrong
@@ -286,7 +299,7 @@ pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
     outcome
 }
 
-/// Kills one of the processes. Returns `false` if there is none.
+/// Kills one of the processes. Returns `false` if the episode is to end.
 fn kill_one(life: &Life, dice: &mut Dice, outcome: &mut Outcome) -> bool {
     let mut found = processes_of(life.run.as_str());
     found.retain(|it| PROCESSES.contains(&it.mode.as_str()));

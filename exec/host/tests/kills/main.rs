@@ -50,11 +50,14 @@ fn kills() {
     let begin = Instant::now();
     let mut dice = Dice::new(seed);
     let (mut kills, mut cycles, mut wrong) = (0, 0, vec![]);
+    let (mut episodes, mut safe_states) = (0, 0);
     let mut victims = std::collections::BTreeMap::<String, u64>::new();
     while kills < count {
         let outcome = episode::run(&mut dice, count - kills);
         kills += outcome.kills;
         cycles += outcome.cycles;
+        episodes += 1;
+        safe_states += u64::from(outcome.is_safe_state);
         for victim in outcome.victims {
             let what = victim.split(" at ").next().unwrap_or_default().to_owned();
             *victims.entry(what).or_default() += 1;
@@ -84,10 +87,11 @@ fn a_wrong_activation_is_found() {
     let good = check::example();
     assert_eq!(check::check(&good).0, Vec::<String>::new());
     assert!(check::check(&good).1 > 0);
-    let rows: [(&str, fn(&mut Record)); 9] = [
+    let rows: [(&str, fn(&mut Record)); 10] = [
         ("may not follow", |it| it.code = 3),
         ("excluded", |it| it.standing = 2),
-        ("safe state", |it| it.safe_state = 1),
+        ("without a reason", |it| (it.safe_state, it.code) = (1, 5)),
+        ("may not follow", |it| it.safe_state = 1),
         ("too early", |it| it.woken_ns = it.activation_ns - 1),
         ("already over", |it| it.cycle -= 1),
         ("another random number", |it| it.random ^= 1),

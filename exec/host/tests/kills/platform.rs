@@ -33,9 +33,10 @@ const CONFIG: Config = Config {
     candidates: CANDIDATES,
     period: Duration::from_ms(5),
     lead: Duration::from_ms(1),
-    wait: Duration::from_ms(2),
+    // A client that is frozen for less time is waited for.
+    wait: Duration::from_ms(20),
     // Longer than two clients together are frozen or need for a restart.
-    patience: Duration::from_ms(5_000),
+    patience: Duration::from_ms(3_000),
     takeover: Duration::from_ms(3),
 };
 /// A client without an answer for this time ends, and is restarted.
