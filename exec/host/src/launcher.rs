@@ -188,7 +188,8 @@ impl ProcessLauncher {
     }
 
     /// Runs the processes until all have ended. The first byte from `stops` ends them in order, the
-    /// second kills them. With a guardian, standard input leads to it.
+    /// second kills them. With a guardian, standard input leads to it; without one, the kernel
+    /// sends SIGTERM to each process when the calling thread ends.
     ///
     /// # Errors
     /// [`Unrecoverable`]: the caller must clean up.
@@ -199,7 +200,9 @@ impl ProcessLauncher {
         tell: &mut dyn FnMut(&Told),
     ) -> Result<(), Unrecoverable> {
         stops.set_nonblocking(true).map_err(system("signals"))?;
-        let children = Children::new(self.manifest.clone(), self.platform, self.folder, &self.names);
+        let manifest = Arc::clone(&self.manifest);
+        let children =
+            Children::new(manifest, self.platform, self.folder, &self.names, guarded);
         let mut shell = Shell {
             supervisor: Supervisor::new(self.manifest.clone()),
             initial: self.manifest.initial(),
@@ -280,7 +283,7 @@ impl Shell<'_> {
             match self.outcome {
                 None => self.wait()?,
                 Some(Outcome::Done) => {
-                    self.children.kill_what_is_left(self.guard.is_some());
+                    self.children.kill_what_is_left();
                     return Ok(());
                 }
                 Some(Outcome::SafeState(at)) => {
