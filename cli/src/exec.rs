@@ -67,7 +67,8 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
     signal_hook::flag::register(SIGINT, Arc::clone(&interrupted)).context("Ctrl-C")?;
     let stops = signals(&[SIGINT, SIGTERM, SIGHUP])?;
     let guardian = Guardian::start(command, plan).context("the launcher")?;
-    match guardian.watch(&stops).context("the guardian")? {
+    let ended = guardian.watch(&stops, &mut |text| eprintln!("{text}"));
+    match ended.context("the guardian")? {
         GuardEnd::Done if interrupted.load(Ordering::Relaxed) => Err(Failure::Interrupted),
         GuardEnd::Done => Ok(()),
         // The launcher has said why.

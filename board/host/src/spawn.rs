@@ -26,19 +26,22 @@ use crate::clock;
 /// The kernel watches the calling *thread*, so that thread must live as long as the new process.
 pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     let parent = getpid();
-    let tie = move || {
-        set_parent_process_death_signal(Some(Signal::KILL))?;
-        if getppid() == Some(parent) {
-            Ok(())
-        } else {
-            // The parent died between the fork and this line, so the kernel sends no signal. Return
-            // an error number, because an error text would need an allocation.
-            Err(Errno::SRCH.into())
-        }
-    };
+    let tie = move || bind(Signal::KILL, parent);
     // SAFETY: between fork and exec only system calls are made: no allocation, no lock.
     unsafe { command.pre_exec(tie) };
     detach(command).spawn()
+}
+
+/// In the child: requests this signal for the end of the thread that has started it.
+fn bind(signal: Signal, parent: Pid) -> io::Result<()> {
+    set_parent_process_death_signal(Some(signal))?;
+    if getppid() == Some(parent) {
+        Ok(())
+    } else {
+        // The parent died between the fork and this line, so the kernel sends no signal. Return an
+        // error number, because an error text would need an allocation.
+        Err(Errno::SRCH.into())
+    }
 }
 
 /// Makes this process die with its parent, like [`spawn_bound`], but in the child: the binding is
@@ -79,6 +82,8 @@ pub struct Placement {
     pub groups: Option<Vec<u32>>,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
+    /// The signal that it gets when the calling thread has ended, in any way.
+    pub when_caller_ends: Option<Signal>,
 }
 
 /// A real-time policy.
@@ -136,6 +141,7 @@ struct Prepared {
     gid: Option<Gid>,
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
+    when_caller_ends: Option<(Signal, Pid)>,
 }
 
 impl Prepared {
@@ -165,6 +171,7 @@ impl Prepared {
             gid: placement.gid.map(Gid::from_raw),
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
+            when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
     }
 
@@ -197,6 +204,10 @@ impl Prepared {
         }
         if let Some(uid) = self.uid {
             set_thread_res_uid(uid, uid, uid)?;
+        }
+        // A change of the user clears it, so it is set afterwards.
+        if let Some((signal, caller)) = self.when_caller_ends {
+            bind(signal, caller)?;
         }
         close_others_at_exec();
         for fd in &self.keep {

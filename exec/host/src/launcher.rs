@@ -37,6 +37,7 @@ use crate::report;
 use crate::supervisor::{Action, Input, Notice, Outcome, Recovery, Supervisor};
 use crate::trust::{Platform, TrustError};
 use children::Children;
+pub use clean_up::AloneCleanUp;
 use control::{ControlSocket, Request};
 use notify::NotifySocket;
 
@@ -92,15 +93,15 @@ pub enum Unrecoverable {
     },
     /// The watchdog is lost.
     #[error("the guardian has ended")]
-    NoGuardian,
+    NoGuardian(AloneCleanUp),
 }
 
 /// Returns the exit status of a launcher's process that gives up. Without a guardian it cleans up
 /// itself, before.
 #[must_use]
 pub fn give_up(why: &Unrecoverable) -> u8 {
-    if matches!(why, Unrecoverable::NoGuardian) {
-        clean_up::CleanUp::alone().run();
+    if let Unrecoverable::NoGuardian(clean_up) = why {
+        clean_up.run();
     }
     GIVES_UP
 }
@@ -119,6 +120,8 @@ pub struct ProcessLauncher {
     notify: NotifySocket,
     control: ControlSocket,
     names: SocketNames,
+    /// The manifest and the anchor.
+    files: (PathBuf, Option<PathBuf>),
 }
 
 /// The names of the sockets in the abstract namespace: no file is left behind.
@@ -174,6 +177,7 @@ impl ProcessLauncher {
             notify,
             control,
             names,
+            files: (path, anchor.map(Path::to_owned)),
         })
     }
 
@@ -184,7 +188,8 @@ impl ProcessLauncher {
     }
 
     /// Runs the processes until all have ended. The first byte from `stops` ends them in order, the
-    /// second kills them. With a guardian, standard input leads to it.
+    /// second kills them. With a guardian, standard input leads to it; without one, the kernel
+    /// sends SIGTERM to each process when the calling thread ends.
     ///
     /// # Errors
     /// [`Unrecoverable`]: the caller must clean up.
@@ -195,7 +200,9 @@ impl ProcessLauncher {
         tell: &mut dyn FnMut(&Told),
     ) -> Result<(), Unrecoverable> {
         stops.set_nonblocking(true).map_err(system("signals"))?;
-        let children = Children::new(self.manifest.clone(), self.platform, self.folder, &self.names);
+        let manifest = Arc::clone(&self.manifest);
+        let children =
+            Children::new(manifest, self.platform, self.folder, &self.names, guarded);
         let mut shell = Shell {
             supervisor: Supervisor::new(self.manifest.clone()),
             initial: self.manifest.initial(),
@@ -209,6 +216,7 @@ impl ProcessLauncher {
             inputs: VecDeque::new(),
             guard: guarded.then(|| guardian::Link::new()),
             group: self.names.control,
+            files: self.files,
             begin: clock::now(),
             tell,
             outcome: None,
@@ -257,6 +265,7 @@ struct Shell<'a> {
     guard: Option<guardian::Link>,
     /// Name of the control group.
     group: String,
+    files: (PathBuf, Option<PathBuf>),
     begin: Instant,
     tell: &'a mut dyn FnMut(&Told),
     outcome: Option<Outcome>,
@@ -266,12 +275,7 @@ impl Shell<'_> {
     fn run(&mut self) -> Result<(), Unrecoverable> {
         if let Some(guard) = &mut self.guard {
             set_child_subreaper(Some(getpid())).map_err(|error| system("subreaper")(error.into()))?;
-            if !guard.begin(&self.manifest.safe_state, &self.group) {
-                self.tell(LaunchEvent::NotGranted {
-                    process: "launcher".to_owned(),
-                    what: "a control group (cgroup v2); process groups and /proc take its place",
-                });
-            }
+            guard.begin(&self.manifest.safe_state, &self.group);
         }
         self.inputs.push_back(Input::Switch(self.initial));
         loop {
@@ -279,7 +283,7 @@ impl Shell<'_> {
             match self.outcome {
                 None => self.wait()?,
                 Some(Outcome::Done) => {
-                    self.children.kill_what_is_left(self.guard.is_some());
+                    self.children.kill_what_is_left();
                     return Ok(());
                 }
                 Some(Outcome::SafeState(at)) => {
@@ -408,7 +412,12 @@ impl Shell<'_> {
         if let Some(guard) = &mut self.guard
             && !guard.kick()
         {
-            return Err(Unrecoverable::NoGuardian);
+            let clean_up = AloneCleanUp::of(
+                &self.manifest.safe_state,
+                self.files.clone(),
+                &self.group,
+            );
+            return Err(Unrecoverable::NoGuardian(clean_up));
         }
         self.inputs.push_back(Input::Tick);
         Ok(())

@@ -63,6 +63,9 @@ pub struct ProcessPlan {
     /// Its working directory, relative to the manifest's folder, which is the default.
     #[serde(default)]
     pub directory: PathBuf,
+    /// A file for its standard output and standard error, relative to the manifest's folder; those
+    /// of the launcher by default.
+    pub output: Option<PathBuf>,
     /// The numbers of the CPUs on which it may run; all by default.
     pub cpus: Option<Vec<usize>>,
     /// Its scheduling policy.

@@ -119,7 +119,7 @@ pub enum ProcessFailure {
     #[error("it was not ready within {} ms", .0.as_us() / 1_000)]
     NotReady(Duration),
     /// It ended.
-    #[error("it ended {0}")]
+    #[error("it ended: {0}")]
     Ended(ExitKind),
     /// It said too seldom or too often that it is alive.
     #[error("it was alive {0} times in a cycle")]
@@ -146,8 +146,8 @@ pub enum Outcome {
 impl fmt::Display for ExitKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Code(code) => write!(f, "with status {code}"),
-            Self::Signal(signal) => write!(f, "by signal {signal}"),
+            Self::Code(code) => write!(f, "exit status: {code}"),
+            Self::Signal(signal) => write!(f, "signal: {signal}"),
         }
     }
 }

@@ -1,11 +1,12 @@
 //! The processes of the manifest, as children of the launcher.
 
 use std::error::Error;
+use std::fs::File;
 use std::io;
 use std::os::fd::BorrowedFd;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use rustix::io::Errno;
@@ -30,6 +31,8 @@ pub(super) struct Children {
     names: SocketNames,
     running: Vec<Option<Running>>,
     status: Vec<String>,
+    /// A guardian handles what is left when the launcher dies.
+    guarded: bool,
 }
 
 #[derive(Debug)]
@@ -47,6 +50,7 @@ impl Children {
         platform: Platform,
         folder: PathBuf,
         names: &SocketNames,
+        guarded: bool,
     ) -> Self {
         let count = manifest.processes.len();
         Self {
@@ -56,6 +60,7 @@ impl Children {
             names: names.clone(),
             running: (0..count).map(|_| None).collect(),
             status: vec![String::new(); count],
+            guarded,
         }
     }
 
@@ -83,6 +88,10 @@ impl Children {
         command.stdin(Stdio::null());
         let mut placement = placement(plan);
         placement.keep = trusted.keep;
+        placement.when_caller_ends = (!self.guarded).then_some(Signal::TERM);
+        if let Err(error) = self.set_output(plan, &mut command) {
+            return refused(&error, format!("its output: {error}"));
+        }
         let (child, wishes) = match spawn::spawn(&mut command, &placement) {
             Ok(started) => started,
             Err(error) => {
@@ -98,6 +107,16 @@ impl Children {
             *place = Some(Running { child, watched });
         }
         Ok(Ok((pid, wishes.into_iter().map(in_words).collect())))
+    }
+
+    /// Leads standard output and standard error to the file of the manifest.
+    fn set_output(&self, plan: &ProcessPlan, command: &mut Command) -> io::Result<()> {
+        if let Some(file) = &plan.output {
+            let mut options = File::options();
+            let file = options.append(true).create(true).open(self.folder.join(file))?;
+            command.stdout(file.try_clone()?).stderr(file);
+        }
+        Ok(())
     }
 
     pub(super) fn fds(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
@@ -147,9 +166,9 @@ impl Children {
 
     /// Kills what the processes have started and left. In a process of its own, the launcher kills
     /// all of its descendants.
-    pub(super) fn kill_what_is_left(&self, is_own_process: bool) {
+    pub(super) fn kill_what_is_left(&self) {
         for plan in &self.manifest.processes {
-            if is_own_process {
+            if self.guarded {
                 while descendants::signal_all(Signal::KILL) > 0 {
                     std::thread::sleep(std::time::Duration::from_millis(1));
                 }
@@ -233,6 +252,7 @@ fn placement(plan: &ProcessPlan) -> Placement {
         gid: plan.gid,
         groups: plan.groups.clone(),
         keep: vec![],
+        when_caller_ends: None,
     }
 }
 

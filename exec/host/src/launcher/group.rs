@@ -4,34 +4,61 @@
 use std::fs;
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
-
 /// Where version 2 is mounted: alone, or beside version 1.
 const MOUNTS: [&str; 2] = ["/sys/fs/cgroup", "/sys/fs/cgroup/unified"];
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct ControlGroup {
     path: PathBuf,
 }
 
 impl ControlGroup {
-    /// Moves the caller into a group of this name below its own, and kills what a launcher that was
-    /// killed has left in it. `None` if the machine does not grant one.
-    pub(super) fn join(name: &str) -> Option<Self> {
-        let own = fs::read_to_string("/proc/self/cgroup").ok()?;
-        let own = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
-        let mut mounts = MOUNTS.into_iter().map(PathBuf::from);
-        let mount = mounts.find(|mount| mount.join("cgroup.procs").exists())?;
-        let group = Self {
-            path: mount.join(own).join(name),
-        };
+    /// Makes a group of this name below the caller's, and kills what a launcher that was killed has
+    /// left in it. `None` if the machine does not grant one.
+    pub(super) fn make(name: &str) -> Option<Self> {
+        let group = Self::named(name)?;
         if group.path.exists() {
             group.kill();
         } else {
             fs::create_dir(&group.path).ok()?;
         }
-        let joined = fs::write(group.path.join("cgroup.procs"), "0");
-        joined.is_ok().then_some(group)
+        Some(group)
+    }
+
+    /// Returns the group of this name below the caller's, which may not exist.
+    fn named(name: &str) -> Option<Self> {
+        let own = fs::read_to_string("/proc/self/cgroup").ok()?;
+        let own = own.lines().find_map(|line| line.strip_prefix("0::/"))?;
+        let mut mounts = MOUNTS.into_iter().map(PathBuf::from);
+        let mount = mounts.find(|mount| mount.join("cgroup.procs").exists())?;
+        Some(Self {
+            path: mount.join(own).join(name),
+        })
+    }
+
+    /// Moves the caller out of the group of this name, and returns the group.
+    pub(super) fn leave(name: &str) -> Option<Self> {
+        let path = Self::named("")?.path;
+        let inside = path.file_name().is_some_and(|it| it == name);
+        let group = Self { path };
+        let above = group.path.parent()?.join("cgroup.procs");
+        (inside && fs::write(above, "0").is_ok()).then_some(group)
+    }
+
+    /// Moves all of these processes into the group, and what they start at the same time. Returns
+    /// whether the machine grants it.
+    pub(super) fn take(&self, all: impl Fn() -> Vec<u32>) -> bool {
+        let procs = self.path.join("cgroup.procs");
+        loop {
+            let inside = fs::read_to_string(&procs).unwrap_or_default();
+            let is_inside = |pid: &u32| inside.lines().any(|line| line.parse() == Ok(*pid));
+            let outside: Vec<u32> = all().into_iter().filter(|pid| !is_inside(pid)).collect();
+            // Fails for a process that has ended since. If all fail, it is not granted.
+            let moves = |pid: &u32| fs::write(&procs, pid.to_string()).is_ok();
+            if outside.is_empty() || outside.iter().filter(|pid| moves(pid)).count() == 0 {
+                return outside.is_empty() || !inside.is_empty();
+            }
+        }
     }
 
     pub(super) fn kill(&self) {

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use tandem_board_host::spawn::{self, Watched};
 
 use super::clean_up::CleanUp;
+use super::descendants;
 use super::group::ControlGroup;
 use crate::manifest::SafeState;
 
@@ -58,7 +59,7 @@ struct Begin {
     after: Vec<String>,
     within_ms: u64,
     watchdog_ms: u64,
-    group: Option<ControlGroup>,
+    group: String,
 }
 
 /// The launcher's end.
@@ -72,22 +73,18 @@ impl Link {
         Self { stream: io::stdin() }
     }
 
-    /// Joins the group of this name, and tells the guardian what the clean-up needs. Returns whether
-    /// the machine grants a group.
-    pub(super) fn begin(&mut self, safe_state: &SafeState, name: &str) -> bool {
-        let group = ControlGroup::join(name);
-        let is_granted = group.is_some();
+    /// Tells the guardian what the clean-up needs.
+    pub(super) fn begin(&mut self, safe_state: &SafeState, group: &str) {
         let begin = Begin {
             before: safe_state.before.clone(),
             after: safe_state.after.clone(),
             within_ms: safe_state.within.as_us() / 1_000,
             watchdog_ms: safe_state.watchdog.as_us() / 1_000,
-            group,
+            group: group.to_owned(),
         };
         let mut line = serde_json::to_string(&begin).unwrap_or_default();
         line.push('\n');
         self.send(line.as_bytes());
-        is_granted
     }
 
     /// Says that the launcher lives. Returns whether the guardian does.
@@ -149,11 +146,15 @@ impl Guardian {
     }
 
     /// Watches until the launcher has ended, and cleans up if need be. Bytes from `stops` are
-    /// signals that the launcher gets, too.
+    /// signals that the launcher gets, too. `warn` is told what the machine does not grant.
     ///
     /// # Errors
     /// If the system does not permit to watch.
-    pub fn watch(mut self, stops: &UnixStream) -> io::Result<GuardEnd> {
+    pub fn watch(
+        mut self,
+        stops: &UnixStream,
+        warn: &mut dyn FnMut(&str),
+    ) -> io::Result<GuardEnd> {
         stops.set_nonblocking(true)?;
         self.stream.set_nonblocking(true)?;
         let mut last = Instant::now();
@@ -171,7 +172,7 @@ impl Guardian {
                     _ => break ended(status),
                 }
             }
-            if self.hear() {
+            if self.hear(warn) {
                 last = Instant::now();
             }
             if last.elapsed() > self.watchdog {
@@ -186,7 +187,7 @@ impl Guardian {
                 spawn::signal(self.launcher.id(), Signal::TERM);
             }
         };
-        self.hear();
+        self.hear(warn);
         Ok(GuardEnd::CleanedUp(why, self.clean_up.run()))
     }
 
@@ -202,7 +203,7 @@ impl Guardian {
     }
 
     /// Reads what the launcher has sent. Returns whether it was anything.
-    fn hear(&mut self) -> bool {
+    fn hear(&mut self, warn: &mut dyn FnMut(&str)) -> bool {
         let mut bytes = [0; 4096];
         let mut has_heard = false;
         while let Ok(count @ 1..) = (&self.stream).read(&mut bytes) {
@@ -212,16 +213,23 @@ impl Guardian {
         while let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
             let line: Vec<u8> = self.heard.drain(..=end).collect();
             if let Ok(begin) = serde_json::from_slice::<Begin>(&line) {
-                self.begin(begin);
+                self.begin(begin, warn);
             }
         }
         has_heard
     }
 
-    fn begin(&mut self, begin: Begin) {
+    fn begin(&mut self, begin: Begin, warn: &mut dyn FnMut(&str)) {
         self.watchdog = Duration::from_millis(begin.watchdog_ms);
         self.clean_up.within_ms = begin.within_ms;
-        self.clean_up.group = begin.group;
+        // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
+        let launcher = self.launcher.id();
+        let group = ControlGroup::make(&begin.group);
+        let all = || descendants::living(&[launcher]);
+        self.clean_up.group = group.filter(|it| it.take(all));
+        if self.clean_up.group.is_none() {
+            warn("no control group (cgroup v2) is granted: process groups and /proc take its place");
+        }
         if self.plan.before.is_empty() && self.plan.after.is_empty() {
             self.clean_up.before = begin.before;
             self.clean_up.after = begin.after;

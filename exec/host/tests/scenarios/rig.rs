@@ -69,10 +69,18 @@ impl Rig {
     }
 
     pub(crate) fn launch_by(&mut self, command: &mut Command) {
+        self.launch_by_spawn(command, Command::spawn);
+    }
+
+    pub(crate) fn launch_by_spawn(
+        &mut self,
+        command: &mut Command,
+        spawn: impl FnOnce(&mut Command) -> std::io::Result<Child>,
+    ) {
         let events = fs::File::create(self.path("events")).unwrap();
         command.current_dir(self.folder.path()).stdout(events);
         let errors = fs::File::create(self.path("errors")).unwrap();
-        self.guardian = Some(command.stderr(errors).spawn().unwrap());
+        self.guardian = Some(spawn(command.stderr(errors)).unwrap());
     }
 
     pub(crate) fn manifest(&self) -> PathBuf {
@@ -219,7 +227,7 @@ pub(crate) fn guardian(words: &[String]) -> ExitCode {
         before: hook(1).unwrap_or_default(),
         after: hook(2).unwrap_or_default(),
     };
-    match Guardian::start(command, plan).unwrap().watch(&stops()).unwrap() {
+    match Guardian::start(command, plan).unwrap().watch(&stops(), &mut |_| {}).unwrap() {
         GuardEnd::Done => ExitCode::SUCCESS,
         GuardEnd::NothingStarted => ExitCode::from(2),
         GuardEnd::CleanedUp(why, failed) => {

@@ -185,7 +185,7 @@ fn process_crash_monitoring() {
         target("crashing", &["driver", "crashing"]),
     ]);
     rig.end_well();
-    assert_eq!(rig.events(&["crashing: it ended by signal 6"]).len(), 1);
+    assert_eq!(rig.events(&["crashing: it ended: signal: 6"]).len(), 1);
 }
 
 /// No process inherits a descriptor of the launcher, and a report leaves none open.
