@@ -284,10 +284,8 @@ pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
     // The last kill of an episode is the end of the platform.
     let kills = (1 + dice.below(LONGEST)).min(most);
     while outcome.kills + 1 < kills && kill_one(&life, dice, &mut outcome) {}
-    if !life.is_in_step_again() {
-        outcome
-            .wrong
-            .push("the clients do not run again".to_owned());
+    if !outcome.is_safe_state {
+        life.is_in_step_again(&mut outcome);
     }
     end(&mut life, dice, &mut outcome);
     let (wrong, cycles) = check(&life.logs());
@@ -308,10 +306,7 @@ fn kill_one(life: &Life, dice: &mut Dice, outcome: &mut Outcome) -> bool {
     }
     let victim = found.swap_remove(dice.below(found.len() as u64) as usize);
     // Without two members of three the safe state would be right.
-    if victim.mode == "client" && !life.is_in_step_again() {
-        outcome
-            .wrong
-            .push("a killed client does not join again".to_owned());
+    if victim.mode == "client" && !life.is_in_step_again(outcome) {
         return false;
     }
     let name = match dice.below(10) {

@@ -69,7 +69,8 @@ fn kills() {
     }
     let seconds = begin.elapsed().as_secs_f64();
     println!(
-        "{kills} kills in {seconds:.1} s, {cycles} cycles in step, {} violations",
+        "{kills} kills in {seconds:.1} s, {episodes} platforms, {cycles} cycles in step, \
+         {safe_states} safe states after two clients were lost, {} violations",
         wrong.len()
     );
     for (victim, times) in victims {

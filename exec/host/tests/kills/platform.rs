@@ -150,7 +150,7 @@ fn guardian(run: &RunName, manifest: &Path) -> Done {
         manifest: manifest.to_owned(),
         ..GuardPlan::default()
     };
-    match Guardian::start(command, plan)?.watch(&stops()?)? {
+    match Guardian::start(command, plan)?.watch(&stops()?, &mut |_| ())? {
         GuardEnd::Done => clean(run.as_str()),
         GuardEnd::NothingStarted => Err("nothing was started".into()),
         GuardEnd::CleanedUp(why, failed) => Err(format!("{why}; {failed:?}").into()),
